@@ -1,0 +1,193 @@
+"""Everything that can go wrong, in one screen.
+
+::
+
+    RopewayError
+    ├── ConfigError               a configuration cannot be used: where, what was expected, the nearest valid key
+    ├── TypesError                message definitions and values
+    │   ├── InvalidTypeName       not of the form pkg/Name or pkg/msg/Name
+    │   ├── UnknownType           no definition is known for this name
+    │   ├── InvalidDefinition     a .msg, .srv or .action text cannot be parsed
+    │   ├── TypeConflict          one name, two definitions or two types
+    │   ├── DecodeError           bytes that are not a message of this type (CDR, ROS 1, CBOR, LZ4, zstd)
+    │   └── ValueMismatch         a JSON or CBOR value that does not fit the field it is meant for
+    ├── WireError                 the rosbridge protocol
+    │   ├── InvalidFrame          a frame that is neither JSON nor CBOR, or not an object with an "op"
+    │   ├── InvalidOperation      an operation with a missing or ill-typed field, or one nobody knows
+    │   └── MessageTooBig         above the limit of this connection
+    ├── GraphError                a kind of network
+    │   ├── GraphUnavailable      it cannot be opened, or has gone away
+    │   └── InvalidName           not a topic, service, action or node name
+    └── LinkError                 a connection between two gateways
+        ├── ConnectFailed         nobody answered, or the answer was a refusal
+        └── OutboxFull            more waits to be sent than the bounds allow
+
+An error carries what a program needs as attributes and says in its text what a person can do next.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "ConfigError",
+    "ConnectFailed",
+    "DecodeError",
+    "GraphError",
+    "GraphUnavailable",
+    "InvalidDefinition",
+    "InvalidFrame",
+    "InvalidName",
+    "InvalidOperation",
+    "InvalidTypeName",
+    "LinkError",
+    "MessageTooBig",
+    "OutboxFull",
+    "RopewayError",
+    "TypeConflict",
+    "TypesError",
+    "UnknownType",
+    "ValueMismatch",
+    "WireError",
+]
+
+
+class RopewayError(Exception):
+    """The root of all errors that Ropeway raises on purpose."""
+
+
+class ConfigError(RopewayError):
+    """A configuration that cannot be used.
+
+    ``problems`` is a list of ``(path, text)``: the JSON path of each fault and one line about it.
+    """
+
+    def __init__(self, problems: list[tuple[str, str]], source: str = "") -> None:
+        self.problems = problems
+        self.source = source
+        super().__init__("\n".join(f"{source + ': ' if source else ''}{path}: {text}" for path, text in problems))
+
+
+class TypesError(RopewayError):
+    """Message definitions and values."""
+
+
+class InvalidTypeName(TypesError):
+    """A type name that is not of the form ``pkg/Name`` or ``pkg/msg/Name``."""
+
+    def __init__(self, name: object) -> None:
+        self.name = name
+        super().__init__(f"{name!r} is not a type name: expected pkg/Name or pkg/msg/Name, as in std_msgs/msg/String")
+
+
+class UnknownType(TypesError):
+    """A type without a known definition."""
+
+    def __init__(self, name: str, *, needed_by: str = "", nearest: str = "") -> None:
+        self.name, self.needed_by, self.nearest = name, needed_by, nearest
+        by = f" (needed by {needed_by})" if needed_by else ""
+        near = f"; did you mean {nearest}?" if nearest else ""
+        super().__init__(
+            f"the definition of {name} is not known{by}{near} "
+            'Name its directory or file under "types" in the configuration, or source the workspace that has it.'
+            if not near
+            else f"the definition of {name} is not known{by}{near}"
+        )
+
+
+class InvalidDefinition(TypesError):
+    """A definition text that cannot be parsed."""
+
+    def __init__(self, name: str, reason: str, *, file: str = "") -> None:
+        self.name, self.reason, self.file = name, reason, file
+        super().__init__(f"{file + ': ' if file else ''}the definition of {name} cannot be used: {reason}")
+
+
+class TypeConflict(TypesError):
+    """One name with two types, or one type name with two definitions."""
+
+    def __init__(self, name: str, known: str, offered: str) -> None:
+        self.name, self.known, self.offered = name, known, offered
+        super().__init__(f"{name} is already established with type {known}, not {offered}")
+
+
+class DecodeError(TypesError):
+    """Bytes that are not a message of the type they claim to be."""
+
+    def __init__(self, type: str, encoding: str, reason: str) -> None:
+        self.type, self.encoding, self.reason = type, encoding, reason
+        super().__init__(f"{encoding} bytes are not a {type}: {reason}")
+
+
+class ValueMismatch(TypesError):
+    """A JSON or CBOR value that does not fit its field. ``field`` is a dotted path below the message."""
+
+    def __init__(self, type: str, field: str, reason: str) -> None:
+        self.type, self.field, self.reason = type, field, reason
+        super().__init__(f"{type} message: field {field or '(root)'}: {reason}")
+
+
+class WireError(RopewayError):
+    """The rosbridge protocol."""
+
+
+class InvalidFrame(WireError):
+    """A frame that is neither JSON nor CBOR, or not an object."""
+
+    def __init__(self, reason: str, size_bytes: int = 0) -> None:
+        self.reason, self.size_bytes = reason, size_bytes
+        super().__init__(reason)
+
+
+class InvalidOperation(WireError):
+    """An operation with a missing or ill-typed field, or an unknown one."""
+
+    def __init__(self, op: str, reason: str, *, id: object = None) -> None:
+        self.op, self.reason, self.id = op, reason, id
+        super().__init__(f"{op}: {reason}" if op else reason)
+
+
+class MessageTooBig(WireError):
+    """A message above the limit of its connection."""
+
+    def __init__(self, size_bytes: int, limit_bytes: int) -> None:
+        self.size_bytes, self.limit_bytes = size_bytes, limit_bytes
+        super().__init__(f"a message of {size_bytes} bytes is above the limit of {limit_bytes} bytes")
+
+
+class GraphError(RopewayError):
+    """A kind of network."""
+
+
+class GraphUnavailable(GraphError):
+    """A graph that cannot be opened, or has gone away."""
+
+    def __init__(self, graph: str, reason: str) -> None:
+        self.graph, self.reason = graph, reason
+        super().__init__(f"{graph}: {reason}")
+
+
+class InvalidName(GraphError):
+    """A text that is not a topic, service, action or node name."""
+
+    def __init__(self, name: object, reason: str) -> None:
+        self.name, self.reason = name, reason
+        super().__init__(f"{name!r} is not a valid name: {reason}")
+
+
+class LinkError(RopewayError):
+    """A connection between two gateways."""
+
+
+class ConnectFailed(LinkError):
+    """Nobody answered, or the answer was a refusal. ``retryable`` tells whether trying again can help."""
+
+    def __init__(self, address: str, reason: str, *, retryable: bool = True) -> None:
+        self.address, self.reason, self.retryable = address, reason, retryable
+        super().__init__(f"{address}: {reason}")
+
+
+class OutboxFull(LinkError):
+    """More waits to be sent than the bounds allow."""
+
+    def __init__(self, link: str, topic: str, queued_bytes: int, limit_bytes: int) -> None:
+        self.link, self.topic, self.queued_bytes, self.limit_bytes = link, topic, queued_bytes, limit_bytes
+        super().__init__(f"{link}: {topic}: {queued_bytes} bytes wait, the limit is {limit_bytes} bytes")

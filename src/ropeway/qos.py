@@ -1,0 +1,123 @@
+"""Quality of service, with the keys and values of rosbridge's ``qos`` object.
+
+A profile that says nothing about a policy leaves the choice to the graph (``None``). Profiles are immutable;
+``QoS.parse`` reads the JSON form, ``QoS.to_json`` writes it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+__all__ = ["DEFAULT", "LATCHED", "SENSOR_DATA", "QoS", "common_qos"]
+
+_CHOICES: Final = {
+    "history": ("keep_last", "keep_all"),
+    "reliability": ("reliable", "best_effort", "best_available"),
+    "durability": ("volatile", "transient_local", "best_available"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class QoS:
+    """One profile.
+
+    ``depth`` counts samples (used with ``keep_last``); ``deadline_s`` and ``lifespan_s`` are seconds,
+    ``None`` meaning infinite.
+    """
+
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    history: str = "keep_last"
+    depth: int = 10
+    deadline_s: float | None = None
+    lifespan_s: float | None = None
+
+    @property
+    def reliable(self) -> bool:
+        """True unless the profile is best effort."""
+        return self.reliability != "best_effort"
+
+    @property
+    def transient_local(self) -> bool:
+        """True where late joiners get what was published before."""
+        return self.durability == "transient_local"
+
+    @classmethod
+    def parse(cls, value: Mapping[str, Any], base: QoS | None = None) -> QoS:
+        """Read a rosbridge ``qos`` object; what it leaves out is taken from ``base``.
+
+        Raises ``ValueError`` with a sentence that names the policy and its valid values.
+        """
+        if not isinstance(value, Mapping):
+            raise ValueError("qos must be an object, as in {\"reliability\": \"best_effort\"}")
+        unknown = set(value) - {"history", "depth", "reliability", "durability", "deadline", "lifespan"}
+        if unknown:
+            raise ValueError(f"unknown qos policy {sorted(unknown)[0]!r}")
+        changes: dict[str, Any] = {}
+        for key, valid in _CHOICES.items():
+            if key in value:
+                given = value[key]
+                if not isinstance(given, str) or given.lower() not in valid:
+                    raise ValueError(f"{given!r} is not a valid {key}. Valid options are: {', '.join(valid)}")
+                changes[key] = given.lower()
+        if "depth" in value:
+            depth = value["depth"]
+            if isinstance(depth, bool) or not isinstance(depth, int) or depth < 0:
+                raise ValueError(f"{depth!r} is not a valid depth. Valid are whole numbers from 0")
+            changes["depth"] = depth
+        for key in ("deadline", "lifespan"):
+            if key in value:
+                changes[f"{key}_s"] = _duration(key, value[key])
+        return replace(base or cls(), **changes)
+
+    def to_json(self) -> dict[str, Any]:
+        """The rosbridge form; infinite durations are left out."""
+        out: dict[str, Any] = {
+            "history": self.history,
+            "depth": self.depth,
+            "reliability": self.reliability,
+            "durability": self.durability,
+        }
+        for key, seconds in (("deadline", self.deadline_s), ("lifespan", self.lifespan_s)):
+            if seconds is not None:
+                out[key] = seconds
+        return out
+
+
+def _duration(key: str, value: object) -> float | None:
+    if value in ("infinite", "best_available", None):
+        return None
+    if isinstance(value, Mapping) and {"secs", "nsecs"} <= set(value):
+        seconds = float(value["secs"]) + float(value["nsecs"]) / 1e9
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        seconds = float(value)
+    else:
+        raise ValueError(f'{key} must be seconds, {{"secs", "nsecs"}} or "infinite"')
+    if seconds < 0 or math.isnan(seconds):
+        raise ValueError(f"{key} must not be negative")
+    return None if math.isinf(seconds) else seconds
+
+
+DEFAULT: Final = QoS()
+SENSOR_DATA: Final = QoS(reliability="best_effort", depth=5)
+LATCHED: Final = QoS(durability="transient_local", depth=1)
+
+
+def common_qos(offered: Iterable[QoS], fallback: QoS = DEFAULT) -> QoS:
+    """The strongest request that every one of ``offered`` satisfies.
+
+    A reader that asks for this matches all of these writers: reliable only if all are, transient local only if
+    all are, and as deep as the deepest. Nothing offered gives ``fallback``.
+    """
+    profiles = list(offered)
+    if not profiles:
+        return fallback
+    return QoS(
+        reliability="reliable" if all(q.reliable for q in profiles) else "best_effort",
+        durability="transient_local" if all(q.transient_local for q in profiles) else "volatile",
+        history="keep_all" if any(q.history == "keep_all" for q in profiles) else "keep_last",
+        depth=max(max(q.depth for q in profiles), 1),
+    )

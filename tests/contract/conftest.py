@@ -1,0 +1,73 @@
+"""One fixture per kind of graph: two participants of the same network, opened."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack
+from typing import Any
+
+import pytest
+
+from ropeway.graph.base import Graph, Sample
+from ropeway.graph.memory import MemoryGraph
+
+_numbers = itertools.count()
+
+
+class Pair:
+    """Two participants of one network: what ``near`` publishes, ``far`` reads, and the other way round."""
+
+    def __init__(self, near: Graph, far: Graph, stack: AsyncExitStack) -> None:
+        self.near, self.far = near, far
+        self.stack = stack
+
+
+class Inbox:
+    """A callback that keeps what arrives and lets a test wait for it."""
+
+    def __init__(self) -> None:
+        self.samples: list[Sample] = []
+        self._arrived = asyncio.Event()
+
+    def __call__(self, batch: Any) -> None:
+        self.samples.extend(batch)
+        self._arrived.set()
+
+    @property
+    def payloads(self) -> list[bytes]:
+        return [bytes(s.payload) for s in self.samples]
+
+    async def wait(self, count: int, timeout_s: float = 10.0) -> list[Sample]:
+        async with asyncio.timeout(timeout_s):
+            while len(self.samples) < count:
+                self._arrived.clear()
+                await self._arrived.wait()
+        return self.samples
+
+
+async def until(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
+    """Wait until ``condition()`` holds; discovery has no other signal that every kind of graph shares."""
+    async with asyncio.timeout(timeout_s):
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+async def open_memory(stack: AsyncExitStack) -> Pair:
+    network = f"contract-{next(_numbers)}"
+    near, far = MemoryGraph(network, node="/near"), MemoryGraph(network, node="/far")
+    for graph in (near, far):
+        await graph.open()
+        stack.push_async_callback(graph.close)
+    return Pair(near, far, stack)
+
+
+KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {"memory": open_memory}
+
+
+@pytest.fixture(params=sorted(KINDS))
+async def pair(request: pytest.FixtureRequest) -> AsyncIterator[Pair]:
+    """Two opened participants of one network, for every kind of graph."""
+    async with AsyncExitStack() as stack:
+        yield await KINDS[request.param](stack)
