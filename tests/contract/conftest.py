@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from ropeway.graph.base import Graph, Sample
+from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
 
 _numbers = itertools.count()
@@ -63,7 +64,17 @@ async def open_memory(stack: AsyncExitStack) -> Pair:
     return Pair(near, far, stack)
 
 
-KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {"memory": open_memory}
+async def open_hub(stack: AsyncExitStack) -> Pair:
+    """Two views of one graph."""
+    graph = MemoryGraph(f"contract-{next(_numbers)}")
+    await graph.open()
+    stack.push_async_callback(graph.close)
+    hub = Hub(graph)
+    near, far = hub.view("near"), hub.view("far")
+    return Pair(near, far, stack)
+
+
+KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {"memory": open_memory, "hub": open_hub}
 
 
 @pytest.fixture(params=sorted(KINDS))

@@ -1,0 +1,429 @@
+"""One WebSocket connection, either role, over picows: the only module that touches sockets.
+
+A ``Connection`` delivers whole messages (continuation frames joined, bounded), tells when it can take more
+(``writable``), notices a dead peer, and closes with a code and a reason. What the bytes mean is not its concern.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import ssl
+import struct
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+import picows
+from picows import WSCloseCode, WSFrame, WSListener, WSMsgType, WSTransport
+
+from ropeway.errors import ConnectFailed
+from ropeway.link.pace import Pace
+
+__all__ = ["Connection", "Handshake", "Limits", "Server", "connect", "listen"]
+
+log = logging.getLogger("ropeway.link")
+_picows_log = logging.getLogger("ropeway.link.picows")
+_picows_log.setLevel(logging.ERROR)
+
+_TCP_NOTSENT_LOWAT: Final = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
+_TCP_INFO: Final = getattr(socket, "TCP_INFO", None)
+_BYTES_RECEIVED_AT: Final = 128  # tcpi_bytes_received in Linux's struct tcp_info
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Bounds of a connection.
+
+    ``max_message_bytes``: inbound; more closes with 1009 (64 MiB carries a 60 MB point cloud).
+    ``ping_interval_s``: a ping is sent this long after the last one; ``silence_s``: the peer is given up after so
+    long without a byte (the two defaults notice a cut within 5 s). ``None`` turns the watch off.
+    """
+
+    max_message_bytes: int = 64 << 20
+    ping_interval_s: float | None = 1.0
+    silence_s: float | None = 4.0
+    open_timeout_s: float = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Handshake:
+    """What the client asked for when it connected."""
+
+    path: str
+    query: str
+    headers: Mapping[str, str]
+    subprotocols: tuple[str, ...]
+
+
+class Connection(WSListener):
+    """A WebSocket connection.
+
+    Set ``on_text``, ``on_binary``, ``on_writable`` and ``on_closed`` before the first await after it was made.
+    ``peer`` is the address of the other side, ``subprotocol`` what both agreed on.
+    """
+
+    def __init__(self, limits: Limits, *, peer: str = "") -> None:
+        self.limits = limits
+        self.peer = peer
+        self.subprotocol = ""
+        self.pace = Pace()
+        self.on_connected: Callable[[], None] = _nothing
+        self.on_text: Callable[[bytes], None] = _ignore
+        self.on_binary: Callable[[bytes | memoryview], None] = _ignore
+        self.on_writable: Callable[[], None] = _nothing
+        self.on_closed: Callable[[int, str], None] = _ignore_close
+        self.bytes_in = self.bytes_out = self.frames_in = self.frames_out = 0
+        self.connected_at = time.time()
+        self.writable = False
+        self.secure = False
+        self.handshake: Handshake | None = None
+        self._transport: WSTransport | None = None
+        self._socket: Any = None
+        self._parts: list[bytes] = []
+        self._parts_bytes = 0
+        self._parts_text = False
+        self._last_heard = time.monotonic()
+        self._heard_bytes = 0
+        self._watch: asyncio.Task[None] | None = None
+        self._close_code, self._close_reason = 1006, "the connection was lost"
+        self._closed = asyncio.Event()
+        self._lowat = 0
+        self._closing: asyncio.TimerHandle | None = None
+
+    # ── sending ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def send_text(self, data: bytes | str) -> None:
+        """Send a text frame now; look at ``writable`` first for anything that can wait."""
+        self._send(WSMsgType.TEXT, data)
+
+    def send_binary(self, data: bytes | bytearray | memoryview) -> None:
+        """Send a binary frame now; look at ``writable`` first for anything that can wait."""
+        self._send(WSMsgType.BINARY, data)
+
+    def _send(self, kind: Any, data: Any) -> None:
+        transport = self._transport
+        if transport is None or self._closed.is_set():
+            return
+        size = len(data)
+        self.bytes_out += size
+        self.frames_out += 1
+        transport.send(kind, data)
+        self.pace.sent(size)
+
+    @property
+    def unsent_bytes(self) -> int:
+        """What the operating system has not taken yet."""
+        transport = self._transport
+        if transport is None:
+            return 0
+        return int(transport.underlying_transport.get_write_buffer_size())
+
+    def set_ahead(self, size_bytes: int) -> None:
+        """Let the operating system hold about so many unsent bytes; small keeps the next message fresh."""
+        if self._socket is None or size_bytes == self._lowat:
+            return
+        self._lowat = size_bytes
+        with contextlib.suppress(OSError):
+            self._socket.setsockopt(socket.IPPROTO_TCP, _TCP_NOTSENT_LOWAT, size_bytes)
+
+    def close(self, code: int = 1000, reason: str = "") -> None:
+        """Start the closing handshake; the transport goes within a second whatever the peer does."""
+        transport = self._transport
+        if transport is None or self._closed.is_set():
+            return
+        self._close_code, self._close_reason = code, reason
+        self.writable = False
+        try:
+            close_code = WSCloseCode(code)
+        except ValueError:
+            close_code = WSCloseCode.OK
+        transport.send_close(close_code, reason.encode()[:120])
+        if self._closing is None:
+            self._closing = asyncio.get_running_loop().call_later(1.0, transport.disconnect, False)
+
+    def abort(self, reason: str) -> None:
+        """Drop the connection without a word to the peer."""
+        self._close_code, self._close_reason = 1006, reason
+        if self._transport is not None:
+            self._transport.disconnect(False)
+
+    async def wait_closed(self) -> tuple[int, str]:
+        """Wait for the end; gives the close code and the reason."""
+        await self._closed.wait()
+        return self._close_code, self._close_reason
+
+    @property
+    def closed(self) -> bool:
+        """True once nothing can be sent or received."""
+        return self._closed.is_set()
+
+    # ── picows callbacks ───────────────────────────────────────────────────────────────────────────────────────
+
+    def on_ws_connected(self, transport: WSTransport) -> None:
+        """Called by picows after the handshake."""
+        self._transport = transport
+        underlying = transport.underlying_transport
+        underlying.set_write_buffer_limits(high=0, low=0)
+        self._socket = underlying.get_extra_info("socket")
+        self.secure = underlying.get_extra_info("sslcontext") is not None
+        if not self.peer:
+            self.peer = _address(underlying.get_extra_info("peername"))
+        if transport.response is not None:
+            self.subprotocol = transport.response.headers.get("Sec-WebSocket-Protocol", "")  # the client's side
+        self.set_ahead(128 * 1024)
+        self.writable = True
+        self._last_heard = time.monotonic()
+        if self.limits.ping_interval_s is not None:
+            self._watch = asyncio.get_running_loop().create_task(self._watch_peer(), name=f"watch {self.peer}")
+        self.on_connected()
+
+    def on_ws_frame(self, transport: WSTransport, frame: WSFrame) -> None:
+        """Called by picows for every frame."""
+        kind = frame.msg_type
+        self._last_heard = time.monotonic()
+        size = frame.payload_size
+        self.bytes_in += size
+        if kind == WSMsgType.BINARY or kind == WSMsgType.TEXT:
+            if self._parts:
+                self._fail(1002, "a new message began before the last one ended")
+            elif frame.fin:
+                self.frames_in += 1
+                if kind == WSMsgType.BINARY:
+                    self.on_binary(frame.get_payload_as_memoryview())
+                else:
+                    self.on_text(frame.get_payload_as_bytes())
+            else:
+                self._parts = [frame.get_payload_as_bytes()]
+                self._parts_bytes = size
+                self._parts_text = kind == WSMsgType.TEXT
+        elif kind == WSMsgType.CONTINUATION:
+            self._continue(frame)
+        elif kind == WSMsgType.CLOSE:
+            code = frame.get_close_code()
+            self._close_code = _number(code) or 1005
+            self._close_reason = frame.get_close_message().decode(errors="replace") if frame.payload_size > 2 else ""
+            transport.send_close(code if code else WSCloseCode.OK)
+            transport.disconnect()
+
+    def _continue(self, frame: WSFrame) -> None:
+        if not self._parts:
+            self._fail(1002, "a continuation came without a beginning")
+            return
+        self._parts_bytes += frame.payload_size
+        if self._parts_bytes > self.limits.max_message_bytes:
+            self._fail(1009, f"a message may have {self.limits.max_message_bytes} bytes at most")
+            return
+        self._parts.append(frame.get_payload_as_bytes())
+        if frame.fin:
+            self.frames_in += 1
+            data = b"".join(self._parts)
+            self._parts = []
+            if self._parts_text:
+                self.on_text(data)
+            else:
+                self.on_binary(data)
+
+    def on_ws_disconnected(self, transport: WSTransport) -> None:
+        """Called by picows when the transport is gone."""
+        self.writable = False
+        handshake = transport.close_handshake
+        if handshake is not None and handshake.sent is not None and self._close_code == 1006:
+            sent = handshake.sent
+            self._close_code = _number(sent.code)
+            self._close_reason = sent.reason or self._close_reason
+        if self._closing is not None:
+            self._closing.cancel()
+        if self._watch is not None and self._watch is not asyncio.current_task():
+            self._watch.cancel()
+        if not self._closed.is_set():
+            self._closed.set()
+            self.on_closed(self._close_code, self._close_reason)
+
+    def pause_writing(self) -> None:
+        """Called by the transport when it holds bytes that the operating system did not take."""
+        self.writable = False
+        self.pace.paused(self.unsent_bytes)
+
+    def resume_writing(self) -> None:
+        """Called by the transport when the operating system took everything."""
+        self.pace.resumed()
+        if self._closing is None and not self._closed.is_set():
+            self.writable = True
+            self.on_writable()
+
+    def _fail(self, code: int, reason: str) -> None:
+        self._parts = []
+        log.warning("%s: closed: %s", self.peer, reason)
+        self.close(code, reason)
+
+    # ── the watch ──────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def _watch_peer(self) -> None:
+        interval, silence = self.limits.ping_interval_s, self.limits.silence_s
+        assert interval is not None
+        while self._transport is not None and not self._closed.is_set():
+            self._transport.send_ping()
+            await asyncio.sleep(interval)
+            if silence is None:
+                continue
+            received = self._received_bytes()
+            if received != self._heard_bytes:  # part of a message counts as a sign of life
+                self._heard_bytes = received
+                self._last_heard = time.monotonic()
+            if time.monotonic() - self._last_heard > silence:
+                self.abort(f"nothing was heard for {silence:g} s")
+                return
+
+    def _received_bytes(self) -> int:
+        if _TCP_INFO is None or self._socket is None:
+            return 0
+        try:
+            info = self._socket.getsockopt(socket.IPPROTO_TCP, _TCP_INFO, _BYTES_RECEIVED_AT + 8)
+        except OSError:
+            return 0
+        if len(info) < _BYTES_RECEIVED_AT + 8:
+            return 0
+        return int(struct.unpack_from("<Q", info, _BYTES_RECEIVED_AT)[0])
+
+
+def _ignore(_: object) -> None:
+    return None
+
+
+def _ignore_close(_code: int, _reason: str) -> None:
+    return None
+
+
+def _nothing() -> None:
+    return None
+
+
+def _number(code: Any) -> int:
+    return int(getattr(code, "value", code))
+
+
+def _address(name: Any) -> str:
+    if isinstance(name, tuple) and len(name) >= 2:
+        return f"[{name[0]}]:{name[1]}" if ":" in str(name[0]) else f"{name[0]}:{name[1]}"
+    return str(name or "unknown")
+
+
+async def connect(
+    url: str,
+    *,
+    limits: Limits,
+    subprotocols: Sequence[str] = (),
+    ssl_context: ssl.SSLContext | None = None,
+    headers: Mapping[str, str] | None = None,
+) -> Connection:
+    """Connect to a ``ws://`` or ``wss://`` URL.
+
+    Raises ``ConnectFailed``; its ``retryable`` is false for answers that another try will not change.
+    """
+    connection = Connection(limits, peer=url)
+    extra = dict(headers or {})
+    if subprotocols:
+        extra["Sec-WebSocket-Protocol"] = ", ".join(subprotocols)
+    try:
+        async with asyncio.timeout(limits.open_timeout_s):
+            await picows.ws_connect(
+                lambda: connection,
+                url,
+                ssl_context=ssl_context,
+                websocket_handshake_timeout=limits.open_timeout_s,
+                max_frame_size=limits.max_message_bytes,
+                extra_headers=extra,
+                logger_name=_picows_log,
+                disconnect_on_exception=False,
+            )
+    except TimeoutError:
+        raise ConnectFailed(url, f"no answer within {limits.open_timeout_s:g} s") from None
+    except ssl.SSLCertVerificationError as error:
+        raise ConnectFailed(
+            url, f"its certificate is not trusted ({error.verify_message}); name its CA under tls.ca", retryable=False
+        ) from None
+    except picows.WSError as error:
+        response = getattr(error, "response", None)
+        status = response.status.value if response is not None else None
+        fatal = status in (400, 401, 403, 404)
+        what = f"answered HTTP {status}" if status else f"is not a WebSocket server ({error})"
+        raise ConnectFailed(url, what, retryable=not fatal) from None
+    except (OSError, ssl.SSLError) as error:
+        raise ConnectFailed(url, error.strerror or str(error)) from None
+    return connection
+
+
+class Server:
+    """A listening socket; made by ``listen``."""
+
+    def __init__(self, server: asyncio.AbstractServer, address: str) -> None:
+        self._server = server
+        self.address = address
+        sockets = getattr(server, "sockets", ())
+        self.port: int = sockets[0].getsockname()[1] if sockets else 0
+
+    async def close(self) -> None:
+        """Stop listening; connections that stand go on."""
+        self._server.close()
+
+
+async def listen(
+    host: str,
+    port: int,
+    on_connection: Callable[[Connection], None],
+    *,
+    limits: Limits,
+    subprotocols: Sequence[str] = (),
+    ssl_context: ssl.SSLContext | None = None,
+    path: str = "/",
+    reuse_port: bool = False,
+) -> Server:
+    """Listen for WebSocket clients on ``host:port``; ``port`` 0 takes a free one.
+
+    Of the subprotocols that a client offers the first of ours is chosen; a client that offers none gets none.
+    Raises ``ConnectFailed`` if the address cannot be bound.
+    """
+
+    def upgrade(request: picows.WSUpgradeRequest) -> Any:
+        target = urlsplit(request.path.decode("latin-1"))
+        if target.path.rstrip("/") != path.rstrip("/"):
+            return None
+        offered = tuple(
+            part.strip()
+            for value in request.headers.getall("Sec-WebSocket-Protocol", [])
+            for part in value.split(",")
+        )
+        chosen = next((name for name in subprotocols if name in offered), "")
+        connection = Connection(limits)
+        connection.subprotocol = chosen
+        connection.handshake = Handshake(target.path, target.query, request.headers, offered)
+        connection.on_connected = lambda: on_connection(connection)
+        extra = {"Sec-WebSocket-Protocol": chosen} if chosen else None
+        return picows.WSUpgradeResponseWithListener(
+            picows.WSUpgradeResponse.create_101_response(extra_headers=extra), connection
+        )
+
+    address = f"{'wss' if ssl_context else 'ws'}://{f'[{host}]' if ':' in host else host}:{port}"
+    try:
+        server = await picows.ws_create_server(
+            upgrade,
+            host,
+            port,
+            ssl=ssl_context,
+            reuse_port=reuse_port or None,
+            reuse_address=True,
+            max_frame_size=limits.max_message_bytes,
+            websocket_handshake_timeout=limits.open_timeout_s,
+            logger_name=_picows_log,
+            disconnect_on_exception=False,
+        )
+    except OSError as error:
+        raise ConnectFailed(
+            address, f"cannot listen: {error.strerror or error}; is another gateway running?", retryable=False
+        ) from None
+    return Server(server, address)
