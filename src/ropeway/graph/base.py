@@ -307,10 +307,13 @@ class Changes:
         for _, wake in self._queues:
             wake.set()
 
-    async def listen(self) -> AsyncIterator[GraphEvent]:
-        """Every event from now on."""
+    def listen(self) -> AsyncIterator[GraphEvent]:
+        """Every event from this call on."""
         entry = (deque[GraphEvent](maxlen=self.limit), asyncio.Event())
         self._queues.append(entry)
+        return self._drain(entry)
+
+    async def _drain(self, entry: tuple[deque[GraphEvent], asyncio.Event]) -> AsyncIterator[GraphEvent]:
         queue, wake = entry
         try:
             while True:

@@ -12,7 +12,7 @@ import asyncio
 import logging
 import time
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import replace
 
 from ropeway.graph.base import (
@@ -195,7 +195,7 @@ class ViewSubscription:
             for callback in self._qos_callbacks:
                 callback(qos)
 
-    def deliver(self, batch: list[Sample]) -> None:
+    def deliver(self, batch: Sequence[Sample]) -> None:
         """Hand messages to the callback; a failure is counted and logged."""
         if self.closed or not batch:
             return
