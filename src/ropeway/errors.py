@@ -18,9 +18,10 @@
     ├── GraphError                a kind of network
     │   ├── GraphUnavailable      it cannot be opened, or has gone away
     │   └── InvalidName           not a topic, service, action or node name
-    └── LinkError                 a connection between two gateways
-        ├── ConnectFailed         nobody answered, or the answer was a refusal
-        └── OutboxFull            more waits to be sent than the bounds allow
+    ├── LinkError                 a connection between two gateways
+    │   ├── ConnectFailed         nobody answered, or the answer was a refusal
+    │   └── OutboxFull            more waits to be sent than the bounds allow
+    └── BagUnreadable             a recording that is missing, damaged or of an unknown kind
 
 An error carries what a program needs as attributes and says in its text what a person can do next.
 """
@@ -28,6 +29,7 @@ An error carries what a program needs as attributes and says in its text what a 
 from __future__ import annotations
 
 __all__ = [
+    "BagUnreadable",
     "ConfigError",
     "ConnectFailed",
     "DecodeError",
@@ -191,3 +193,11 @@ class OutboxFull(LinkError):
     def __init__(self, link: str, topic: str, queued_bytes: int, limit_bytes: int) -> None:
         self.link, self.topic, self.queued_bytes, self.limit_bytes = link, topic, queued_bytes, limit_bytes
         super().__init__(f"{link}: {topic}: {queued_bytes} bytes wait, the limit is {limit_bytes} bytes")
+
+
+class BagUnreadable(RopewayError):
+    """A recording that cannot be read."""
+
+    def __init__(self, path: str, reason: str) -> None:
+        self.path, self.reason = path, reason
+        super().__init__(f"{path}: {reason}")

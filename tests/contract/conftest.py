@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from ropeway.graph.base import Graph, Sample
+from ropeway.graph.dds import DdsGraph
 from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
 
@@ -74,7 +75,17 @@ async def open_hub(stack: AsyncExitStack) -> Pair:
     return Pair(near, far, stack)
 
 
-KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {"memory": open_memory, "hub": open_hub}
+async def open_dds(stack: AsyncExitStack) -> Pair:
+    """Two participants of one DDS domain, on the loopback interface."""
+    near = DdsGraph(58, name="near", interface="lo")
+    far = DdsGraph(58, name="far", interface="lo")
+    for graph in (near, far):
+        await graph.open()
+        stack.push_async_callback(graph.close)
+    return Pair(near, far, stack)
+
+
+KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {"memory": open_memory, "hub": open_hub, "dds": open_dds}
 
 
 @pytest.fixture(params=sorted(KINDS))

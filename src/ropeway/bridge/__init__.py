@@ -1,1 +1,1 @@
-""""""
+"""Bridges join one name on two graphs; nothing else in the system moves data."""

@@ -9,12 +9,14 @@ those who come late. That is how two robots that dial in to one gateway hear eac
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import replace
 
+from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import (
     NO_HINTS,
     SEQ_NONE,
@@ -33,6 +35,8 @@ from ropeway.graph.base import (
     new_origin,
     resolve_name,
 )
+from ropeway.graph.seen import Seen
+from ropeway.graph.standby import Standby
 from ropeway.qos import DEFAULT, QoS, common_qos
 
 __all__ = ["Hub", "View"]
@@ -41,13 +45,53 @@ log = logging.getLogger("ropeway.graph.hub")
 
 
 class Hub:
-    """Shares one opened graph among views; opening and closing the graph stays with whoever made it."""
+    """Shares one opened graph among views; opening and closing the graph stays with whoever made it.
 
-    def __init__(self, graph: Graph) -> None:
+    ``open`` makes the hub look out for other gateways on the same network (see ``standby``); without it, it does not.
+    """
+
+    def __init__(self, graph: Graph, *, gateway_id: str = "") -> None:
         self.graph = graph
+        self.gateway_id = gateway_id
+        self._lookout: asyncio.Task[None] | None = None
         self.publishers: dict[str, list[ViewPublisher]] = {}
         self.subscriptions: dict[str, list[ViewSubscription]] = {}
         self.views: list[View] = []
+        self.duplicates: Counter[str] = Counter()
+        self._seen: dict[str, tuple[Seen, Seen]] = {}
+
+    async def open(self) -> None:
+        """Look out for other gateways from now on."""
+        if self._lookout is None:
+            self._lookout = asyncio.create_task(self._look_out(), name=f"look out on {self.graph.name}")
+
+    async def close(self) -> None:
+        """Look out no longer."""
+        if self._lookout is not None:
+            self._lookout.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._lookout
+            self._lookout = None
+
+    async def _look_out(self) -> None:
+        async for event in self.graph.changes():
+            if event.kind == "publisher":
+                for publisher in list(self.publishers.get(event.name, ())):
+                    await publisher.standby.look()
+
+    def seen(self, topic: str) -> tuple[Seen, Seen]:
+        """What was had of a topic: what the network gave us, and what we gave the network."""
+        found = self._seen.get(topic)
+        if found is None:
+            found = self._seen[topic] = (Seen(), Seen())
+        return found
+
+    def forget(self, topic: str) -> None:
+        """Nobody here uses the topic any more."""
+        if not self.publishers.get(topic) and not self.subscriptions.get(topic):
+            self._seen.pop(topic, None)
+            self.publishers.pop(topic, None)
+            self.subscriptions.pop(topic, None)
 
     def announce(self, view: View, kind: str, name: str, type: str, discovered: bool) -> None:
         """Tell the other views what one of them created or closed."""
@@ -69,6 +113,9 @@ class ViewPublisher:
         self.topic, self.type, self.qos = inner.topic, inner.type, inner.qos
         self.view = view
         self._inner = inner
+        self._received, self._published = view.hub.seen(self.topic)
+        hub = view.hub
+        self.standby = Standby(hub.graph, hub.gateway_id, self.topic, self.type, self._received)
         self._gid = new_origin()
         self._seq = 0
         keep = None if self.qos.history == "keep_all" else max(self.qos.depth, 1)
@@ -86,9 +133,16 @@ class ViewPublisher:
             self._seq = max(time.time_ns(), self._seq + 1)
             stamp_ns = sample.stamp_ns or self._seq
             sample = Sample(sample.payload, self.type, stamp_ns, self._gid, self._seq, sent_ns=sample.sent_ns)
-        self._inner.publish(sample)
+        if self._published.has(sample) or self._received.has(sample):
+            self.view.hub.duplicates[self.topic] += 1
+            return
+        self._published.add(sample)
         if self._closed:
             return
+        if self.standby.defers:
+            self.standby.hold(sample, self._inner.publish)
+        else:
+            self._inner.publish(sample)
         if self.qos.transient_local:
             self._history.append(sample)
         for reader in self._readers:
@@ -145,6 +199,8 @@ class ViewPublisher:
             self.match(reader)
             reader.readopt()
         self.view.hub.announce(self.view, "publisher", self.topic, self.type, False)
+        self.view.hub.forget(self.topic)
+        await self.standby.close()
         await self._inner.close()
 
 
@@ -155,6 +211,7 @@ class ViewSubscription:
         self.topic, self.type, self.view = topic, type, view
         self._asked = qos
         self._callback = callback
+        self._received, self._published = view.hub.seen(topic)
         self._inner: Subscription | None = None
         self._qos = qos or DEFAULT
         self._qos_callbacks: list[Callable[[QoS], None]] = []
@@ -195,6 +252,17 @@ class ViewSubscription:
             for callback in self._qos_callbacks:
                 callback(qos)
 
+    def arrived(self, batch: Sequence[Sample]) -> None:
+        """Messages came from the network: they are known from now on, should a link bring them back."""
+        fresh: list[Sample] = []
+        for sample in batch:
+            self._received.add(sample)
+            if sample.relayed and self._published.has(sample):
+                self.view.hub.duplicates[self.topic] += 1  # another gateway here published what we did
+            else:
+                fresh.append(sample)
+        self.deliver(fresh)
+
     def deliver(self, batch: Sequence[Sample]) -> None:
         """Hand messages to the callback; a failure is counted and logged."""
         if self.closed or not batch:
@@ -216,6 +284,7 @@ class ViewSubscription:
         for publisher in self.view.hub.publishers.get(self.topic, ()):
             publisher.match(self)
         self.view.hub.announce(self.view, "subscription", self.topic, self.type, False)
+        self.view.hub.forget(self.topic)
         if self._inner is not None:
             await self._inner.close()
 
@@ -231,6 +300,7 @@ class View:
         self.name = hub.graph.name
         self.drops: Counter[tuple[str, Undelivered]] = hub.graph.drops
         self.own_changes = Changes()
+        self._closed = False
         self._parts: list[ViewPublisher | ViewSubscription] = []
 
     async def open(self) -> None:
@@ -238,6 +308,7 @@ class View:
 
     async def close(self) -> None:
         """Close what was created through this view."""
+        self._closed = True
         for part in list(self._parts):
             await part.close()
         self._parts.clear()
@@ -249,6 +320,7 @@ class View:
         self, topic: str, type: str, qos: QoS | None = None, *, delivery: Delivery = NO_HINTS
     ) -> ViewPublisher:
         """See ``Graph.create_publisher``."""
+        self._check()
         inner = await self.hub.graph.create_publisher(topic, type, qos, delivery=delivery)
         publisher = ViewPublisher(self, inner)
         self._keep(publisher)
@@ -257,6 +329,7 @@ class View:
             publisher.match(reader)
             reader.readopt()
         self.hub.announce(self, "publisher", publisher.topic, type, True)
+        await publisher.standby.look()
         return publisher
 
     async def create_subscription(
@@ -269,8 +342,9 @@ class View:
         delivery: Delivery = NO_HINTS,
     ) -> ViewSubscription:
         """See ``Graph.create_subscription``."""
+        self._check()
         subscription = ViewSubscription(self, resolve_name(topic), type, qos, callback)
-        inner = await self.hub.graph.create_subscription(topic, type, qos, subscription.deliver, delivery=delivery)
+        inner = await self.hub.graph.create_subscription(topic, type, qos, subscription.arrived, delivery=delivery)
         subscription.attach(inner)
         self._keep(subscription)
         self.hub.subscriptions.setdefault(subscription.topic, []).append(subscription)
@@ -279,6 +353,10 @@ class View:
         subscription.readopt()
         self.hub.announce(self, "subscription", subscription.topic, type, True)
         return subscription
+
+    def _check(self) -> None:
+        if self._closed:
+            raise GraphUnavailable(self.name, f"{self.user} has closed its view")
 
     def _keep(self, part: ViewPublisher | ViewSubscription) -> None:
         self._parts = [p for p in self._parts if not (p.closed if isinstance(p, ViewSubscription) else p._closed)]

@@ -127,9 +127,7 @@ class MemoryPublisher:
 class MemorySubscription:
     """A topic read from a ``MemoryGraph``."""
 
-    def __init__(
-        self, graph: MemoryGraph, topic: str, type: str, qos: QoS | None, callback: SampleCallback
-    ) -> None:
+    def __init__(self, graph: MemoryGraph, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
         self.topic, self.type, self.graph = topic, type, graph
         self.gid = new_origin()
         self._adopt = qos is None
@@ -337,6 +335,4 @@ class MemoryGraph:
 
     def _endpoint(self, kind: str, part: MemoryPublisher | MemorySubscription) -> EndpointInfo:
         owner = part._graph if isinstance(part, MemoryPublisher) else part.graph
-        return EndpointInfo(
-            kind, part.topic, part.type, part.qos, gid=part.gid, node=owner.node, local=owner is self
-        )
+        return EndpointInfo(kind, part.topic, part.type, part.qos, gid=part.gid, node=owner.node, local=owner is self)

@@ -69,6 +69,7 @@ class Connection(WSListener):
 
     def __init__(self, limits: Limits, *, peer: str = "") -> None:
         self.limits = limits
+        self.silence_s = limits.silence_s
         self.peer = peer
         self.subprotocol = ""
         self.pace = Pace()
@@ -130,6 +131,16 @@ class Connection(WSListener):
         self._lowat = size_bytes
         with contextlib.suppress(OSError):
             self._socket.setsockopt(socket.IPPROTO_TCP, _TCP_NOTSENT_LOWAT, size_bytes)
+
+    def pause_reading(self) -> None:
+        """Take no more from the peer for now; the operating system's window then holds it back."""
+        if self._transport is not None and not self._closed.is_set():
+            self._transport.underlying_transport.pause_reading()
+
+    def resume_reading(self) -> None:
+        """Take from the peer again."""
+        if self._transport is not None and not self._closed.is_set():
+            self._transport.underlying_transport.resume_reading()
 
     def close(self, code: int = 1000, reason: str = "") -> None:
         """Start the closing handshake; the transport goes within a second whatever the peer does."""
@@ -264,11 +275,12 @@ class Connection(WSListener):
     # ── the watch ──────────────────────────────────────────────────────────────────────────────────────────────
 
     async def _watch_peer(self) -> None:
-        interval, silence = self.limits.ping_interval_s, self.limits.silence_s
+        interval = self.limits.ping_interval_s
         assert interval is not None
         while self._transport is not None and not self._closed.is_set():
             self._transport.send_ping()
             await asyncio.sleep(interval)
+            silence = self.silence_s
             if silence is None:
                 continue
             received = self._received_bytes()
@@ -394,9 +406,7 @@ async def listen(
         if target.path.rstrip("/") != path.rstrip("/"):
             return None
         offered = tuple(
-            part.strip()
-            for value in request.headers.getall("Sec-WebSocket-Protocol", [])
-            for part in value.split(",")
+            part.strip() for value in request.headers.getall("Sec-WebSocket-Protocol", []) for part in value.split(",")
         )
         chosen = next((name for name in subprotocols if name in offered), "")
         connection = Connection(limits)

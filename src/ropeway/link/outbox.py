@@ -174,4 +174,3 @@ class Outbox(Generic[M]):
     def _clear(self, queue: Queue[M], reason: Lost) -> None:
         while queue.waiting:
             self._drop_oldest(queue, reason)
-

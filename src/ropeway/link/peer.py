@@ -38,7 +38,7 @@ _CONTROL_LIMIT_BYTES: Final = 32 << 20  # answers that a peer does not read; mor
 _OFFLOAD_BYTES: Final = 1 << 20  # bigger messages are encoded in a thread
 
 CONTROL_OPS: Final = frozenset(
-    {"hello", "ping", "pong", "demand", "adopted", "watch", "graph", "definition", "refused"}
+    {"hello", "ping", "pong", "demand", "adopted", "watch", "graph", "definition", "refused", "stats"}
 )
 
 
@@ -50,6 +50,7 @@ class Outgoing(Protocol):
     stamp_ns: int
     origin: bytes
     seq: int
+    relayed: bool
 
     def cached(self, key: object, make: Callable[[], Any]) -> Any:
         """See ``Sample.cached``."""
@@ -300,7 +301,9 @@ class Peer:
             lane = channel.queue.priority
             if cursor.at == 0 and left <= limit - size:
                 index = wire_codec.ENCODING_NUMBERS[cursor.encoding]
-                self._writer.message(out, channel.number, index, body, sample.origin, sample.seq, sample.stamp_ns)
+                self._writer.message(
+                    out, channel.number, index, body, sample.origin, sample.seq, sample.stamp_ns, sample.relayed
+                )
                 part = left
             elif cursor.at == 0 and size and left <= limit:
                 self._cursors[lane] = cursor
@@ -311,7 +314,15 @@ class Peer:
                 if cursor.at == 0:
                     index = wire_codec.ENCODING_NUMBERS[cursor.encoding]
                     self._writer.first(
-                        out, channel.number, index, len(body), view, sample.origin, sample.seq, sample.stamp_ns
+                        out,
+                        channel.number,
+                        index,
+                        len(body),
+                        view,
+                        sample.origin,
+                        sample.seq,
+                        sample.stamp_ns,
+                        sample.relayed,
                     )
                 else:
                     self._writer.more(out, channel.number, view)
@@ -410,6 +421,10 @@ class Peer:
     # ── in ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _on_text(self, data: bytes) -> None:
+        self._objects(data, text=True)
+
+    def feed_text(self, data: bytes) -> None:
+        """Take a text that came in fragments, as if it had come in one frame."""
         self._objects(data, text=True)
 
     def _on_binary(self, data: bytes | memoryview) -> None:

@@ -2,7 +2,7 @@
 
 A frame is one or more records, each a 28-byte little-endian header and a body::
 
-    u8 kind | u8 encoding | u16 channel | u16 origin | u16 reserved | u32 body length | u64 seq | i64 stamp_ns
+    u8 kind | u8 encoding | u16 channel | u16 origin | u16 flags | u32 body length | u64 seq | i64 stamp_ns
 
 * ``MESSAGE``: a whole message; the body is encoded as ``encoding`` says (an index into ``ENCODINGS``).
 * ``FIRST``: the beginning of a message in parts; the body is the total length (u32) and the first part.
@@ -10,7 +10,8 @@ A frame is one or more records, each a 28-byte little-endian header and a body::
 * ``ORIGIN``: 16 bytes that ``origin`` stands for from now on in this direction of the connection.
 
 A channel is a number that the client gave a topic in ``advertise`` or ``subscribe``. ``stamp_ns`` is the time at
-which the sending gateway received the message, by its own clock.
+which the sending gateway received the message, by its own clock. Flag 1 says that ``seq`` is the first publisher's
+but ``origin`` is not: another gateway's publisher stood between them on a network that carries no origin.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ class Arrival(NamedTuple):
     origin: bytes
     seq: int
     stamp_ns: int
+    relayed: bool = False
 
 
 class RecordWriter:
@@ -66,13 +68,21 @@ class RecordWriter:
         return index
 
     def message(
-        self, out: list[bytes], channel: int, encoding: int, body: bytes, origin: bytes, seq: int, stamp_ns: int
+        self,
+        out: list[bytes],
+        channel: int,
+        encoding: int,
+        body: bytes,
+        origin: bytes,
+        seq: int,
+        stamp_ns: int,
+        relayed: bool = False,
     ) -> None:
         """Append one whole message."""
         index = self._origins.get(origin)
         if index is None:
             index = self._origin(origin, out)
-        out.append(_HEADER.pack(MESSAGE, encoding, channel, index, 0, len(body), seq, stamp_ns))
+        out.append(_HEADER.pack(MESSAGE, encoding, channel, index, relayed, len(body), seq, stamp_ns))
         out.append(body)
 
     def first(
@@ -85,10 +95,11 @@ class RecordWriter:
         origin: bytes,
         seq: int,
         stamp_ns: int,
+        relayed: bool = False,
     ) -> None:
         """Append the first part of a message of ``total`` bytes."""
         index = self._origin(origin, out)
-        out.append(_HEADER.pack(FIRST, encoding, channel, index, 0, len(part) + 4, seq, stamp_ns))
+        out.append(_HEADER.pack(FIRST, encoding, channel, index, relayed, len(part) + 4, seq, stamp_ns))
         out.append(_TOTAL.pack(total))
         out.append(part)  # type: ignore[arg-type]  # bytes.join takes any buffer
 
@@ -99,10 +110,10 @@ class RecordWriter:
 
 
 class _Partial:
-    __slots__ = ("buffer", "encoding", "filled", "origin", "seq", "stamp_ns")
+    __slots__ = ("buffer", "encoding", "filled", "origin", "relayed", "seq", "stamp_ns")
 
-    def __init__(self, encoding: int, total: int, origin: bytes, seq: int, stamp_ns: int) -> None:
-        self.encoding, self.origin, self.seq, self.stamp_ns = encoding, origin, seq, stamp_ns
+    def __init__(self, encoding: int, total: int, origin: bytes, seq: int, stamp_ns: int, relayed: bool) -> None:
+        self.encoding, self.origin, self.seq, self.stamp_ns, self.relayed = encoding, origin, seq, stamp_ns, relayed
         self.buffer = bytearray(total)
         self.filled = 0
 
@@ -135,7 +146,7 @@ class RecordReader:
         while at < size:
             if size - at < HEADER_BYTES:
                 raise InvalidFrame(f"{size - at} bytes are left, a record header has {HEADER_BYTES}", size)
-            kind, encoding, channel, index, _, length, seq, stamp_ns = unpack(view, at)
+            kind, encoding, channel, index, flags, length, seq, stamp_ns = unpack(view, at)
             at += HEADER_BYTES
             end = at + length
             if end > size:
@@ -147,14 +158,14 @@ class RecordReader:
                 if length > self.limit_bytes:
                     self._on_refused(channel, MessageTooBig(length, self.limit_bytes))
                 else:
-                    done.append(Arrival(channel, encoding, bytes(view[at:end]), origin, seq, stamp_ns))
+                    done.append(Arrival(channel, encoding, bytes(view[at:end]), origin, seq, stamp_ns, bool(flags & 1)))
             elif kind == MORE:
                 self._more(channel, view[at:end], done)
             elif kind == FIRST:
                 origin = origins.get(index)
                 if origin is None or length < 4:
                     raise InvalidFrame(f"origin {index} was never declared, or the part has no length", size)
-                self._first(channel, encoding, view[at:end], origin, seq, stamp_ns, done)
+                self._first(channel, encoding, view[at:end], origin, seq, stamp_ns, bool(flags & 1), done)
             elif kind == ORIGIN:
                 if length != 16 or index >= _ORIGINS:
                     raise InvalidFrame("an origin has 16 bytes and a number below 4096", size)
@@ -178,6 +189,7 @@ class RecordReader:
         origin: bytes,
         seq: int,
         stamp_ns: int,
+        relayed: bool,
         done: list[Arrival],
     ) -> None:
         self.forget(channel)
@@ -189,9 +201,9 @@ class RecordReader:
         if part > total:
             raise InvalidFrame(f"a first part of {part} bytes is longer than its message of {total}")
         if part == total:
-            done.append(Arrival(channel, encoding, bytes(body[4:]), origin, seq, stamp_ns))
+            done.append(Arrival(channel, encoding, bytes(body[4:]), origin, seq, stamp_ns, relayed))
             return
-        partial = _Partial(encoding, total, origin, seq, stamp_ns)
+        partial = _Partial(encoding, total, origin, seq, stamp_ns, relayed)
         self._partials[channel] = partial
         self._partial_bytes += total
         partial.buffer[:part] = body[4:]
@@ -209,8 +221,5 @@ class RecordReader:
         partial.filled = end
         if end == len(partial.buffer):
             self.forget(channel)
-            done.append(
-                Arrival(
-                    channel, partial.encoding, bytes(partial.buffer), partial.origin, partial.seq, partial.stamp_ns
-                )
-            )
+            p = partial
+            done.append(Arrival(channel, p.encoding, bytes(p.buffer), p.origin, p.seq, p.stamp_ns, p.relayed))

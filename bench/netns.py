@@ -1,0 +1,116 @@
+"""Two networks on one machine: namespaces joined by a veth pair with a rate, or with nothing between."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+__all__ = ["Network", "Process", "network"]
+
+
+def _run(command: str) -> None:
+    subprocess.run(command.split(), check=True, capture_output=True)
+
+
+class Process:
+    """A Python program in a namespace, its standard output captured as text."""
+
+    def __init__(self, namespace: str | None, *args: str, quiet: bool = True) -> None:
+        prefix = ["ip", "netns", "exec", namespace] if namespace else []
+        self._popen = subprocess.Popen(
+            [*prefix, sys.executable, *args],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL if quiet else None,
+            stdin=subprocess.PIPE,
+            text=True,
+        )
+        self.pid = self._popen.pid
+
+    def line(self) -> str:
+        """The next line it prints."""
+        assert self._popen.stdout is not None
+        return self._popen.stdout.readline()
+
+    def finish(self, timeout_s: float = 30) -> str:
+        """Wait for its end; gives the rest of its output."""
+        return self._popen.communicate(timeout=timeout_s)[0]
+
+    def stop(self) -> None:
+        """End it."""
+        if self._popen.poll() is None:
+            self._popen.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._popen.wait(5)
+            if self._popen.poll() is None:
+                self._popen.kill()
+        self._popen.communicate()
+
+    def cpu_s(self) -> float:
+        """Processor seconds used so far."""
+        import psutil
+
+        times = psutil.Process(self.pid).cpu_times()
+        return times.user + times.system
+
+    def memory_bytes(self) -> int:
+        """Resident memory now."""
+        import psutil
+
+        return psutil.Process(self.pid).memory_info().rss
+
+
+@dataclass
+class Network:
+    """Namespaces ``a`` and ``b`` and their addresses on the link between them."""
+
+    a: str
+    b: str
+    address_a: str
+    address_b: str
+    processes: list[Process] = field(default_factory=list)
+
+    def start(self, where: str, *args: str, quiet: bool = True) -> Process:
+        """Run a Python program in namespace ``a`` or ``b``."""
+        process = Process({"a": self.a, "b": self.b}[where], *args, quiet=quiet)
+        self.processes.append(process)
+        return process
+
+    def rate(self, mbit: float) -> None:
+        """Limit both directions; 0 takes the limit away."""
+        for namespace in (self.a, self.b):
+            with contextlib.suppress(subprocess.CalledProcessError):
+                _run(f"tc -n {namespace} qdisc del dev link root")
+            if mbit:
+                _run(f"tc -n {namespace} qdisc add dev link root tbf rate {mbit}mbit burst 64kb latency 50ms")
+
+    def cut(self, down: bool = True) -> None:
+        """Cut or restore the link."""
+        _run(f"ip -n {self.a} link set link {'down' if down else 'up'}")
+
+
+@contextlib.contextmanager
+def network(mbit: float = 0, *, name: str = "rw", subnet: int = 77) -> Iterator[Network]:
+    """Make the two namespaces; everything in them is ended and removed at the end."""
+    a, b = f"{name}a", f"{name}b"
+    for namespace in (a, b):
+        with contextlib.suppress(subprocess.CalledProcessError):
+            _run(f"ip netns del {namespace}")
+        _run(f"ip netns add {namespace}")
+        _run(f"ip -n {namespace} link set lo up")
+    _run(f"ip link add link netns {a} type veth peer name link netns {b}")
+    for namespace, last in ((a, 1), (b, 2)):
+        _run(f"ip -n {namespace} addr add 10.{subnet}.0.{last}/24 dev link")
+        _run(f"ip -n {namespace} link set link up")
+    made = Network(a, b, f"10.{subnet}.0.1", f"10.{subnet}.0.2")
+    made.rate(mbit)
+    try:
+        yield made
+    finally:
+        for process in reversed(made.processes):
+            process.stop()
+        for namespace in (a, b):
+            with contextlib.suppress(subprocess.CalledProcessError):
+                _run(f"ip netns del {namespace}")

@@ -1,0 +1,69 @@
+"""The steps a message passes on its way: each may drop it, with a reason, and every drop is counted."""
+
+from __future__ import annotations
+
+import enum
+import time
+from collections.abc import Callable
+from typing import Final
+
+from ropeway.graph.base import Delivery, Sample
+
+__all__ = ["Drop", "RateLimit", "Step", "build", "lifespan"]
+
+
+class Drop(enum.Enum):
+    """Why a bridge did not pass a message on."""
+
+    RATE = "more often than the rate limit"
+    EXPIRED = "older than its lifespan"
+    DUPLICATE = "seen before"
+    INACTIVE = "nobody asked for it"
+
+
+Step = Callable[[Sample], Drop | None]
+
+_EARLY: Final = 0.2  # of a period: a source with jitter still reaches the rate that was asked for
+_LATE: Final = 0.5  # of a period: so much of a late message is made up for by the next
+
+
+class RateLimit:
+    """Passes at most ``rate_hz`` messages a second, evenly.
+
+    The schedule goes on from where a message was due, not from where it came, so that a 60 Hz source limited to
+    25 Hz gives 25 Hz, not 20. A pause does not earn a burst.
+    """
+
+    def __init__(self, rate_hz: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._period = 1.0 / rate_hz
+        self._clock = clock
+        self._due = float("-inf")
+
+    def __call__(self, sample: Sample) -> Drop | None:
+        """Pass or drop one message."""
+        now = self._clock()
+        early = self._due - now
+        if early > _EARLY * self._period:
+            return Drop.RATE
+        self._due = max(self._due, now - _LATE * self._period) + self._period
+        return None
+
+
+def lifespan(seconds: float, clock: Callable[[], int] = time.time_ns) -> Step:
+    """A step that drops what is older than ``seconds`` since the first gateway received it."""
+    limit_ns = int(seconds * 1e9)
+
+    def step(sample: Sample) -> Drop | None:
+        return Drop.EXPIRED if clock() - (sample.sent_ns or sample.stamp_ns) > limit_ns else None
+
+    return step
+
+
+def build(delivery: Delivery) -> list[Step]:
+    """The steps that a route's options ask for, cheapest first."""
+    steps: list[Step] = []
+    if delivery.lifespan_s is not None:
+        steps.append(lifespan(delivery.lifespan_s))
+    if delivery.rate_hz is not None:
+        steps.append(RateLimit(delivery.rate_hz))
+    return steps

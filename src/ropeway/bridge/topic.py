@@ -1,0 +1,174 @@
+"""Joins one topic on two graphs: what is published on the source is published on the target.
+
+The bridge keeps three things right while both networks change: the publisher on the target has the source's QoS,
+the subscription on the source exists only while somebody on the target reads (where the target can tell), and
+every message passes one visible function, ``_pass_on``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+from ropeway.bridge.meter import Meter
+from ropeway.bridge.pipeline import Drop, Step, build
+from ropeway.errors import RopewayError
+from ropeway.graph.base import NO_HINTS, Delivery, Graph, Publisher, Sample, Subscription
+from ropeway.qos import DEFAULT, QoS, common_qos
+
+__all__ = ["TopicBridge"]
+
+log = logging.getLogger("ropeway.bridge")
+
+_RETRY_S: Final = 2.0  # a side that refused is asked again
+
+
+class TopicBridge:
+    """One topic from ``source`` to ``target``.
+
+    ``qos=None`` adopts what the source's publishers offer and follows it. ``delivery`` says how the link between
+    the two treats the topic; it goes to whichever side is a link. The pipeline's limits are applied on the near
+    side of the link only (``limit``), so that nothing crosses that will be dropped.
+    """
+
+    def __init__(
+        self,
+        source: Graph,
+        target: Graph,
+        source_topic: str,
+        target_topic: str,
+        type: str,
+        *,
+        qos: QoS | None = None,
+        delivery: Delivery = NO_HINTS,
+        limit: bool = True,
+    ) -> None:
+        self.source, self.target = source, target
+        self.source_topic, self.target_topic, self.type = source_topic, target_topic, type
+        self.delivery = delivery
+        self.meter = Meter()
+        self.drops: Counter[Drop] = Counter()
+        self.error = ""
+        self.publisher: Publisher | None = None
+        self.subscription: Subscription | None = None
+        self._asked = qos
+        self._steps: list[Step] = build(delivery) if limit else []
+        self._changed = asyncio.Event()
+        self._task: asyncio.Task[None] | None = None
+        self._watch: asyncio.Task[None] | None = None
+
+    async def start(self) -> None:
+        """Bring the bridge up; what fails now is tried again until it works."""
+        self._watch = asyncio.create_task(self._watch_source(), name=f"watch {self.source_topic}")
+        self._task = asyncio.create_task(self._keep_right(), name=f"bridge {self.source_topic}")
+        self._changed.set()
+
+    async def close(self) -> None:
+        """Take the topic back on both sides."""
+        for task in (self._watch, self._task):
+            if task is not None:
+                task.cancel()
+                with contextlib.suppress(asyncio.CancelledError):
+                    await task
+        if self.subscription is not None:
+            await self.subscription.close()
+        if self.publisher is not None:
+            await self.publisher.close()
+        self.subscription = self.publisher = None
+
+    @property
+    def state(self) -> str:
+        """One word: ``active``, ``idle`` (nobody reads), ``waiting`` or ``failed``."""
+        if self.error:
+            return "failed"
+        if self.publisher is None:
+            return "waiting"
+        return "active" if self.subscription is not None else "idle"
+
+    # ── the way of a message ───────────────────────────────────────────────────────────────────────────────────
+
+    def _pass_on(self, batch: Sequence[Sample]) -> None:
+        publisher, steps, meter = self.publisher, self._steps, self.meter
+        if publisher is None:
+            self.drops[Drop.INACTIVE] += len(batch)
+            return
+        now = time.time_ns()
+        for sample in batch:
+            for step in steps:
+                if (reason := step(sample)) is not None:
+                    self.drops[reason] += 1
+                    break
+            else:
+                meter.add(sample, now)
+                publisher.publish(sample)
+
+    # ── keeping both sides right ───────────────────────────────────────────────────────────────────────────────
+
+    async def _watch_source(self) -> None:
+        async for event in self.source.changes():
+            if event.name == self.source_topic and event.kind == "publisher":
+                self._changed.set()
+
+    async def _keep_right(self) -> None:
+        while True:
+            retry = _RETRY_S if self.error else None
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(retry):
+                    await self._changed.wait()
+            self._changed.clear()
+            try:
+                await self._set_right()
+            except RopewayError as error:
+                if str(error) != self.error:
+                    log.warning("%s to %s: %s", self.source_topic, self.target.name, error)
+                self.error = str(error)
+            else:
+                self.error = ""
+
+    def _wanted_qos(self) -> QoS:
+        if self._asked is not None:
+            return self._asked
+        known = self.source.topics().get(self.source_topic)
+        offered = [p.qos for p in known.publishers if not p.local] if known is not None else []
+        if offered:
+            qos = common_qos(offered)
+        elif self.subscription is not None:
+            qos = self.subscription.qos
+        elif self.publisher is not None:
+            qos = self.publisher.qos
+        else:
+            qos = DEFAULT
+        return replace(qos, deadline_s=None, lifespan_s=None)
+
+    async def _set_right(self) -> None:
+        qos = self._wanted_qos()
+        if self.publisher is None or self.publisher.qos != qos:
+            old = self.publisher
+            self.publisher = await self.target.create_publisher(
+                self.target_topic, self.type, qos, delivery=self.delivery
+            )
+            self.publisher.on_demand(lambda _: self._changed.set())
+            if old is not None:
+                await old.close()
+            if old is not None and old.qos.transient_local != qos.transient_local and self.subscription is not None:
+                await self._stop_reading()  # read again, so that the new publisher gets what is latched
+        readers = self.publisher.subscribers
+        wanted = readers is None or readers > 0 or qos.transient_local
+        if wanted and self.subscription is None:
+            self.subscription = await self.source.create_subscription(
+                self.source_topic, self.type, self._asked, self._pass_on, delivery=self.delivery
+            )
+            self.subscription.on_qos(lambda _: self._changed.set())
+        elif not wanted:
+            await self._stop_reading()
+
+    async def _stop_reading(self) -> None:
+        if self.subscription is not None:
+            subscription, self.subscription = self.subscription, None
+            await subscription.close()

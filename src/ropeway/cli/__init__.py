@@ -1,0 +1,58 @@
+"""The command ``ropeway``: one module per verb, each imported when it is used."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from ropeway import __version__
+from ropeway.cli.console import reported
+from ropeway.cli.lazy import lazy_group
+
+__all__ = ["app", "main"]
+
+VERBS = {
+    "run": "ropeway.cli.run",
+    "config": "ropeway.cli.config",
+    "topic": "ropeway.cli.topic",
+    "play": "ropeway.cli.play",
+    "demo": "ropeway.cli.demo",
+}
+
+
+class _Ropeway(lazy_group(VERBS)):  # type: ignore[misc]
+    """The top of the command line, where errors become sentences."""
+
+    def invoke(self, ctx: Any) -> Any:
+        with reported():
+            return super().invoke(ctx)
+
+
+app = typer.Typer(
+    cls=_Ropeway,
+    name="ropeway",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"ropeway {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def ropeway(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Join robots and clouds that live on different networks."""
+
+
+def main() -> None:
+    """Run the command line; the entry point of the package."""
+    app()

@@ -1,0 +1,32 @@
+"""A group of verbs of which only the one in use is imported, so that the command starts fast."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from typing import Any
+
+import typer
+import typer.core
+import typer.main
+
+__all__ = ["lazy_group"]
+
+
+def lazy_group(verbs: Mapping[str, str]) -> type[typer.core.TyperGroup]:
+    """A group class whose verbs are ``{name: module}``; each module has its ``typer.Typer`` as ``app``."""
+
+    class LazyGroup(typer.core.TyperGroup):
+        def list_commands(self, ctx: Any) -> list[str]:
+            return list(verbs)
+
+        def get_command(self, ctx: Any, cmd_name: str) -> Any:
+            if cmd_name not in verbs:
+                return None
+            known = self.commands.get(cmd_name)
+            if known is None:
+                module = importlib.import_module(verbs[cmd_name])
+                known = self.commands[cmd_name] = typer.main.get_command(module.app)
+            return known
+
+    return LazyGroup

@@ -1,0 +1,141 @@
+"""``ropeway play``: publish a recording."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ropeway.cli.bagfile import Bag
+from ropeway.cli.console import complain, fail, print_json
+from ropeway.cli.loop import run
+from ropeway.cli.player import Played, play
+from ropeway.cli.session import GraphOption, JsonOption, TypesOption, open_session
+
+__all__ = ["app"]
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command("play")
+def play_command(
+    bag: Annotated[Path, typer.Argument(help="An MCAP file, a rosbag2 directory or a ROS 1 bag.", show_default=False)],
+    graph: GraphOption = "",
+    rate: Annotated[float, typer.Option("--rate", "-r", min=0.001, help="How much faster than recorded.")] = 1.0,
+    loop: Annotated[bool, typer.Option("--loop", "-l", help="Start again at the end.")] = False,
+    topics: Annotated[
+        list[str] | None,
+        typer.Option("--topics", help="Only this topic; may be given several times.", show_default=False),
+    ] = None,
+    restamp: Annotated[
+        bool, typer.Option("--restamp", help="Put the time of sending into headers, so that delays can be measured.")
+    ] = False,
+    for_s: Annotated[float, typer.Option("--for", min=0.0, help="End after so many seconds; 0: at its end.")] = 0.0,
+    wait: Annotated[
+        float, typer.Option("--wait", min=0.0, help="Seconds at most to wait until somebody reads each topic.")
+    ] = 1.0,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+    types: TypesOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Publish the recording BAG at its own pace."""
+    wanted = [name if name.startswith("/") else f"/{name}" for text in topics or [] for name in text.split(",") if name]
+
+    async def main() -> tuple[Played, dict[str, int]]:
+        async with open_session(graph, types) as session:
+            with Bag(bag, session.registry) as opened:
+                _tell_problems(opened, wanted)
+                with _progress(opened, loop=loop, shown=not quiet and not as_json) as told:
+                    played = await play(
+                        session.graph,
+                        opened,
+                        topics=wanted,
+                        rate=rate,
+                        loop=loop,
+                        restamp=restamp,
+                        for_s=for_s or None,
+                        wait_s=wait,
+                        told=told,
+                    )
+                return played, dict(opened.dropped)
+
+    began = time.monotonic()
+    played, dropped = run(main())
+    seconds = time.monotonic() - began
+    if as_json:
+        print_json(
+            {
+                "messages": played.messages,
+                "bytes": played.bytes,
+                "seconds": round(seconds, 3),
+                "topics": dict(played.by_topic),
+                "dropped": dropped,
+            }
+        )
+    elif not quiet:
+        topics_played = len(played.by_topic)
+        complain(
+            f"Played {played.messages} messages of {topics_played} topics, "
+            f"{played.bytes / 1e6:.1f} MB, in {seconds:.1f} s."
+        )
+
+
+def _tell_problems(bag: Bag, wanted: list[str]) -> None:
+    names = {topic.name for topic in bag.topics}
+    for name in wanted:
+        if name not in names:
+            fail(f"{bag.path} has no topic {name}; it has {', '.join(sorted(names)) or 'none'}")
+    chosen = [topic for topic in bag.topics if not wanted or topic.name in wanted]
+    for topic in chosen:
+        if topic.problem:
+            complain(f"{topic.name} is not played: {topic.problem}")
+    if all(topic.problem for topic in chosen):
+        fail(f"nothing in {bag.path} can be played")
+
+
+def _progress(bag: Bag, *, loop: bool, shown: bool) -> AbstractContextManager[Callable[[Played], None]]:
+    """A bar on stderr, where that is a terminal."""
+    if not shown or not sys.stderr.isatty():
+        return nullcontext(lambda played: None)
+    return _Bar(bag, loop=loop)
+
+
+class _Bar:
+    """The bar itself, redrawn a few times a second."""
+
+    def __init__(self, bag: Bag, *, loop: bool) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn
+
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn(
+                "{task.completed:.1f} of {task.total:.1f} s, {task.fields[messages]} messages{task.fields[round]}"
+            ),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self._loop = loop
+        self._task = self._progress.add_task(bag.path.name, total=bag.duration_s, messages=0, round="")
+        self._due = 0.0
+
+    def __enter__(self) -> Callable[[Played], None]:
+        self._progress.start()
+        return self._told
+
+    def __exit__(self, *_: Any) -> None:
+        self._progress.stop()
+
+    def _told(self, played: Played) -> None:
+        now = time.monotonic()
+        if now < self._due:
+            return
+        self._due = now + 0.2
+        lap = f", round {played.rounds + 1}" if self._loop else ""
+        self._progress.update(self._task, completed=played.position_s, messages=played.messages, round=lap)

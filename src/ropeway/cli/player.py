@@ -1,0 +1,176 @@
+"""Publishes a recording at its own pace: what ``ropeway play`` and ``ropeway demo --bag`` share.
+
+A thread reads ahead by a bounded number of bytes, so that decompression never delays a message; due times are
+absolute, so that nothing drifts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+import struct
+import time
+from collections import Counter
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Collection, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import aclosing
+from dataclasses import dataclass, field
+from typing import Final
+
+from ropeway.cli.bagfile import Bag, BagTopic, Record
+from ropeway.errors import TypesError
+from ropeway.graph.base import SEQ_NONE, Graph, Publisher, Sample, new_origin
+from ropeway.types.definition import HEADER, FieldType
+
+__all__ = ["Played", "play", "read_ahead", "restamped"]
+
+_BATCH_BYTES: Final = 8 << 20  # two of them at most are held: the one that plays and the one that is read
+_BATCH_RECORDS: Final = 512
+_BREATHER: Final = 16  # messages after which others get the loop, where the player is behind
+
+_LITTLE: Final = struct.Struct("<iI")
+_BIG: Final = struct.Struct(">iI")
+
+
+@dataclass
+class Played:
+    """How far a recording was played."""
+
+    messages: int = 0
+    bytes: int = 0
+    position_s: float = 0.0
+    rounds: int = 0
+    by_topic: Counter[str] = field(default_factory=Counter)
+
+
+def restamped(payload: bytes, now_ns: int) -> bytes:
+    """The message with ``now_ns`` as the stamp of the header it begins with."""
+    sec, nanosec = divmod(now_ns, 1_000_000_000)
+    stamp = (_LITTLE if payload[1] & 1 else _BIG).pack(sec, nanosec)
+    return b"".join((payload[:4], stamp, memoryview(payload)[12:]))
+
+
+async def read_ahead(records: Iterator[Record]) -> AsyncGenerator[list[Record], None]:
+    """Batches of records, the next of which is read in a thread while one is in use."""
+
+    def take() -> list[Record]:
+        batch: list[Record] = []
+        size = 0
+        for record in itertools.islice(records, _BATCH_RECORDS):
+            batch.append(record)
+            size += len(record.payload)
+            if size >= _BATCH_BYTES:
+                break
+        return batch
+
+    loop = asyncio.get_running_loop()
+    with ThreadPoolExecutor(1, "ropeway-bag") as thread:
+        coming = loop.run_in_executor(thread, take)
+        try:
+            while batch := await coming:
+                coming = loop.run_in_executor(thread, take)
+                yield batch
+        finally:
+            await asyncio.wait([coming])
+
+
+def _starts_with_header(bag: Bag, topic: BagTopic) -> bool:
+    try:
+        first = bag.registry.definition(topic.type).wire_fields[:1]
+    except TypesError:  # played as bytes
+        return False
+    return bool(first) and first[0].type == FieldType(HEADER)
+
+
+async def _readers(publishers: Collection[Publisher], wait_s: float) -> None:
+    """Wait until somebody reads each topic, at most ``wait_s``."""
+    waiting = {id(p) for p in publishers if p.subscribers == 0}
+    done = asyncio.Event()
+
+    def watch(publisher: Publisher) -> None:
+        def changed(count: int) -> None:
+            if count:
+                waiting.discard(id(publisher))
+            if not waiting:
+                done.set()
+
+        publisher.on_demand(changed)
+
+    for publisher in publishers:
+        watch(publisher)
+    if not waiting:
+        return
+    try:
+        async with asyncio.timeout(wait_s):
+            await done.wait()
+    except TimeoutError:
+        return
+
+
+async def play(
+    graph: Graph,
+    bag: Bag,
+    *,
+    topics: Collection[str] = (),
+    rate: float = 1.0,
+    loop: bool = False,
+    restamp: bool = False,
+    for_s: float | None = None,
+    wait_s: float = 0.0,
+    rename: Callable[[str], str] = str,
+    told: Callable[[Played], None] = lambda played: None,
+) -> Played:
+    """Publish the recording on ``graph``; returns what was played.
+
+    ``rate`` is how much faster than recorded; ``for_s`` ends it after so many seconds (``None``: at its end);
+    ``wait_s`` is how long to wait for subscribers first; ``restamp`` puts the time of sending into headers; ``told``
+    is called after each message.
+    """
+    chosen = [topic for topic in bag.topics if not topic.problem and (not topics or topic.name in topics)]
+    publishers = {t: await graph.create_publisher(rename(t.name), t.type, t.qos) for t in chosen}
+    stamped = {topic for topic in chosen if restamp and _starts_with_header(bag, topic)}
+    origin, played = new_origin(), Played()
+    clock = asyncio.get_running_loop()
+    try:
+        await _readers(publishers.values(), wait_s)
+        began = clock.time()
+        ends = math.inf if for_s is None else began + for_s
+        while chosen:
+            round_began = began + played.rounds * _round_s(bag) / rate
+            async with aclosing(read_ahead(bag.records(topics))) as batches:
+                async for record in _flat(batches):
+                    offset_s = (record.time_ns - bag.start_ns) / 1e9
+                    due = round_began + offset_s / rate
+                    left = min(due, ends) - clock.time()
+                    if left > 0 or played.messages % _BREATHER == 0:
+                        await asyncio.sleep(max(left, 0))
+                    if due >= ends:
+                        return played
+                    now_ns = time.time_ns()
+                    payload = restamped(record.payload, now_ns) if record.topic in stamped else record.payload
+                    publishers[record.topic].publish(Sample(payload, record.topic.type, now_ns, origin, SEQ_NONE))
+                    played.messages += 1
+                    played.bytes += len(payload)
+                    played.position_s = offset_s
+                    played.by_topic[record.topic.name] += 1
+                    told(played)
+            played.rounds += 1
+            if not loop or not played.messages:
+                break
+        return played
+    finally:
+        for publisher in publishers.values():
+            await publisher.close()
+
+
+async def _flat(batches: AsyncIterator[list[Record]]) -> AsyncIterator[Record]:
+    async for batch in batches:
+        for record in batch:
+            yield record
+
+
+def _round_s(bag: Bag) -> float:
+    """How long one round of a loop takes: the recording, and a usual gap before it starts again."""
+    count = sum(topic.count for topic in bag.topics)
+    return bag.duration_s * count / (count - 1) if count > 1 and bag.duration_s else 1.0

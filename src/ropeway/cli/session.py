@@ -1,0 +1,170 @@
+"""What every verb on a graph shares: its options, opening the graph, and waiting a bounded time for discovery."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from ropeway.cli.console import fail
+from ropeway.errors import InvalidName
+from ropeway.graph.base import Graph, TopicInfo, resolve_name
+from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA, QoS
+from ropeway.types import TypeRegistry
+
+__all__ = [
+    "GraphOption",
+    "JsonOption",
+    "QosDepth",
+    "QosDurability",
+    "QosHistory",
+    "QosProfile",
+    "QosReliability",
+    "Session",
+    "SpinOption",
+    "TypesOption",
+    "find_topic",
+    "open_session",
+    "qos_of",
+    "settle",
+    "topic_name",
+]
+
+_QUIET_S: Final = 0.3  # no news for so long: what is there has been discovered
+_PROFILES: Final[Mapping[str, QoS]] = {"default": DEFAULT, "sensor_data": SENSOR_DATA, "latched": LATCHED}
+
+GraphOption = Annotated[
+    str,
+    typer.Option(
+        "--graph",
+        "-g",
+        envvar="ROPEWAY_GRAPH",
+        help="The network: dds:0, ws://host:9090. Without it, DDS on ROS_DOMAIN_ID.",
+        show_default=False,
+    ),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, one value per line.")]
+SpinOption = Annotated[
+    float, typer.Option("--spin-time", min=0.0, help="Seconds at most to wait for discovery; less where all is found.")
+]
+TypesOption = Annotated[
+    list[Path] | None,
+    typer.Option("--types", help="More definitions: a .msg file or a directory of them.", show_default=False),
+]
+QosProfile = Annotated[str, typer.Option("--qos-profile", help=f"A profile: {', '.join(_PROFILES)}.")]
+QosDepth = Annotated[int | None, typer.Option("--qos-depth", min=0, help="How many messages are kept.")]
+QosHistory = Annotated[str, typer.Option("--qos-history", help="keep_last or keep_all.")]
+QosReliability = Annotated[str, typer.Option("--qos-reliability", help="reliable or best_effort.")]
+QosDurability = Annotated[str, typer.Option("--qos-durability", help="volatile or transient_local.")]
+
+
+@dataclass(frozen=True)
+class Session:
+    """An open graph and the types known to it."""
+
+    graph: Graph
+    registry: TypeRegistry
+
+
+def default_graph(environ: Mapping[str, str] = os.environ) -> str:
+    """``dds:`` with the domain that ROS is told to use."""
+    domain = environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not domain.isdigit():
+        fail(f"ROS_DOMAIN_ID is {domain!r}; set it to a number, or name the network with --graph dds:0", 2)
+    return f"dds:{int(domain)}"
+
+
+@asynccontextmanager
+async def open_session(url: str = "", types: list[Path] | None = None) -> AsyncIterator[Session]:
+    """The graph at ``url`` with a node of its own, closed at the end."""
+    from ropeway.graph import open_graph
+
+    registry = TypeRegistry()
+    registry.add_ament_prefix_path()
+    for path in types or []:
+        registry.add_path(path)
+    graph = await open_graph(url or default_graph(), registry=registry, name=f"ropeway_{os.getpid()}")
+    try:
+        yield Session(graph, registry)
+    finally:
+        await graph.close()
+
+
+def topic_name(name: str) -> str:
+    """An absolute topic name, or the end with a sentence."""
+    try:
+        return resolve_name(name)
+    except InvalidName as error:
+        fail(str(error), 2)
+
+
+def qos_of(profile: str, depth: int | None, history: str, reliability: str, durability: str) -> QoS | None:
+    """The profile that the options ask for; ``None`` where they ask for nothing."""
+    if profile and profile not in _PROFILES:
+        fail(f"{profile!r} is not a QoS profile; use one of {', '.join(_PROFILES)}", 2)
+    given = {"history": history, "depth": depth, "reliability": reliability, "durability": durability}
+    policies = {key: value for key, value in given.items() if value not in ("", None)}
+    if not profile and not policies:
+        return None
+    try:
+        return QoS.parse(policies, _PROFILES.get(profile, DEFAULT))
+    except ValueError as error:
+        fail(str(error), 2)
+
+
+async def settle(
+    graph: Graph, spin_time_s: float, done: Callable[[dict[str, TopicInfo]], bool] | None = None
+) -> dict[str, TopicInfo]:
+    """The topics once ``done`` says so, or at the latest after ``spin_time_s``.
+
+    Without ``done``, once something is there and nothing new came for a while.
+    """
+    news = asyncio.Event()
+
+    async def listen() -> None:
+        async for _ in graph.changes():
+            news.set()
+
+    listener = asyncio.create_task(listen())
+    loop = asyncio.get_running_loop()
+    deadline = loop.time() + spin_time_s
+    try:
+        while True:
+            topics = {name: info for name, info in graph.topics().items() if not _only_own(info)}
+            if done is not None and done(topics):
+                return topics
+            left = deadline - loop.time()
+            if left <= 0:
+                return topics
+            news.clear()
+            try:
+                async with asyncio.timeout(min(left, _QUIET_S)):
+                    await news.wait()
+            except TimeoutError:
+                if done is None and topics:
+                    return topics
+    finally:
+        listener.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await listener
+
+
+async def find_topic(graph: Graph, topic: str, spin_time_s: float, *, published: bool = False) -> TopicInfo | None:
+    """The topic as soon as it is discovered (with a publisher, where ``published``), ``None`` where it is not."""
+
+    def found(topics: dict[str, TopicInfo]) -> bool:
+        return topic in topics and (not published or bool(topics[topic].publishers))
+
+    return (await settle(graph, spin_time_s, found)).get(topic)
+
+
+def _only_own(info: TopicInfo) -> bool:
+    ends = info.publishers + info.subscriptions
+    return bool(ends) and all(end.local for end in ends)

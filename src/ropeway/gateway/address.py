@@ -1,0 +1,111 @@
+"""Addresses of gateways and of graphs, checked and brought to one spelling.
+
+A new kind of link or graph is one line in one of the two tables.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Mapping
+from typing import Final
+from urllib.parse import SplitResult, urlsplit
+
+from ropeway.gateway.suggest import did_you_mean
+
+__all__ = ["GRAPHS", "LINKS", "is_loopback", "is_secure", "parse_graph", "parse_link", "parse_listen"]
+
+DEFAULT_PORT: Final = 9090
+
+LINKS: Final[Mapping[str, int]] = {"ws": DEFAULT_PORT, "wss": DEFAULT_PORT}
+"""The schemes a remote or a listener may have, and the port where the address names none."""
+
+GRAPHS: Final[Mapping[str, str]] = {
+    "dds": r"dds:(?P<domain>\d{1,3})(\?[\w.%,:/=&+-]+)?",
+    "memory": r"memory:[A-Za-z0-9_.-]+",
+}
+"""The kinds of graph a gateway may stand on, and how each is written."""
+
+_MAX_DOMAIN: Final = 232  # the highest whose UDP ports exist
+_HOST: Final = re.compile(r"(?!-)[A-Za-z0-9_-]{1,63}(\.(?!-)[A-Za-z0-9_-]{1,63})*\.?")
+
+
+def parse_link(text: str) -> str:
+    """``WS://Host`` as ``ws://host:9090``. Raises ``ValueError`` with what was expected."""
+    parts = _split(text)
+    host, port = parts.hostname or "", parts.port if parts.port is not None else LINKS[parts.scheme]
+    if not 1 <= port <= 65535:
+        raise ValueError(f'expected a port from 1 to 65535, got "{text}"')
+    path = "" if parts.path == "/" else parts.path
+    return f"{parts.scheme}://{_bracketed(host)}:{port}{path}{'?' + parts.query if parts.query else ''}"
+
+
+def parse_listen(text: str) -> str:
+    """A listener's address; port 0 takes any free port. Raises ``ValueError`` with what was expected."""
+    parts = _split(text)
+    if parts.path not in ("", "/") or parts.query:
+        raise ValueError(f'a listener has no path; expected ws://host:port, got "{text}"')
+    port = parts.port if parts.port is not None else LINKS[parts.scheme]
+    return f"{parts.scheme}://{_bracketed(parts.hostname or '')}:{port}"
+
+
+def parse_graph(text: str) -> str:
+    """The address of a graph. Raises ``ValueError`` with what was expected."""
+    kind = text.partition(":")[0]
+    if kind not in GRAPHS:
+        near = did_you_mean(kind, GRAPHS)
+        raise ValueError(f'expected a graph such as dds:0 (kinds: {", ".join(GRAPHS)}), got "{text}"{near}')
+    match = re.fullmatch(GRAPHS[kind], text)
+    if match is None:
+        raise ValueError(f'expected {kind}:{"0" if kind == "dds" else "name"}, got "{text}"')
+    if kind == "dds" and int(match["domain"]) > _MAX_DOMAIN:
+        raise ValueError(f'expected a DDS domain from 0 to {_MAX_DOMAIN}, got "{text}"')
+    return text
+
+
+def is_loopback(address: str) -> bool:
+    """True where only this machine can reach the (parsed) address."""
+    host = urlsplit(address).hostname or ""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost" or host.endswith(".localhost")
+
+
+def is_secure(address: str) -> bool:
+    """True for a (parsed) address behind TLS."""
+    return address.startswith("wss:")
+
+
+def _split(text: str) -> SplitResult:
+    wanted = f'expected {" or ".join(f"{scheme}://host:port" for scheme in LINKS)}, got "{text}"'
+    scheme, colon, _ = text.strip().partition("://")
+    if not colon:
+        raise ValueError(wanted)
+    if scheme.lower() not in LINKS:
+        raise ValueError(f"{wanted}{did_you_mean(scheme, LINKS)}")
+    try:
+        parts = urlsplit(text.strip())
+        _ = parts.port
+    except ValueError as error:
+        raise ValueError(f"{wanted} ({error})") from error
+    if parts.username is not None or parts.password is not None:
+        raise ValueError("an address holds no user name and no password")
+    if parts.fragment or "#" in text:
+        raise ValueError(f"an address has no #fragment; {wanted}")
+    host = parts.hostname or ""
+    if not _HOST.fullmatch(host) and not _is_ip(host):
+        raise ValueError(wanted)
+    return parts
+
+
+def _is_ip(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host

@@ -1,0 +1,274 @@
+"""Finds every fault of a configuration in one pass and says each in one line.
+
+First the shape (unknown keys, wrong types, bad names), by the models; then the sense (duplicate tasks, open listeners,
+graphs that are not there), on whatever parts are well-formed, so that one run reports all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final, TypeVar, get_args
+
+from pydantic import AliasChoices, BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from ropeway.gateway.address import is_loopback, is_secure, parse_graph, parse_link, parse_listen
+from ropeway.gateway.model import OPERATIONS, Document, GatewayConfig, Item, RemoteConfig
+from ropeway.gateway.suggest import did_you_mean, nearest, show, unknown_key
+
+__all__ = ["check", "json_path", "route_key"]
+
+Problem = tuple[str, str]
+T = TypeVar("T")
+
+_EXPECTED: Final = {
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "int_type": "a whole number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "tuple_type": "a list",
+    "model_type": "an object",
+    "dict_type": "an object",
+    "recursion_loop": "a value that does not contain itself",
+}
+_BOUNDS: Final = {
+    "greater_than": ("a number above", "gt"),
+    "greater_than_equal": ("a number from", "ge"),
+    "less_than_equal": ("a number up to", "le"),
+}
+
+
+def check(obj: object, directory: Path) -> tuple[Document | None, list[Problem]]:
+    """The document, ``None`` where its shape is wrong, and every problem: those of shape first."""
+    full, problem = _full_form(obj)
+    if problem:
+        return None, [problem]
+    problems: list[Problem] = []
+    document: Document | None = None
+    try:
+        document = Document.model_validate(full, context={"directory": directory})
+    except ValidationError as error:
+        problems = [_say(fault) for fault in error.errors(include_url=False)]
+    problems += _sense(full)
+    return document, problems
+
+
+def route_key(operation: str, address: str, graph: str, name: str, remote_name: str, type: str) -> str:
+    """A stable hash of a task: its class and direction, address, names and type.
+
+    Direction, graph and remote name are part of it because a topic may go both ways, from two networks, or to two
+    names. ``publish`` and ``trans-publish`` are one direction.
+    """
+    digest = hashlib.sha256()
+    direction = operation.removeprefix("trans-")
+    for text in (OPERATIONS[operation], direction, address, graph, name, remote_name, type):
+        raw = text.encode()
+        digest.update(len(raw).to_bytes(4, "big") + raw)
+    return digest.hexdigest()[:32]
+
+
+def json_path(parts: Iterable[str | int]) -> str:
+    """``("remotes", 0, "publish")`` as ``remotes[0].publish``."""
+    out = ""
+    for part in parts:
+        if isinstance(part, int):
+            out += f"[{part}]"
+        elif re.fullmatch(r"[A-Za-z_][\w-]*", part):
+            out += f".{part}" if out else part
+        else:
+            out += f"[{json.dumps(part)}]"
+    return out or "(top level)"
+
+
+# ------------------------------------------------------------------------------------------------------ shape
+
+
+def _full_form(obj: object) -> tuple[Mapping[str, Any], Problem | None]:
+    """The three spellings as one."""
+    if isinstance(obj, list):
+        return {"remotes": obj}, None
+    if not isinstance(obj, Mapping):
+        what = "the file is empty; " if obj is None else ""
+        return {}, ("(top level)", f"{what}expected a list of remotes, or an object with gateway and remotes")
+    if not obj.keys() & {"gateway", "remotes"}:
+        keys = _keys(RemoteConfig)
+        meant = any(nearest(key, ("gateway", "remotes")) for key in obj if key not in keys)
+        if not meant and any(nearest(key, keys) for key in obj):
+            return {"remotes": [obj]}, None
+    return obj, None
+
+
+def _say(fault: ErrorDetails) -> Problem:
+    loc, kind, value = fault["loc"], fault["type"], fault["input"]
+    context = fault.get("ctx", {})
+    if kind == "extra_forbidden":
+        return json_path(loc), _unknown(loc)
+    if kind == "missing":
+        field = _field(loc)
+        return json_path(loc), f"this key is missing; expected {field}" if field else "this key is missing"
+    if kind == "invalid_key":
+        return json_path(loc[:-1]), f"the key {loc[-1]} is not a text"
+    if kind == "below":
+        return json_path((*loc, context["at"])), context["text"]
+    if kind == "value_error":
+        return json_path(loc), str(context["error"])
+    if kind in _BOUNDS:
+        words, limit = _BOUNDS[kind]
+        return json_path(loc), f"expected {words} {context[limit]:g}, got {show(value)}"
+    return json_path(loc), f"expected {_EXPECTED.get(kind) or fault['msg']}, got {show(value)}"
+
+
+def _unknown(loc: tuple[str | int, ...]) -> str:
+    model = _model_at(loc[:-1])
+    word = loc[-1]
+    names = _spellings(model)
+    if word in names:
+        return f'another spelling of "{names[str(word)]}", which is there too; keep one'
+    return unknown_key(word, _keys(model))
+
+
+def _field(loc: tuple[str | int, ...]) -> str:
+    for name, info in _model_at(loc[:-1]).model_fields.items():
+        if loc[-1] in (name, info.alias, *_aliases(info.validation_alias)):
+            return info.description or ""
+    return ""
+
+
+def _model_at(loc: Iterable[str | int]) -> type[BaseModel]:
+    """The model that stands at a location."""
+    model: type[BaseModel] = Document
+    for part in loc:
+        if isinstance(part, int):
+            continue
+        info = next(i for n, i in model.model_fields.items() if part in (n, i.alias))
+        model = _inner_model(info.annotation) or model
+    return model
+
+
+def _inner_model(annotation: object) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for argument in get_args(annotation):
+        found = _inner_model(argument)
+        if found is not None:
+            return found
+    return None
+
+
+def _aliases(alias: object) -> list[str]:
+    if isinstance(alias, AliasChoices):
+        return [str(choice) for choice in alias.choices]
+    return [alias] if isinstance(alias, str) else []
+
+
+def _keys(model: type[BaseModel]) -> list[str]:
+    """The keys of a model, each in its first spelling."""
+    return [(_aliases(info.validation_alias) or [info.alias or name])[0] for name, info in model.model_fields.items()]
+
+
+def _spellings(model: type[BaseModel]) -> dict[str, str]:
+    """Every spelling of every key, with its first spelling."""
+    out: dict[str, str] = {}
+    for key, (name, info) in zip(_keys(model), model.model_fields.items(), strict=True):
+        for spelling in _aliases(info.validation_alias) or [info.alias or name]:
+            out[spelling] = key
+    return out
+
+
+# ------------------------------------------------------------------------------------------------------ sense
+
+
+def _attempt(make: Callable[[Any], T], value: object) -> T | None:
+    """``make(value)``, ``None`` where its shape is wrong, which is reported elsewhere."""
+    try:
+        return make(value)
+    except (ValueError, TypeError, AttributeError):
+        return None
+
+
+def _objects(value: object) -> Iterable[tuple[int, Mapping[str, Any]]]:
+    if isinstance(value, list):
+        yield from ((i, item) for i, item in enumerate(value) if isinstance(item, Mapping))
+
+
+def _sense(full: Mapping[str, Any]) -> list[Problem]:
+    gateway = full.get("gateway")
+    gateway = gateway if isinstance(gateway, Mapping) else {}
+    problems = list(_listeners(gateway))
+    graphs = gateway.get("graphs", GatewayConfig.model_fields["graphs"].default)
+    first_seen: dict[str, str] = {}
+    for index, remote in _objects(full.get("remotes")):
+        path = f"remotes[{index}]"
+        problems += _remote(remote, path, graphs)
+        if _inactive(remote):
+            continue
+        for key, where, said in _tasks(remote, path, graphs):
+            if key in first_seen:
+                problems.append((where, f"the same task as {first_seen[key]} ({said}); keep one"))
+            else:
+                first_seen[key] = where
+    return problems
+
+
+def _listeners(gateway: Mapping[str, Any]) -> Iterable[Problem]:
+    listen = gateway.get("listen")
+    for number, text in enumerate(listen if isinstance(listen, list) else []):
+        address = _attempt(parse_listen, text)
+        if address is None:
+            continue
+        where = f"gateway.listen[{number}]"
+        if is_secure(address) and gateway.get("tls") is None:
+            yield where, 'a wss:// listener needs gateway.tls with "certificate" and "key"'
+        if not is_loopback(address) and gateway.get("insecure") is not True:
+            yield (
+                where,
+                f"{address} lets every machine that reaches it read and publish without authentication; listen on "
+                '127.0.0.1, or write "insecure": true under gateway if that is meant',
+            )
+
+
+def _remote(remote: Mapping[str, Any], path: str, graphs: object) -> Iterable[Problem]:
+    address = _attempt(parse_link, remote.get("address"))
+    tls = remote.get("tls")
+    if isinstance(tls, Mapping):
+        if address is not None and not is_secure(address):
+            yield f"{path}.tls", f"needs a wss:// address, and {path}.address is {address}"
+        for one, other in (("certificate", "key"), ("key", "certificate")):
+            if tls.get(one) is not None and tls.get(other) is None:
+                yield f"{path}.tls.{other}", f"this key is missing; {one} is of no use without it"
+    graph = _attempt(parse_graph, remote.get("graph"))
+    if graph is not None and isinstance(graphs, list | tuple) and graph not in graphs:
+        near = did_you_mean(graph, [g for g in graphs if isinstance(g, str)])
+        yield f"{path}.graph", f"expected one of gateway.graphs ({', '.join(map(str, graphs))}), got {graph}{near}"
+
+
+def _inactive(remote: Mapping[str, Any]) -> bool:
+    active = remote.get("active", True)
+    return active is False or (isinstance(active, str) and active.lower() == "false")
+
+
+def _tasks(remote: Mapping[str, Any], path: str, graphs: object) -> Iterable[tuple[str, str, str]]:
+    """``(key, path, words)`` of every well-formed task of one remote."""
+    frame = {k: remote[k] for k in ("address", "graph", "local_namespace", "remote_namespace") if k in remote}
+    shell = _attempt(RemoteConfig.model_validate, frame)
+    if shell is None:
+        return
+    default = graphs[0] if isinstance(graphs, list | tuple) and graphs else ""
+    for operation in OPERATIONS:
+        info = RemoteConfig.model_fields[operation.replace("-", "_")]
+        model = _inner_model(info.annotation)
+        assert model is not None
+        known = _spellings(model)
+        for number, raw in _objects(remote.get(operation)):
+            item = _attempt(model.model_validate, {k: v for k, v in raw.items() if k in known})
+            if not isinstance(item, Item):
+                continue
+            name, remote_name = shell.names(item)
+            key = route_key(operation, shell.address, shell.graph or str(default), name, remote_name, item.type)
+            said = f"{OPERATIONS[operation]} {name}, {item.type}, {shell.address}"
+            yield key, f"{path}.{operation}[{number}]", said

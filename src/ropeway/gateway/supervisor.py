@@ -1,0 +1,190 @@
+"""Workers: slices of a configuration in processes of their own, started again when they fall.
+
+The supervisor only places slices, starts workers and adds up what they tell; no message passes through it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import sys
+import time
+from collections.abc import Iterable
+from typing import Any, Final
+
+from ropeway.errors import GraphUnavailable
+from ropeway.gateway.config import Config
+
+__all__ = ["Supervisor", "slices"]
+
+log = logging.getLogger("ropeway.gateway")
+
+_START_S: Final = 20.0
+_STOP_S: Final = 3.0
+_STEADY_S: Final = 5.0  # a worker that lived so long is started again at once
+_PAUSE_S: Final = 1.0
+
+
+def slices(config: Config) -> list[tuple[str, Config]]:
+    """How a configuration is divided: (name, slice) of every worker."""
+    active = [index for index, remote in enumerate(config.remotes) if remote.active]
+    workers = config.gateway.workers
+    if workers == "per-remote":
+        parts = [(f"remote{index}", config.slice([index], listen=False)) for index in active]
+        if config.gateway.listen:
+            parts.insert(0, ("server", config.slice([], listen=True)))
+        return parts
+    count = max(int(workers), 1)
+    return [(f"worker{n}", config.slice(active[n::count], listen=bool(config.gateway.listen))) for n in range(count)]
+
+
+class Worker:
+    """One process and its slice."""
+
+    def __init__(self, name: str, order: dict[str, Any]) -> None:
+        self.name = name
+        self.status: dict[str, Any] = {}
+        self.starts = 0
+        self.process: asyncio.subprocess.Process | None = None
+        self.ready = asyncio.Event()
+        self.error = ""
+        self._order = order
+
+    async def run(self) -> None:
+        """Keep the process up for ever."""
+        while True:
+            began = time.monotonic()
+            self.starts += 1
+            await self._once()
+            if self.error and self.starts == 1:
+                self.ready.set()
+                return
+            self.status = {}
+            log.warning("worker %s ended%s; it is started again", self.name, f" ({self.error})" if self.error else "")
+            if time.monotonic() - began < _STEADY_S:
+                await asyncio.sleep(_PAUSE_S)
+
+    async def _once(self) -> None:
+        process = self.process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "ropeway.gateway.worker",
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            limit=64 << 20,
+        )
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            process.stdin.write(json.dumps(self._order).encode() + b"\n")
+            await process.stdin.drain()
+            async for line in process.stdout:
+                message = json.loads(line)
+                self.status = message.get("status", self.status)
+                if "ready" in message:
+                    self.error = ""
+                    self.ready.set()
+                self.error = message.get("error", self.error)
+            await process.wait()
+        except (BrokenPipeError, ConnectionResetError, json.JSONDecodeError):
+            await process.wait()
+        finally:
+            await self._end(process)
+
+    @staticmethod
+    async def _end(process: asyncio.subprocess.Process) -> None:
+        if process.returncode is not None:
+            return
+        if process.stdin is not None:
+            process.stdin.close()  # the worker takes this as the word to stop
+        try:
+            async with asyncio.timeout(_STOP_S):
+                await process.wait()
+        except TimeoutError:
+            process.kill()
+            await process.wait()
+
+
+class Supervisor:
+    """Runs a configuration in workers; used like ``Gateway``."""
+
+    def __init__(self, config: Config, *, log_level: str = "INFO") -> None:
+        self.config = config
+        self.gateway_id = os.urandom(8).hex()
+        parts = slices(config)
+        self.workers = [
+            Worker(
+                name,
+                {
+                    "config": part.to_json(),
+                    "source": config.source,
+                    "gateway_id": f"{self.gateway_id}.{name}",
+                    "node": f"{config.gateway.name}_{name}",
+                    "reuse_port": len(parts) > 1,
+                    "log_level": log_level,
+                },
+            )
+            for name, part in parts
+        ]
+        self._tasks: list[asyncio.Task[None]] = []
+
+    async def __aenter__(self) -> Supervisor:
+        """Start all workers and wait until each is up. Raises ``GraphUnavailable`` if one cannot start."""
+        self._tasks = [asyncio.create_task(worker.run(), name=f"worker {worker.name}") for worker in self.workers]
+        try:
+            async with asyncio.timeout(_START_S):
+                for worker in self.workers:
+                    await worker.ready.wait()
+                    if worker.error:
+                        raise GraphUnavailable(f"worker {worker.name}", worker.error)
+        except TimeoutError:
+            await self.__aexit__()
+            raise GraphUnavailable(self.config.gateway.name, f"its workers were not up in {_START_S:g} s") from None
+        except GraphUnavailable:
+            await self.__aexit__()
+            raise
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """Stop all workers."""
+        for task in self._tasks:
+            task.cancel()
+        for task in self._tasks:
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+    async def wait(self) -> None:
+        """Run until cancelled."""
+        await asyncio.gather(*self._tasks)
+
+    def status(self) -> dict[str, Any]:
+        """What all workers tell, as if they were one gateway."""
+        told = [worker.status for worker in self.workers if worker.status]
+
+        def joined(key: str) -> list[Any]:
+            return [item for status in told for item in status.get(key, ())]
+
+        return {
+            "name": self.config.gateway.name,
+            "workers": [
+                {"name": w.name, "pid": w.process.pid if w.process is not None else None, "starts": w.starts}
+                for w in self.workers
+            ],
+            "graphs": joined("graphs"),
+            "listen": _listeners(joined("listen")),
+            "remotes": joined("remotes"),
+            "routes": joined("routes"),
+            "sessions": joined("sessions"),
+        }
+
+
+def _listeners(listed: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row per address: workers that share a port each count their own clients."""
+    out: dict[str, dict[str, Any]] = {}
+    for row in listed:
+        known = out.setdefault(row["address"], {**row, "clients": 0})
+        known["clients"] += row["clients"]
+    return list(out.values())

@@ -1,0 +1,45 @@
+"""TLS contexts of both roles, made from the configuration."""
+
+from __future__ import annotations
+
+import ssl
+
+from ropeway.errors import ConfigError
+from ropeway.gateway.model import ListenTls, RemoteTls
+
+__all__ = ["client_context", "server_context"]
+
+
+def server_context(tls: ListenTls | None) -> ssl.SSLContext | None:
+    """For listeners; with ``ca`` a client must show a certificate. Raises ``ConfigError``."""
+    if tls is None:
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    _load(context, "gateway.tls", tls.certificate, tls.key)
+    if tls.ca is not None:
+        context.load_verify_locations(tls.ca)
+        context.verify_mode = ssl.CERT_REQUIRED
+    return context
+
+
+def client_context(tls: RemoteTls | None, path: str) -> ssl.SSLContext | None:
+    """For one remote; ``path`` is where the configuration names it. Raises ``ConfigError``."""
+    if tls is None:
+        return None
+    context = ssl.create_default_context(cafile=tls.ca)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    if not tls.verify:
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_NONE
+    if tls.certificate is not None:
+        _load(context, path, tls.certificate, tls.key)
+    return context
+
+
+def _load(context: ssl.SSLContext, path: str, certificate: str, key: str | None) -> None:
+    try:
+        context.load_cert_chain(certificate, key)
+    except (OSError, ssl.SSLError) as error:
+        text = f"the certificate {certificate} and its key {key} do not go together: {error}"
+        raise ConfigError([(path, text)]) from None

@@ -1,0 +1,255 @@
+"""The table of what is discovered, on the loop: endpoints, nodes, and the events of their coming and going."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+from ropeway.graph.base import EndpointInfo, GraphEvent, NodeInfo, TopicInfo
+from ropeway.graph.dds.names import Name, NameKind, action_of, demangle, is_hidden
+from ropeway.graph.dds.nodes import NodeEntities
+from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, NodesRecord
+from ropeway.qos import QoS
+
+__all__ = ["Discovery"]
+
+# An endpoint is discovered a moment before the message that tells whose node it is; its event waits this long for it.
+_NODE_GRACE_S: Final = 0.1
+
+
+@dataclass(slots=True)
+class _Endpoint:
+    record: EndpointRecord
+    name: Name
+    node: str = ""
+
+
+@dataclass(slots=True)
+class _Topic:
+    """Endpoints of one ROS topic, by handle."""
+
+    publishers: dict[int, _Endpoint] = field(default_factory=dict)
+    subscriptions: dict[int, _Endpoint] = field(default_factory=dict)
+
+    def of(self, kind: str) -> dict[int, _Endpoint]:
+        return self.publishers if kind == "publisher" else self.subscriptions
+
+
+class Discovery:
+    """What there is on the network.
+
+    ``emit`` gets the events, others' only; ``changed`` the ROS topics whose publishers changed, once per batch;
+    ``forget`` the participants that left. ``foreign`` keeps topics that are not of ROS, under their DDS names.
+    """
+
+    def __init__(
+        self,
+        graph: str,
+        gateway_id: str,
+        emit: Callable[[GraphEvent], None],
+        changed: Callable[[set[str]], None],
+        forget: Callable[[bytes], None],
+        *,
+        foreign: bool = False,
+    ) -> None:
+        self._graph, self._gateway_id, self._foreign = graph, gateway_id, foreign
+        self._emit, self._changed, self._forget = emit, changed, forget
+        self._endpoints: dict[tuple[str, int], _Endpoint] = {}
+        self._topics: dict[str, _Topic] = {}
+        self._nodes: dict[bytes, tuple[NodeEntities, ...]] = {}
+        self._node_of: dict[bytes, str] = {}
+        self._local: set[bytes] = set()
+        self._nameless: dict[bytes, _Endpoint] = {}
+        self._timer: asyncio.TimerHandle | None = None
+
+    def apply(self, batch: Iterable[Discovered]) -> None:
+        """Take in what the thread found."""
+        topics: set[str] = set()
+        for item in batch:
+            if isinstance(item, EndpointRecord):
+                self._add(item, topics)
+            elif isinstance(item, NodesRecord):
+                self._set_nodes(item)
+            elif item.kind == "participant":
+                self._set_nodes(NodesRecord(item.guid, (), local=False))
+                self._forget(item.guid)
+            else:
+                self._remove(item, topics)
+        self._tell_named()
+        if topics:
+            self._changed(topics)
+
+    def close(self) -> None:
+        """No events from now on."""
+        self._nameless.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+
+    # Queries ----------------------------------------------------------------------------------------------------
+
+    def topics(self) -> dict[str, TopicInfo]:
+        """Every topic, with its endpoints."""
+        return {name: self._topic_info(name, topic) for name, topic in sorted(self._topics.items())}
+
+    def nodes(self) -> dict[str, NodeInfo]:
+        """Every node, with what it publishes, reads, serves and calls."""
+        found: dict[str, list[NodeEntities]] = {}
+        local: set[str] = set()
+        for participant, nodes in self._nodes.items():
+            for node in nodes:
+                found.setdefault(node.name, []).append(node)
+                if participant in self._local:
+                    local.add(node.name)
+        by_guid = {endpoint.record.guid: endpoint for endpoint in self._endpoints.values()}
+        return {
+            name: _node_info(name, entities, by_guid, local=name in local) for name, entities in sorted(found.items())
+        }
+
+    def offered(self, topic: str, type: str) -> list[QoS]:
+        """The profiles of all publishers of a topic but those of our own gateway."""
+        known = self._topics.get(topic)
+        if known is None:
+            return []
+        return [e.record.qos for e in known.publishers.values() if e.name.type == type and not self._is_own(e.record)]
+
+    def _topic_info(self, name: str, topic: _Topic) -> TopicInfo:
+        publishers = tuple(self._endpoint_info(e) for e in topic.publishers.values())
+        subscriptions = tuple(self._endpoint_info(e) for e in topic.subscriptions.values())
+        types = tuple(dict.fromkeys(e.type for e in publishers + subscriptions))
+        return TopicInfo(name, types, publishers, subscriptions)
+
+    def _endpoint_info(self, endpoint: _Endpoint) -> EndpointInfo:
+        record = endpoint.record
+        return EndpointInfo(
+            kind=record.kind,
+            topic=endpoint.name.name,
+            type=endpoint.name.type,
+            qos=record.qos,
+            gid=record.guid,
+            node=self._node_of.get(record.guid, ""),
+            type_hash=record.type_hash,
+            gateway=record.gateway,
+            local=record.local,
+        )
+
+    def _is_own(self, record: EndpointRecord) -> bool:
+        return record.local or (bool(self._gateway_id) and record.gateway == self._gateway_id)
+
+    # Changes ----------------------------------------------------------------------------------------------------
+
+    def _add(self, record: EndpointRecord, topics: set[str]) -> None:
+        name = demangle(record.dds_topic, record.dds_type)
+        if name.kind is NameKind.FOREIGN and not self._foreign:
+            return
+        key = (record.kind, record.handle)
+        known = self._endpoints.get(key)
+        if known is not None and known.record == record:
+            return
+        endpoint = self._endpoints[key] = _Endpoint(record, name)
+        if name.kind in (NameKind.TOPIC, NameKind.FOREIGN):
+            self._topics.setdefault(name.name, _Topic()).of(record.kind)[record.handle] = endpoint
+            if record.kind == "publisher":
+                topics.add(name.name)
+        if known is None and not record.local:
+            self._nameless[record.guid] = endpoint
+
+    def _remove(self, gone: Gone, topics: set[str]) -> None:
+        endpoint = self._endpoints.pop((gone.kind, gone.handle), None)
+        if endpoint is None:
+            return
+        name = endpoint.name
+        topic = self._topics.get(name.name) if name.kind in (NameKind.TOPIC, NameKind.FOREIGN) else None
+        if topic is not None:
+            topic.of(gone.kind).pop(gone.handle, None)
+            if not topic.publishers and not topic.subscriptions:
+                del self._topics[name.name]
+            if gone.kind == "publisher":
+                topics.add(name.name)
+        if self._nameless.pop(gone.guid, None) is not None:
+            self._tell(endpoint, True)
+        self._tell(endpoint, False)
+
+    def _tell_named(self) -> None:
+        """Tell of the endpoints whose nodes are known, and of the others when they have waited long enough."""
+        waiting = self._nameless
+        for guid in [guid for guid in waiting if guid in self._node_of]:
+            self._tell(waiting.pop(guid), True)
+        if waiting and self._timer is None:
+            self._timer = asyncio.get_running_loop().call_later(_NODE_GRACE_S, self._tell_rest, list(waiting))
+
+    def _tell_rest(self, guids: list[bytes]) -> None:
+        self._timer = None
+        for guid in guids:
+            endpoint = self._nameless.pop(guid, None)
+            if endpoint is not None:
+                self._tell(endpoint, True)
+        self._tell_named()
+
+    def _tell(self, endpoint: _Endpoint, discovered: bool) -> None:
+        record, name = endpoint.record, endpoint.name
+        if record.local:
+            return
+        node = endpoint.node = self._node_of.get(record.guid) or endpoint.node
+        if name.kind is NameKind.REQUEST:
+            if record.kind != "subscription":
+                return
+            action = action_of(name.name, name.type)
+            if action is not None:
+                self._emit(GraphEvent(discovered, "action", *action, node, self._graph))
+            elif not is_hidden(name.name):
+                self._emit(GraphEvent(discovered, "service", name.name, name.type, node, self._graph))
+        elif name.kind is not NameKind.REPLY and not is_hidden(name.name):
+            self._emit(GraphEvent(discovered, record.kind, name.name, name.type, node, self._graph))
+
+    def _set_nodes(self, record: NodesRecord) -> None:
+        participant, nodes = record.participant, record.nodes
+        before = self._nodes.pop(participant, ())
+        if nodes:
+            self._nodes[participant] = nodes
+        for guid in _guids(before):
+            self._node_of.pop(guid, None)
+        for node in nodes:
+            for guid in (*node.readers, *node.writers):
+                self._node_of[guid] = node.name
+        if record.local:
+            self._local.add(participant)
+            return
+        old, new = {n.name for n in before}, {n.name for n in nodes}
+        for name in sorted(new - old):
+            self._emit(GraphEvent(True, "node", name, graph=self._graph))
+        for name in sorted(old - new):
+            self._emit(GraphEvent(False, "node", name, graph=self._graph))
+
+
+def _guids(nodes: tuple[NodeEntities, ...]) -> Iterator[bytes]:
+    for node in nodes:
+        yield from node.readers
+        yield from node.writers
+
+
+def _node_info(name: str, entities: list[NodeEntities], by_guid: dict[bytes, _Endpoint], *, local: bool) -> NodeInfo:
+    publishers: dict[tuple[str, str], None] = {}
+    subscriptions: dict[tuple[str, str], None] = {}
+    services: dict[tuple[str, str], None] = {}
+    clients: dict[tuple[str, str], None] = {}
+    for node in entities:
+        for guid in _guids((node,)):
+            endpoint = by_guid.get(guid)
+            if endpoint is None:
+                continue
+            entry = (endpoint.name.name, endpoint.name.type)
+            writes = endpoint.record.kind == "publisher"
+            if endpoint.name.kind is NameKind.REQUEST:
+                (clients if writes else services)[entry] = None
+            elif endpoint.name.kind is not NameKind.REPLY:
+                (publishers if writes else subscriptions)[entry] = None
+    return NodeInfo(
+        name,
+        tuple(sorted(publishers)),
+        tuple(sorted(subscriptions)),
+        tuple(sorted(services)),
+        tuple(sorted(clients)),
+        local=local,
+    )

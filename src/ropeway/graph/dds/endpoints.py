@@ -1,0 +1,219 @@
+"""Readers and writers of serialised samples, on any DDS topic and type: the hot path."""
+
+from __future__ import annotations
+
+import ctypes as ct
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from ropeway.graph.base import SEQ_NONE, Sample, Undelivered
+from ropeway.graph.dds.raw import (
+    ANY_STATE,
+    INFO,
+    SERDATA_DATA,
+    SERDATA_HEADER,
+    SERDATA_SIZE,
+    SERDATA_TIMESTAMP,
+    DdsError,
+    IoVec,
+    SampleInfo,
+    check,
+    lib,
+)
+
+if TYPE_CHECKING:
+    from ropeway.graph.dds.byteorder import ByteOrder
+    from ropeway.graph.dds.participant import Participant
+
+__all__ = ["RawReader", "RawWriter", "WriterIdentity"]
+
+_BATCH: Final = 64  # samples per take
+_HEADER_BYTES: Final = 4
+_COPY_WITHOUT_GIL_BYTES: Final = 32768  # above, copying costs more than letting go of the GIL
+_PENDING_LIMIT_BYTES: Final = 256 << 20
+_MAX_STAMP: Final = 2**31 * 10**9 - 1  # what a source timestamp on the wire can hold for every vendor
+
+_string_at = ct.string_at
+_u32_at = ct.c_uint32.from_address
+_i64_at = ct.c_int64.from_address
+_new_bytes = ct.PYFUNCTYPE(ct.py_object, ct.c_void_p, ct.c_ssize_t)(("PyBytes_FromStringAndSize", ct.pythonapi))
+_address_of = ct.PYFUNCTYPE(ct.c_void_p, ct.py_object)(("PyBytes_AsString", ct.pythonapi))
+
+
+class WriterIdentity(NamedTuple):
+    """Who wrote a sample. ``wanted`` is false for writers of our own gateway."""
+
+    guid: bytes
+    relayed: bool = False
+    wanted: bool = True
+
+
+class RawReader:
+    """Takes samples in the pump's thread and gives them to ``deliver`` on the loop, in batches, oldest first.
+
+    Its entity stays empty: what the loop has no room for waits here as references, and of these the newest ``depth``
+    (and 256 MB) survive; ``dropped`` tells on the loop how many did not, and why. ``order`` finds big-endian writers.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        topic: tuple[str, str],
+        type: str,
+        entity: int,
+        depth: int | None,
+        deliver: Callable[[list[Sample]], None],
+        dropped: Callable[[list[tuple[Undelivered, int]]], None],
+        order: ByteOrder | None,
+    ) -> None:
+        self.topic, self.type, self.entity = topic, type, entity
+        self.guid = b""
+        self.closed = False
+        self._participant = participant
+        self._pump = participant.pump
+        self._clock = participant.clock
+        self._identities = participant.identities
+        self._depth = depth
+        self._deliver, self._dropped = deliver, dropped
+        self._order = order
+        self._refs = (ct.c_uint64 * _BATCH)()
+        self._infos = (SampleInfo * _BATCH)()
+        self._raw = memoryview(self._infos).cast("B")
+        self._pending: deque[tuple[int, int, int, int, WriterIdentity]] = deque()
+        self._pending_bytes = 0
+        self._drops: Counter[Undelivered] = Counter()
+        self.key = 0
+
+    def on_data(self) -> None:
+        """Take what is there, and hand over what there is room for."""
+        if self.closed:
+            return
+        count = lib.takecdr(self.entity, self._refs, _BATCH, self._infos, ANY_STATE)
+        if count <= 0:
+            check(count, "takecdr")
+            return
+        stamp = self._clock()
+        identities, pending, unref = self._identities, self._pending, lib.serdata_unref
+        size = 0
+        for serdata, (_, valid, source_stamp, _, handle) in zip(
+            self._refs[:count], INFO.iter_unpack(self._raw[: count * INFO.size]), strict=True
+        ):
+            if valid:
+                identity = identities.get(handle) or self._participant.identify(self.entity, handle)
+                if identity.wanted:
+                    length = _u32_at(serdata + SERDATA_SIZE).value + _HEADER_BYTES
+                    size += length
+                    pending.append((serdata, length, stamp, source_stamp, identity))
+                    continue
+            unref(serdata)
+        self._pending_bytes += size
+        self.flush()
+
+    def flush(self) -> None:
+        """Hand over as much as there is room for, and trim what stays."""
+        pending = self._pending
+        if not pending:
+            return
+        samples, size = self._pump.space()
+        batch: list[Sample] = []
+        handed = 0
+        type, order, unref = self.type, self._order, lib.serdata_unref
+        while pending and samples > 0 and size > 0:
+            serdata, length, stamp, source_stamp, identity = pending.popleft()
+            if length < _COPY_WITHOUT_GIL_BYTES:
+                payload = _string_at(serdata + SERDATA_HEADER, length)
+            else:
+                payload = _new_bytes(None, length)
+                lib.serdata_to_ser(serdata, 0, length, _address_of(payload))
+            unref(serdata)
+            handed += length
+            size -= length
+            samples -= 1
+            if order is not None:
+                native = order.native(identity.guid, payload)
+                if native is None:
+                    self._drops[Undelivered.DECODE] += 1
+                    continue
+                payload = native
+            seq = source_stamp if source_stamp > 0 else SEQ_NONE
+            batch.append(Sample(payload, type, stamp, identity.guid, seq, identity.relayed))
+        self._pending_bytes -= handed
+        if batch:
+            self._pump.push(self._deliver, batch, len(batch), handed)
+        if self._drops and self._pump.room:
+            self._pump.push(self._dropped, list(self._drops.items()))
+            self._drops.clear()
+        if pending:
+            self._trim()
+            self._pump.again(self.flush)
+
+    def discard(self) -> None:
+        """Let go of what waits; in the pump's thread."""
+        self.closed = True
+        while self._pending:
+            lib.serdata_unref(self._pending.popleft()[0])
+        self._pending_bytes = 0
+
+    def _trim(self) -> None:
+        pending = self._pending
+        depth = self._depth
+        while (depth is not None and len(pending) > depth) or (
+            self._pending_bytes > _PENDING_LIMIT_BYTES and len(pending) > 1
+        ):
+            serdata, length, *_ = pending.popleft()
+            lib.serdata_unref(serdata)
+            self._pending_bytes -= length
+            self._drops[Undelivered.BACKLOG] += 1
+
+
+class RawWriter:
+    """Writes serialised samples, at once, from the loop."""
+
+    def __init__(self, participant: Participant, topic: tuple[str, str], entity: int, sertype: int) -> None:
+        self.topic, self.entity = topic, entity
+        self.guid = b""
+        self.closed = False
+        self.key = 0
+        self._sertype = sertype
+        self._vector = IoVec()
+        self._vector_ref = ct.byref(self._vector)
+
+    def write(self, payload: bytes, source_stamp_ns: int = 0) -> Undelivered | None:
+        """Send CDR bytes with their header; gives why they were not sent, or ``None``.
+
+        ``source_stamp_ns`` is sent as the source timestamp; 0 sends the time of now.
+        """
+        if self.closed:
+            return Undelivered.CLOSED
+        if payload.__class__ is not bytes:
+            payload = bytes(payload)
+        length = len(payload)
+        vector = self._vector
+        vector.base, vector.len = payload, length
+        make = lib.serdata_from_ser_iov if length < _COPY_WITHOUT_GIL_BYTES else lib.serdata_from_ser_iov_nogil
+        serdata = make(self._sertype, SERDATA_DATA, 1, self._vector_ref, length)
+        if length >= _COPY_WITHOUT_GIL_BYTES:
+            vector.base = None  # what was big is not kept until the next write
+        if not serdata:
+            return Undelivered.ENCODE
+        if 0 < source_stamp_ns <= _MAX_STAMP:
+            _i64_at(serdata + SERDATA_TIMESTAMP).value = source_stamp_ns
+            code = lib.forwardcdr(self.entity, serdata)  # either takes the reference over
+        else:
+            code = lib.writecdr(self.entity, serdata)
+        return None if code >= 0 else Undelivered.WRITE
+
+
+def matched(get: Callable[..., Any], entity: int) -> list[int]:
+    """The handles of what an entity is matched with; ``get`` is one of ``lib.get_matched_…``."""
+    room = 64
+    while True:
+        handles = (ct.c_uint64 * room)()
+        try:
+            count = check(get(entity, handles, room), "get_matched")
+        except DdsError:
+            return []
+        if count <= room:
+            return list(handles[:count])
+        room = count + 16

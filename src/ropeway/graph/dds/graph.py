@@ -1,0 +1,302 @@
+"""The ``dds`` graph: a ROS 2 network reached without ROS, through Cyclone DDS."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
+from typing import Final, Protocol, TypeVar
+
+from ropeway.errors import GraphUnavailable, InvalidName
+from ropeway.graph.base import (
+    NO_HINTS,
+    Changes,
+    Delivery,
+    GraphEvent,
+    NodeInfo,
+    SampleCallback,
+    TopicInfo,
+    Undelivered,
+    resolve_name,
+)
+from ropeway.graph.dds.byteorder import ByteOrder, Codec
+from ropeway.graph.dds.discovery import Discovery
+from ropeway.graph.dds.domain import MAX_DOMAIN
+from ropeway.graph.dds.endpoint_qos import user_data
+from ropeway.graph.dds.endpoints import RawWriter
+from ropeway.graph.dds.names import dds_topic, dds_type
+from ropeway.graph.dds.participant import Participant
+from ropeway.graph.dds.profile import make_profile
+from ropeway.graph.dds.publisher import DdsPublisher
+from ropeway.graph.dds.raw import DdsError
+from ropeway.graph.dds.records import Discovered
+from ropeway.graph.dds.subscription import DdsSubscription, SharedReader
+from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.types.definition import canonical_name
+
+__all__ = ["DdsGraph", "Types"]
+
+log = logging.getLogger("ropeway.graph.dds")
+
+# Other vendors do not tell the depth of a writer; what is adopted keeps at least this many.
+_MIN_ADOPTED_DEPTH: Final = 10
+
+T = TypeVar("T")
+
+
+class Types(Protocol):
+    """The part of a type registry that is used here."""
+
+    def has(self, name: str) -> bool:
+        """True where the definition is known."""
+
+    def hash(self, name: str) -> str:
+        """``RIHS01_…``, which ``ros2 topic info -v`` shows."""
+
+    def codec(self, name: str) -> Codec:
+        """What tells big-endian messages from others."""
+
+
+class DdsGraph:
+    """A participant of DDS domain ``domain``, seen by ROS 2 as the node ``namespace``/``name``.
+
+    ``interface`` is the name or address of a network interface (``None``: Cyclone DDS chooses; ``lo`` stays on this
+    machine). ``gateway_id`` marks our publishers, so that other processes of the same gateway ignore them and other
+    gateways know them. ``registry`` gives type hashes, and finds big-endian messages, where it knows the type.
+    ``foreign`` lists topics that are not of ROS, too. ``clock`` gives nanoseconds for ``Sample.stamp_ns``.
+    """
+
+    kind = "dds"
+
+    def __init__(
+        self,
+        domain: int = 0,
+        *,
+        name: str = "ropeway",
+        namespace: str = "/",
+        interface: str | None = None,
+        gateway_id: str = "",
+        registry: Types | None = None,
+        clock: Callable[[], int] = time.time_ns,
+        foreign: bool = False,
+    ) -> None:
+        self.name = f"dds:{domain}"
+        if not 0 <= domain <= MAX_DOMAIN:
+            raise GraphUnavailable(self.name, f"the domain must be a number from 0 to {MAX_DOMAIN}")
+        if any(c in gateway_id for c in ";="):
+            raise GraphUnavailable(self.name, f"the gateway id {gateway_id!r} has a ';' or '='")
+        if "/" in name:
+            raise InvalidName(name, "a node name has no slash; give the namespace apart")
+        self.domain = domain
+        self.node = resolve_name(name, namespace)
+        self.drops: Counter[tuple[str, Undelivered]] = Counter()
+        self._interface = interface
+        self._gateway_id = gateway_id
+        self._registry = registry
+        self._clock = clock
+        self._foreign = foreign
+        self._changes = Changes()
+        self._participant: Participant | None = None
+        self._discovery: Discovery | None = None
+        self._publishers: dict[DdsPublisher, None] = {}
+        self._subscriptions: dict[DdsSubscription, None] = {}
+        self._shared: dict[tuple[str, str, QoS], SharedReader] = {}
+        self._lock = asyncio.Lock()
+
+    async def open(self) -> None:
+        """Join the domain. Raises ``GraphUnavailable`` with what to do."""
+        async with self._lock:
+            if self._participant is not None:
+                return
+            profile = make_profile(self.name, self._interface)
+            self._changes = Changes()
+            participant = Participant(
+                self.name, self.domain, profile, self.node, self._gateway_id, self._clock, self._on_discovered
+            )
+            self._discovery = Discovery(
+                self.name,
+                self._gateway_id,
+                self._changes.emit,
+                self._readopt,
+                participant.forget,
+                foreign=self._foreign,
+            )
+            try:
+                await participant.open()
+            except DdsError as error:
+                self._discovery = None
+                raise GraphUnavailable(self.name, str(error)) from error
+            except BaseException:
+                self._discovery = None
+                raise
+            self._participant = participant
+            log.info("%s: joined as node %s", self.name, self.node)
+
+    async def close(self) -> None:
+        """Leave the domain with everything that was created here."""
+        async with self._lock:
+            participant = self._participant
+            if participant is None:
+                return
+            parts: list[DdsPublisher | DdsSubscription] = [*self._publishers, *self._subscriptions]
+            for part in parts:
+                await part.close()
+            self._participant = None
+            await participant.close()
+            self._shared.clear()
+            if self._discovery is not None:
+                self._discovery.close()
+            self._discovery = None
+            self._changes.close()
+
+    async def create_publisher(
+        self, topic: str, type: str, qos: QoS | None = None, *, delivery: Delivery = NO_HINTS
+    ) -> DdsPublisher:
+        """Publish ``topic``; without a profile, reliable and volatile. DDS has its own way with ``delivery``."""
+        participant = self._opened()
+        topic, type = resolve_name(topic), canonical_name(type)
+        profile = qos or DEFAULT
+        publisher = DdsPublisher(self, topic, type, profile)
+        mark = user_data(type_hash=self._hash(type), gateway_id=self._gateway_id)
+        names = (dds_topic(topic), dds_type(type))
+        publisher.bind(self._try(lambda: participant.create_writer(names, profile, mark, publisher.on_count)))
+        self._publishers[publisher] = None
+        return publisher
+
+    async def create_subscription(
+        self,
+        topic: str,
+        type: str,
+        qos: QoS | None,
+        callback: SampleCallback,
+        *,
+        delivery: Delivery = NO_HINTS,
+    ) -> DdsSubscription:
+        """Read ``topic``; without a profile, with what all its publishers offer, also when they change."""
+        self._opened()
+        topic, type = resolve_name(topic), canonical_name(type)
+        subscription = DdsSubscription(self, topic, type, qos, callback)
+        subscription.follow(self._adopted(subscription) if qos is None else qos)
+        self._subscriptions[subscription] = None
+        return subscription
+
+    def topics(self) -> dict[str, TopicInfo]:
+        """Every topic of ROS in the domain, ours too."""
+        return self._discovery.topics() if self._discovery else {}
+
+    def nodes(self) -> dict[str, NodeInfo]:
+        """Every node of ROS in the domain, ours too."""
+        return self._discovery.nodes() if self._discovery else {}
+
+    def changes(self) -> AsyncIterator[GraphEvent]:
+        """What others do, from now on."""
+        return self._changes.listen()
+
+    @property
+    def participant(self) -> Participant:
+        """The DDS side, for services and actions. Raises ``GraphUnavailable`` where the graph is not open."""
+        return self._opened()
+
+    # For the parts ----------------------------------------------------------------------------------------------
+
+    def guard(self, topic: str, callback: Callable[[T], None], value: T) -> None:
+        """Run a callback that may fail."""
+        try:
+            callback(value)
+        except Exception:
+            self.drops[topic, Undelivered.CALLBACK] += 1
+            log.exception("%s: a callback for %s failed", self.name, topic)
+
+    def attach(self, subscription: DdsSubscription, qos: QoS) -> SharedReader:
+        """A reader for ``subscription``: with others where samples are volatile, its own where history is replayed."""
+        participant = self._opened()
+        key = (subscription.topic, subscription.type, qos)
+        reader = None if qos.transient_local else self._shared.get(key)
+        if reader is None:
+            made = reader = SharedReader(self, subscription.topic, qos)
+            mark = user_data(type_hash=self._hash(subscription.type), gateway_id=self._gateway_id)
+            names = (dds_topic(subscription.topic), dds_type(subscription.type))
+            order = self._byte_order(subscription.topic, subscription.type)
+            made.raw = self._try(
+                lambda: participant.create_reader(
+                    names, subscription.type, qos, mark, made.deliver, made.dropped, order
+                )
+            )
+            if not qos.transient_local:
+                self._shared[key] = reader
+        reader.subscriptions = (*reader.subscriptions, subscription)
+        return reader
+
+    async def detach(self, subscription: DdsSubscription, reader: SharedReader) -> None:
+        """Take a subscription off its reader; the last one takes the reader with it."""
+        reader.subscriptions = tuple(s for s in reader.subscriptions if s is not subscription)
+        if reader.subscriptions:
+            return
+        key = (reader.topic, subscription.type, reader.qos)
+        if self._shared.get(key) is reader:
+            del self._shared[key]
+        if self._participant is not None and reader.raw is not None:
+            await self._participant.delete(reader.raw)
+
+    def forget(self, subscription: DdsSubscription) -> None:
+        """A subscription was closed."""
+        self._subscriptions.pop(subscription, None)
+
+    def is_matched(self, subscription: DdsSubscription, reader: SharedReader) -> bool:
+        """True once a reader is matched with every publisher that it should read."""
+        if self._participant is None or self._discovery is None or reader.raw is None:
+            return True
+        expected = len(self._discovery.offered(subscription.topic, subscription.type))
+        return self._participant.matched_writers(reader.raw) >= expected
+
+    async def withdraw(self, publisher: DdsPublisher, writer: RawWriter | None) -> None:
+        """A publisher was closed."""
+        self._publishers.pop(publisher, None)
+        if writer is not None and self._participant is not None:
+            await self._participant.delete(writer)
+
+    # Discovery --------------------------------------------------------------------------------------------------
+
+    def _on_discovered(self, batch: list[Discovered]) -> None:
+        if self._discovery is not None:
+            self._discovery.apply(batch)
+
+    def _readopt(self, topics: set[str]) -> None:
+        for subscription in list(self._subscriptions):
+            if subscription.adopts and subscription.topic in topics:
+                try:
+                    subscription.follow(self._adopted(subscription))
+                except GraphUnavailable as error:
+                    log.warning("%s: %s keeps its profile: %s", self.name, subscription.topic, error)
+
+    def _adopted(self, subscription: DdsSubscription) -> QoS:
+        assert self._discovery is not None
+        offered = self._discovery.offered(subscription.topic, subscription.type)
+        qos = common_qos(offered, subscription.qos)
+        if qos.history == "keep_last" and not qos.transient_local:
+            qos = replace(qos, depth=max(qos.depth, _MIN_ADOPTED_DEPTH))
+        return qos
+
+    def _opened(self) -> Participant:
+        if self._participant is None:
+            raise GraphUnavailable(self.name, "is not open; call open() first")
+        return self._participant
+
+    def _hash(self, type: str) -> str:
+        registry = self._registry
+        return registry.hash(type) if registry is not None and registry.has(type) else ""
+
+    def _byte_order(self, topic: str, type: str) -> ByteOrder | None:
+        registry = self._registry
+        if registry is None or not registry.has(type):
+            return None
+        return ByteOrder(f"{self.name}: {topic}", lambda: registry.codec(type))
+
+    def _try(self, create: Callable[[], T]) -> T:
+        try:
+            return create()
+        except DdsError as error:
+            raise GraphUnavailable(self.name, str(error)) from error

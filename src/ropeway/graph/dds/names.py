@@ -1,0 +1,110 @@
+"""How ROS 2 names topics, services and types on DDS, and back.
+
+A topic ``/scan`` is the DDS topic ``rt/scan`` of type ``sensor_msgs::msg::dds_::LaserScan_``; a service ``/add`` is
+the pair ``rq/addRequest`` and ``rr/addReply``; an action is three services and two topics below ``/_action/``.
+"""
+
+from __future__ import annotations
+
+import enum
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+from ropeway.types.definition import canonical_name
+
+__all__ = [
+    "DISCOVERY_TOPIC",
+    "DISCOVERY_TYPE",
+    "DISCOVERY_TYPE_HASH",
+    "Name",
+    "NameKind",
+    "action_of",
+    "dds_service_topics",
+    "dds_topic",
+    "dds_type",
+    "demangle",
+    "demangle_type",
+    "is_hidden",
+]
+
+DISCOVERY_TOPIC: Final = "ros_discovery_info"
+DISCOVERY_TYPE: Final = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"
+# What nodes of ROS 2 Jazzy announce for this type; without it Cyclone peers log a warning.
+DISCOVERY_TYPE_HASH: Final = "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e"
+
+_DDS_TYPE: Final = re.compile(r"([A-Za-z]\w*)::(msg|srv|action)::dds_::([A-Za-z]\w*)_", re.ASCII)
+_ACTION: Final = "/_action/"
+
+
+class NameKind(enum.Enum):
+    """What a DDS topic is to ROS."""
+
+    TOPIC = "topic"
+    REQUEST = "request"
+    REPLY = "reply"
+    FOREIGN = "foreign"
+
+
+@dataclass(frozen=True, slots=True)
+class Name:
+    """A DDS topic as ROS calls it: ``name`` and ``type`` are ROS names, those of DDS where ``kind`` is FOREIGN."""
+
+    kind: NameKind
+    name: str
+    type: str
+
+
+def dds_type(name: str, suffix: str = "") -> str:
+    """The DDS name of a ROS type: ``pkg::msg::dds_::Name_``; ``suffix`` is for parts of a service.
+
+    Raises ``InvalidTypeName``.
+    """
+    package, kind, short = canonical_name(name).split("/")
+    return f"{package}::{kind}::dds_::{short}{suffix}_"
+
+
+@lru_cache(maxsize=4096)
+def demangle_type(name: str) -> str:
+    """The ROS name of a DDS type; a type that ROS would not have named stays as it is."""
+    match = _DDS_TYPE.fullmatch(name)
+    return f"{match[1]}/{match[2]}/{match[3]}" if match else name
+
+
+def dds_topic(name: str) -> str:
+    """The DDS topic of an absolute ROS topic name."""
+    return "rt" + name
+
+
+def dds_service_topics(name: str) -> tuple[str, str]:
+    """The DDS topics that carry the requests and the replies of an absolute ROS service name."""
+    return f"rq{name}Request", f"rr{name}Reply"
+
+
+@lru_cache(maxsize=4096)
+def demangle(topic: str, type: str = "") -> Name:
+    """What the DDS topic ``topic`` of DDS type ``type`` is to ROS."""
+    ros_type = demangle_type(type)
+    prefix, slash, rest = topic.partition("/")
+    if slash and rest:
+        if prefix == "rt":
+            return Name(NameKind.TOPIC, "/" + rest, ros_type)
+        if prefix in ("rq", "rs") and rest.endswith("Request") and rest != "Request":
+            return Name(NameKind.REQUEST, "/" + rest.removesuffix("Request"), ros_type.removesuffix("_Request"))
+        if prefix in ("rr", "rs") and rest.endswith("Reply") and rest != "Reply":
+            return Name(NameKind.REPLY, "/" + rest.removesuffix("Reply"), ros_type.removesuffix("_Response"))
+    return Name(NameKind.FOREIGN, topic, ros_type)
+
+
+def is_hidden(name: str) -> bool:
+    """True for names that ROS tools do not list: a part begins with an underscore, as in an action's topics."""
+    return "/_" in name
+
+
+def action_of(service: str, type: str = "") -> tuple[str, str] | None:
+    """The action and its type that the service ``service`` sends goals to, or ``None`` for other services."""
+    name, found, part = service.partition(_ACTION)
+    if not found or part != "send_goal" or not name:
+        return None
+    return name, type.removesuffix("_SendGoal")

@@ -1,0 +1,142 @@
+"""The transport profile: how Cyclone DDS talks to the network on our behalf.
+
+Datagrams of 8 kB keep a burst of fragments within the receive buffer that Fast DDS leaves at the system's default
+(208 kB), so that frames of 305 kB reach its readers at 60 Hz; for Cyclone peers the larger socket buffer and
+writer cache of this profile matter more than the size of the datagrams. ``CYCLONEDDS_URI`` is applied after it.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import socket
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+from xml.sax.saxutils import quoteattr
+
+from ropeway.errors import GraphUnavailable
+
+__all__ = ["Profile", "make_profile"]
+
+_MAX_MESSAGE_BYTES: Final = 8192
+_FRAGMENT_BYTES: Final = 8000
+_SOCKET_BUFFER: Final = "8MB"
+_WRITER_CACHE: Final = "16MB"
+# How many DDS processes can share a host where discovery has no multicast; the ports of a domain allow 120.
+_MAX_PARTICIPANT_INDEX: Final = 119
+
+_RANGES: Final = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """The configuration of one domain: ``xml`` is what Cyclone DDS reads, ``interface`` what the user asked for."""
+
+    xml: str
+    interface: str = ""
+
+
+def make_profile(graph: str, interface: str | None = None, environ: Mapping[str, str] | None = None) -> Profile:
+    """The profile for ``interface`` (a name or an address; ``None`` leaves the choice to Cyclone DDS).
+
+    ROS's own variables are honoured: ``ROS_AUTOMATIC_DISCOVERY_RANGE``, ``ROS_LOCALHOST_ONLY``,
+    ``ROS_STATIC_PEERS``. Raises ``GraphUnavailable`` for an interface that this machine does not have.
+    """
+    env = os.environ if environ is None else environ
+    reach = _discovery_range(graph, env)
+    peers = [p.strip() for p in env.get("ROS_STATIC_PEERS", "").split(";") if p.strip()]
+    if reach in ("OFF", "SYSTEM_DEFAULT"):
+        peers = []
+    if interface is None and reach == "LOCALHOST" and all(_is_loopback(p) for p in peers):
+        interface = "lo"
+    element = _interface_element(graph, interface) if interface else ""
+    loopback = bool(interface) and (interface == "lo" or _is_loopback(interface or ""))
+    unicast = loopback or reach in ("LOCALHOST", "OFF")
+    if unicast and reach != "OFF":
+        peers.append("127.0.0.1")
+
+    general = [
+        f"<Interfaces>{element}</Interfaces>" if element else "",
+        "<AllowMulticast>false</AllowMulticast>" if unicast else "",
+        f"<MaxMessageSize>{_MAX_MESSAGE_BYTES}B</MaxMessageSize>",
+        f"<FragmentSize>{_FRAGMENT_BYTES}B</FragmentSize>",
+    ]
+    if reach == "OFF":
+        discovery = [
+            "<ParticipantIndex>none</ParticipantIndex>",
+            f"<Tag>ros_discovery_off_{os.getpid()}</Tag>",
+        ]
+    else:
+        discovery = [
+            "<ParticipantIndex>auto</ParticipantIndex>",
+            f"<MaxAutoParticipantIndex>{_MAX_PARTICIPANT_INDEX}</MaxAutoParticipantIndex>",
+            f"<Peers>{''.join(f'<Peer Address={quoteattr(p)}/>' for p in dict.fromkeys(peers))}</Peers>"
+            if peers
+            else "",
+        ]
+    internal = [
+        # No minimum: where net.core.rmem_max is lower, a smaller buffer is better than no domain.
+        f'<SocketReceiveBufferSize min="default" max="{_SOCKET_BUFFER}"/>',
+        f"<Watermarks><WhcHigh>{_WRITER_CACHE}</WhcHigh></Watermarks>",
+    ]
+    ours = (
+        '<CycloneDDS><Domain id="any">'
+        f"<General>{''.join(general)}</General>"
+        f"<Discovery>{''.join(discovery)}</Discovery>"
+        f"<Internal>{''.join(internal)}</Internal>"
+        "</Domain></CycloneDDS>"
+    )
+    theirs = env.get("CYCLONEDDS_URI", "").strip()
+    return Profile(f"{ours},{theirs}" if theirs else ours, interface or "")
+
+
+def _discovery_range(graph: str, env: Mapping[str, str]) -> str:
+    given = env.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").strip().upper()
+    if env.get("ROS_LOCALHOST_ONLY", "").strip() == "1":
+        return "LOCALHOST"
+    if not given:
+        return "SUBNET"
+    if given not in _RANGES:
+        raise GraphUnavailable(
+            graph, f"ROS_AUTOMATIC_DISCOVERY_RANGE is {given!r}; set it to one of {', '.join(_RANGES)}, or unset it"
+        )
+    return given
+
+
+def _is_loopback(host: str) -> bool:
+    if host in ("localhost", "lo"):
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _interface_element(graph: str, interface: str) -> str:
+    known = [name for _, name in socket.if_nameindex()]
+    if interface in known:
+        return f"<NetworkInterface name={quoteattr(interface)}/>"
+    try:
+        address = ipaddress.ip_address(interface)
+    except ValueError:
+        raise GraphUnavailable(
+            graph,
+            f"this machine has no network interface {interface!r}; give one of {', '.join(sorted(known))}, "
+            "an address of one, or leave it out",
+        ) from None
+    if not _is_own(address):
+        raise GraphUnavailable(
+            graph, f"no network interface of this machine has the address {address}; see `ip addr`, or leave it out"
+        )
+    return f"<NetworkInterface address={quoteattr(str(address))}/>"
+
+
+def _is_own(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> bool:
+    family = socket.AF_INET if address.version == 4 else socket.AF_INET6
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((str(address), 0))
+        except OSError:
+            return False
+    return True

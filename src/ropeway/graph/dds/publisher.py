@@ -1,0 +1,65 @@
+"""One topic that we publish on DDS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from ropeway.graph.base import Sample
+from ropeway.graph.dds.endpoints import RawWriter
+from ropeway.qos import QoS
+
+if TYPE_CHECKING:
+    from ropeway.graph.dds.graph import DdsGraph
+
+__all__ = ["DdsPublisher"]
+
+
+class DdsPublisher:
+    """Publishes what it is given as it is, under the source timestamp ``sample.seq`` where there is one.
+
+    With a lifespan the source timestamp is the time of now, because receivers count the lifespan from it.
+    """
+
+    def __init__(self, graph: DdsGraph, topic: str, type: str, qos: QoS) -> None:
+        self.topic, self.type, self.qos = topic, type, qos
+        self._graph = graph
+        self._keep_stamp = qos.lifespan_s is None
+        self._writer: RawWriter | None = None
+        self._subscribers = 0
+        self._demand: list[Callable[[int], None]] = []
+
+    def bind(self, writer: RawWriter) -> None:
+        """Write through ``writer`` from now on."""
+        self._writer = writer
+        self._write = writer.write
+
+    def publish(self, sample: Sample) -> None:
+        """Send; what DDS does not take is counted."""
+        refused = self._write(sample.payload, sample.seq if self._keep_stamp else 0)
+        if refused is not None:
+            self._graph.drops[self.topic, refused] += 1
+
+    @property
+    def subscribers(self) -> int:
+        """How many readers of others are matched; those of our own gateway do not count."""
+        return self._subscribers
+
+    def on_demand(self, callback: Callable[[int], None]) -> None:
+        """Call with the number of subscribers, now and at each change."""
+        self._demand.append(callback)
+        callback(self._subscribers)
+
+    def on_count(self, count: int) -> None:
+        """The number of readers, as DDS tells."""
+        if count == self._subscribers:
+            return
+        self._subscribers = count
+        for callback in self._demand:
+            self._graph.guard(self.topic, callback, count)
+
+    async def close(self) -> None:
+        """Withdraw the topic."""
+        self._demand.clear()
+        self._subscribers = 0
+        await self._graph.withdraw(self, self._writer)

@@ -1,0 +1,147 @@
+"""Topics that we read from DDS: readers that several subscriptions share, and subscriptions that follow publishers."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
+
+from ropeway.graph.base import SEQ_NONE, Sample, SampleCallback, Undelivered
+from ropeway.graph.dds.endpoints import RawReader
+from ropeway.qos import DEFAULT, QoS
+
+if TYPE_CHECKING:
+    from ropeway.graph.dds.graph import DdsGraph
+
+__all__ = ["DdsSubscription", "SharedReader"]
+
+log = logging.getLogger("ropeway.graph.dds")
+
+# How long the reader of the old profile is kept beside the new one: writers elsewhere must find the new reader first.
+_OVERLAP_S: Final = 1.0
+_OVERLAP_TRIES: Final = 5
+_SEEN_LIMIT: Final = 1024
+
+
+class SharedReader:
+    """A DDS reader and the subscriptions it serves: one for all volatile subscriptions of a topic, type and profile."""
+
+    def __init__(self, graph: DdsGraph, topic: str, qos: QoS) -> None:
+        self.topic, self.qos = topic, qos
+        self.raw: RawReader | None = None
+        self.subscriptions: tuple[DdsSubscription, ...] = ()
+        self._graph = graph
+
+    def deliver(self, batch: list[Sample]) -> None:
+        """Give a batch to every subscription."""
+        for subscription in self.subscriptions:
+            subscription.deliver(batch)
+
+    def dropped(self, counts: list[tuple[Undelivered, int]]) -> None:
+        """Count what the thread let go."""
+        for reason, count in counts:
+            self._graph.drops[self.topic, reason] += count
+
+
+class DdsSubscription:
+    """One topic that we read. Without a profile of its own it adopts what all publishers offer, and follows them."""
+
+    def __init__(self, graph: DdsGraph, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
+        self.topic, self.type = topic, type
+        self.adopts = qos is None
+        self.closed = False
+        self._graph = graph
+        self._qos = qos or DEFAULT
+        self._callback = callback
+        self._readers: list[SharedReader] = []  # the last is the one in use, the others overlap with it
+        self._seen: dict[tuple[bytes, int], None] = {}
+        self._overlap: asyncio.TimerHandle | None = None
+        self._tries = 0
+        self._closing: set[asyncio.Task[None]] = set()
+        self._qos_callbacks: list[Callable[[QoS], None]] = []
+
+    @property
+    def qos(self) -> QoS:
+        """The profile in use."""
+        return self._qos
+
+    def on_qos(self, callback: Callable[[QoS], None]) -> None:
+        """Call with the profile, now and when the adopted one changes."""
+        self._qos_callbacks.append(callback)
+        callback(self._qos)
+
+    def follow(self, qos: QoS) -> None:
+        """Read with ``qos``: a reader with it is made before the one there is goes."""
+        if self.closed or (self._readers and qos == self._qos):
+            return
+        self._qos = qos
+        self._readers.append(self._graph.attach(self, qos))
+        if len(self._readers) == 1:
+            return
+        self._tries = 0
+        self._arm()
+        for callback in self._qos_callbacks:
+            self._graph.guard(self.topic, callback, qos)
+
+    def deliver(self, batch: list[Sample]) -> None:
+        """Give a batch to the callback, on the loop."""
+        if self.closed:
+            return
+        fresh = self._fresh(batch) if self.adopts else batch
+        if not fresh:
+            return
+        try:
+            self._callback(fresh)
+        except Exception:
+            self._graph.drops[self.topic, Undelivered.CALLBACK] += len(fresh)
+            log.exception("%s: a callback for %s failed", self._graph.name, self.topic)
+
+    async def close(self) -> None:
+        """Stop reading."""
+        if not self.closed:
+            self.closed = True
+            self._qos_callbacks.clear()
+            self._seen.clear()
+            if self._overlap is not None:
+                self._overlap.cancel()
+            self._graph.forget(self)
+        readers, self._readers = self._readers, []
+        for reader in readers:
+            await self._graph.detach(self, reader)
+        if self._closing:
+            await asyncio.gather(*self._closing)
+
+    def _fresh(self, batch: list[Sample]) -> list[Sample]:
+        """``batch`` without what another reader of ours has delivered, or delivers at the same time."""
+        seen = self._seen
+        fresh = []
+        for sample in batch:
+            if sample.seq != SEQ_NONE:
+                key = (sample.origin, sample.seq)
+                if key in seen:
+                    continue
+                seen[key] = None
+            fresh.append(sample)
+        excess = len(seen) - max(_SEEN_LIMIT, 2 * self._qos.depth)
+        if excess > 0:
+            for key in [k for k, _ in zip(seen, range(excess), strict=False)]:
+                del seen[key]
+        return fresh
+
+    def _arm(self) -> None:
+        if self._overlap is not None:
+            self._overlap.cancel()
+        self._overlap = asyncio.get_running_loop().call_later(_OVERLAP_S, self._end_overlap)
+
+    def _end_overlap(self) -> None:
+        self._overlap = None
+        self._tries += 1
+        if self._tries < _OVERLAP_TRIES and not self._graph.is_matched(self, self._readers[-1]):
+            self._arm()
+            return
+        old, self._readers = self._readers[:-1], self._readers[-1:]
+        for reader in old:
+            task = asyncio.ensure_future(self._graph.detach(self, reader))
+            self._closing.add(task)
+            task.add_done_callback(self._closing.discard)

@@ -1,0 +1,426 @@
+"""The client role: one connection to a rosbridge server or gateway, kept up, with everything on it restored."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import enum
+import itertools
+import logging
+import random
+import ssl
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from typing import Any, Final
+
+from ropeway.errors import ConnectFailed, GraphUnavailable, RopewayError
+from ropeway.graph.base import (
+    NO_HINTS,
+    Changes,
+    Delivery,
+    GraphEvent,
+    NodeInfo,
+    SampleCallback,
+    TopicInfo,
+    Undelivered,
+    resolve_name,
+)
+from ropeway.graph.rosbridge.mirror import Mirror
+from ropeway.graph.rosbridge.parts import EchoFilter, RemotePublisher, RemoteSubscription
+from ropeway.link.connection import Connection, Limits, connect
+from ropeway.link.peer import Peer
+from ropeway.qos import DEFAULT, QoS
+from ropeway.types import TypeRegistry
+from ropeway.wire import ops
+from ropeway.wire.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL
+from ropeway.wire.records import Arrival
+
+__all__ = ["LinkState", "RosbridgeGraph"]
+
+log = logging.getLogger("ropeway.graph.rosbridge")
+
+_FIRST_RETRY_S: Final = 0.1
+_PATIENT_AFTER_S: Final = 300.0  # a peer that is away for long is asked less often
+_EAGER_RETRY_S: Final = 1.0  # until then it is asked at least so often, to be back soon after a cut
+_LAZY_RETRY_S: Final = 10.0
+_CLOCK_S: Final = 1.0
+_ROSAPI_S: Final = 3.0
+
+
+class LinkState(enum.Enum):
+    """Where the connection stands."""
+
+    IDLE = "idle"
+    CONNECTING = "connecting"
+    CONNECTED = "connected"
+    WAITING = "waiting to retry"
+    CLOSED = "closed"
+
+
+class RosbridgeGraph:
+    """The graph behind ``url`` (``ws://`` or ``wss://``).
+
+    With ``wait`` true ``open`` returns when connected, or raises ``ConnectFailed``; with false it returns at once
+    and the connection is made in the background. Either way a lost connection is made again, for ever, and every
+    publisher and subscription is announced again. ``watch`` asks the far side for its topics and nodes: a gateway
+    tells them, a plain server is asked through rosapi (unless ``ask_rosapi`` is false). ``plain`` speaks rosbridge
+    even to a gateway.
+    """
+
+    kind = "rosbridge"
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        registry: TypeRegistry | None = None,
+        limits: Limits | None = None,
+        ssl_context: ssl.SSLContext | None = None,
+        headers: Mapping[str, str] | None = None,
+        gateway_id: str = "",
+        name: str = "ropeway",
+        wait: bool = True,
+        watch: bool = True,
+        ask_rosapi: bool = True,
+        plain: bool = False,
+    ) -> None:
+        self.name = url
+        self.registry = registry or TypeRegistry()
+        self.drops: Counter[tuple[str, Undelivered]] = Counter()
+        self.echoes: dict[str, EchoFilter] = {}
+        self.state = LinkState.IDLE
+        self.last_error = ""
+        self.peer: Peer | None = None
+        self.remote: dict[str, Any] = {}
+        self.connections = 0
+        self._limits = limits or Limits()
+        self._ssl = ssl_context
+        self._headers = headers
+        self._gateway_id, self._node_name = gateway_id, name
+        self._wait, self._watch, self._plain = wait, watch, plain
+        self._ask_rosapi = ask_rosapi
+        self._numbers = itertools.count(1)
+        self._publishers: dict[int, RemotePublisher] = {}
+        self._subscriptions: dict[int, RemoteSubscription] = {}
+        self._changes = Changes()
+        self._mirror = Mirror(url, self._changes)
+        self._state_callbacks: list[Callable[[LinkState], None]] = []
+        self._noted_types: set[str] = set()
+        self._task: asyncio.Task[None] | None = None
+        self._calls: dict[str, asyncio.Future[ops.ServiceResponse]] = {}
+        self._attempt: asyncio.Future[None] | None = None
+        self._traffic = (0, 0)
+
+    # ── opening, the connection, closing ───────────────────────────────────────────────────────────────────────
+
+    async def open(self) -> None:
+        """Connect; see the class for ``wait``."""
+        if self._task is not None:
+            return
+        self._attempt = asyncio.get_running_loop().create_future()
+        self._task = asyncio.create_task(self._keep_connected(), name=f"link {self.name}")
+        if not self._wait:
+            return
+        try:
+            async with asyncio.timeout(self._limits.open_timeout_s + 1):
+                await asyncio.shield(self._attempt)
+                if self._watch:
+                    await self._mirror.filled.wait()
+        except TimeoutError:
+            if self.peer is None:
+                await self.close()
+                raise ConnectFailed(self.name, "no answer in time") from None
+        except ConnectFailed:
+            await self.close()
+            raise
+
+    async def close(self) -> None:
+        """Leave the far graph with everything that was created here."""
+        if self.state is LinkState.CLOSED:
+            return
+        for part in [*self._publishers.values(), *self._subscriptions.values()]:
+            await part.close()
+        self._set_state(LinkState.CLOSED)
+        connection = self.peer.connection if self.peer is not None else None
+        if connection is not None:
+            connection.close(1000, "done")
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(2):
+                    await connection.wait_closed()
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+            self._task = None
+        self._changes.close()
+
+    def on_state(self, callback: Callable[[LinkState], None]) -> None:
+        """Call with the state of the connection, now and at each change."""
+        self._state_callbacks.append(callback)
+        callback(self.state)
+
+    def _set_state(self, state: LinkState) -> None:
+        if state is not self.state:
+            self.state = state
+            for callback in self._state_callbacks:
+                callback(state)
+
+    async def _keep_connected(self) -> None:
+        delay, down_since = _FIRST_RETRY_S, time.monotonic()
+        while True:
+            self._set_state(LinkState.CONNECTING)
+            try:
+                connection = await connect(
+                    self.name,
+                    limits=self._limits,
+                    subprotocols=() if self._plain else (ROPEWAY_SUBPROTOCOL,),
+                    ssl_context=self._ssl,
+                    headers=self._headers,
+                )
+            except ConnectFailed as error:
+                self._failed(error)
+            else:
+                delay, down_since = _FIRST_RETRY_S, time.monotonic()
+                await self._converse(connection)
+                down_since = time.monotonic()
+            self._set_state(LinkState.WAITING)
+            await asyncio.sleep(delay * random.uniform(0.7, 1.3))  # noqa: S311  # jitter, not a secret
+            patient = time.monotonic() - down_since > _PATIENT_AFTER_S
+            delay = min(2 * delay, _LAZY_RETRY_S if patient else _EAGER_RETRY_S)
+
+    def _failed(self, error: ConnectFailed) -> None:
+        if self.last_error != str(error):
+            self.last_error = str(error)
+            log.warning("%s (trying again until it answers)", error)
+        if self._attempt is not None and not self._attempt.done():
+            if self._wait:
+                self._attempt.set_exception(error)
+            else:
+                self._attempt.cancel()
+
+    async def _converse(self, connection: Connection) -> None:
+        peer = Peer(connection, self.registry, self)
+        self.peer = peer
+        self.connections += 1
+        self.last_error = ""
+        self._noted_types.clear()
+        log.info("%s: connected (%s)", self.name, peer.dialect.name)
+        if peer.dialect is ROPEWAY:
+            peer.send({"op": "hello", "gateway": self._gateway_id, "name": self._node_name})
+            if self._watch:
+                peer.send({"op": "watch"})
+        for part in [*self._publishers.values(), *self._subscriptions.values()]:
+            part.connected(peer)
+        self._set_state(LinkState.CONNECTED)
+        if self._attempt is not None and not self._attempt.done():
+            self._attempt.set_result(None)
+        chores = asyncio.create_task(self._chores(peer), name=f"chores {self.name}")
+        try:
+            code, reason = await connection.wait_closed()
+        finally:
+            chores.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await chores
+            self._traffic = (self._traffic[0] + connection.bytes_in, self._traffic[1] + connection.bytes_out)
+            self.peer = None
+            for part in [*self._publishers.values(), *self._subscriptions.values()]:
+                part.disconnected()
+            for call in self._calls.values():
+                if not call.done():
+                    call.set_exception(GraphUnavailable(self.name, "the connection was lost during the call"))
+            self._calls.clear()
+            self._mirror.clear()
+        if self.state is not LinkState.CLOSED:
+            log.warning("%s: disconnected (%d %s)", self.name, code, reason)
+
+    async def _chores(self, peer: Peer) -> None:
+        """Measure the clock of a gateway; ask a plain server for its topics."""
+        while True:
+            if peer.dialect is ROPEWAY:
+                peer.ping()
+                await asyncio.sleep(_CLOCK_S)
+            elif self._watch and self._ask_rosapi:
+                try:
+                    await self._mirror.ask_rosapi(self.call_plain)
+                except GraphUnavailable as error:
+                    log.debug("%s: %s", self.name, error)
+                    self._mirror.filled.set()
+                await asyncio.sleep(_ROSAPI_S)
+            else:
+                return
+
+    @property
+    def traffic(self) -> tuple[int, int]:
+        """Bytes in and out over all connections."""
+        live = self.peer.connection if self.peer is not None else None
+        bytes_in, bytes_out = self._traffic
+        return (bytes_in + live.bytes_in, bytes_out + live.bytes_out) if live is not None else self._traffic
+
+    # ── the graph ──────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def create_publisher(
+        self, topic: str, type: str, qos: QoS | None = None, *, delivery: Delivery = NO_HINTS
+    ) -> RemotePublisher:
+        """See ``Graph.create_publisher``; with the connection down it is announced when it is back."""
+        self._check()
+        name = resolve_name(topic)
+        publisher = RemotePublisher(self, name, self.registry.canonical(type), qos or DEFAULT, delivery)
+        self._publishers[publisher.number] = publisher
+        self._note_echo(name)
+        if self.peer is not None:
+            try:
+                publisher.connected(self.peer)
+            except RopewayError:
+                del self._publishers[publisher.number]
+                raise
+        return publisher
+
+    async def create_subscription(
+        self,
+        topic: str,
+        type: str,
+        qos: QoS | None,
+        callback: SampleCallback,
+        *,
+        delivery: Delivery = NO_HINTS,
+    ) -> RemoteSubscription:
+        """See ``Graph.create_subscription``; with the connection down it is asked for when it is back."""
+        self._check()
+        name = resolve_name(topic)
+        subscription = RemoteSubscription(self, name, self.registry.canonical(type), qos, callback, delivery)
+        self._subscriptions[subscription.number] = subscription
+        self._note_echo(name)
+        if self.peer is not None:
+            subscription.connected(self.peer)
+        return subscription
+
+    def topics(self) -> dict[str, TopicInfo]:
+        """What the far graph showed last; empty without ``watch`` or with the connection down."""
+        return dict(self._mirror.topics)
+
+    def nodes(self) -> dict[str, NodeInfo]:
+        """What the far graph showed last; empty without ``watch`` or with the connection down."""
+        return dict(self._mirror.nodes)
+
+    def changes(self) -> AsyncIterator[GraphEvent]:
+        """Changes that the far graph shows."""
+        return self._changes.listen()
+
+    def _check(self) -> None:
+        if self._task is None or self.state is LinkState.CLOSED:
+            raise GraphUnavailable(self.name, "is not open; call open() first")
+
+    def next_number(self) -> int:
+        """A channel number that is free."""
+        while True:
+            number = next(self._numbers) % 65536
+            if number and number not in self._publishers and number not in self._subscriptions:
+                return number
+
+    def forget(self, part: RemotePublisher | RemoteSubscription) -> None:
+        """A part was closed."""
+        table: dict[int, Any] = self._publishers if isinstance(part, RemotePublisher) else self._subscriptions
+        table.pop(part.number, None)
+        self._note_echo(part.topic)
+
+    def _note_echo(self, topic: str) -> None:
+        published = any(p.topic == topic for p in self._publishers.values())
+        read = any(s.topic == topic for s in self._subscriptions.values())
+        if published and read:
+            self.echoes.setdefault(topic, EchoFilter())
+        else:
+            self.echoes.pop(topic, None)
+
+    def says_rosgw(self, encoding: str) -> bool:
+        """True where a plain peer must understand the ``compression`` key, so that it can only be a rosgw gateway."""
+        return self.peer is not None and self.peer.dialect is not ROPEWAY and encoding not in ("none", "png")
+
+    def type_note(self, type: str) -> dict[str, Any]:
+        """What a gateway should know of a type: its hash, and once per connection its definition."""
+        if not self.registry.has(type):
+            return {}
+        note: dict[str, Any] = {"type_hash": self.registry.hash(type)}
+        if type not in self._noted_types:
+            self._noted_types.add(type)
+            note["definition"] = self.registry.full_text(type)
+        return note
+
+    # ── calls, for what plain rosbridge answers by service ─────────────────────────────────────────────────────
+
+    async def call_plain(self, service: str, args: Mapping[str, Any], timeout_s: float = 5.0) -> Mapping[str, Any]:
+        """Call a service by JSON and give its values. Raises ``GraphUnavailable`` with the server's text."""
+        peer = self.peer
+        if peer is None:
+            raise GraphUnavailable(self.name, "is not connected")
+        id = f"call_service:{service}:{next(self._numbers)}"
+        future: asyncio.Future[ops.ServiceResponse] = asyncio.get_running_loop().create_future()
+        self._calls[id] = future
+        try:
+            peer.send(ops.CallService(id=id, service=service, args=dict(args)))
+            async with asyncio.timeout(timeout_s):
+                response = await future
+        except TimeoutError:
+            raise GraphUnavailable(self.name, f"{service} did not answer within {timeout_s:g} s") from None
+        finally:
+            self._calls.pop(id, None)
+        if not response.result or not isinstance(response.values, Mapping):
+            raise GraphUnavailable(self.name, f"{service}: {response.values}")
+        return response.values
+
+    # ── what the peer says ─────────────────────────────────────────────────────────────────────────────────────
+
+    def operation(self, op: ops.Op) -> None:
+        """A rosbridge operation came."""
+        if isinstance(op, ops.Publish):
+            found = False
+            for subscription in list(self._subscriptions.values()):
+                if subscription.topic == op.topic:
+                    found = True
+                    subscription.published(op)
+            if not found and self.peer is not None:
+                self.peer.complaints.note("unknown topic", op.topic, "it was not subscribed to")
+        elif isinstance(op, ops.ServiceResponse):
+            call = self._calls.get(str(op.id))
+            if call is not None and not call.done():
+                call.set_result(op)
+        elif self.peer is not None:
+            self.peer.complaints.note("operation", "", f"{op.op} is not for a client")
+
+    def control(self, message: Mapping[str, Any]) -> None:
+        """A message of the Ropeway dialect came."""
+        op, number = message.get("op"), message.get("channel")
+        publisher = self._publishers.get(number) if isinstance(number, int) else None
+        subscription = self._subscriptions.get(number) if isinstance(number, int) else None
+        if op == "hello":
+            self.remote = {k: message[k] for k in ("gateway", "name", "version") if isinstance(message.get(k), str)}
+        elif op == "demand" and publisher is not None and isinstance(message.get("count"), int):
+            publisher.demand(message["count"])
+        elif op == "adopted" and subscription is not None:
+            subscription.learned(message)
+            if isinstance(message.get("qos"), Mapping):
+                with contextlib.suppress(ValueError):
+                    subscription.adopted(QoS.parse(message["qos"]))
+        elif op == "refused":
+            self._was_refused(publisher or subscription, str(message.get("reason", "")))
+        elif op == "stats" and publisher is not None:
+            delay = message.get("delay_ms")
+            publisher.remote_delay_s = delay / 1e3 if isinstance(delay, (int, float)) else None
+        elif op == "graph":
+            self._mirror.update(message)
+
+    def _was_refused(self, part: RemotePublisher | RemoteSubscription | None, reason: str) -> None:
+        if part is not None and part.refused != reason:
+            part.refused = reason
+            log.warning("%s: %s was refused: %s", self.name, part.topic, reason)
+
+    def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
+        """Messages came on a channel."""
+        subscription = self._subscriptions.get(channel)
+        if subscription is not None:
+            subscription.arrived(arrivals)
+        elif self.peer is not None:
+            self.peer.complaints.note("unknown topic", f"channel {channel}", "nobody subscribed to it")
+
+    def lost(self, code: int, reason: str) -> None:
+        """The connection is gone; ``_keep_connected`` goes on from here."""

@@ -1,0 +1,104 @@
+"""Two gateways on one network that publish the same topic: one of them speaks, the other stands by.
+
+When another gateway's publisher of a topic is discovered, this one reads the topic too. Of the two, the one with
+the smaller id publishes at once; the other waits 30 ms for each message to appear, and publishes those that do not.
+So parallel links give every message once, and one of them may fail without a gap.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Final
+
+from ropeway.errors import RopewayError
+from ropeway.graph.base import Graph, Sample, Subscription
+
+if TYPE_CHECKING:
+    from ropeway.graph.seen import Seen
+
+__all__ = ["Standby"]
+
+log = logging.getLogger("ropeway.graph.standby")
+
+_WAIT_S: Final = 0.03
+_HELD: Final = 256
+
+
+class Standby:
+    """The side-by-side rule for one published topic."""
+
+    def __init__(self, graph: Graph, gateway_id: str, topic: str, type: str, received: Seen) -> None:
+        self.defers = False
+        self.duplicates = 0
+        self._graph, self._gateway_id = graph, gateway_id
+        self._topic, self._type, self._received = topic, type, received
+        self._monitor: Subscription | None = None
+        self._held: deque[tuple[float, Sample, Callable[[Sample], None]]] = deque()
+        self._timer: asyncio.TimerHandle | None = None
+        self._lock = asyncio.Lock()
+
+    async def look(self) -> None:
+        """See who else publishes the topic, and act on it."""
+        async with self._lock:
+            known = self._graph.topics().get(self._topic)
+            others = {p.gateway for p in known.publishers if p.gateway} if known is not None else set()
+            others.discard(self._gateway_id)
+            defers = any(other < self._gateway_id for other in others)
+            if others and self._monitor is None:
+                with contextlib.suppress(RopewayError):
+                    self._monitor = await self._graph.create_subscription(self._topic, self._type, None, self._heard)
+            elif not others and self._monitor is not None:
+                monitor, self._monitor = self._monitor, None
+                await monitor.close()
+            if defers != self.defers:
+                self.defers = defers
+                log.info(
+                    "%s: %s %s",
+                    self._graph.name,
+                    "stands by for another gateway on" if defers else "speaks for",
+                    self._topic,
+                )
+
+    def _heard(self, batch: Sequence[Sample]) -> None:
+        for sample in batch:
+            self._received.add(sample)
+
+    def hold(self, sample: Sample, publish: Callable[[Sample], None]) -> None:
+        """Publish the message in a moment, unless it appears by then."""
+        loop = asyncio.get_running_loop()
+        self._held.append((loop.time() + _WAIT_S, sample, publish))
+        if len(self._held) > _HELD:
+            self._release(float("inf"), 1)
+        if self._timer is None:
+            self._timer = loop.call_later(_WAIT_S, self._due)
+
+    def _due(self) -> None:
+        self._timer = None
+        loop = asyncio.get_running_loop()
+        self._release(loop.time() + 0.001, len(self._held))
+        if self._held:
+            self._timer = loop.call_at(self._held[0][0], self._due)
+
+    def _release(self, until: float, count: int) -> None:
+        while count and self._held and self._held[0][0] <= until:
+            count -= 1
+            _, sample, publish = self._held.popleft()
+            if self._received.has(sample):
+                self.duplicates += 1
+            else:
+                publish(sample)
+
+    async def close(self) -> None:
+        """Stop; what is held goes out now."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._release(float("inf"), len(self._held))
+        async with self._lock:
+            if self._monitor is not None:
+                await self._monitor.close()
+                self._monitor = None

@@ -1,0 +1,127 @@
+"""The server: listens, and gives every client a session."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import ssl
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+from ropeway.errors import ConnectFailed
+from ropeway.link.connection import Connection, Limits, Server, listen
+from ropeway.server.session import Session
+from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
+
+if TYPE_CHECKING:
+    from ropeway.graph.hub import Hub
+    from ropeway.types import TypeRegistry
+
+__all__ = ["RosbridgeServer"]
+
+log = logging.getLogger("ropeway.server")
+
+_CLIENT_SILENCE_S = 30.0  # a browser tab or a robot on Wi-Fi may pause; a gateway may not
+
+
+class RosbridgeServer:
+    """Serves the graph of ``hub`` to rosbridge clients and gateways.
+
+    ``unregister_timeout_s``: how long a topic stays advertised after its last client withdrew it (rosbridge's
+    default is 10 s).
+    """
+
+    def __init__(
+        self,
+        hub: Hub,
+        registry: TypeRegistry,
+        *,
+        gateway_id: str = "",
+        name: str = "ropeway",
+        limits: Limits | None = None,
+        unregister_timeout_s: float = 10.0,
+    ) -> None:
+        self.hub, self.registry = hub, registry
+        self.gateway_id, self.name = gateway_id, name
+        self.limits = limits or Limits()
+        self.unregister_timeout_s = unregister_timeout_s
+        self.sessions: dict[Session, asyncio.Task[None]] = {}
+        self.listeners: list[Server] = []
+        self.served = 0
+        self._ticker: asyncio.Task[None] | None = None
+
+    async def listen(self, url: str, *, ssl_context: ssl.SSLContext | None = None, reuse_port: bool = False) -> Server:
+        """Listen on ``ws://host:port`` or ``wss://host:port`` (9090 where the port is left out).
+
+        Raises ``ConnectFailed`` if the address cannot be bound.
+        """
+        parts = urlsplit(url)
+        if parts.scheme == "wss" and ssl_context is None:
+            raise ConnectFailed(url, "wss needs a certificate and a key", retryable=False)
+        port = 9090 if parts.port is None else parts.port
+        server = await listen(
+            parts.hostname or "127.0.0.1",
+            port,
+            self._connected,
+            limits=self.limits,
+            subprotocols=(ROPEWAY_SUBPROTOCOL,),
+            ssl_context=ssl_context,
+            path=parts.path or "/",
+            reuse_port=reuse_port,
+        )
+        self.listeners.append(server)
+        if self._ticker is None:
+            self._ticker = asyncio.create_task(self._tick(), name="server meters")
+        log.info("listening on %s://%s:%d", parts.scheme, parts.hostname, server.port)
+        return server
+
+    def _connected(self, connection: Connection) -> None:
+        if connection.subprotocol != ROPEWAY_SUBPROTOCOL:
+            connection.silence_s = _CLIENT_SILENCE_S
+        session = Session(
+            connection,
+            self.hub,
+            self.registry,
+            gateway_id=self.gateway_id,
+            name=self.name,
+            unregister_timeout_s=self.unregister_timeout_s,
+        )
+        task = asyncio.create_task(session.run(), name=f"session {connection.peer}")
+        self.sessions[session] = task
+        self.served += 1
+        log.info(
+            "%s: client connected (%s), %d in total", connection.peer, session.peer.dialect.name, len(self.sessions)
+        )
+        task.add_done_callback(lambda finished: self._ended(session, finished))
+
+    def _ended(self, session: Session, task: asyncio.Task[None]) -> None:
+        self.sessions.pop(session, None)
+        peer = session.peer.connection.peer
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.error("%s: the session failed: %s", peer, error, exc_info=error)
+            session.peer.connection.close(1011, "internal error")
+        log.info("%s: client disconnected, %d in total", peer, len(self.sessions))
+
+    async def _tick(self) -> None:
+        while True:
+            await asyncio.sleep(1.0)
+            for session in list(self.sessions):
+                session.tick()
+
+    async def close(self) -> None:
+        """Stop listening and end every session (1001, going away)."""
+        for listener in self.listeners:
+            await listener.close()
+        self.listeners.clear()
+        if self._ticker is not None:
+            self._ticker.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._ticker
+            self._ticker = None
+        tasks = list(self.sessions.values())
+        for session in list(self.sessions):
+            session.peer.connection.close(1001, "the gateway stops")
+            session.lost(1001, "the gateway stops")
+        if tasks:
+            await asyncio.wait(tasks, timeout=5)

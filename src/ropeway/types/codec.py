@@ -1,0 +1,192 @@
+"""``MessageCodec``: one message type between CDR and everything else."""
+
+from __future__ import annotations
+
+import re
+import struct
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+import orjson
+
+from ropeway.errors import DecodeError
+from ropeway.types.check import explain
+from ropeway.types.definition import HEADER, Definition
+from ropeway.types.layout import Plan, Planner
+from ropeway.types.now import replace_now, stamp_header
+from ropeway.types.reader import Reader, make_reader
+from ropeway.types.swap import to_little_endian
+from ropeway.types.values import Short
+from ropeway.types.writer import FAILURES, Writer, make_writer
+
+if TYPE_CHECKING:
+    from ropeway.types.registry import TypeRegistry
+
+__all__ = ["MessageCodec"]
+
+_CDR_HEADER: Final = b"\0\1\0\0"
+_LITTLE: Final = b"\0\1"
+_BIG: Final = b"\0\0"
+_PADDING_BYTES: Final = 7
+_JSON: Final = orjson.OPT_SERIALIZE_NUMPY
+_STAMP: Final = {_LITTLE: struct.Struct("<iI"), _BIG: struct.Struct(">iI")}
+_BEYOND_ASCII: Final = re.compile(r"[^\x00-\x7f]")
+
+
+class MessageCodec:
+    """Turns messages of one type from CDR into objects, JSON, CBOR and ROS 1, and back.
+
+    ``type`` is the full name, ``hash`` the RIHS01 hash, ``fields`` the names of the fields, ``has_header`` tells of a
+    field ``header`` of type ``std_msgs/Header``. Functions are generated at their first use; all methods may be
+    called from any thread.
+
+    CDR is taken in both byte orders, with up to 7 bytes of padding behind, and given little-endian with the header
+    ``00 01 00 00``. What reads bytes raises ``DecodeError`` and nothing else, what takes values ``ValueMismatch`` and
+    nothing else; its ``reason`` is the text rosbridge gives.
+    """
+
+    def __init__(self, name: str, registry: TypeRegistry) -> None:
+        self.type = name
+        self._registry = registry
+        self._definition: Definition = registry.definition(name)
+        self.fields = tuple(field.name for field in self._definition.wire_fields)
+        first = self._definition.wire_fields[:1]
+        self.has_header = any(
+            field.name == "header" and field.type.base == HEADER and field.type.kind == "scalar"
+            for field in self._definition.wire_fields
+        )
+        self._stamped = bool(first) and first[0].type.base == HEADER and first[0].type.kind == "scalar"
+        self._plan: Plan = Planner(registry.definition).plan(name)
+        self._readers: dict[str, Reader] = {}
+        self._write: Writer | None = None
+        self._ros1: tuple[Reader, Writer] | None = None
+
+    @property
+    def hash(self) -> str:
+        """The type hash ``RIHS01_…``."""
+        return self._registry.hash(self.type)
+
+    def decode(self, cdr: bytes) -> dict[str, Any]:
+        """The message as nested dicts.
+
+        Arrays of uint8, char and byte are ``bytes``, other arrays of numbers read-only numpy arrays over ``cdr``,
+        arrays of bool and string lists. Raises ``DecodeError``.
+        """
+        return self._read("object", cdr)  # type: ignore[no-any-return]
+
+    def encode(self, message: Mapping[str, Any]) -> bytes:
+        """The CDR of nested dicts; fields left out get their defaults. Raises ``ValueMismatch``."""
+        return self._encode(message)
+
+    def default(self) -> dict[str, Any]:
+        """A new message as nested dicts with every field at its default."""
+        return self.decode(self._encode({}))
+
+    def json(self, cdr: bytes) -> bytes:
+        """The JSON text that rosbridge sends for this message, in ASCII. Raises ``DecodeError``."""
+        text = orjson.dumps(self._read("json", cdr), option=_JSON)
+        return text if text.isascii() else _BEYOND_ASCII.sub(_escape, text.decode()).encode()
+
+    def from_json(self, value: Any, *, now_ns: Callable[[], int] = time.time_ns) -> bytes:
+        """The CDR of a parsed JSON value, by rosbridge's rules.
+
+        A header without stamp gets the time ``now_ns()``, as does the Time ``"now"``. Raises ``ValueMismatch``.
+        """
+        return self._encode(stamp_header(value, now_ns) if self.has_header else value, now_ns)
+
+    def cbor(self, cdr: bytes) -> dict[str, Any]:
+        """The object whose CBOR rosbridge sends: typed arrays by the tags of RFC 8746. Raises ``DecodeError``.
+
+        ``ropeway.types.cbor.dumps`` writes it; ``cbor2.dumps`` does too, but gives NaN as a half float.
+        """
+        return self._read("cbor", cdr)  # type: ignore[no-any-return]
+
+    def from_cbor(self, value: Any, *, now_ns: Callable[[], int] = time.time_ns) -> bytes:
+        """The CDR of a parsed CBOR value: arrays may be tagged, plain or bytes. Raises ``ValueMismatch``."""
+        return self._encode(stamp_header(value, now_ns) if self.has_header else value, now_ns)
+
+    def rosgw(self, cdr: bytes) -> dict[str, Any]:
+        """The object that rosgw writes as CBOR: every array of numbers a plain byte string. Raises ``DecodeError``."""
+        return self._read("rosgw", cdr)  # type: ignore[no-any-return]
+
+    def from_rosgw(self, value: Any) -> bytes:
+        """The CDR of a parsed CBOR value from a rosgw gateway. Raises ``ValueMismatch``."""
+        return self._encode(value)
+
+    def ros1(self, cdr: bytes) -> bytes:
+        """The message as ROS 1 serialises it; headers get the ``seq`` 0. Raises ``DecodeError``."""
+        out: list[bytes] = []
+        self._ros1_functions()[1](self._read("object", cdr), out, 0)
+        return b"".join(out)
+
+    def from_ros1(self, raw: bytes) -> bytes:
+        """The CDR of a message that ROS 1 serialised. Raises ``DecodeError``."""
+        data = raw if raw.__class__ is bytes else bytes(raw)
+        try:
+            value, end = self._ros1_functions()[0](data, 0, len(data))
+        except (Short, struct.error, ValueError) as error:
+            raise DecodeError(self.type, "ROS 1", str(error) or "the bytes end too early") from None
+        if end != len(data):
+            raise DecodeError(self.type, "ROS 1", f"{len(data) - end} bytes are left over")
+        return self._encode(value)
+
+    def header_stamp_ns(self, cdr: bytes) -> int | None:
+        """The stamp of the header that the message begins with, in nanoseconds; ``None`` where it has none."""
+        if not self._stamped or len(cdr) < 12:
+            return None
+        stamp = _STAMP.get(bytes(cdr[:2]))
+        if stamp is None:
+            return None
+        sec, nanosec = stamp.unpack_from(cdr, 4)
+        return int(sec) * 1_000_000_000 + int(nanosec)
+
+    def _read(self, flavour: str, cdr: bytes) -> Any:
+        read = self._readers.get(flavour)
+        if read is None:
+            read = self._readers[flavour] = make_reader(self._plan, flavour)
+        raw = cdr if cdr.__class__ is bytes else bytes(cdr)
+        try:
+            if raw[:2] != _LITTLE:
+                raw = self._swapped(raw)
+            value, end = read(raw, 4, len(raw))
+        except (Short, struct.error, ValueError) as error:
+            raise DecodeError(self.type, "CDR", str(error) or "the bytes end too early") from None
+        if end + _PADDING_BYTES < len(raw):
+            raise DecodeError(self.type, "CDR", f"{len(raw) - end} bytes are left over")
+        return value
+
+    def _swapped(self, raw: bytes) -> bytes:
+        if raw[:2] != _BIG or len(raw) < 4:
+            raise DecodeError(self.type, "CDR", f"the header {raw[:4].hex(' ') or 'is missing and'} is not one of XCDR1")
+        return to_little_endian(self._plan, raw)
+
+    def _encode(self, value: Any, now_ns: Callable[[], int] | None = None) -> bytes:
+        write = self._write
+        if write is None:
+            write = self._write = make_writer(self._plan)
+        out = [_CDR_HEADER]
+        try:
+            write(value, out, 0)
+        except FAILURES:
+            definition = self._registry.definition
+            if now_ns is not None:
+                timed = replace_now(self.type, value, definition, now_ns())
+                if timed is not value:
+                    return self._encode(timed)
+            raise explain(self.type, value, definition) from None
+        return b"".join(out)
+
+    def _ros1_functions(self) -> tuple[Reader, Writer]:
+        if self._ros1 is None:
+            plan = Planner(self._registry.definition, "ros1").plan(self.type)
+            self._ros1 = make_reader(plan, "object"), make_writer(plan)
+        return self._ros1
+
+
+def _escape(found: re.Match[str]) -> str:
+    point = ord(found[0])
+    if point < 0x10000:
+        return f"\\u{point:04x}"
+    point -= 0x10000
+    return f"\\u{0xD800 + (point >> 10):04x}\\u{0xDC00 + (point & 0x3FF):04x}"

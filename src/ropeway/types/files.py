@@ -1,0 +1,75 @@
+"""Finds definition files on disk: single files, source packages, and the ``share`` tree of a ROS 2 workspace."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Final
+
+from ropeway.errors import InvalidDefinition, InvalidTypeName
+from ropeway.types.definition import KINDS, canonical_name
+
+__all__ = ["find_interfaces", "read_text"]
+
+_SUFFIXES: Final = (".idl", ".action", ".srv", ".msg")  # a later one wins: .idl files repeat what a .msg says
+_PACKAGE_NAME: Final = re.compile(r"<name>\s*([A-Za-z][A-Za-z0-9_]*)\s*</name>")
+
+
+def find_interfaces(path: Path) -> dict[str, Path]:
+    """Full names and files of all definitions at or below ``path``.
+
+    A definition stands in a directory ``msg``, ``srv`` or ``action``, whose parent names the package (by its
+    ``package.xml`` where there is one, else by its own name). Raises ``InvalidDefinition`` where ``path`` does not
+    exist or a file stands elsewhere.
+    """
+    if path.is_dir():
+        found: dict[tuple[str, int], Path] = {}
+        packages: dict[Path, str] = {}
+        for directory, below, files in os.walk(path):
+            below.sort()
+            here = Path(directory)
+            for file in sorted(files):
+                suffix = os.path.splitext(file)[1]
+                if suffix in _SUFFIXES and not file.startswith(".") and (name := _name_of(here / file, packages)):
+                    found[name, _SUFFIXES.index(suffix)] = here / file
+        return {name: file for (name, _), file in sorted(found.items())}
+    if not path.is_file():
+        raise InvalidDefinition(path.name, "there is no such file or directory", file=str(path))
+    name = _name_of(path.absolute(), {}) if path.suffix in _SUFFIXES else ""
+    if not name:
+        raise InvalidDefinition(
+            path.name, "a definition stands at PACKAGE/msg/Name.msg (or srv, action)", file=str(path)
+        )
+    return {name: path}
+
+
+def read_text(path: Path, name: str) -> str:
+    """The text of a definition file. Raises ``InvalidDefinition`` where it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise InvalidDefinition(name, error.strerror or str(error), file=str(path)) from error
+
+
+def _name_of(file: Path, packages: dict[Path, str]) -> str:
+    """The full name of what ``file`` defines, ``""`` where its place does not tell."""
+    kind = file.suffix[1:]
+    for directory in file.parents:
+        if directory.name == kind or (file.suffix == ".idl" and directory.name in KINDS):
+            package = packages.get(directory.parent)
+            if package is None:
+                package = packages[directory.parent] = _package(directory.parent)
+            try:
+                return canonical_name(f"{package}/{directory.name}/{file.stem}")
+            except InvalidTypeName:
+                return ""
+    return ""
+
+
+def _package(directory: Path) -> str:
+    try:
+        found = _PACKAGE_NAME.search((directory / "package.xml").read_text(encoding="utf-8", errors="replace"))
+    except OSError:
+        found = None
+    return found[1] if found else directory.name

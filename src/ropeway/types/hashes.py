@@ -1,0 +1,113 @@
+"""The names by content: ROS 2's type hash ``RIHS01_…`` and ROS 1's MD5 sum."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from ropeway.types.definition import HEADER, TIMES, Definition, Field, FieldType
+
+__all__ = ["definition_md5", "interface_members", "rihs01"]
+
+_TYPE_IDS: Final = {
+    "message": 1,
+    "int8": 2,
+    "uint8": 3,
+    "int16": 4,
+    "uint16": 5,
+    "int32": 6,
+    "uint32": 7,
+    "int64": 8,
+    "uint64": 9,
+    "float32": 10,
+    "float64": 11,
+    "char": 3,  # the char of a .msg is IDL's uint8, whose id it gets; IDL's own char (13) no .msg can name
+    "bool": 15,
+    "byte": 16,
+    "string": 17,
+    "wstring": 18,
+    "bounded string": 21,
+    "bounded wstring": 22,
+}
+_ARRAY, _BOUNDED, _UNBOUNDED = 48, 96, 144
+
+Members = Callable[[str], Sequence[tuple[str, FieldType]]]
+
+
+def interface_members(full: str) -> list[tuple[str, FieldType]]:
+    """The members that stand for a service or an action in its type description."""
+    if full.split("/")[1] == "action" and not full.endswith(("_SendGoal", "_GetResult")):
+        ends = {
+            "goal": "_Goal",
+            "result": "_Result",
+            "feedback": "_Feedback",
+            "send_goal_service": "_SendGoal",
+            "get_result_service": "_GetResult",
+            "feedback_message": "_FeedbackMessage",
+        }
+    else:
+        ends = {"request_message": "_Request", "response_message": "_Response", "event_message": "_Event"}
+    return [(member, FieldType(full + end)) for member, end in ends.items()]
+
+
+def rihs01(full: str, members: Members) -> str:
+    """The hash of ``full``; ``members`` gives names and types of the fields of any type."""
+    described: dict[str, dict[str, Any]] = {}
+    waiting = [full]
+    while waiting:
+        name = waiting.pop()
+        if name in described:
+            continue
+        fields = list(members(name)) or [("structure_needs_at_least_one_member", FieldType("uint8"))]
+        described[name] = {"type_name": name, "fields": [_describe(*field) for field in fields]}
+        waiting.extend(type.base for _, type in fields if type.is_message)
+    main = described.pop(full)
+    text = json.dumps(
+        {"type_description": main, "referenced_type_descriptions": [described[name] for name in sorted(described)]}
+    )
+    return f"RIHS01_{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def _describe(name: str, type: FieldType) -> dict[str, Any]:
+    kind = "message" if type.is_message else f"bounded {type.base}" if type.bound else type.base
+    offset = 0
+    if type.kind == "array":
+        offset = _ARRAY
+    elif type.kind == "sequence":
+        offset = _BOUNDED if type.size else _UNBOUNDED
+    return {
+        "name": name,
+        "type": {
+            "type_id": offset + _TYPE_IDS[kind],
+            "capacity": type.size,
+            "string_capacity": type.bound,
+            "nested_type_name": type.base if type.is_message else "",
+        },
+    }
+
+
+def definition_md5(full: str, definition: Callable[[str], Definition]) -> str:
+    """ROS 1's sum of ``full``: constants, then fields, a message field standing there with its own sum."""
+    sums: dict[str, str] = {}
+
+    def summed(name: str) -> str:
+        if name not in sums:
+            known = definition(name)
+            fields = known.fields
+            if name == HEADER and fields and fields[0].name != "seq":
+                fields = (Field("seq", FieldType("uint32")), *fields)
+            lines = [f"{c.type} {c.name}={c.text}" for c in known.constants]
+            for field in fields:
+                type = field.type
+                if type.base in TIMES:
+                    lines.append(f"{type.spelled(type.base.rsplit('/', 1)[1].lower())} {field.name}")
+                elif type.is_message:
+                    lines.append(f"{summed(type.base)} {field.name}")
+                else:
+                    lines.append(f"{type.spelled()} {field.name}")
+            sums[name] = hashlib.md5("\n".join(lines).encode(), usedforsecurity=False).hexdigest()
+        return sums[name]
+
+    return summed(full)

@@ -1,0 +1,352 @@
+"""Every message definition that Ropeway knows, by name, without a ROS installation.
+
+Definitions come from the type stores of ``rosbags`` (one ROS distribution), from a table of standard services and
+actions, from files the user names or a sourced workspace has, and from peers and bags. They are read when they are
+first asked for.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import threading
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ropeway.errors import InvalidDefinition, InvalidTypeName, TypeConflict, UnknownType
+from ropeway.types.codec import MessageCodec
+from ropeway.types.definition import Definition, FieldType, canonical_name, short_name
+from ropeway.types.files import find_interfaces, read_text
+from ropeway.types.hashes import definition_md5, interface_members, rihs01
+from ropeway.types.parser import parse_interface, parse_sections
+from ropeway.types.standard import INTERFACES
+from ropeway.types.stores import NEWEST, from_rosbags, store_table
+from ropeway.types.typedef import typedefs
+
+__all__ = ["TypeRegistry"]
+
+_RULE = "=" * 80
+
+
+class TypeRegistry:
+    """The types of one ROS distribution and all that was added.
+
+    ``distro`` is one of ``ropeway.types.stores.DISTROS``; ``None`` takes the newest long-known one. Reading is safe
+    from every thread, and adding too. Names are taken in both spellings, ``pkg/Name`` and ``pkg/msg/Name``.
+    """
+
+    def __init__(self, distro: str | None = None) -> None:
+        self.distro = distro or NEWEST
+        self._store = store_table(self.distro)
+        self._lock = threading.RLock()
+        self._definitions: dict[str, Definition] = {}
+        self._builtin: set[str] = set()
+        self._sources: dict[str, str] = {}  # services and actions: name to text
+        self._files: dict[str, Path] = {}  # found in a workspace, not read yet
+        self._codecs: dict[str, MessageCodec] = {}
+        self._hashes: dict[str, str] = {}
+        self._full_texts: dict[str, str] = {}
+
+    def canonical(self, name: str, kind: str = "msg") -> str:
+        """The full name ``pkg/msg/Name`` of a type.
+
+        Takes ``pkg/Name`` (``kind`` is then the middle part), ``pkg/msg/Name`` and ``pkg.msg.Name``; superfluous
+        slashes do not matter. Raises ``InvalidTypeName``.
+        """
+        if not isinstance(name, str):
+            raise InvalidTypeName(name)
+        return canonical_name(name, kind)
+
+    def has(self, name: str, kind: str = "msg") -> bool:
+        """True if the definition of a message, service or action is known."""
+        try:
+            full = self.canonical(name, kind)
+        except InvalidTypeName:
+            return False
+        return self._known(full)
+
+    def names(self, kind: str | None = None) -> list[str]:
+        """The full names of all known interfaces, sorted; ``kind`` (msg, srv, action) selects some.
+
+        Services and actions stand here under their own names, not with their parts.
+        """
+        with self._lock:
+            found = {*self._store, *INTERFACES, *self._files, *self._sources}
+            found.update(name for name in self._definitions if name.split("/")[1] == "msg")
+        return sorted(name for name in found if kind is None or name.split("/")[1] == kind)
+
+    def definition(self, name: str, *, needed_by: str = "") -> Definition:
+        """The definition of a message or of one part of a service or action.
+
+        Raises ``UnknownType`` with the nearest known name, ``InvalidDefinition`` for a file that cannot be read.
+        """
+        full = self.canonical(name)
+        found = self._definitions.get(full)
+        if found is None:
+            self._load(full)
+            found = self._definitions.get(full)
+        if found is None:
+            raise self._unknown(full, needed_by)
+        return found
+
+    def codec(self, name: str) -> MessageCodec:
+        """The codec of a message or of one part of a service or action; made once, then the same object.
+
+        Raises ``UnknownType`` (also for a type that it needs), ``InvalidDefinition``, ``InvalidTypeName``.
+        """
+        found = self._codecs.get(name)
+        if found is None:
+            full = self.canonical(name)
+            with self._lock:
+                found = self._codecs.get(full)
+                if found is None:
+                    found = self._codecs[full] = MessageCodec(full, self)
+                if len(self._codecs) < 8192:
+                    self._codecs[name] = found
+        return found
+
+    def dependencies(self, name: str) -> list[str]:
+        """The full names of all messages that ``name`` (a message, service or action) is made of, each once.
+
+        The order is that of their first use, depth first. Raises ``UnknownType``.
+        """
+        full = self.canonical(name)
+        seen: dict[str, None] = {}
+        waiting = [(base, full) for base in reversed(self._bases(full))]
+        while waiting:
+            base, parent = waiting.pop()
+            if base not in seen and base != full:
+                self.definition(base, needed_by=parent)
+                seen[base] = None
+                waiting.extend((inner, base) for inner in reversed(self._bases(base)))
+        return list(seen)
+
+    def hash(self, name: str) -> str:
+        """The type hash ``RIHS01_…`` of a message, service or action, as ROS 2 announces it.
+
+        Raises ``UnknownType``.
+        """
+        full = self.canonical(name)
+        found = self._hashes.get(full)
+        if found is None:
+            found = self._hashes[full] = rihs01(full, self._members)
+        return found
+
+    def md5(self, name: str) -> str:
+        """The MD5 sum that ROS 1 gives this message. Raises ``UnknownType``."""
+        return definition_md5(self.canonical(name), self.definition)
+
+    def text(self, name: str) -> str:
+        """The definition as a ``.msg``, ``.srv`` or ``.action`` file. Raises ``UnknownType``."""
+        full = self.canonical(name)
+        self._load(full)
+        source = self._sources.get(full)
+        return self.definition(full).text() if source is None else source
+
+    def full_text(self, name: str) -> str:
+        """The definition followed by all it depends on, as bags store it and rosapi sends it.
+
+        Each dependency comes after a line of 80 ``=`` and a line ``MSG: pkg/Name``. Raises ``UnknownType``.
+        """
+        full = self.canonical(name)
+        found = self._full_texts.get(full)
+        if found is None:
+            pieces = [self.text(full)]
+            bases = dict.fromkeys(base for root in self._roots(full) for base in self.dependencies(root))
+            for base in bases:
+                named = short_name(base) if base.split("/")[1] == "msg" else base
+                pieces.append(f"{_RULE}\nMSG: {named}\n{self.text(base)}")
+            found = "".join(piece if piece.endswith("\n") or not piece else piece + "\n" for piece in pieces)
+            self._full_texts[full] = found
+        return found
+
+    def typedefs(self, name: str) -> list[dict[str, Any]]:
+        """The ``TypeDef`` objects of rosapi for a message and all it is made of. Raises ``UnknownType``."""
+        full = self.canonical(name)
+        return typedefs([full, *self.dependencies(full)], self.definition)
+
+    def add_text(self, name: str, text: str, *, replace: bool = False, file: str = "") -> None:
+        """Add one definition; the middle part of ``name`` tells whether ``text`` is a .msg, .srv or .action.
+
+        The same layout again changes nothing. Another layout raises ``TypeConflict``, unless the known one is
+        built in and ``replace`` is true. Raises ``InvalidDefinition`` (``file`` is named in it).
+        """
+        full = self.canonical(name)
+        special = f"{full.split('/')[0]}/msg/Header"
+        try:
+            definitions = parse_interface(full, text, siblings={special} if self._known(special) else ())
+        except InvalidDefinition as error:
+            if not file:
+                raise
+            raise InvalidDefinition(error.name, error.reason, file=file) from None
+        sources = {full: text} if full not in {d.name for d in definitions} else {}
+        self._add(definitions, sources, replace=replace)
+
+    def add_full_text(self, name: str, text: str, *, replace: bool = False) -> None:
+        """Add a concatenated definition: the main text, then sections headed ``MSG: pkg/Name`` (or ``IDL:``).
+
+        All or nothing is added. Errors as in ``add_text``.
+        """
+        full = self.canonical(name)
+        sections = list(parse_sections(full, text))
+        siblings = {section for section, _ in sections}
+        definitions: list[Definition] = []
+        sources: dict[str, str] = {}
+        for section, body in sections:
+            parsed = parse_interface(section, body, siblings=siblings)
+            definitions.extend(parsed)
+            if section not in {d.name for d in parsed}:
+                sources[section] = body
+        self._add(definitions, sources, replace=replace)
+
+    def add_path(self, path: str | os.PathLike[str]) -> int:
+        """Add a ``.msg``, ``.srv``, ``.action`` or ``.idl`` file, or all of them below a directory.
+
+        Returns how many interfaces were read. What they define takes the place of built-in definitions. Raises
+        ``InvalidDefinition`` with the name of the file, ``TypeConflict``.
+        """
+        found = find_interfaces(Path(path))
+        with self._lock:
+            for name in sorted(found, key=lambda name: not name.endswith("/msg/Header")):  # its siblings look for it
+                self._read(name, found[name])
+        return len(found)
+
+    def add_ament_prefix_path(self, environ: Mapping[str, str] = os.environ) -> int:
+        """Make known what the sourced ROS 2 workspaces define; files are read when first needed.
+
+        ``environ`` holds ``AMENT_PREFIX_PATH``, earlier entries win. These definitions take the place of built-in
+        ones. Returns how many interfaces were found.
+        """
+        found: dict[str, Path] = {}
+        for prefix in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+            share = Path(prefix) / "share"
+            if prefix and share.is_dir():
+                found = {**find_interfaces(share), **found}
+        with self._lock:
+            loaded = {_owner(name) for name in self._builtin}
+            for name, file in found.items():
+                if name in loaded or (name not in self._definitions and name not in self._sources):
+                    self._files.setdefault(name, file)
+            for name in loaded & found.keys():
+                self._load(name)
+        return len(found)
+
+    def _known(self, full: str) -> bool:
+        owner = _owner(full)
+        return any(
+            name in table
+            for name in (full, owner)
+            for table in (self._definitions, self._sources, self._files, INTERFACES, self._store)
+        )
+
+    def _load(self, full: str) -> None:
+        """Read the definition of ``full`` from where it waits, if it does."""
+        owner = _owner(full)
+        for name in (full, owner):
+            if name in self._files:
+                with self._lock:
+                    file = self._files.pop(name, None)
+                    if file is not None:
+                        try:
+                            self._read(name, file)
+                        except InvalidDefinition:
+                            self._files[name] = file
+                            raise
+                return
+        if full in self._definitions or full in self._sources:
+            return
+        if full in self._store:
+            definitions, sources = [from_rosbags(full, self._store[full])], {}
+        elif owner in INTERFACES:
+            text = INTERFACES[owner]
+            definitions = parse_interface(owner, text)
+            sources = {owner: text} if owner not in {d.name for d in definitions} else {}
+        else:
+            return
+        with self._lock:
+            for definition in definitions:
+                if self._definitions.setdefault(definition.name, definition) is definition:
+                    self._builtin.add(definition.name)
+            self._sources.update(sources)
+
+    def _read(self, name: str, file: Path) -> None:
+        text = read_text(file, name)
+        if file.suffix == ".idl":
+            from ropeway.types.idl import parse_idl
+
+            self._add(parse_idl(name, text, file=str(file)), {}, replace=True)
+        else:
+            self.add_text(name, text, replace=True, file=str(file))
+
+    def _add(self, definitions: Iterable[Definition], sources: Mapping[str, str], *, replace: bool) -> None:
+        with self._lock:
+            fresh: dict[str, Definition] = {}
+            changed = False
+            for definition in definitions:
+                name = definition.name
+                if name not in self._definitions:
+                    self._load(name)
+                known = fresh.get(name) or self._definitions.get(name)
+                if known is not None:
+                    replaces = replace and name in self._builtin and name not in fresh
+                    if known.same_layout(definition):
+                        if not replaces:
+                            continue
+                    elif not replaces:
+                        raise TypeConflict(name, _layout(known), _layout(definition))
+                    changed = True
+                fresh[name] = definition
+            self._definitions.update(fresh)
+            self._builtin.difference_update(fresh)
+            if fresh or not all(name in self._sources for name in sources):
+                self._sources.update(sources)
+            if changed:
+                self._forget()
+
+    def _forget(self) -> None:
+        self._codecs.clear()
+        self._hashes.clear()
+        self._full_texts.clear()
+
+    def _bases(self, full: str) -> list[str]:
+        return [base for _, type in self._members(full) if type.is_message and (base := type.base)]
+
+    def _members(self, full: str) -> list[tuple[str, FieldType]]:
+        """Field names and types of a message, or of the structure that stands for a service or action."""
+        self._load(full)
+        if full in self._sources:
+            return interface_members(full)
+        if full in self._definitions or not full.endswith(("_SendGoal", "_GetResult")):
+            return [(field.name, field.type) for field in self.definition(full).fields]
+        return interface_members(full)
+
+    def _roots(self, full: str) -> list[str]:
+        """The messages whose fields stand in the text of ``full`` itself."""
+        if full not in self._sources:
+            return [full]
+        ends = ("_Request", "_Response") if full.split("/")[1] == "srv" else ("_Goal", "_Result", "_Feedback")
+        return [full + end for end in ends]
+
+    def _unknown(self, full: str, needed_by: str) -> UnknownType:
+        near = difflib.get_close_matches(full, self.names(), 1, 0.75)
+        return UnknownType(full, needed_by=needed_by, nearest=near[0] if near and near[0] != full else "")
+
+
+def _owner(full: str) -> str:
+    """The service or action that the part ``full`` belongs to, or ``full`` itself."""
+    package, kind, name = full.split("/")
+    if kind == "srv":
+        name = name.removesuffix("_Request").removesuffix("_Response").removesuffix("_Event")
+    elif kind == "action":
+        for end in ("_Request", "_Response", "_Event"):
+            name = name.removesuffix(end)
+        for end in ("_SendGoal", "_GetResult", "_Goal", "_Result", "_Feedback", "_FeedbackMessage"):
+            if name.endswith(end):
+                name = name.removesuffix(end)
+                break
+    return f"{package}/{kind}/{name}"
+
+
+def _layout(definition: Definition) -> str:
+    return "{" + "; ".join(f"{f.type.spelled()} {f.name}" for f in definition.wire_fields) + "}"

@@ -1,0 +1,56 @@
+"""The ``TypeDef`` objects with which rosapi describes a message to a program that has no definitions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, Final
+
+from ropeway.types.definition import Definition, Field, short_name
+
+__all__ = ["IDL_NAMES", "typedefs"]
+
+IDL_NAMES: Final = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
+"""How rosbridge spells the primitive types that IDL names otherwise."""
+
+
+def typedefs(names: Iterable[str], definition: Callable[[str], Definition]) -> list[dict[str, Any]]:
+    """One ``TypeDef`` for each of ``names``, in that order, with names of two parts as clients expect them."""
+    found = []
+    for name in names:
+        known = definition(name)
+        fields = known.wire_fields
+        found.append(
+            {
+                "type": short_name(name),
+                "fieldnames": [field.name for field in fields],
+                "fieldtypes": [_spelled(field) for field in fields],
+                "fieldarraylen": [_length(field) for field in fields],
+                "examples": [_example(field) for field in fields],
+                "constnames": [constant.name for constant in known.constants],
+                "constvalues": [str(constant.value) for constant in known.constants],
+            }
+        )
+    return found
+
+
+def _spelled(field: Field) -> str:
+    base = field.type.base
+    return short_name(base) if field.type.is_message else IDL_NAMES.get(base, base)
+
+
+def _length(field: Field) -> int:
+    if field.type.kind == "scalar":
+        return -1
+    return field.type.size if field.type.kind == "array" else 0
+
+
+def _example(field: Field) -> str:
+    if field.type.kind != "scalar":
+        return "[]"
+    if field.type.is_message:
+        return "{}"
+    if field.default is not None:
+        return str(field.default)
+    if field.type.base in ("string", "wstring"):
+        return ""
+    return {"bool": "False", "float32": "0.0", "float64": "0.0", "byte": "b'\\x00'"}.get(field.type.base, "0")

@@ -1,0 +1,122 @@
+"""ropeway.link.outbox."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ropeway.link.outbox import FRESH_BYTES, Lost, Outbox, Queue
+
+
+@dataclass
+class Message:
+    payload: bytes
+    stamp_ns: int = 0
+
+
+def drain(outbox: Outbox[Message], now_ns: int = 0) -> list[bytes]:
+    out = []
+    while True:
+        for lane in outbox.lanes():
+            taken = outbox.take(lane, now_ns)
+            if taken is not None:
+                out.append(taken[1].payload)
+                break
+        else:
+            return out
+
+
+def test_only_the_newest_image_waits() -> None:
+    """Of a topic with big messages only the newest waits; those it displaced are counted."""
+    outbox: Outbox[Message] = Outbox()
+    camera: Queue[Message] = outbox.open(Queue("camera", depth=10))
+    for i in range(5):
+        outbox.put(camera, Message(bytes([i]) * 300_000))
+    assert drain(outbox) == [b"\4" * 300_000]
+    assert camera.lost == {Lost.REPLACED: 4}
+
+
+def test_small_messages_queue_to_their_depth() -> None:
+    """Small messages wait in order up to the depth of their topic; the oldest makes room."""
+    outbox: Outbox[Message] = Outbox()
+    tf: Queue[Message] = outbox.open(Queue("tf", depth=100))
+    for i in range(120):
+        outbox.put(tf, Message(bytes([i])))
+    assert drain(outbox) == [bytes([i]) for i in range(20, 120)]
+    assert tf.lost == {Lost.REPLACED: 20}
+
+
+def test_keep_last_is_bounded_in_bytes() -> None:
+    """What waits of a keep-last topic never exceeds 64 KiB, unless it is one message."""
+    outbox: Outbox[Message] = Outbox()
+    scans: Queue[Message] = outbox.open(Queue("scan", depth=100))
+    for _ in range(100):
+        outbox.put(scans, Message(b"x" * 4000))
+    assert FRESH_BYTES - 4000 < outbox.bytes <= FRESH_BYTES
+
+
+def test_keep_all_is_bounded_in_bytes() -> None:
+    """A keep-all topic keeps everything up to its byte limit, then loses the oldest, counted as overflow."""
+    outbox: Outbox[Message] = Outbox()
+    logs: Queue[Message] = outbox.open(Queue("log", depth=None, limit_bytes=1000))
+    for i in range(20):
+        outbox.put(logs, Message(bytes([i]) * 100))
+    assert [m[0] for m in drain(outbox)] == list(range(10, 20))
+    assert logs.lost == {Lost.OVERFLOW: 10}
+
+
+def test_priority_first() -> None:
+    """A message of an urgent lane goes before all others, whenever it came."""
+    outbox: Outbox[Message] = Outbox()
+    image: Queue[Message] = outbox.open(Queue("image", priority=4))
+    command: Queue[Message] = outbox.open(Queue("cmd_vel", priority=0))
+    outbox.put(image, Message(b"image"))
+    outbox.put(command, Message(b"command"))
+    assert drain(outbox) == [b"command", b"image"]
+
+
+def test_topics_take_turns() -> None:
+    """Topics of one lane take turns, so that a busy one does not starve the others."""
+    outbox: Outbox[Message] = Outbox()
+    a: Queue[Message] = outbox.open(Queue("a", depth=10))
+    b: Queue[Message] = outbox.open(Queue("b", depth=10))
+    for i in range(3):
+        outbox.put(a, Message(b"a%d" % i))
+    for i in range(2):
+        outbox.put(b, Message(b"b%d" % i))
+    assert drain(outbox) == [b"a0", b"b0", b"a1", b"b1", b"a2"]
+
+
+def test_lifespan() -> None:
+    """What outlived its lifespan while it waited is not sent, and counted."""
+    outbox: Outbox[Message] = Outbox()
+    queue: Queue[Message] = outbox.open(Queue("t", depth=10, lifespan_ns=100))
+    outbox.put(queue, Message(b"old", stamp_ns=0))
+    outbox.put(queue, Message(b"new", stamp_ns=150))
+    assert drain(outbox, now_ns=200) == [b"new"]
+    assert queue.lost == {Lost.EXPIRED: 1}
+
+
+def test_close_loses_what_waits() -> None:
+    """A closed queue takes what waited with it; the counts of the outbox stay right."""
+    outbox: Outbox[Message] = Outbox()
+    a: Queue[Message] = outbox.open(Queue("a", depth=10))
+    b: Queue[Message] = outbox.open(Queue("b", depth=10))
+    outbox.put(a, Message(b"aa"))
+    outbox.put(b, Message(b"b"))
+    outbox.close(a)
+    assert outbox.statistics() == (1, 1, 1)
+    assert a.lost == {Lost.UNSENT: 1}
+    assert drain(outbox) == [b"b"]
+    assert outbox.statistics() == (0, 0, 0)
+
+
+def test_full() -> None:
+    """``full`` tells beforehand whether a message would displace another."""
+    outbox: Outbox[Message] = Outbox()
+    queue: Queue[Message] = outbox.open(Queue("t", depth=2))
+    assert not outbox.full(queue, 10**9)
+    outbox.put(queue, Message(b"x"))
+    assert not outbox.full(queue, 1)
+    assert outbox.full(queue, FRESH_BYTES)
+    outbox.put(queue, Message(b"x"))
+    assert outbox.full(queue, 1)

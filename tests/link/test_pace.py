@@ -1,0 +1,88 @@
+"""ropeway.link.pace and ropeway.link.auto."""
+
+from __future__ import annotations
+
+import pytest
+
+from ropeway.link.auto import EncodingChooser
+from ropeway.link.pace import Pace
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def paced(clock: Clock, bytes_per_s: float, size: int = 300_000) -> Pace:
+    pace = Pace(clock)
+    for _ in range(10):
+        pace.paused(size)
+        clock.now += size / bytes_per_s
+        pace.resumed()
+    return pace
+
+
+def test_unknown_until_busy() -> None:
+    """A link that never held anything back has no known pace."""
+    pace = Pace()
+    pace.sent(10**6)
+    assert pace.bytes_per_s is None
+
+
+def test_measures_a_busy_link() -> None:
+    """The pace is what the link carried away while it was busy."""
+    clock = Clock()
+    assert paced(clock, 12.5e6).bytes_per_s == pytest.approx(12.5e6)
+
+
+def test_follows_a_change() -> None:
+    """After a megabyte or two the pace is that of the link as it is now."""
+    clock = Clock()
+    pace = paced(clock, 12.5e6)
+    for _ in range(20):
+        pace.paused(100_000)
+        clock.now += 100_000 / 1.25e6
+        pace.resumed()
+    assert pace.bytes_per_s == pytest.approx(1.25e6, rel=0.2)
+
+
+def test_raw_on_a_fast_link() -> None:
+    """Without a known pace messages go raw."""
+    assert EncodingChooser(Pace()).choose(300_000) == "cbor-raw"
+
+
+def test_compresses_where_it_pays() -> None:
+    """On a slow link a topic that compresses well goes compressed, one that does not goes raw."""
+    clock = Clock()
+    pace = paced(clock, 12.5e6)
+    good, bad = EncodingChooser(pace, clock), EncodingChooser(pace, clock)
+    assert good.choose(300_000) == bad.choose(300_000) == "zstd"  # the first one is a trial
+    good.measured(300_000, 150_000, 0.0005)
+    bad.measured(300_000, 298_000, 0.0005)
+    assert good.choose(300_000) == "zstd"
+    assert bad.choose(300_000) == "cbor-raw"
+
+
+def test_small_messages_go_raw() -> None:
+    """A message that takes less than a millisecond on the wire is not worth compressing."""
+    clock = Clock()
+    chooser = EncodingChooser(paced(clock, 12.5e6), clock)
+    assert chooser.choose(1000) == "cbor-raw"
+
+
+def test_raw_again_when_the_link_is_faster() -> None:
+    """When the pace rises so that compression costs more than it saves, the topic goes raw again."""
+    clock = Clock()
+    pace = paced(clock, 12.5e6)
+    chooser = EncodingChooser(pace, clock)
+    chooser.choose(300_000)
+    chooser.measured(300_000, 200_000, 0.001)
+    assert chooser.choose(300_000) == "zstd"
+    for _ in range(20):
+        pace.paused(10**6)
+        clock.now += 10**6 / 200e6
+        pace.resumed()
+    assert chooser.choose(300_000) == "cbor-raw"

@@ -1,0 +1,121 @@
+"""ropeway.wire.records."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ropeway.errors import InvalidFrame, MessageTooBig
+from ropeway.wire.records import HEADER_BYTES, Arrival, RecordReader, RecordWriter
+
+
+def reader(limit: int = 1 << 20, refused: list[tuple[int, MessageTooBig]] | None = None) -> RecordReader:
+    return RecordReader(limit, lambda channel, error: refused.append((channel, error)) if refused is not None else None)
+
+
+def send(writer: RecordWriter, *bodies: bytes, channel: int = 1, origin: bytes = bytes(16)) -> bytes:
+    out: list[bytes] = []
+    for seq, body in enumerate(bodies):
+        writer.message(out, channel, 3, body, origin, seq, 7)
+    return b"".join(out)
+
+
+def test_many_in_one_frame() -> None:
+    """Messages of one frame come out whole, in order, with all that was said of them."""
+    writer = RecordWriter()
+    got = reader().read(send(writer, b"a", b"", b"ccc"))
+    assert got == [Arrival(1, 3, body, bytes(16), seq, 7) for seq, body in enumerate([b"a", b"", b"ccc"])]
+
+
+def test_origins_declared_once() -> None:
+    """An origin's 16 bytes cross once; afterwards a number stands for them."""
+    writer = RecordWriter()
+    first, second = send(writer, b"x", origin=b"o" * 16), send(writer, b"x", origin=b"o" * 16)
+    assert len(first) - len(second) == HEADER_BYTES + 16
+    read = reader()
+    assert read.read(first)[0].origin == read.read(second)[0].origin == b"o" * 16
+
+
+def test_many_origins() -> None:
+    """More origins than the table holds still arrive right."""
+    writer, read = RecordWriter(), reader()
+    for i in range(10_000):
+        origin = (i % 5000).to_bytes(16)
+        assert read.read(send(writer, b"x", origin=origin))[0].origin == origin
+
+
+def test_parts_interleave() -> None:
+    """Parts of different channels may interleave; each message is joined from its own."""
+    writer, read = RecordWriter(), reader()
+    a, b = os.urandom(1000), os.urandom(500)
+    out: list[bytes] = []
+    writer.first(out, 1, 3, len(a), a[:400], b"a" * 16, 1, 1)
+    writer.first(out, 2, 3, len(b), b[:100], b"b" * 16, 2, 2, relayed=True)
+    writer.more(out, 1, a[400:900])
+    writer.more(out, 2, memoryview(b)[100:])
+    got = read.read(b"".join(out))
+    assert got == [Arrival(2, 3, b, b"b" * 16, 2, 2, True)]
+    out = []
+    writer.more(out, 1, a[900:])
+    assert read.read(b"".join(out))[0].body == a
+
+
+def test_too_big() -> None:
+    """A message above the limit is refused once, its parts are skipped, and the next one arrives."""
+    refused: list[tuple[int, MessageTooBig]] = []
+    writer, read = RecordWriter(), reader(1000, refused)
+    out: list[bytes] = []
+    writer.first(out, 9, 3, 5000, b"x" * 500, bytes(16), 1, 1)
+    writer.more(out, 9, b"x" * 4500)
+    writer.message(out, 9, 3, b"y" * 2000, bytes(16), 2, 1)
+    writer.message(out, 9, 3, b"fits", bytes(16), 3, 1)
+    assert [a.body for a in read.read(b"".join(out))] == [b"fits"]
+    assert [(channel, error.size_bytes) for channel, error in refused] == [(9, 5000), (9, 2000)]
+
+
+def test_unfinished_are_bounded() -> None:
+    """A peer that begins messages and never ends them is refused above twice the limit."""
+    refused: list[tuple[int, MessageTooBig]] = []
+    writer, read = RecordWriter(), reader(1000, refused)
+    for channel in range(1, 6):
+        out: list[bytes] = []
+        writer.first(out, channel, 3, 900, b"x", bytes(16), 1, 1)
+        read.read(b"".join(out))
+    assert [channel for channel, _ in refused] == [3, 4, 5]
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"\x01",
+        send(RecordWriter(), b"abc")[:-1],
+        b"\x09" + bytes(27),
+        send(RecordWriter(), b"abc")[HEADER_BYTES + 16 :],
+        b"\x04\0\0\0\0\0\0\0\x03\0\0\0" + bytes(16) + b"abc",
+    ],
+    ids=["short header", "cut body", "unknown kind", "undeclared origin", "short origin"],
+)
+def test_malformed(data: bytes) -> None:
+    """A malformed record is an InvalidFrame."""
+    with pytest.raises(InvalidFrame):
+        reader().read(data)
+
+
+@settings(max_examples=300)
+@given(st.lists(st.binary(max_size=60), max_size=5), st.data())
+def test_hostile_bytes(frames: list[bytes], data: st.DataObject) -> None:
+    """Whatever comes, the only error is InvalidFrame, and a good frame is read afterwards."""
+    read = reader()
+    good = send(RecordWriter(), b"first", b"second")
+    position = data.draw(st.integers(0, len(good) - 1))
+    damaged = bytearray(good)
+    damaged[position] ^= data.draw(st.integers(1, 255))
+    for frame in [*frames, bytes(damaged)]:
+        try:
+            read.read(frame)
+        except InvalidFrame:
+            continue
+    assert [a.body for a in read.read(good)] == [b"first", b"second"]
