@@ -14,6 +14,9 @@ from ropeway.graph.base import Graph, Sample
 from ropeway.graph.dds import DdsGraph
 from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
+from ropeway.graph.rosbridge import RosbridgeGraph
+from ropeway.server import RosbridgeServer
+from ropeway.types import TypeRegistry
 
 _numbers = itertools.count()
 
@@ -85,7 +88,25 @@ async def open_dds(stack: AsyncExitStack) -> Pair:
     return Pair(near, far, stack)
 
 
-KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {"memory": open_memory, "hub": open_hub, "dds": open_dds}
+async def open_rosbridge(stack: AsyncExitStack, *, plain: bool = False) -> Pair:
+    """Two clients of one server, on a network of its own."""
+    graph = MemoryGraph(f"contract-{next(_numbers)}")
+    await graph.open()
+    stack.push_async_callback(graph.close)
+    registry = TypeRegistry()
+    server = RosbridgeServer(Hub(graph), registry, unregister_timeout_s=0.05)
+    stack.push_async_callback(server.close)
+    listener = await server.listen("ws://127.0.0.1:0")
+    ends = []
+    for name in ("near", "far"):
+        end = RosbridgeGraph(f"ws://127.0.0.1:{listener.port}", registry=registry, name=name, plain=plain)
+        await end.open()
+        stack.push_async_callback(end.close)
+        ends.append(end)
+    return Pair(*ends, stack)
+
+
+KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {"memory": open_memory, "hub": open_hub, "dds": open_dds, "rosbridge": open_rosbridge}
 
 
 @pytest.fixture(params=sorted(KINDS))

@@ -21,6 +21,7 @@ from ropeway.bridge.pipeline import Drop, Step, build
 from ropeway.errors import RopewayError
 from ropeway.graph.base import NO_HINTS, Delivery, Graph, Publisher, Sample, Subscription
 from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.tasks import end
 
 __all__ = ["TopicBridge"]
 
@@ -71,11 +72,7 @@ class TopicBridge:
 
     async def close(self) -> None:
         """Take the topic back on both sides."""
-        for task in (self._watch, self._task):
-            if task is not None:
-                task.cancel()
-                with contextlib.suppress(asyncio.CancelledError):
-                    await task
+        await end(self._watch, self._task)
         if self.subscription is not None:
             await self.subscription.close()
         if self.publisher is not None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import struct
+import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
@@ -16,7 +17,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, NamedTuple, Protocol, Self
 
+import apsw
 import yaml
+import zstandard
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from rosbags.rosbag1 import Reader as Rosbag1Reader
@@ -28,6 +31,11 @@ from ropeway.errors import BagUnreadable, InvalidName, TypeConflict, TypesError
 from ropeway.graph.base import resolve_name
 from ropeway.qos import DEFAULT, LATCHED, QoS, common_qos
 from ropeway.types import TypeRegistry
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd  # what rosbags takes before it is in the standard library
 
 __all__ = ["Bag", "BagTopic", "Record"]
 
@@ -47,7 +55,11 @@ _DAMAGED: Final = (
     RuntimeError,
     TypeError,
     ValueError,
+    apsw.Error,
     struct.error,
+    yaml.YAMLError,
+    zstandard.ZstdError,
+    zstd.ZstdError,
 )
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import os
 from contextlib import AsyncExitStack
 from typing import Any, Final
 
 from ropeway.bridge.topic import TopicBridge
-from ropeway.errors import RopewayError
 from ropeway.gateway.config import Config, Route
 from ropeway.gateway.model import RemoteConfig
 from ropeway.gateway.tls import client_context, server_context
@@ -19,6 +17,7 @@ from ropeway.graph.hub import Hub, View
 from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
 from ropeway.link.connection import Limits
 from ropeway.server import RosbridgeServer
+from ropeway.tasks import end
 from ropeway.types import TypeRegistry
 
 __all__ = ["Gateway"]
@@ -124,7 +123,7 @@ class Gateway:
                 await server.listen(url, ssl_context=secure, reuse_port=self._reuse_port)
         await self._bring_up_remotes(stack, limits)
         meters = asyncio.create_task(self._update_meters(), name="gateway meters")
-        stack.push_async_callback(_cancelled, meters)
+        stack.push_async_callback(end, meters)
 
     async def _bring_up_remotes(self, stack: AsyncExitStack, limits: Limits) -> None:
         routes: dict[int, list[Route]] = {}
@@ -253,9 +252,3 @@ def route_status(route: Route, bridge: TopicBridge, graph: RosbridgeGraph) -> di
         "delay_ms": None if delay is None else round(1e3 * delay, 3),
         "drops": drops,
     }
-
-
-async def _cancelled(task: asyncio.Task[Any]) -> None:
-    task.cancel()
-    with contextlib.suppress(asyncio.CancelledError, RopewayError):
-        await task

@@ -6,7 +6,6 @@ The supervisor only places slices, starts workers and adds up what they tell; no
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 import logging
 import os
@@ -17,6 +16,7 @@ from typing import Any, Final
 
 from ropeway.errors import GraphUnavailable
 from ropeway.gateway.config import Config
+from ropeway.tasks import end
 
 __all__ = ["Supervisor", "slices"]
 
@@ -150,11 +150,7 @@ class Supervisor:
 
     async def __aexit__(self, *_: object) -> None:
         """Stop all workers."""
-        for task in self._tasks:
-            task.cancel()
-        for task in self._tasks:
-            with contextlib.suppress(asyncio.CancelledError):
-                await task
+        await end(*self._tasks)
 
     async def wait(self) -> None:
         """Run until cancelled."""

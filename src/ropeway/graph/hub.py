@@ -9,7 +9,6 @@ those who come late. That is how two robots that dial in to one gateway hear eac
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import time
 from collections import Counter, deque
@@ -38,6 +37,7 @@ from ropeway.graph.base import (
 from ropeway.graph.seen import Seen
 from ropeway.graph.standby import Standby
 from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.tasks import end
 
 __all__ = ["Hub", "View"]
 
@@ -67,11 +67,8 @@ class Hub:
 
     async def close(self) -> None:
         """Look out no longer."""
-        if self._lookout is not None:
-            self._lookout.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._lookout
-            self._lookout = None
+        await end(self._lookout)
+        self._lookout = None
 
     async def _look_out(self) -> None:
         async for event in self.graph.changes():
@@ -389,7 +386,7 @@ class View:
 
 
 async def _merged(*sources: AsyncIterator[GraphEvent]) -> AsyncIterator[GraphEvent]:
-    waiting = {asyncio.ensure_future(_next(source)): source for source in sources}
+    waiting = {asyncio.create_task(_next(source)): source for source in sources}
     try:
         while waiting:
             done, _ = await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
@@ -397,11 +394,10 @@ async def _merged(*sources: AsyncIterator[GraphEvent]) -> AsyncIterator[GraphEve
                 source = waiting.pop(task)
                 event = task.result()
                 if event is not None:
-                    waiting[asyncio.ensure_future(_next(source))] = source
+                    waiting[asyncio.create_task(_next(source))] = source
                     yield event
     finally:
-        for task in waiting:
-            task.cancel()
+        await end(*waiting)
 
 
 async def _next(source: AsyncIterator[GraphEvent]) -> GraphEvent | None:

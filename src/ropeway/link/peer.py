@@ -18,15 +18,15 @@ from ropeway.link.auto import EncodingChooser
 from ropeway.link.complaints import Complaints
 from ropeway.link.outbox import LANES, Lost, Outbox, Queue
 from ropeway.wire import codec as wire_codec
-from ropeway.wire import ops
-from ropeway.wire.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL, ROSBRIDGE, Dialect
+from ropeway.wire import filters, ops
+from ropeway.wire.dialect import ROPEWAY, Dialect, by_subprotocol, detect
 from ropeway.wire.records import Arrival, RecordReader, RecordWriter
 
 if TYPE_CHECKING:
     from ropeway.link.connection import Connection
     from ropeway.types import MessageCodec, TypeRegistry
 
-__all__ = ["Channel", "Outgoing", "Peer", "PeerHandler"]
+__all__ = ["CONTROL_OPS", "Channel", "Outgoing", "Peer", "PeerHandler"]
 
 log = logging.getLogger("ropeway.link")
 
@@ -131,13 +131,17 @@ class Channel:
         """The body of a record; made once however many peers get it."""
         if encoding == "cbor-raw":
             return sample.payload
-        began = time.perf_counter()
-        body: bytes = sample.cached(
+        body: bytes
+        if encoding == "zstd":
+            began = time.perf_counter()
+            body = sample.cached(("body", "zstd"), lambda: filters.encode(sample.payload, self.type))
+            if self.chooser is not None:
+                self.chooser.measured(len(sample.payload), len(body), time.perf_counter() - began)
+            return body
+        body = sample.cached(
             ("body", encoding),
             lambda: wire_codec.encode_msg(encoding, sample.payload, self.codec, stamp_ns=sample.stamp_ns),
         )
-        if self.chooser is not None and encoding == "zstd":
-            self.chooser.measured(len(sample.payload), len(body), time.perf_counter() - began)
         return body
 
 
@@ -166,7 +170,7 @@ class Peer:
         self.connection = connection
         self.registry = registry
         self.handler = handler
-        self.dialect = dialect or (ROPEWAY if connection.subprotocol == ROPEWAY_SUBPROTOCOL else ROSBRIDGE)
+        self.dialect = dialect or by_subprotocol(connection.subprotocol)
         self.limit_bytes = connection.limits.max_message_bytes
         self.complaints = Complaints(connection.peer)
         self.outbox: Outbox[Outgoing] = Outbox()
@@ -177,7 +181,7 @@ class Peer:
         self._cursors: list[_Cursor | None] = [None] * LANES
         self._writer = RecordWriter()
         self._reader = RecordReader(self.limit_bytes, self._refused)
-        self._assembler = wire_codec.JsonAssembler()
+        self._assembler = wire_codec.JsonAssembler(limit_bytes=self.limit_bytes)
         self._scheduled = False
         self._part_bytes = _PART_START_BYTES
         self._pauses_seen = 0
@@ -472,6 +476,7 @@ class Peer:
         except WireError as error:
             self.complaints.note("operation", str(message.get("topic", ""))[:200], error)
             return
+        self.dialect = detect(self.dialect, parsed)
         try:
             self.handler.operation(parsed)
         except RopewayError as error:
@@ -482,6 +487,8 @@ class Peer:
         if arrival.encoding == wire_codec.CBOR_RAW:
             return arrival.body
         encoding = wire_codec.encoding_name(arrival.encoding)
+        if encoding == "zstd":
+            return filters.decode(arrival.body, self.limit_bytes)
         return wire_codec.decode_msg(encoding, arrival.body, codec, limit_bytes=self.limit_bytes)
 
     def forget_inbound(self, channel: int) -> None:

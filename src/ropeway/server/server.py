@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import ssl
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ from urllib.parse import urlsplit
 from ropeway.errors import ConnectFailed
 from ropeway.link.connection import Connection, Limits, Server, listen
 from ropeway.server.session import Session
+from ropeway.tasks import end
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 
 if TYPE_CHECKING:
@@ -114,11 +114,8 @@ class RosbridgeServer:
         for listener in self.listeners:
             await listener.close()
         self.listeners.clear()
-        if self._ticker is not None:
-            self._ticker.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._ticker
-            self._ticker = None
+        await end(self._ticker)
+        self._ticker = None
         tasks = list(self.sessions.values())
         for session in list(self.sessions):
             session.peer.connection.close(1001, "the gateway stops")

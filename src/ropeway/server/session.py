@@ -218,8 +218,6 @@ class Session:
                 self.peer.send({"op": "refused", "channel": channel, "reason": str(error)})
 
     async def _advertise(self, op: ops.Advertise) -> None:
-        if op.compression and self.peer.dialect is not ROPEWAY:
-            self.peer.dialect = ROSGW
         type = self.registry.canonical(op.type)
         extra = op.ropeway or {}
         self._learn(type, extra)
@@ -339,8 +337,6 @@ class Session:
                 self._numbers += 1
                 output = self.outputs[op.topic] = TopicOut(self, op.topic, type, self._numbers)
             type = output.type
-        if op.compression in ("zip", "rawzip") and not self.gateway:
-            self.peer.dialect = ROSGW
         output.requests[_key(op.id)] = op
         qos = QoS.parse(op.qos) if op.qos is not None else None
         try:

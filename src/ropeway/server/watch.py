@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.graph.rosbridge.mirror import describe
+from ropeway.tasks import end
 
 if TYPE_CHECKING:
     from ropeway.graph.base import Graph
@@ -47,6 +47,4 @@ class Watch:
 
     async def close(self) -> None:
         """Stop telling."""
-        self._task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await self._task
+        await end(self._task)

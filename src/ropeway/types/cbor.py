@@ -40,4 +40,4 @@ def _encode(encoder: Any, value: float) -> None:
     encoder.write(_DOUBLE(b"\xfb", value))
 
 
-_ENCODERS: Final = {WideFloat: _encode}
+_ENCODERS: Final[dict[type, Any]] = {WideFloat: _encode}

@@ -6,7 +6,6 @@ afterwards to find it.
 
 from __future__ import annotations
 
-import binascii
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -99,8 +98,8 @@ class _Walk:
             return False
         if isinstance(value, str) and type.base in ("uint8", "char", "byte"):
             try:
-                self.length(type, len(binascii.a2b_base64(value)), path)
-            except (binascii.Error, ValueError) as error:
+                self.length(type, len(values.from_base64(value)), path)
+            except ValueError as error:
                 raise _Found(path, f"{'.'.join(stack)} is not base64: {error}") from None
             return True
         if isinstance(value, (bytes, bytearray, memoryview)) or hasattr(value, "dtype") or hasattr(value, "tag"):
@@ -123,30 +122,40 @@ class _Walk:
         elif base in ("string", "wstring"):
             self.string(type, value, path, stack)
         elif base in _INTEGERS:
-            try:
-                number = value if value.__class__ is int else values.byte(value) if base == "byte" else values.whole(value)
-            except values.Misfit:
-                raise self.primitive(type, value, path, stack) from None
-            self.integer(base, number, path, stack)
+            self.integer(base, self.number(type, value, path, stack), path, stack)
         elif base == "bool":
-            try:
-                if value is not True and value is not False:
-                    values.truth(value)
-            except values.Misfit:
-                raise self.primitive(type, value, path, stack) from None
+            if value is not True and value is not False:
+                self.convert(values.truth, type, value, path, stack)
         else:
-            try:
-                number = values.real(value)
-            except values.Misfit:
-                raise self.primitive(type, value, path, stack) from None
-            except OverflowError:
-                number = math.inf
-                value = None
-            if (base == "float32" and math.isfinite(number) and abs(number) >= _LARGEST_FLOAT32) or (
-                value is None and math.isinf(number)
-            ):
-                limit = "3.402823466e+38" if base == "float32" else "1.7976931348623157e+308"
-                raise _Found(path, f"The '{stack[-1]}' field must be a float in [-{limit}, {limit}]")
+            self.real(type, value, path, stack)
+
+    def number(self, type: FieldType, value: Any, path: tuple[str, ...], stack: tuple[str, ...]) -> int:
+        if value.__class__ is int:
+            return int(value)
+        return int(self.convert(values.byte if type.base == "byte" else values.whole, type, value, path, stack))
+
+    def real(self, type: FieldType, value: Any, path: tuple[str, ...], stack: tuple[str, ...]) -> None:
+        try:
+            number = self.convert(values.real, type, value, path, stack)
+            beyond = type.base == "float32" and math.isfinite(number) and abs(number) >= _LARGEST_FLOAT32
+        except OverflowError:
+            beyond = True
+        if beyond:
+            limit = "3.402823466e+38" if type.base == "float32" else "1.7976931348623157e+308"
+            raise _Found(path, f"The '{stack[-1]}' field must be a float in [-{limit}, {limit}]")
+
+    def convert(
+        self,
+        by: Callable[[Any], Any],
+        type: FieldType,
+        value: Any,
+        path: tuple[str, ...],
+        stack: tuple[str, ...],
+    ) -> Any:
+        try:
+            return by(value)
+        except values.Misfit:
+            raise self.primitive(type, value, path, stack) from None
 
     def primitive(self, type: FieldType, value: Any, path: tuple[str, ...], stack: tuple[str, ...]) -> _Found:
         if value is None:

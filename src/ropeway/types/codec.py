@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import orjson
 
-from ropeway.errors import DecodeError
+from ropeway.errors import DecodeError, ValueMismatch
 from ropeway.types.check import explain
 from ropeway.types.definition import HEADER, Definition
 from ropeway.types.layout import Plan, Planner
@@ -30,7 +30,8 @@ _LITTLE: Final = b"\0\1"
 _BIG: Final = b"\0\0"
 _PADDING_BYTES: Final = 7
 _JSON: Final = orjson.OPT_SERIALIZE_NUMPY
-_STAMP: Final = {_LITTLE: struct.Struct("<iI"), _BIG: struct.Struct(">iI")}
+_STAMP_LITTLE: Final = struct.Struct("<iI").unpack_from
+_STAMP_BIG: Final = struct.Struct(">iI").unpack_from
 _BEYOND_ASCII: Final = re.compile(r"[^\x00-\x7f]")
 
 
@@ -116,8 +117,12 @@ class MessageCodec:
 
     def ros1(self, cdr: bytes) -> bytes:
         """The message as ROS 1 serialises it; headers get the ``seq`` 0. Raises ``DecodeError``."""
+        message = self._read("object", cdr)
         out: list[bytes] = []
-        self._ros1_functions()[1](self._read("object", cdr), out, 0)
+        try:
+            self._ros1_functions()[1](message, out, 0)
+        except FAILURES:
+            raise DecodeError(self.type, "CDR", explain(self.type, message, self._registry.definition).reason) from None
         return b"".join(out)
 
     def from_ros1(self, raw: bytes) -> bytes:
@@ -129,17 +134,20 @@ class MessageCodec:
             raise DecodeError(self.type, "ROS 1", str(error) or "the bytes end too early") from None
         if end != len(data):
             raise DecodeError(self.type, "ROS 1", f"{len(data) - end} bytes are left over")
-        return self._encode(value)
+        try:
+            return self._encode(value)
+        except ValueMismatch as error:
+            raise DecodeError(self.type, "ROS 1", error.reason) from None
 
     def header_stamp_ns(self, cdr: bytes) -> int | None:
         """The stamp of the header that the message begins with, in nanoseconds; ``None`` where it has none."""
-        if not self._stamped or len(cdr) < 12:
+        if not self._stamped:
             return None
-        stamp = _STAMP.get(bytes(cdr[:2]))
-        if stamp is None:
+        try:
+            sec, nanosec = (_STAMP_LITTLE if cdr[1] else _STAMP_BIG)(cdr, 4)
+        except (struct.error, IndexError):
             return None
-        sec, nanosec = stamp.unpack_from(cdr, 4)
-        return int(sec) * 1_000_000_000 + int(nanosec)
+        return sec * 1_000_000_000 + nanosec  # type: ignore[no-any-return]
 
     def _read(self, flavour: str, cdr: bytes) -> Any:
         read = self._readers.get(flavour)
@@ -158,7 +166,9 @@ class MessageCodec:
 
     def _swapped(self, raw: bytes) -> bytes:
         if raw[:2] != _BIG or len(raw) < 4:
-            raise DecodeError(self.type, "CDR", f"the header {raw[:4].hex(' ') or 'is missing and'} is not one of XCDR1")
+            raise DecodeError(
+                self.type, "CDR", f"the header {raw[:4].hex(' ') or 'is missing and'} is not one of XCDR1"
+            )
         return to_little_endian(self._plan, raw)
 
     def _encode(self, value: Any, now_ns: Callable[[], int] | None = None) -> bytes:

@@ -51,15 +51,22 @@ PRIMITIVES: Final = {
 """The primitive types of a ``.msg`` file and their sizes in bytes; 0 where the size varies."""
 
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+_LONGEST_NAME: Final = 1024
 
 
-@lru_cache(maxsize=4096)
 def canonical_name(name: str, kind: str = "msg") -> str:
     """The full name ``pkg/msg/Name`` of a type.
 
     Takes ``pkg/Name``, ``pkg/msg/Name`` and ``pkg.msg.Name``; superfluous slashes do not matter. ``kind`` is the
     middle part where the name has none. Raises ``InvalidTypeName``.
     """
+    if not isinstance(name, str) or len(name) > _LONGEST_NAME:
+        raise InvalidTypeName(name[:_LONGEST_NAME] if isinstance(name, str) else name)
+    return _canonical(name, kind)
+
+
+@lru_cache(maxsize=4096)
+def _canonical(name: str, kind: str) -> str:
     parts = [part for part in (name if "/" in name else name.replace(".", "/")).split("/") if part]
     if len(parts) == 2:
         parts.insert(1, kind)
@@ -95,7 +102,7 @@ class FieldType:
 
     def spelled(self, base: str | None = None) -> str:
         """The type as a ``.msg`` file writes it, ``string<=5[<=3]``; ``base`` replaces the name of the base."""
-        text = base or (short_name(self.base) if self.is_message else self.base)
+        text = base or (short_name(self.base) if "/msg/" in self.base else self.base)
         if self.bound:
             text += f"<={self.bound}"
         if self.kind == "array":

@@ -30,7 +30,7 @@ def find_interfaces(path: Path) -> dict[str, Path]:
             below.sort()
             here = Path(directory)
             for file in sorted(files):
-                suffix = os.path.splitext(file)[1]
+                suffix = (here / file).suffix
                 if suffix in _SUFFIXES and not file.startswith(".") and (name := _name_of(here / file, packages)):
                     found[name, _SUFFIXES.index(suffix)] = here / file
         return {name: file for (name, _), file in sorted(found.items())}

@@ -17,4 +17,6 @@ def parse_idl(name: str, text: str, *, file: str = "") -> list[Definition]:
         found = get_types_from_idl(text)
     except TypesysError as error:
         raise InvalidDefinition(name, str(error).splitlines()[0], file=file) from error
+    if name not in found:
+        raise InvalidDefinition(name, "it does not define this type", file=file)
     return [from_rosbags(each, entry) for each, entry in found.items()]

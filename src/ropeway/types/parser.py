@@ -73,9 +73,10 @@ def parse_msg(name: str, text: str, *, siblings: Collection[str] = ()) -> Defini
 
 def parse_srv(name: str, text: str, *, siblings: Collection[str] = ()) -> list[Definition]:
     """Request, response and event of the service ``name``. Raises ``InvalidDefinition``."""
-    parts = _split(name, text, 2, "request --- response")
+    request, response = _split(name, text, 2, "request --- response")
     return [
-        *(parse_msg(name + end, part, siblings=siblings) for end, part in zip(("_Request", "_Response"), parts, strict=True)),
+        parse_msg(f"{name}_Request", request, siblings=siblings),
+        parse_msg(f"{name}_Response", response, siblings=siblings),
         _event(name),
     ]
 
@@ -85,7 +86,7 @@ def parse_action(name: str, text: str, *, siblings: Collection[str] = ()) -> lis
 
     Raises ``InvalidDefinition``.
     """
-    parts = _split(name, text, 3, "goal --- result --- feedback")
+    goal, result, feedback = _split(name, text, 3, "goal --- result --- feedback")
     uuid = Field("goal_id", FieldType("unique_identifier_msgs/msg/UUID"))
     derived = {
         "_SendGoal_Request": (uuid, Field("goal", FieldType(f"{name}_Goal"))),
@@ -95,10 +96,9 @@ def parse_action(name: str, text: str, *, siblings: Collection[str] = ()) -> lis
         "_FeedbackMessage": (uuid, Field("feedback", FieldType(f"{name}_Feedback"))),
     }
     return [
-        *(
-            parse_msg(name + end, part, siblings=siblings)
-            for end, part in zip(("_Goal", "_Result", "_Feedback"), parts, strict=True)
-        ),
+        parse_msg(f"{name}_Goal", goal, siblings=siblings),
+        parse_msg(f"{name}_Result", result, siblings=siblings),
+        parse_msg(f"{name}_Feedback", feedback, siblings=siblings),
         *(Definition(name + end, fields) for end, fields in derived.items()),
         _event(f"{name}_SendGoal"),
         _event(f"{name}_GetResult"),
@@ -142,10 +142,10 @@ def _split(name: str, text: str, count: int, wanted: str) -> list[str]:
 
 
 def _event(service: str) -> Definition:
-    fields = [Field("info", FieldType("service_msgs/msg/ServiceEventInfo"))]
-    for part in ("Request", "Response"):
-        fields.append(Field(part.lower(), FieldType(f"{service}_{part}", kind="sequence", size=1)))
-    return Definition(f"{service}_Event", tuple(fields))
+    info = Field("info", FieldType("service_msgs/msg/ServiceEventInfo"))
+    request = Field("request", FieldType(f"{service}_Request", kind="sequence", size=1))
+    response = Field("response", FieldType(f"{service}_Response", kind="sequence", size=1))
+    return Definition(f"{service}_Event", (info, request, response))
 
 
 def _without_comment(line: str) -> str:
@@ -214,7 +214,9 @@ def _default(type: FieldType, text: str) -> object:
 
 
 def _items(text: str) -> list[str]:
-    return [m[0].strip() for m in re.finditer(r"""\s*(?:"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'|[^,]+)""", text) if m[0].strip()]
+    return [
+        m[0].strip() for m in re.finditer(r"""\s*(?:"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'|[^,]+)""", text) if m[0].strip()
+    ]
 
 
 def _scalar(type: FieldType, text: str) -> bool | int | float | str:

@@ -32,6 +32,7 @@ __all__ = ["FLAVOURS", "Reader", "make_reader"]
 
 FLAVOURS: Final = ("object", "json", "cbor", "rosgw")
 _TUPLE_LIMIT: Final = 64
+_EMPTY_LIMIT: Final = 65536
 _TAGS: Final = {
     "uint16": 69,
     "uint32": 70,
@@ -186,6 +187,8 @@ class _Source:
         n, v = f"n{leaf.index}", f"v{leaf.index}"
         bound = leaf.type.bound
         if not self.cdr:
+            if bound and leaf.type.base == "string":
+                self.line(f"if {n} > {bound}: raise Short('a string is longer than its type allows')")
             self.line(f"q = p + {n}")
             self.line("if q > end: raise Short")
             self.line(f"{v} = str(raw[p:q], 'utf-8', 'replace')")
@@ -243,8 +246,8 @@ class _Source:
     def loop(self, step: Loop) -> None:
         type, name = step.leaf.type, f"v{step.leaf.index}"
         count = f"n{step.leaf.index}" if type.kind == "sequence" else str(type.size)
-        if step.minimum:
-            self.line(f"if {count} * {step.minimum} > end - p: raise Short")
+        # elements of no size at all (ROS 1's empty messages) must not make a list of any length from four bytes
+        self.line(f"if {count} * {step.minimum or 1} > {'end - p' if step.minimum else _EMPTY_LIMIT}: raise Short")
         self.line(f"{name} = []")
         self.line(f"for _ in range({count}):")
         self.indent += 1

@@ -54,8 +54,6 @@ class TypeRegistry:
         Takes ``pkg/Name`` (``kind`` is then the middle part), ``pkg/msg/Name`` and ``pkg.msg.Name``; superfluous
         slashes do not matter. Raises ``InvalidTypeName``.
         """
-        if not isinstance(name, str):
-            raise InvalidTypeName(name)
         return canonical_name(name, kind)
 
     def has(self, name: str, kind: str = "msg") -> bool:
@@ -117,10 +115,11 @@ class TypeRegistry:
         while waiting:
             base, parent = waiting.pop()
             if base not in seen and base != full:
-                self.definition(base, needed_by=parent)
+                if not self._joins(base):
+                    self.definition(base, needed_by=parent)
                 seen[base] = None
                 waiting.extend((inner, base) for inner in reversed(self._bases(base)))
-        return list(seen)
+        return [base for base in seen if not self._joins(base)]
 
     def hash(self, name: str) -> str:
         """The type hash ``RIHS01_…`` of a message, service or action, as ROS 2 announces it.
@@ -314,12 +313,14 @@ class TypeRegistry:
 
     def _members(self, full: str) -> list[tuple[str, FieldType]]:
         """Field names and types of a message, or of the structure that stands for a service or action."""
-        self._load(full)
-        if full in self._sources:
+        if self._joins(full):
             return interface_members(full)
-        if full in self._definitions or not full.endswith(("_SendGoal", "_GetResult")):
-            return [(field.name, field.type) for field in self.definition(full).fields]
-        return interface_members(full)
+        return [(field.name, field.type) for field in self.definition(full).fields]
+
+    def _joins(self, full: str) -> bool:
+        """True for a service or action, also one that an action implies, which is no message but joins some."""
+        self._load(full)
+        return full in self._sources or (full not in self._definitions and full + "_Event" in self._definitions)
 
     def _roots(self, full: str) -> list[str]:
         """The messages whose fields stand in the text of ``full`` itself."""

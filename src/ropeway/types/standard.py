@@ -72,6 +72,7 @@ INTERFACES: Final[dict[str, str]] = {
         "builtin_interfaces/Duration timeout\nbuiltin_interfaces/Time target_time\nstring fixed_frame\nbool advanced\n"
         "---\ngeometry_msgs/TransformStamped transform\nTF2Error error\n---\n"
     ),
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",  # the store of noetic has none
     "tf2_msgs/srv/FrameGraph": "---\nstring frame_yaml\n",
     "type_description_interfaces/srv/GetTypeDescription": (
         "string type_name\nstring type_hash\nbool include_type_sources true\n---\nbool successful\n"
@@ -81,10 +82,11 @@ INTERFACES: Final[dict[str, str]] = {
     "visualization_msgs/srv/GetInteractiveMarkers": "---\nuint64 sequence_number\nInteractiveMarker[] markers\n",
 }
 
-for _name in "Bool Byte Char Float32 Float64 Int8 Int16 Int32 Int64 UInt8 UInt16 UInt32 UInt64 String WString".split():
+_NUMBERS: Final = ("Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8", "UInt16", "UInt32", "UInt64")
+for _name in ("Bool", "Byte", "Char", "String", "WString", *_NUMBERS):
     INTERFACES[f"example_interfaces/msg/{_name}"] = f"{_name.lower()} data\n"
-    if _name not in ("Bool", "Char", "String", "WString"):
-        INTERFACES[f"example_interfaces/msg/{_name}MultiArray"] = f"MultiArrayLayout layout\n{_name.lower()}[] data\n"
+for _name in ("Byte", *_NUMBERS):
+    INTERFACES[f"example_interfaces/msg/{_name}MultiArray"] = f"MultiArrayLayout layout\n{_name.lower()}[] data\n"
 INTERFACES["example_interfaces/msg/Empty"] = ""
 INTERFACES["example_interfaces/msg/MultiArrayDimension"] = "string label\nuint32 size\nuint32 stride\n"
 INTERFACES["example_interfaces/msg/MultiArrayLayout"] = "MultiArrayDimension[] dim\nuint32 data_offset\n"

@@ -7,7 +7,6 @@ value does not fit; ``check`` finds out where and why.
 
 from __future__ import annotations
 
-import binascii
 import math
 import struct
 import sys
@@ -16,12 +15,14 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import orjson
+import pybase64
 
 __all__ = [
     "Misfit",
     "Short",
     "base64_text",
     "byte",
+    "from_base64",
     "items",
     "json_numbers",
     "mapping",
@@ -52,7 +53,15 @@ class Short(Exception):  # noqa: N818 - not an error that leaves this room
 
 def base64_text(raw: bytes, start: int, end: int) -> orjson.Fragment:
     """A JSON string with the base64 form of ``raw[start:end]``."""
-    return orjson.Fragment(b'"%b"' % binascii.b2a_base64(memoryview(raw)[start:end], newline=False))
+    return orjson.Fragment(b"".join((b'"', pybase64.b64encode(memoryview(raw)[start:end]), b'"')))
+
+
+def from_base64(value: str) -> bytes:
+    """The bytes of a base64 text; what is not of its alphabet (line ends) is passed over, as rosbridge does."""
+    try:
+        return pybase64.b64decode(value, validate=True)  # five times faster
+    except ValueError:
+        return pybase64.b64decode(value)
 
 
 def json_numbers(raw: bytes, start: int, count: int, code: str) -> Any:
@@ -174,7 +183,7 @@ def octets(value: Any, count: int, limit: int) -> bytes:
     if isinstance(value, bytes):
         coded = value
     elif isinstance(value, str):
-        coded = binascii.a2b_base64(value)
+        coded = from_base64(value)
     elif isinstance(value, (bytearray, memoryview)):
         coded = bytes(value)
     elif isinstance(value, (list, tuple)):
@@ -185,7 +194,7 @@ def octets(value: Any, count: int, limit: int) -> bytes:
     elif _is_array(value) and value.dtype.kind in "iu":
         coded = value.tobytes() if value.dtype.itemsize == 1 else bytes(value.tolist())
     elif _is_tag(value):
-        coded = value.value if value.tag in (64, 68) else bytes(typed_array(value).tolist())
+        coded = bytes(typed_array(value).tolist()) if value.tag not in (64, 68) else _tag_bytes(value)
     else:
         raise Misfit
     return _counted(coded, len(coded), count, limit)
@@ -209,7 +218,7 @@ def number_packer(code: str) -> Callable[[Any, int, int], bytes]:
         elif _is_array(value):
             coded = from_numpy(value)
         elif _is_tag(value):
-            coded = value.value if value.tag == tag else from_numpy(typed_array(value))
+            coded = _tag_bytes(value) if value.tag == tag else from_numpy(typed_array(value))
         elif isinstance(value, (list, tuple, array)):
             coded = from_items(list(value))
         else:
@@ -250,8 +259,8 @@ def typed_array(value: Any) -> Any:
     """The numpy array in a typed array of CBOR (RFC 8746), any byte order and width."""
     import numpy as np
 
-    tag, raw = value.tag, value.value
-    if not isinstance(raw, (bytes, bytearray, memoryview)) or not 64 <= tag <= 87 or tag == 76:
+    tag, raw = value.tag, _tag_bytes(value)
+    if not isinstance(tag, int) or not 64 <= tag <= 87 or tag == 76:
         raise Misfit
     floating, signed, little, width = tag >> 4 & 1, tag >> 3 & 1, tag >> 2 & 1, tag & 3
     size = 2 << width if floating else 1 << width
@@ -265,6 +274,12 @@ def _counted(value: Any, length: int, count: int, limit: int) -> Any:
     if (count >= 0 and length != count) or (limit and length > limit):
         raise Misfit
     return value
+
+
+def _tag_bytes(value: Any) -> bytes:
+    if not isinstance(value.value, (bytes, bytearray, memoryview)):
+        raise Misfit
+    return bytes(value.value)
 
 
 def _is_numpy(value: Any, kinds: str) -> bool:

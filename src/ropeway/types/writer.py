@@ -7,7 +7,6 @@ that does not fit makes it fail in any way (``FAILURES``); ``check`` then says w
 
 from __future__ import annotations
 
-import binascii
 import struct
 from collections.abc import Callable
 from typing import Any, Final
@@ -21,7 +20,6 @@ __all__ = ["FAILURES", "Writer", "make_writer"]
 FAILURES: Final = (
     values.Misfit,
     struct.error,
-    binascii.Error,
     TypeError,
     ValueError,
     OverflowError,

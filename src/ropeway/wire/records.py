@@ -4,7 +4,7 @@ A frame is one or more records, each a 28-byte little-endian header and a body::
 
     u8 kind | u8 encoding | u16 channel | u16 origin | u16 flags | u32 body length | u64 seq | i64 stamp_ns
 
-* ``MESSAGE``: a whole message; the body is encoded as ``encoding`` says (an index into ``ENCODINGS``).
+* ``MESSAGE``: a whole message; the body is encoded as ``encoding`` says (an index into ``codec.ENCODINGS``).
 * ``FIRST``: the beginning of a message in parts; the body is the total length (u32) and the first part.
 * ``MORE``: the next part of the message begun on this channel. Parts of different channels may interleave.
 * ``ORIGIN``: 16 bytes that ``origin`` stands for from now on in this direction of the connection.
@@ -24,6 +24,7 @@ from typing import Final, NamedTuple
 from ropeway.errors import InvalidFrame, MessageTooBig
 
 __all__ = ["HEADER_BYTES", "Arrival", "RecordReader", "RecordWriter"]
+
 
 MESSAGE: Final = 1
 FIRST: Final = 2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -17,6 +16,7 @@ from ropeway.types.typedef import IDL_NAMES
 __all__ = ["Picked", "Style", "as_csv", "as_python", "as_yaml", "pick", "shown"]
 
 _Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+_WIDTH: Final = (1 << 31) - 1  # as wide as the C library counts: no line is folded
 _STEP: Final = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
 
 
@@ -118,7 +118,7 @@ def _scalar(value: Any, style: Style) -> Any:
 def as_yaml(value: Any, style: Style) -> str:
     """YAML, without the ``---`` that follows it."""
     text: str = yaml.dump(
-        value, Dumper=_Dumper, allow_unicode=True, width=sys.maxsize, sort_keys=False, default_flow_style=style.flow
+        value, Dumper=_Dumper, allow_unicode=True, width=_WIDTH, sort_keys=False, default_flow_style=style.flow
     )
     return text.removesuffix("...\n") if text.endswith("\n...\n") else text
 

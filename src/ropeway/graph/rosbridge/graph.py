@@ -31,6 +31,7 @@ from ropeway.graph.rosbridge.parts import EchoFilter, RemotePublisher, RemoteSub
 from ropeway.link.connection import Connection, Limits, connect
 from ropeway.link.peer import Peer
 from ropeway.qos import DEFAULT, QoS
+from ropeway.tasks import end
 from ropeway.types import TypeRegistry
 from ropeway.wire import ops
 from ropeway.wire.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL
@@ -139,7 +140,7 @@ class RosbridgeGraph:
         """Leave the far graph with everything that was created here."""
         if self.state is LinkState.CLOSED:
             return
-        for part in [*self._publishers.values(), *self._subscriptions.values()]:
+        for part in self._parts():
             await part.close()
         self._set_state(LinkState.CLOSED)
         connection = self.peer.connection if self.peer is not None else None
@@ -148,11 +149,8 @@ class RosbridgeGraph:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(2):
                     await connection.wait_closed()
-        if self._task is not None:
-            self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
-            self._task = None
+        await end(self._task)
+        self._task = None
         self._changes.close()
 
     def on_state(self, callback: Callable[[LinkState], None]) -> None:
@@ -168,7 +166,7 @@ class RosbridgeGraph:
 
     async def _keep_connected(self) -> None:
         delay, down_since = _FIRST_RETRY_S, time.monotonic()
-        while True:
+        while self.state is not LinkState.CLOSED:
             self._set_state(LinkState.CONNECTING)
             try:
                 connection = await connect(
@@ -184,6 +182,8 @@ class RosbridgeGraph:
                 delay, down_since = _FIRST_RETRY_S, time.monotonic()
                 await self._converse(connection)
                 down_since = time.monotonic()
+            if self.state is LinkState.CLOSED:
+                return
             self._set_state(LinkState.WAITING)
             await asyncio.sleep(delay * random.uniform(0.7, 1.3))  # noqa: S311  # jitter, not a secret
             patient = time.monotonic() - down_since > _PATIENT_AFTER_S
@@ -210,7 +210,7 @@ class RosbridgeGraph:
             peer.send({"op": "hello", "gateway": self._gateway_id, "name": self._node_name})
             if self._watch:
                 peer.send({"op": "watch"})
-        for part in [*self._publishers.values(), *self._subscriptions.values()]:
+        for part in self._parts():
             part.connected(peer)
         self._set_state(LinkState.CONNECTED)
         if self._attempt is not None and not self._attempt.done():
@@ -219,12 +219,10 @@ class RosbridgeGraph:
         try:
             code, reason = await connection.wait_closed()
         finally:
-            chores.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await chores
+            await end(chores)
             self._traffic = (self._traffic[0] + connection.bytes_in, self._traffic[1] + connection.bytes_out)
             self.peer = None
-            for part in [*self._publishers.values(), *self._subscriptions.values()]:
+            for part in self._parts():
                 part.disconnected()
             for call in self._calls.values():
                 if not call.done():
@@ -310,6 +308,9 @@ class RosbridgeGraph:
     def _check(self) -> None:
         if self._task is None or self.state is LinkState.CLOSED:
             raise GraphUnavailable(self.name, "is not open; call open() first")
+
+    def _parts(self) -> list[RemotePublisher | RemoteSubscription]:
+        return [*self._publishers.values(), *self._subscriptions.values()]
 
     def next_number(self) -> int:
         """A channel number that is free."""

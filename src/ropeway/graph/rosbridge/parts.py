@@ -117,6 +117,7 @@ class RemotePublisher:
         if plain and encoding in ("auto", "zstd"):
             encoding = "none"
         extra: dict[str, Any] | None = None
+        self._count = None if plain else 0  # a gateway tells at once how many read
         if not plain:
             extra = {"channel": self.number, **self.graph.type_note(self.type)}
         self.channel = peer.open_channel(
@@ -146,7 +147,8 @@ class RemotePublisher:
         """The connection is gone."""
         self._collect()
         self.channel = None
-        self.demand(None if self._count is None else 0)
+        if self._count is not None:
+            self.demand(0)
 
     def statistics(self) -> tuple[int, int]:
         """Messages and bytes sent, over all connections."""

@@ -1,0 +1,143 @@
+"""``ropeway demo``: two networks on one machine, joined by two gateways, with figures."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import typer
+
+from ropeway.cli.console import answer, complain, print_json
+from ropeway.cli.demo.flow import Flow
+from ropeway.cli.demo.gateways import GatewayProcess, configurations, free_port, running
+from ropeway.cli.demo.scene import Part, recorded_parts, synthetic_parts
+from ropeway.cli.demo.table import brief, live_table, summary_table
+from ropeway.cli.loop import run
+from ropeway.graph import open_graph
+from ropeway.graph.base import Graph
+from ropeway.types import TypeRegistry
+
+__all__ = ["app"]
+
+app = typer.Typer(add_completion=False)
+_REFRESH_S: Final = 0.25
+_LINE_S: Final = 5.0
+
+
+@app.command("demo")
+def demo(
+    bag: Annotated[
+        Path | None, typer.Option("--bag", help="Send a recording's camera and odometry.", show_default=False)
+    ] = None,
+    for_s: Annotated[float, typer.Option("--for", min=1.0, help="Seconds to run.")] = 15.0,
+    domains: Annotated[tuple[int, int], typer.Option("--domains", help="The DDS domains of robot and cloud.")] = (
+        71,
+        72,
+    ),
+    as_json: Annotated[bool, typer.Option("--json", help="Print only the summary, as JSON.")] = False,
+) -> None:
+    """Join two DDS networks of this machine and show what crosses; exit status 0 if every route carried messages."""
+    flows, routes = run(_demo(bag, for_s, domains, shown=not as_json))
+    ok = all(flow.arrived for flow in flows)
+    if as_json:
+        rows = [
+            {
+                **flow.summary(),
+                "encoding": routes.get(flow.topic, {}).get("encoding"),
+                "drops": routes.get(flow.topic, {}).get("drops", {}),
+            }
+            for flow in flows
+        ]
+        print_json({"ok": ok, "routes": rows})
+    else:
+        from rich.console import Console
+
+        Console().print(summary_table(flows, routes))
+        silent = ", ".join(flow.topic for flow in flows if not flow.arrived)
+        answer(f"Nothing arrived on {silent}." if silent else "Messages arrived on every route.")
+    raise typer.Exit(0 if ok else 1)
+
+
+async def _demo(
+    bag: Path | None, for_s: float, domains: tuple[int, int], *, shown: bool
+) -> tuple[list[Flow], dict[str, dict[str, Any]]]:
+    registry = TypeRegistry()
+    parts = recorded_parts(registry, bag) if bag else synthetic_parts(registry)
+    flows = [Flow(p.topic, p.type, p.side, registry.codec(p.type).header_stamp_ns) for p in parts]
+    robot_url, cloud_url = (f"dds:{domain}?interface=127.0.0.1" for domain in domains)
+    configs = configurations(parts, robot_url, cloud_url, free_port())
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    with tempfile.TemporaryDirectory(prefix="ropeway-demo-") as directory:
+        async with running(configs, Path(directory)) as gateways:
+            graphs: dict[str, Graph] = {}
+            try:
+                for side, url in (("robot", robot_url), ("cloud", cloud_url)):
+                    graphs[side] = await open_graph(url, registry=registry, name=f"{side}_{os.getpid()}")
+                await _cross(parts, flows, graphs, gateways, for_s, stop, shown=shown)
+            finally:
+                for graph in graphs.values():
+                    await graph.close()
+            routes = _by_topic(gateways["robot"])
+    return flows, routes
+
+
+async def _cross(
+    parts: Iterable[Part],
+    flows: list[Flow],
+    graphs: Mapping[str, Graph],
+    gateways: Mapping[str, GatewayProcess],
+    for_s: float,
+    stop: asyncio.Event,
+    *,
+    shown: bool,
+) -> None:
+    """Send every part on its side and listen on the other, until the time is over or ``stop`` is set."""
+    other = {"robot": "cloud", "cloud": "robot"}
+    for flow in flows:
+        await graphs[other[flow.side]].create_subscription(flow.topic, flow.type, None, flow.on_batch)
+    tasks = [
+        *(asyncio.create_task(gateway.listen(), name=gateway.name) for gateway in gateways.values()),
+        *(
+            asyncio.create_task(part.send(graphs[part.side], flow.on_sent), name=part.topic)
+            for part, flow in zip(parts, flows, strict=True)
+        ),
+    ]
+    show = asyncio.create_task(_show(flows, gateways["robot"], shown=shown))
+    ended = asyncio.create_task(stop.wait())
+    try:
+        done, _ = await asyncio.wait([*tasks, ended], timeout=for_s, return_when=asyncio.FIRST_COMPLETED)
+        for task in done - {ended}:
+            task.result()  # a sender or a gateway that ended by itself has failed
+    finally:
+        for task in (show, ended, *tasks):
+            task.cancel()
+        await asyncio.gather(show, ended, *tasks, return_exceptions=True)
+
+
+async def _show(flows: list[Flow], robot: GatewayProcess, *, shown: bool) -> None:
+    if not shown:
+        return
+    loop = asyncio.get_running_loop()
+    began = loop.time()
+    if not sys.stdout.isatty():
+        while True:
+            await asyncio.sleep(_LINE_S)
+            complain(brief(flows, loop.time() - began))
+    from rich.live import Live
+
+    with Live(refresh_per_second=1 / _REFRESH_S, transient=True) as live:
+        while True:
+            live.update(live_table(flows, _by_topic(robot), loop.time() - began))
+            await asyncio.sleep(_REFRESH_S)
+
+
+def _by_topic(gateway: GatewayProcess) -> dict[str, dict[str, Any]]:
+    return {route["name"]: route for route in gateway.routes}

@@ -1,0 +1,117 @@
+"""The two gateways of the demo: processes of ``ropeway run`` with configurations in a directory of their own."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import signal
+import socket
+import sys
+from collections.abc import AsyncIterator, Iterable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from ropeway.cli.demo.scene import Part
+from ropeway.errors import RopewayError
+
+__all__ = ["GatewayProcess", "configurations", "free_port", "running"]
+
+_STOP_S: Final = 5.0
+_STATUS_S: Final = "0.5"
+_LINE_BYTES: Final = 4 << 20
+
+
+def free_port() -> int:
+    """A TCP port of this machine that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def configurations(parts: Iterable[Part], robot_graph: str, cloud_graph: str, port: int) -> dict[str, dict[str, Any]]:
+    """The configurations of both: the robot dials, as robots behind a firewall do."""
+
+    def items(side: str) -> list[dict[str, Any]]:
+        out = []
+        for part in parts_:
+            if part.side == side:
+                lane = {"priority": "command"} if "Twist" in part.type else {}
+                out.append({"name": part.topic, "type": part.type, **lane})
+        return out
+
+    parts_ = list(parts)
+    address = f"ws://127.0.0.1:{port}"
+    return {
+        "cloud": {"gateway": {"name": "cloud", "graphs": [cloud_graph], "listen": [address]}},
+        "robot": {
+            "gateway": {"name": "robot", "graphs": [robot_graph], "listen": []},
+            "remotes": [{"title": "cloud", "address": address, "publish": items("robot"), "subscribe": items("cloud")}],
+        },
+    }
+
+
+@dataclass
+class GatewayProcess:
+    """One gateway, with the last it said of itself."""
+
+    name: str
+    process: asyncio.subprocess.Process
+    log: Path
+    status: dict[str, Any] = field(default_factory=dict)
+
+    async def listen(self) -> None:
+        """Keep ``status`` up to date. Raises ``RopewayError`` when the process ends by itself."""
+        assert self.process.stdout is not None
+        async for line in self.process.stdout:
+            with contextlib.suppress(json.JSONDecodeError):
+                self.status = json.loads(line)
+        code = await self.process.wait()
+        tail = self.log.read_text(errors="replace").strip().splitlines()[-5:]
+        raise RopewayError(f"the gateway of the {self.name} has ended with status {code}: {' | '.join(tail)}")
+
+    @property
+    def routes(self) -> list[dict[str, Any]]:
+        """The routes that it tells of."""
+        routes: list[dict[str, Any]] = self.status.get("routes", [])
+        return routes
+
+    async def stop(self) -> None:
+        """End it in order, or at once where it does not."""
+        if self.process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                self.process.send_signal(signal.SIGINT)
+        try:
+            async with asyncio.timeout(_STOP_S):
+                await self.process.wait()
+        except TimeoutError:
+            self.process.kill()
+            await self.process.wait()
+
+
+@asynccontextmanager
+async def running(configs: dict[str, dict[str, Any]], directory: Path) -> AsyncIterator[dict[str, GatewayProcess]]:
+    """Both gateways, for as long as the block runs; their configurations and logs stand in ``directory``."""
+    gateways: dict[str, GatewayProcess] = {}
+    try:
+        for name, config in configs.items():
+            file = directory / f"{name}.json"
+            file.write_text(json.dumps(config, indent=2) + "\n")
+            log = directory / f"{name}.log"
+            with log.open("wb") as errors:
+                process = await asyncio.create_subprocess_exec(
+                    *(sys.executable, "-m", "ropeway", "run", str(file), "--json", "--period", _STATUS_S),
+                    stdin=asyncio.subprocess.DEVNULL,
+                    stdout=asyncio.subprocess.PIPE,
+                    stderr=errors,
+                    limit=_LINE_BYTES,
+                    start_new_session=True,  # Ctrl-C is ours, and we end them in order
+                )
+            gateways[name] = GatewayProcess(name, process, log)
+        yield gateways
+    finally:
+        for gateway in gateways.values():
+            await gateway.stop()

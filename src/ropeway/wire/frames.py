@@ -1,0 +1,324 @@
+"""WebSocket frames to operations: JSON in text and binary frames, CBOR maps in binary ones.
+
+``loads`` takes one frame by itself; ``JsonAssembler`` also puts together an object that a client spread over
+several frames, and finds the objects between what is not JSON. Whatever a peer sends, they raise only
+``InvalidFrame``, and what they keep and compute is bounded by the size of the frames.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NoReturn
+
+import cbor2
+import numpy as np
+import orjson
+
+from ropeway.errors import InvalidFrame
+
+__all__ = ["MAX_DEPTH", "JsonAssembler", "cbor_loads", "json_loads", "loads"]
+
+MAX_DEPTH: Final = 128
+"""Containers within containers; ROS messages have about ten."""
+
+_PENDING_LIMIT_BYTES: Final = 16 << 20
+
+
+def loads(
+    data: bytes | bytearray | memoryview | str, *, text: bool, max_depth: int = MAX_DEPTH
+) -> list[dict[Any, Any]]:
+    """The objects of one frame, in order: JSON, several of them one after the other, or (binary) one CBOR map.
+
+    ``NaN`` and ``Infinity`` are taken as numbers. Raises ``InvalidFrame``, also if anything else than objects is
+    in the frame or the last one is not complete.
+    """
+    assembler = JsonAssembler(limit_bytes=len(data) * 4, max_depth=max_depth)
+    objects = assembler.feed(data, text=text)
+    if assembler.pending_bytes:
+        raise InvalidFrame("a JSON object is cut off", len(data))
+    if assembler.garbage_bytes:
+        raise InvalidFrame(f"{assembler.garbage_bytes} bytes between the JSON objects are no JSON", len(data))
+    return objects
+
+
+def json_loads(data: bytes | bytearray | memoryview | str, max_depth: int = MAX_DEPTH) -> Any:
+    """One JSON value. Takes ``NaN`` and ``Infinity``; raises ``InvalidFrame``."""
+    try:
+        value = orjson.loads(data)
+    except orjson.JSONDecodeError:
+        value = _lenient(data)
+    _check_depth(data, value, max_depth)
+    return value
+
+
+def _lenient(data: bytes | bytearray | memoryview | str) -> Any:
+    """What orjson refuses: numbers that are none, or beyond a double."""
+    try:
+        text = data if isinstance(data, str) else str(data, "utf-8")
+        value = json.loads(text)
+        if _HALF_PAIR.search(text):
+            json.dumps(value, ensure_ascii=False).encode()  # half a surrogate pair is no text
+    except UnicodeError as error:
+        raise InvalidFrame(f"not a text: {_short(error)}", len(data)) from None
+    except (ValueError, RecursionError) as error:
+        raise InvalidFrame(f"not JSON: {_short(error)}", len(data)) from None
+    return value
+
+
+_HALF_PAIR: Final = re.compile(r"\\u[dD][89a-fA-F]")
+_NOT_BRACKETS: Final = bytes(set(range(256)) - set(b"{}[]"))
+_STEPS: Final = np.zeros(256, np.int8)
+_STEPS[list(b"{[")] = 1
+_STEPS[list(b"}]")] = -1
+
+
+def _check_depth(data: bytes | bytearray | memoryview | str, value: Any, limit: int) -> None:
+    """Raise ``InvalidFrame`` if ``value``, which ``data`` says, is nested deeper than ``limit``.
+
+    What is deep is found by its brackets, so that ordinary messages are not walked through.
+    """
+    raw = data.encode() if isinstance(data, str) else bytes(data)
+    count = 0
+    for bracket in (b"{", b"["):
+        at = raw.find(bracket)
+        while at >= 0 and count <= limit:
+            count += 1
+            at = raw.find(bracket, at + 1)
+    if count <= limit:
+        return
+    steps = _STEPS[np.frombuffer(raw.translate(None, _NOT_BRACKETS), np.uint8)]
+    if np.cumsum(steps, dtype=np.int32).max(initial=0) <= limit:
+        return
+    level = [value]  # brackets in texts may have misled us
+    for _ in range(limit + 1):
+        level = [
+            item
+            for container in level
+            for item in (container.values() if isinstance(container, dict) else container)
+            if isinstance(item, (dict, list))
+        ]
+        if not level:
+            return
+    raise InvalidFrame(f"containers are nested more than {limit} deep", len(raw))
+
+
+def _short(error: Exception) -> str:
+    return str(error)[:200]
+
+
+# --- CBOR -------------------------------------------------------------------------------------------------------
+
+
+def _refuse(decoder: object) -> NoReturn:
+    raise cbor2.CBORDecodeError("dates, big numbers, references and such are no part of ROS messages")
+
+
+# Every tag that cbor2 would turn into something else than a CBORTag: costly, cyclic or without use here.
+_NO_TAGS: Final[Mapping[int, Callable[[Any], Any]]] = dict.fromkeys(
+    (0, 1, 2, 3, 4, 5, 25, 28, 29, 30, 35, 36, 37, 100, 256, 258, 260, 261, 1004, 43000, 43001, 55799), _refuse
+)
+
+
+def cbor_loads(data: bytes | bytearray | memoryview, max_depth: int = MAX_DEPTH) -> Any:
+    """One CBOR value; arrays by RFC 8746 stay ``cbor2.CBORTag``. Raises ``InvalidFrame``."""
+    try:
+        return cbor2.loads(data, semantic_decoders=_NO_TAGS, max_depth=max_depth)
+    except (cbor2.CBORError, ValueError, TypeError, RecursionError) as error:
+        raise InvalidFrame(f"not CBOR: {_short(error)}", len(data)) from None
+
+
+# --- JSON over several frames -----------------------------------------------------------------------------------
+
+_QUOTE: Final = ord('"')
+_STRING: Final = re.compile(rb'(?:[^"\\]++|\\.)*+', re.DOTALL)  # up to the quote that ends it
+_TOKEN: Final = re.compile(rb'[ \t\r\n]*+(?:([{}\[\]:,"])|(-?+(?:[0-9][-+.0-9eE]*+|Infinity)|NaN|true|false|null))')
+_SPACE: Final = re.compile(rb"[ \t\r\n]*+")
+_LITERALS: Final = (b"-Infinity", b"Infinity", b"NaN", b"true", b"false", b"null")
+_LONGEST_NUMBER: Final = 1024
+
+# what may come next
+_VALUE, _FIRST_VALUE, _KEY, _FIRST_KEY, _COLON, _NEXT = range(6)
+_VALUES: Final = frozenset((_VALUE, _FIRST_VALUE))
+_KEYS: Final = frozenset((_KEY, _FIRST_KEY))
+
+
+class _NotJson(Exception):  # noqa: N818  # a signal within this module
+    def __init__(self, at: int) -> None:
+        self.at = at
+
+
+class JsonAssembler:
+    """Takes the frames of one connection and gives their objects.
+
+    ``limit_bytes`` bounds what is kept of an object that is not complete yet; ``garbage_bytes`` counts what was
+    thrown away because it is no JSON, ``pending_bytes`` what waits for the next frame. A frame that is an operation
+    by itself ends an object that was never finished.
+    """
+
+    def __init__(self, *, limit_bytes: int = _PENDING_LIMIT_BYTES, max_depth: int = MAX_DEPTH) -> None:
+        self.limit_bytes = limit_bytes
+        self.max_depth = max_depth
+        self.garbage_bytes = 0
+        self._buffer = bytearray()  # begins with the object that is not complete
+        self._open = bytearray()  # its containers
+        self._expect = _VALUE
+        self._string = False
+        self._at = 0  # as far as it was looked at
+
+    @property
+    def pending_bytes(self) -> int:
+        """How much of an incomplete object is kept."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes | bytearray | memoryview | str, *, text: bool) -> list[dict[Any, Any]]:
+        """The objects that this frame completes; none while the first one is not complete.
+
+        Raises ``InvalidFrame`` if the frame has nothing of use. What is between objects is only counted.
+        """
+        if isinstance(data, str):
+            try:
+                data = data.encode()
+            except UnicodeError:
+                raise InvalidFrame("half a surrogate pair is no text", len(data)) from None
+        if not len(data):
+            raise InvalidFrame("an empty frame")
+        if not text and data[0] >= 0x80 and (value := self._binary(data)) is not None:
+            return [value]
+        try:
+            whole = json_loads(data, self.max_depth)
+        except InvalidFrame as error:
+            return self._search(data, error)
+        if self._buffer:
+            if not isinstance(whole, dict) or "op" not in whole:
+                return self._search(data, None)
+            self._discard(len(self._buffer))
+        if not isinstance(whole, dict):
+            raise InvalidFrame(f"a JSON object was expected, not {_kind(whole)}", len(data))
+        return [whole]
+
+    def _binary(self, data: bytes | bytearray | memoryview) -> dict[Any, Any] | None:
+        """The CBOR map that a frame is, ``None`` for what may continue a JSON text."""
+        try:
+            if not 0xA0 <= data[0] <= 0xBF:
+                raise InvalidFrame("a binary frame that is neither JSON nor a CBOR map", len(data))
+            value = cbor_loads(data, self.max_depth)
+        except InvalidFrame:
+            if self._buffer:
+                return None
+            raise
+        assert isinstance(value, dict)
+        return value
+
+    def _search(self, data: bytes | bytearray | memoryview, error: InvalidFrame | None) -> list[dict[Any, Any]]:
+        waiting = len(self._buffer)
+        if waiting + len(data) > self.limit_bytes:
+            self._discard(waiting)
+            raise InvalidFrame(f"a JSON object is not complete after {self.limit_bytes} bytes", waiting + len(data))
+        self._buffer += data
+        objects: list[dict[Any, Any]] = []
+        before = self.garbage_bytes
+        while self._begin():
+            try:
+                end = self._end()
+            except _NotJson as wrong:
+                self._discard(wrong.at)
+                continue
+            if end is None:
+                break
+            try:
+                objects.append(json_loads(bytes(self._buffer[:end]), self.max_depth))
+            except InvalidFrame as inner:
+                error = error or inner
+                self.garbage_bytes += end
+            del self._buffer[:end]
+        if not objects and not self._buffer and self.garbage_bytes > before:
+            raise error or InvalidFrame("not a JSON object", len(data))
+        return objects
+
+    def _discard(self, size: int) -> None:
+        self.garbage_bytes += size
+        del self._buffer[:size]
+        self._open.clear()
+
+    def _begin(self) -> bool:
+        """Go to where an object begins; false if there is none."""
+        if self._open:
+            return True
+        at = self._buffer.find(b"{")
+        before = len(self._buffer) if at < 0 else at
+        space = _SPACE.match(self._buffer, 0, before)
+        if space is not None and space.end() < before:
+            self.garbage_bytes += before
+        del self._buffer[:before]
+        if at < 0:
+            return False
+        self._open += b"{"
+        self._expect = _FIRST_KEY
+        self._string = False
+        self._at = 1
+        return True
+
+    def _end(self) -> int | None:
+        """Where the object ends that the buffer begins with; ``None`` if that is still to come.
+
+        Continues where it stopped before. Raises ``_NotJson`` at what cannot be a part of an object.
+        """
+        buffer, open_, at = self._buffer, self._open, self._at
+        while True:
+            if self._string:
+                at = _matched(_STRING, buffer, at).end()
+                if at >= len(buffer) or buffer[at] != _QUOTE:
+                    self._at = at
+                    return None
+                self._string = False
+                at += 1
+            token = _TOKEN.match(buffer, at)
+            if token is None or (token.end() == len(buffer) and token.lastindex == 2):
+                self._at = self._unfinished(at)
+                return None
+            mark = token.group(1)
+            start, at = token.start(token.lastindex or 0), token.end()
+            expect = self._expect
+            if mark is None and expect in _VALUES:
+                self._expect = _NEXT
+            elif mark == b'"' and expect in _VALUES:
+                self._string, self._expect = True, _NEXT
+            elif mark == b'"' and expect in _KEYS:
+                self._string, self._expect = True, _COLON
+            elif mark == b":" and expect == _COLON:
+                self._expect = _VALUE
+            elif mark == b"," and expect == _NEXT:
+                self._expect = _KEY if open_.endswith(b"{") else _VALUE
+            elif (mark == b"}" and open_.endswith(b"{") and expect in (_FIRST_KEY, _NEXT)) or (
+                mark == b"]" and open_.endswith(b"[") and expect in (_FIRST_VALUE, _NEXT)
+            ):
+                open_.pop()
+                self._expect = _NEXT
+                if not open_:
+                    return at
+            elif mark in (b"{", b"[") and expect in _VALUES and len(open_) < self.max_depth:
+                open_ += mark
+                self._expect = _FIRST_KEY if mark == b"{" else _FIRST_VALUE
+            else:
+                raise _NotJson(start)
+
+    def _unfinished(self, at: int) -> int:
+        """Where a number or a word begins that what is left can become, behind white space."""
+        start = _matched(_SPACE, self._buffer, at).end()
+        rest = bytes(self._buffer[start : start + _LONGEST_NUMBER])
+        number = rest[:1].isdigit() or (rest[:1] == b"-" and rest[1:2].isdigit())
+        if len(rest) == _LONGEST_NUMBER or not (number or any(word.startswith(rest) for word in _LITERALS)):
+            raise _NotJson(start)
+        return start
+
+
+def _matched(pattern: re.Pattern[bytes], buffer: bytearray, at: int) -> re.Match[bytes]:
+    found = pattern.match(buffer, at)
+    assert found is not None  # these patterns match the empty text
+    return found
+
+
+def _kind(value: object) -> str:
+    return {list: "an array", str: "a text", bool: "a truth value", type(None): "null"}.get(type(value), "a number")

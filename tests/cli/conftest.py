@@ -1,0 +1,97 @@
+"""What the tests of the command line share."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from ropeway.cli.session import Session
+from ropeway.graph.memory import MemoryGraph
+from ropeway.types import TypeRegistry
+
+Ropeway = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="session")
+def registry() -> TypeRegistry:
+    """The types of the newest distribution; tests add none to it."""
+    return TypeRegistry()
+
+
+@pytest.fixture
+async def pair(registry: TypeRegistry, request: pytest.FixtureRequest) -> AsyncIterator[tuple[Session, Session]]:
+    """Two participants of one network inside this process."""
+    name = request.node.name.replace("[", "-").replace("]", "")
+    graphs = [MemoryGraph(name, node=node) for node in ("/here", "/there")]
+    for graph in graphs:
+        await graph.open()
+    yield Session(graphs[0], registry), Session(graphs[1], registry)
+    for graph in graphs:
+        await graph.close()
+
+
+@pytest.fixture(scope="session")
+def environment() -> dict[str, str]:
+    """The environment of subprocesses: DDS stays on this machine, in a domain of this process."""
+    source = str(Path(__file__).parents[2] / "src")
+    kept = {
+        key: value for key, value in os.environ.items() if not key.startswith(("ROS_", "ROPEWAY_", "AMENT_", "CYCLONE"))
+    }
+    path = os.pathsep.join(filter(None, (source, kept.get("PYTHONPATH"))))
+    domain = str(110 + os.getpid() % 100)
+    return {**kept, "PYTHONPATH": path, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": domain}
+
+
+@pytest.fixture(scope="session")
+def ropeway(environment: dict[str, str]) -> Ropeway:
+    """Runs the command to its end."""
+
+    def run(*arguments: str, timeout_s: float = 30.0, **more: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "ropeway", *arguments],
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            env={**environment, **more},
+            check=False,
+        )
+
+    return run
+
+
+@pytest.fixture
+def background(environment: dict[str, str]) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts the command and ends it after the test."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "ropeway", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.terminate()
+        process.communicate(timeout=20)
+
+
+async def until(condition: Callable[[], bool], timeout_s: float = 5.0) -> None:
+    """Wait until something holds; a test fails where it does not in time."""
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        await asyncio.sleep(0.005)

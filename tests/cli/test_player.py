@@ -1,0 +1,179 @@
+"""Playing a recording: pace, repetition, stamps, bounds."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer as McapWriter
+
+from ropeway.cli.bagfile import Bag, BagTopic, Record
+from ropeway.cli.player import Played, play, read_ahead, restamped
+from ropeway.cli.session import Session
+from ropeway.graph.base import Sample
+from ropeway.types import TypeRegistry
+from tests.cli.conftest import until
+
+POINT = "geometry_msgs/msg/PointStamped"
+STRING = "std_msgs/msg/String"
+STEP_NS = 20_000_000
+
+
+@pytest.fixture
+def recording(tmp_path: Path, registry: TypeRegistry) -> Path:
+    """Ten points 20 ms apart, and a text between each two of them."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start("ros2")
+        numbers = {}
+        for topic, type in (("/point", POINT), ("/text", STRING)):
+            schema = writer.register_schema(type, "ros2msg", registry.full_text(type).encode())
+            numbers[topic] = writer.register_channel(topic, "cdr", schema)
+        for n in range(10):
+            time_ns = 10**9 + n * STEP_NS
+            payload = registry.codec(POINT).encode({"header": {"stamp": {"sec": n}}, "point": {"x": float(n)}})
+            writer.add_message(numbers["/point"], time_ns, payload, time_ns)
+            if n < 9:
+                text = registry.codec(STRING).encode({"data": str(n)})
+                writer.add_message(numbers["/text"], time_ns + STEP_NS // 2, text, time_ns)
+        writer.finish()
+    return path
+
+
+async def test_everything_arrives_in_order_and_at_the_recorded_pace(
+    pair: tuple[Session, Session], recording: Path, registry: TypeRegistry
+) -> None:
+    """The messages come as they were recorded, as far apart as they were."""
+    here, there = pair
+    got: list[Sample] = []
+    await here.graph.create_subscription("/point", POINT, None, got.extend)
+    with Bag(recording, registry) as bag:
+        played = await play(there.graph, bag)
+    assert (played.messages, dict(played.by_topic)) == (19, {"/point": 10, "/text": 9})
+    await until(lambda: len(got) == 10)
+    codec = registry.codec(POINT)
+    assert [codec.decode(s.payload)["point"]["x"] for s in got] == [float(n) for n in range(10)]
+    assert [codec.header_stamp_ns(s.payload) for s in got] == [n * 10**9 for n in range(10)]
+    span = (got[-1].stamp_ns - got[0].stamp_ns) / 1e9
+    assert 0.17 < span < 0.6
+    assert here.graph.topics()["/point"].publishers == ()
+
+
+async def test_rate_and_topics(pair: tuple[Session, Session], recording: Path, registry: TypeRegistry) -> None:
+    """Ten times the rate takes a tenth of the time; topics that are not named stay silent."""
+    with Bag(recording, registry) as bag:
+        began = time.monotonic()
+        played = await play(pair[1].graph, bag, rate=10, topics=["/text"])
+    assert time.monotonic() - began < 0.15
+    assert dict(played.by_topic) == {"/text": 9}
+    assert "/point" not in pair[0].graph.topics()
+
+
+async def test_restamp(pair: tuple[Session, Session], recording: Path, registry: TypeRegistry) -> None:
+    """Headers get the time of sending, the rest of a message stays as it was."""
+    here, there = pair
+    got: list[Sample] = []
+    await here.graph.create_subscription("/point", POINT, None, got.extend)
+    with Bag(recording, registry) as bag:
+        await play(there.graph, bag, rate=10, restamp=True)
+    await until(lambda: len(got) == 10)
+    codec = registry.codec(POINT)
+    assert all(codec.header_stamp_ns(s.payload) == s.stamp_ns for s in got)
+    assert [codec.decode(s.payload)["point"]["x"] for s in got] == [float(n) for n in range(10)]
+
+
+def test_restamped_keeps_the_byte_order(registry: TypeRegistry) -> None:
+    """A big-endian message gets a big-endian stamp."""
+    codec = registry.codec(POINT)
+    little = codec.encode({})
+    big = b"\0\0" + little[2:]
+    for payload in (little, big):
+        assert codec.header_stamp_ns(restamped(payload, 3_000_000_007)) == 3_000_000_007
+        assert len(restamped(payload, 1)) == len(payload)
+
+
+async def test_loop_until_the_time_is_over(
+    pair: tuple[Session, Session], recording: Path, registry: TypeRegistry
+) -> None:
+    """A loop starts again with the usual gap and ends in time."""
+    told: list[int] = []
+    with Bag(recording, registry) as bag:
+        began = time.monotonic()
+        played = await play(
+            pair[1].graph, bag, loop=True, for_s=0.5, topics=["/point"], told=lambda p: told.append(p.messages)
+        )
+    assert 0.45 < time.monotonic() - began < 1.0
+    assert played.rounds == 2
+    assert 22 <= played.messages <= 26
+    assert told == list(range(1, played.messages + 1))
+
+
+async def test_cancelling_closes_everything(
+    pair: tuple[Session, Session], recording: Path, registry: TypeRegistry
+) -> None:
+    """A player that is cancelled withdraws its topics."""
+    here, there = pair
+    with Bag(recording, registry) as bag:
+        running = asyncio.create_task(play(there.graph, bag, loop=True))
+        await until(lambda: "/text" in here.graph.topics())
+        running.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+    assert here.graph.topics() == {}
+
+
+async def test_waits_for_readers(pair: tuple[Session, Session], recording: Path, registry: TypeRegistry) -> None:
+    """The first message waits until each topic is read, and not for ever."""
+    here, there = pair
+    got: list[Sample] = []
+    with Bag(recording, registry) as bag:
+        running = asyncio.create_task(play(there.graph, bag, rate=10, wait_s=5.0, topics=["/point"]))
+        await until(lambda: "/point" in here.graph.topics())
+        await asyncio.sleep(0.05)
+        await here.graph.create_subscription("/point", POINT, None, got.extend)
+        assert (await running).messages == 10
+        await until(lambda: len(got) == 10)
+        began = time.monotonic()
+        await play(there.graph, bag, rate=10, wait_s=0.1, topics=["/text"])
+        assert time.monotonic() - began > 0.1
+
+
+async def test_reading_ahead_is_bounded() -> None:
+    """Never more than two batches are held, however long the recording is."""
+    topic = BagTopic("/x", "a/msg/B", 0)
+    made = 0
+
+    def records() -> Iterator[Record]:
+        nonlocal made
+        for n in range(100):
+            made += 1
+            yield Record(n, topic, bytes(1 << 20))
+
+    used = 0
+    async for batch in read_ahead(records()):
+        assert sum(len(record.payload) for record in batch) <= 8 << 20
+        used += len(batch)
+        await asyncio.sleep(0.005)
+        assert made - used <= 8
+    assert used == 100
+
+
+async def test_errors_of_the_recording_reach_the_player() -> None:
+    """What goes wrong in the reading thread is raised where the records are used."""
+
+    def records() -> Iterator[Record]:
+        raise ZeroDivisionError
+        yield
+
+    with pytest.raises(ZeroDivisionError):
+        async for _ in read_ahead(records()):
+            pass
+
+
+def test_played_starts_at_nothing() -> None:
+    """A fresh count is zero."""
+    assert (Played().messages, Played().rounds) == (0, 0)
