@@ -299,7 +299,7 @@ async def test_the_remote_comes_late_and_returns(world: World) -> None:
             again = World(stack)
             again.number = world.number
             await again.gateway("cloud", [], port=port)
-            await until(lambda: publisher.subscribers == 1, 5)
+            await until(lambda: robot.status()["routes"][0]["state"] == "active", 5)
             publisher.publish(sample("hello"))
             await inbox.wait(1)
         await subscription.close()

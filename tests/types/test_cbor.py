@@ -11,7 +11,9 @@ from ropeway.types.cbor import WideFloat, dumps, wide
 
 def test_wide_floats_are_written_in_full() -> None:
     """NaN and infinity take 64 bits, as rosbridge sends them; all else is as cbor2 writes it."""
-    assert dumps({"a": wide(math.nan), "b": [wide(-math.inf)]}).hex() == "a26161fb7ff8000000000000616281fbfff0000000000000"
+    assert (
+        dumps({"a": wide(math.nan), "b": [wide(-math.inf)]}).hex() == "a26161fb7ff8000000000000616281fbfff0000000000000"
+    )
     assert dumps([1.5, "x", b"\xf9", 7]) == cbor2.dumps([1.5, "x", b"\xf9", 7])
 
 

@@ -115,7 +115,10 @@ def test_damaged_bytes(name: str) -> None:
                 codec.from_ros1(flip(ros1, rng))
 
 
-@given(st.binary(max_size=200), st.sampled_from(["sensor_msgs/PointCloud2", "probe/Sequences", "probe/Deep7", "probe/Long"]))
+@given(
+    st.binary(max_size=200),
+    st.sampled_from(["sensor_msgs/PointCloud2", "probe/Sequences", "probe/Deep7", "probe/Long"]),
+)
 def test_random_bytes(raw: bytes, name: str) -> None:
     """Random bytes give a message or a DecodeError."""
     codec = REGISTRY.codec(name)
@@ -141,7 +144,9 @@ HOSTILE = st.one_of(
 )
 
 
-@given(st.sampled_from(["probe/Scalars", "probe/Arrays", "probe/Bounded", "probe/Mixed", "nav_msgs/Odometry"]), st.data())
+@given(
+    st.sampled_from(["probe/Scalars", "probe/Arrays", "probe/Bounded", "probe/Mixed", "nav_msgs/Odometry"]), st.data()
+)
 def test_hostile_values(name: str, data: st.DataObject) -> None:
     """Any value in any field is either taken, and then reads back, or a ValueMismatch."""
     codec = REGISTRY.codec(name)
@@ -231,7 +236,9 @@ def test_json_takes_what_rosbridge_takes() -> None:
 def test_cbor_rules() -> None:
     """CBOR has bytes for octets, tags for other sequences of numbers, and plain lists for arrays of fixed size."""
     codec = REGISTRY.codec("probe/Sequences")
-    found = codec.cbor(codec.encode({name: [1] for name in codec.fields if name[:3] in ("int", "uin", "flo", "cha", "byt")}))
+    found = codec.cbor(
+        codec.encode({name: [1] for name in codec.fields if name[:3] in ("int", "uin", "flo", "cha", "byt")})
+    )
     assert found["uint8_values"] == found["char_values"] == found["byte_values"] == b"\1"
     tags = {name[:-7]: value.tag for name, value in found.items() if isinstance(value, cbor2.CBORTag)}
     assert tags == {
@@ -245,7 +252,9 @@ def test_cbor_rules() -> None:
     assert found["float64_values"] == [0.0, 0.0, 0.0]
     text = REGISTRY.codec("std_msgs/String")
     frame = {"op": "publish", "topic": "/a_topic", "msg": text.cbor(text.encode({"data": "hello"}))}
-    assert dumps(frame).hex() == "a3626f70677075626c69736865746f706963682f615f746f706963636d7367a164646174616568656c6c6f"
+    assert (
+        dumps(frame).hex() == "a3626f70677075626c69736865746f706963682f615f746f706963636d7367a164646174616568656c6c6f"
+    )
     imu = REGISTRY.codec("sensor_msgs/Imu")
     coded = dumps(imu.cbor(imu.encode({"orientation": {"x": math.nan}, "orientation_covariance": [math.inf] * 9})))
     assert b"ax\xfb\x7f\xf8\0\0\0\0\0\0" in coded
@@ -255,7 +264,16 @@ def test_cbor_rules() -> None:
 def test_cbor_takes_any_typed_array() -> None:
     """CBOR input may have typed arrays of another width or byte order."""
     codec = REGISTRY.codec("sensor_msgs/LaserScan")
-    for tag, dtype in ((81, ">f4"), (85, "<f4"), (82, ">f8"), (86, "<f8"), (80, ">f2"), (84, "<f2"), (77, "<i2"), (64, "u1")):
+    for tag, dtype in (
+        (81, ">f4"),
+        (85, "<f4"),
+        (82, ">f8"),
+        (86, "<f8"),
+        (80, ">f2"),
+        (84, "<f2"),
+        (77, "<i2"),
+        (64, "u1"),
+    ):
         value = {"ranges": cbor2.CBORTag(tag, np.array([1, 2], dtype).tobytes())}
         assert codec.decode(codec.from_cbor(value))["ranges"].tolist() == [1.0, 2.0]
     codec = REGISTRY.codec("sensor_msgs/Image")
@@ -265,7 +283,7 @@ def test_cbor_takes_any_typed_array() -> None:
 
 
 def test_rosgw_rules() -> None:
-    """rosgw's CBOR has a byte string for every array of numbers, lists for bools, strings and messages."""
+    """Rosgw's CBOR has a byte string for every array of numbers, lists for bools, strings and messages."""
     codec = REGISTRY.codec("probe/Arrays")
     found = codec.rosgw(codec.encode({"int16_values": [1, 2, 3]}))
     assert found["int16_values"] == b"\1\0\2\0\3\0"
@@ -282,7 +300,9 @@ def test_ros1() -> None:
     cdr = codec.encode({"header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "ab"}, "format": "x", "data": b"123"})
     assert codec.ros1(cdr) == bytes.fromhex("00000000 01000000 02000000 02000000 6162 01000000 78 03000000 313233")
     assert codec.from_ros1(codec.ros1(cdr)) == cdr
-    with pytest.raises(DecodeError, match="ROS 1 bytes are not a sensor_msgs/msg/CompressedImage: 1 bytes are left over"):
+    with pytest.raises(
+        DecodeError, match="ROS 1 bytes are not a sensor_msgs/msg/CompressedImage: 1 bytes are left over"
+    ):
         codec.from_ros1(codec.ros1(cdr) + b"x")
     with pytest.raises(DecodeError):
         codec.from_ros1(b"")
@@ -346,7 +366,12 @@ def test_padding_and_headers_of_cdr() -> None:
 
 def test_bounds_hold_when_reading() -> None:
     """A string or sequence longer than its type allows is a DecodeError."""
-    for field, value in (("int8_values", [0] * 4), ("inners", [{}] * 3), ("texts", ["abcde"]), ("wides", ["abcde", ""])):
+    for field, value in (
+        ("int8_values", [0] * 4),
+        ("inners", [{}] * 3),
+        ("texts", ["abcde"]),
+        ("wides", ["abcde", ""]),
+    ):
         free = TypeRegistry()
         for name, text in MATRIX.items():
             free.add_text(name, re.sub(r"<=\d", "", text) if name == "probe/msg/Bounded" else text)
@@ -400,7 +425,9 @@ def test_recorded_messages(recordings: Path) -> None:
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("bag", ["imu_tools_phidgets", "scan_tools_demo", "robot_localization_test1_2014_xsens_wheel_stereo"])
+@pytest.mark.parametrize(
+    "bag", ["imu_tools_phidgets", "scan_tools_demo", "robot_localization_test1_2014_xsens_wheel_stereo"]
+)
 def test_recorded_ros1_messages(recordings: Path, bag: str) -> None:
     """Messages of ROS 1 bags come back byte for byte, but for the seq of their headers, and their MD5 sums agree."""
     registry = TypeRegistry("noetic")

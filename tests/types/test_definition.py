@@ -44,7 +44,10 @@ def test_written_text() -> None:
     """A definition without source is written from constants, fields and defaults."""
     made = Definition(
         "a/msg/B",
-        (Field("x", FieldType("string"), 'say "hi"'), Field("y", FieldType("bool", kind="array", size=2), [True, False])),
+        (
+            Field("x", FieldType("string"), 'say "hi"'),
+            Field("y", FieldType("bool", kind="array", size=2), [True, False]),
+        ),
         (Constant("ONE", "uint8", 1, "0x01"),),
     )
     assert made.text() == 'uint8 ONE=0x01\nstring x "say \\"hi\\""\nbool[2] y [true, false]\n'

@@ -27,7 +27,9 @@ def test_header_without_stamp() -> None:
 def test_only_the_root_header() -> None:
     """A header further down keeps the zero of its stamp, and so does a message that is itself a header."""
     codec = REGISTRY.codec("tf2_msgs/TFMessage")
-    assert codec.decode(codec.from_json({"transforms": [{}]}, now_ns=lambda: NOW))["transforms"][0]["header"]["stamp"] == {
+    assert codec.decode(codec.from_json({"transforms": [{}]}, now_ns=lambda: NOW))["transforms"][0]["header"][
+        "stamp"
+    ] == {
         "sec": 0,
         "nanosec": 0,
     }

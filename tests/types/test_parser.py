@@ -63,7 +63,9 @@ def test_defaults() -> None:
 
 def test_constants() -> None:
     """Constants keep their value and how it was written."""
-    definition = parse_msg("p/msg/N", "uint8 A=0x0f\nstring B = \"x # y\" # why\nbool C=True\nfloat64 D=.5\nstring E=a b # c\n")
+    definition = parse_msg(
+        "p/msg/N", 'uint8 A=0x0f\nstring B = "x # y" # why\nbool C=True\nfloat64 D=.5\nstring E=a b # c\n'
+    )
     assert [(c.name, c.value) for c in definition.constants] == [
         ("A", 15),
         ("B", "x # y"),

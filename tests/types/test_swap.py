@@ -16,7 +16,7 @@ from .messages import MATRIX, probe_registry, random_message, rosbags_object
 
 REGISTRY = probe_registry()
 STORE = get_typestore(Stores[f"ROS2_{NEWEST.upper()}"])
-PROBES = [name for name, text in MATRIX.items() if text and "wstring" not in text and "probe/msg/Constants" != name]
+PROBES = [name for name, text in MATRIX.items() if text and "wstring" not in text and name != "probe/msg/Constants"]
 for _name in PROBES:
     if "Empty" not in MATRIX[_name]:
         STORE.register(get_types_from_msg(MATRIX[_name], _name))

@@ -1,8 +1,9 @@
-"""Two gateways on one network that publish the same topic: one of them speaks, the other stands by.
+"""A topic that we publish on a network where others publish it too.
 
-When another gateway's publisher of a topic is discovered, this one reads the topic too. Of the two, the one with
-the smaller id publishes at once; the other waits 30 ms for each message to appear, and publishes those that do not.
-So parallel links give every message once, and one of them may fail without a gap.
+Whoever the others are, this gateway then reads the topic as well, so that a message that left the network here and
+comes back in a ring of gateways is known. Are they another gateway's, one of the two speaks and the other stands by:
+the one with the smaller id publishes at once, the other waits 30 ms for each message to appear and publishes those
+that do not. So parallel links give every message once, and one of them may fail without a gap.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _HELD: Final = 256
 
 
 class Standby:
-    """The side-by-side rule for one published topic."""
+    """Watches one published topic."""
 
     def __init__(self, graph: Graph, gateway_id: str, topic: str, type: str, received: Seen) -> None:
         self.defers = False
@@ -45,9 +46,9 @@ class Standby:
         """See who else publishes the topic, and act on it."""
         async with self._lock:
             known = self._graph.topics().get(self._topic)
-            others = {p.gateway for p in known.publishers if p.gateway} if known is not None else set()
+            others = {p.gateway for p in known.publishers if not p.local} if known is not None else set()
             others.discard(self._gateway_id)
-            defers = any(other < self._gateway_id for other in others)
+            defers = any(other < self._gateway_id for other in others if other)
             if others and self._monitor is None:
                 with contextlib.suppress(RopewayError):
                     self._monitor = await self._graph.create_subscription(self._topic, self._type, None, self._heard)

@@ -167,7 +167,7 @@ class MessageCodec:
     def _swapped(self, raw: bytes) -> bytes:
         if raw[:2] != _BIG or len(raw) < 4:
             raise DecodeError(
-                self.type, "CDR", f"the header {raw[:4].hex(' ') or 'is missing and'} is not one of XCDR1"
+                self.type, "CDR", f"it begins with {raw[:4].hex(' ') or 'nothing'}, not with 00 01 or 00 00"
             )
         return to_little_endian(self._plan, raw)
 

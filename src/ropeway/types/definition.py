@@ -15,6 +15,7 @@ from typing import Final
 from ropeway.errors import InvalidDefinition, InvalidTypeName
 
 __all__ = [
+    "DEEPEST",
     "HEADER",
     "KINDS",
     "PRIMITIVES",
@@ -49,6 +50,9 @@ PRIMITIVES: Final = {
     "wstring": 0,
 }
 """The primitive types of a ``.msg`` file and their sizes in bytes; 0 where the size varies."""
+
+DEEPEST: Final = 64
+"""How many messages may stand one in another; Python's own limit on nesting is at 200."""
 
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _LONGEST_NAME: Final = 1024

@@ -7,7 +7,8 @@ import json
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from ropeway.types.definition import HEADER, TIMES, Definition, Field, FieldType
+from ropeway.errors import InvalidDefinition
+from ropeway.types.definition import DEEPEST, HEADER, TIMES, Definition, Field, FieldType
 
 __all__ = ["definition_md5", "interface_members", "rihs01"]
 
@@ -89,10 +90,15 @@ def _describe(name: str, type: FieldType) -> dict[str, Any]:
 
 
 def definition_md5(full: str, definition: Callable[[str], Definition]) -> str:
-    """ROS 1's sum of ``full``: constants, then fields, a message field standing there with its own sum."""
+    """ROS 1's sum of ``full``: constants, then fields, a message field standing there with its own sum.
+
+    Raises ``InvalidDefinition`` for a message that contains itself.
+    """
     sums: dict[str, str] = {}
 
-    def summed(name: str) -> str:
+    def summed(name: str, depth: int) -> str:
+        if depth > DEEPEST:
+            raise InvalidDefinition(full, f"it contains itself, or more than {DEEPEST} messages stand one in another")
         if name not in sums:
             known = definition(name)
             fields = known.fields
@@ -104,10 +110,10 @@ def definition_md5(full: str, definition: Callable[[str], Definition]) -> str:
                 if type.base in TIMES:
                     lines.append(f"{type.spelled(type.base.rsplit('/', 1)[1].lower())} {field.name}")
                 elif type.is_message:
-                    lines.append(f"{summed(type.base)} {field.name}")
+                    lines.append(f"{summed(type.base, depth + 1)} {field.name}")
                 else:
                     lines.append(f"{type.spelled()} {field.name}")
             sums[name] = hashlib.md5("\n".join(lines).encode(), usedforsecurity=False).hexdigest()
         return sums[name]
 
-    return summed(full)
+    return summed(full, 0)

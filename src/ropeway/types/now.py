@@ -25,7 +25,7 @@ def replace_now(name: str, value: Any, definition: Callable[[str], Definition], 
 
     Gives ``value`` itself where there is none; what does not look like the message is left as it is.
     """
-    if name == TIMES[0] and value == "now":
+    if name == TIMES[0] and isinstance(value, str) and value == "now":
         return _time(now_ns)
     if not isinstance(value, Mapping) or name in TIMES:
         return value

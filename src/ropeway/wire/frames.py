@@ -36,6 +36,8 @@ def loads(
     """
     assembler = JsonAssembler(limit_bytes=len(data) * 4, max_depth=max_depth)
     objects = assembler.feed(data, text=text)
+    if not objects and not assembler.pending_bytes:
+        raise InvalidFrame("a JSON object was expected, not white space", len(data))
     if assembler.pending_bytes:
         raise InvalidFrame("a JSON object is cut off", len(data))
     if assembler.garbage_bytes:
@@ -92,7 +94,7 @@ def _check_depth(data: bytes | bytearray | memoryview | str, value: Any, limit: 
     if np.cumsum(steps, dtype=np.int32).max(initial=0) <= limit:
         return
     level = [value]  # brackets in texts may have misled us
-    for _ in range(limit + 1):
+    for _ in range(limit):
         level = [
             item
             for container in level
@@ -132,11 +134,19 @@ def cbor_loads(data: bytes | bytearray | memoryview, max_depth: int = MAX_DEPTH)
 # --- JSON over several frames -----------------------------------------------------------------------------------
 
 _QUOTE: Final = ord('"')
-_STRING: Final = re.compile(rb'(?:[^"\\]++|\\.)*+', re.DOTALL)  # up to the quote that ends it
-_TOKEN: Final = re.compile(rb'[ \t\r\n]*+(?:([{}\[\]:,"])|(-?+(?:[0-9][-+.0-9eE]*+|Infinity)|NaN|true|false|null))')
-_SPACE: Final = re.compile(rb"[ \t\r\n]*+")
+_WS: Final = rb"[ \t\r\n]*+"
+_TEXT: Final = rb'(?:[^"\\]++|\\.)*+'  # up to the quote that ends it
+_SCALAR: Final = rb"(?:-?+(?:[0-9][-+.0-9eE]*+|Infinity)|NaN|true|false|null)"
+_ITEM: Final = rb'(?:"%b"|%b|[\[{](?:[^{}\[\]"]++|"%b")*+[\]}])' % (_TEXT, _SCALAR, _TEXT)  # with nothing deep in it
+_STRING: Final = re.compile(_TEXT, re.DOTALL)
+_TOKEN: Final = re.compile(rb'%b(?:([{}\[\]:,"])|(%b))' % (_WS, _SCALAR))
+# Many simple items with their commas in one step; whether they are right JSON is seen when the object is read.
+_ITEMS: Final = re.compile(rb"(?:%b%b%b,)++" % (_WS, _ITEM, _WS), re.DOTALL)
+_MEMBERS: Final = re.compile(rb'(?:%b"%b"%b:%b%b%b,)++' % (_WS, _TEXT, _WS, _WS, _ITEM, _WS), re.DOTALL)
+_SPACE: Final = re.compile(_WS)
 _LITERALS: Final = (b"-Infinity", b"Infinity", b"NaN", b"true", b"false", b"null")
 _LONGEST_NUMBER: Final = 1024
+_MAX_ERRORS: Final = 64  # in one frame; what has more is not worth the search
 
 # what may come next
 _VALUE, _FIRST_VALUE, _KEY, _FIRST_KEY, _COLON, _NEXT = range(6)
@@ -146,7 +156,7 @@ _KEYS: Final = frozenset((_KEY, _FIRST_KEY))
 
 class _NotJson(Exception):  # noqa: N818  # a signal within this module
     def __init__(self, at: int) -> None:
-        self.at = at
+        self.at = at  # what comes before is no use
 
 
 class JsonAssembler:
@@ -219,11 +229,13 @@ class JsonAssembler:
         self._buffer += data
         objects: list[dict[Any, Any]] = []
         before = self.garbage_bytes
+        errors = 0
         while self._begin():
             try:
                 end = self._end()
             except _NotJson as wrong:
-                self._discard(wrong.at)
+                errors += 1
+                self._discard(wrong.at if errors < _MAX_ERRORS else len(self._buffer))
                 continue
             if end is None:
                 break
@@ -274,6 +286,13 @@ class JsonAssembler:
                     return None
                 self._string = False
                 at += 1
+            if self._expect in _VALUES and open_.endswith(b"["):
+                items = _ITEMS.match(buffer, at)
+            else:
+                items = _MEMBERS.match(buffer, at) if self._expect in _KEYS else None
+            if items is not None:
+                at = items.end()
+                self._expect = _VALUE if self._expect in _VALUES else _KEY
             token = _TOKEN.match(buffer, at)
             if token is None or (token.end() == len(buffer) and token.lastindex == 2):
                 self._at = self._unfinished(at)
@@ -298,7 +317,9 @@ class JsonAssembler:
                 self._expect = _NEXT
                 if not open_:
                     return at
-            elif mark in (b"{", b"[") and expect in _VALUES and len(open_) < self.max_depth:
+            elif mark in (b"{", b"[") and expect in _VALUES:
+                if len(open_) >= self.max_depth:
+                    raise _NotJson(len(buffer))
                 open_ += mark
                 self._expect = _FIRST_KEY if mark == b"{" else _FIRST_VALUE
             else:

@@ -15,10 +15,11 @@ import typer
 
 from ropeway.cli.console import answer, complain, print_json
 from ropeway.cli.demo.flow import Flow
-from ropeway.cli.demo.gateways import GatewayProcess, configurations, free_port, running
+from ropeway.cli.demo.gateways import GatewayProcess, configurations, figures, free_port, running
 from ropeway.cli.demo.scene import Part, recorded_parts, synthetic_parts
 from ropeway.cli.demo.table import brief, live_table, summary_table
 from ropeway.cli.loop import run
+from ropeway.errors import RopewayError
 from ropeway.graph import open_graph
 from ropeway.graph.base import Graph
 from ropeway.types import TypeRegistry
@@ -28,6 +29,8 @@ __all__ = ["app"]
 app = typer.Typer(add_completion=False)
 _REFRESH_S: Final = 0.25
 _LINE_S: Final = 5.0
+_CONNECT_S: Final = 20.0
+_LAST_S: Final = 0.5
 
 
 @app.command("demo")
@@ -43,14 +46,14 @@ def demo(
     as_json: Annotated[bool, typer.Option("--json", help="Print only the summary, as JSON.")] = False,
 ) -> None:
     """Join two DDS networks of this machine and show what crosses; exit status 0 if every route carried messages."""
-    flows, routes = run(_demo(bag, for_s, domains, shown=not as_json))
+    flows, told = run(_demo(bag, for_s, domains, shown=not as_json))
     ok = all(flow.arrived for flow in flows)
     if as_json:
         rows = [
             {
                 **flow.summary(),
-                "encoding": routes.get(flow.topic, {}).get("encoding"),
-                "drops": routes.get(flow.topic, {}).get("drops", {}),
+                "encoding": told.get(flow.topic, {}).get("encoding"),
+                "drops": told.get(flow.topic, {}).get("drops", {}),
             }
             for flow in flows
         ]
@@ -58,7 +61,7 @@ def demo(
     else:
         from rich.console import Console
 
-        Console().print(summary_table(flows, routes))
+        Console().print(summary_table(flows, told))
         silent = ", ".join(flow.topic for flow in flows if not flow.arrived)
         answer(f"Nothing arrived on {silent}." if silent else "Messages arrived on every route.")
     raise typer.Exit(0 if ok else 1)
@@ -85,8 +88,8 @@ async def _demo(
             finally:
                 for graph in graphs.values():
                     await graph.close()
-            routes = _by_topic(gateways["robot"])
-    return flows, routes
+            told = figures(gateways)
+    return flows, told
 
 
 async def _cross(
@@ -103,41 +106,59 @@ async def _cross(
     other = {"robot": "cloud", "cloud": "robot"}
     for flow in flows:
         await graphs[other[flow.side]].create_subscription(flow.topic, flow.type, None, flow.on_batch)
-    tasks = [
-        *(asyncio.create_task(gateway.listen(), name=gateway.name) for gateway in gateways.values()),
-        *(
+    stopped = asyncio.create_task(stop.wait(), name="signals")
+    watching = [asyncio.create_task(gateway.listen(), name=gateway.name) for gateway in gateways.values()]
+    connected = asyncio.create_task(gateways["robot"].connected(), name="connected")
+    sending: list[asyncio.Task[Any]] = []
+    try:
+        await _first([connected], stopped, watching, _CONNECT_S)
+        if not connected.done():
+            if stop.is_set():
+                return
+            raise RopewayError(f"the gateways did not find each other within {_CONNECT_S:g} s")
+        sending = [
             asyncio.create_task(part.send(graphs[part.side], flow.on_sent), name=part.topic)
             for part, flow in zip(parts, flows, strict=True)
-        ),
-    ]
-    show = asyncio.create_task(_show(flows, gateways["robot"], shown=shown))
-    ended = asyncio.create_task(stop.wait())
-    try:
-        done, _ = await asyncio.wait([*tasks, ended], timeout=for_s, return_when=asyncio.FIRST_COMPLETED)
-        for task in done - {ended}:
-            task.result()  # a sender or a gateway that ended by itself has failed
-    finally:
-        for task in (show, ended, *tasks):
+        ]
+        showing = asyncio.create_task(_show(flows, gateways, shown=shown), name="table")
+        sending.append(showing)
+        await _first([], stopped, [*watching, *sending], for_s)
+        for task in sending:
             task.cancel()
-        await asyncio.gather(show, ended, *tasks, return_exceptions=True)
+        await asyncio.sleep(_LAST_S)  # what is on its way still counts
+    finally:
+        tasks = [stopped, connected, *watching, *sending]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def _show(flows: list[Flow], robot: GatewayProcess, *, shown: bool) -> None:
-    if not shown:
-        return
+async def _first(
+    wanted: Iterable[asyncio.Task[Any]],
+    stopped: asyncio.Task[Any],
+    lasting: Iterable[asyncio.Task[Any]],
+    timeout_s: float,
+) -> None:
+    """Wait for what is wanted, the end, or ``timeout_s``; what should last but has ended raises its error."""
+    lasting = list(lasting)
+    done, _ = await asyncio.wait([*wanted, stopped, *lasting], timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
+    for task in lasting:
+        if task in done:
+            await task
+
+
+async def _show(flows: list[Flow], gateways: Mapping[str, GatewayProcess], *, shown: bool) -> None:
+    """The live table, or a line now and then where nobody would see it, until cancelled."""
     loop = asyncio.get_running_loop()
     began = loop.time()
-    if not sys.stdout.isatty():
+    if not shown or not sys.stdout.isatty():
         while True:
             await asyncio.sleep(_LINE_S)
-            complain(brief(flows, loop.time() - began))
+            if shown:
+                complain(brief(flows, loop.time() - began))
     from rich.live import Live
 
     with Live(refresh_per_second=1 / _REFRESH_S, transient=True) as live:
         while True:
-            live.update(live_table(flows, _by_topic(robot), loop.time() - began))
+            live.update(live_table(flows, figures(gateways), loop.time() - began))
             await asyncio.sleep(_REFRESH_S)
-
-
-def _by_topic(gateway: GatewayProcess) -> dict[str, dict[str, Any]]:
-    return {route["name"]: route for route in gateway.routes}

@@ -8,7 +8,8 @@ import json
 import signal
 import socket
 import sys
-from collections.abc import AsyncIterator, Iterable
+from collections import Counter
+from collections.abc import AsyncIterator, Iterable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,10 +18,10 @@ from typing import Any, Final
 from ropeway.cli.demo.scene import Part
 from ropeway.errors import RopewayError
 
-__all__ = ["GatewayProcess", "configurations", "free_port", "running"]
+__all__ = ["GatewayProcess", "configurations", "figures", "free_port", "running"]
 
 _STOP_S: Final = 5.0
-_STATUS_S: Final = "0.5"
+_STATUS_S: Final = "0.25"
 _LINE_BYTES: Final = 4 << 20
 
 
@@ -34,16 +35,15 @@ def free_port() -> int:
 
 def configurations(parts: Iterable[Part], robot_graph: str, cloud_graph: str, port: int) -> dict[str, dict[str, Any]]:
     """The configurations of both: the robot dials, as robots behind a firewall do."""
+    listed = list(parts)
 
     def items(side: str) -> list[dict[str, Any]]:
-        out = []
-        for part in parts_:
-            if part.side == side:
-                lane = {"priority": "command"} if "Twist" in part.type else {}
-                out.append({"name": part.topic, "type": part.type, **lane})
-        return out
+        return [
+            {"name": part.topic, "type": part.type, **({"priority": "command"} if "Twist" in part.type else {})}
+            for part in listed
+            if part.side == side
+        ]
 
-    parts_ = list(parts)
     address = f"ws://127.0.0.1:{port}"
     return {
         "cloud": {"gateway": {"name": "cloud", "graphs": [cloud_graph], "listen": [address]}},
@@ -62,6 +62,7 @@ class GatewayProcess:
     process: asyncio.subprocess.Process
     log: Path
     status: dict[str, Any] = field(default_factory=dict)
+    news: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def listen(self) -> None:
         """Keep ``status`` up to date. Raises ``RopewayError`` when the process ends by itself."""
@@ -69,15 +70,19 @@ class GatewayProcess:
         async for line in self.process.stdout:
             with contextlib.suppress(json.JSONDecodeError):
                 self.status = json.loads(line)
+                self.news.set()
         code = await self.process.wait()
         tail = self.log.read_text(errors="replace").strip().splitlines()[-5:]
         raise RopewayError(f"the gateway of the {self.name} has ended with status {code}: {' | '.join(tail)}")
 
-    @property
-    def routes(self) -> list[dict[str, Any]]:
-        """The routes that it tells of."""
-        routes: list[dict[str, Any]] = self.status.get("routes", [])
-        return routes
+    async def connected(self) -> None:
+        """Wait until every remote of it is connected."""
+        while True:
+            remotes = self.status.get("remotes", [])
+            if remotes and all(remote["state"] == "connected" for remote in remotes):
+                return
+            self.news.clear()
+            await self.news.wait()
 
     async def stop(self) -> None:
         """End it in order, or at once where it does not."""
@@ -90,6 +95,22 @@ class GatewayProcess:
         except TimeoutError:
             self.process.kill()
             await self.process.wait()
+
+
+def figures(gateways: Mapping[str, GatewayProcess]) -> dict[str, dict[str, Any]]:
+    """What the gateways tell of each topic: state, encoding, and drops of both added up."""
+    out: dict[str, dict[str, Any]] = {}
+    for route in gateways["robot"].status.get("routes", []):
+        out[route["name"]] = {"state": route["state"], "encoding": route["encoding"], "drops": Counter(route["drops"])}
+    for session in gateways["cloud"].status.get("sessions", []):
+        for topic in session["topics"]:
+            known = out.get(topic["name"])
+            if known is None:
+                continue
+            known["drops"].update(topic.get("drops", {}))
+            if known["encoding"] == "auto":  # the robot only receives it; the sender knows
+                known["encoding"] = topic.get("encoding", "auto")
+    return out
 
 
 @asynccontextmanager

@@ -63,7 +63,7 @@ class RemotePublisher:
         self.remote_delay_s: float | None = None  # from this gateway's reception to the far one's
         self._gid = new_origin()
         self._seq = 0
-        self._count: int | None = None
+        self._count: int | None = 0  # None: connected to a server that cannot tell
         self._demand: list[Callable[[int], None]] = []
         self._history: deque[Sample] = deque(maxlen=max(qos.depth, 1) if qos.transient_local else 0)
         self.closed = False
@@ -117,7 +117,7 @@ class RemotePublisher:
         if plain and encoding in ("auto", "zstd"):
             encoding = "none"
         extra: dict[str, Any] | None = None
-        self._count = None if plain else 0  # a gateway tells at once how many read
+        self.demand(None if plain else 0)  # a gateway tells at once how many read
         if not plain:
             extra = {"channel": self.number, **self.graph.type_note(self.type)}
         self.channel = peer.open_channel(
@@ -147,8 +147,7 @@ class RemotePublisher:
         """The connection is gone."""
         self._collect()
         self.channel = None
-        if self._count is not None:
-            self.demand(0)
+        self.demand(0)
 
     def statistics(self) -> tuple[int, int]:
         """Messages and bytes sent, over all connections."""

@@ -1,0 +1,49 @@
+"""Real participants on the loopback interface, out of sight of every other test run on this machine."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+
+import pytest
+
+from ropeway.graph.dds import DdsGraph
+
+_domains = itertools.cycle(range(40, 56))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def dds_isolation() -> Iterator[None]:
+    """Participants of this test run discover each other only."""
+    tag = f"<CycloneDDS><Domain><Discovery><Tag>test-{os.getpid()}</Tag></Discovery></Domain></CycloneDDS>"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CYCLONEDDS_URI", tag)
+        for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS"):
+            patch.delenv(name, raising=False)
+        yield
+
+
+@pytest.fixture
+def domain() -> int:
+    """A domain for one test."""
+    return next(_domains)
+
+
+Join = Callable[..., Awaitable[DdsGraph]]
+
+
+@pytest.fixture
+async def join(domain: int) -> AsyncIterator[Join]:
+    """Opens graphs in the test's domain, and closes them at its end: ``await join("name", **options)``."""
+    graphs: list[DdsGraph] = []
+
+    async def open_graph(name: str = "ropeway", **options: object) -> DdsGraph:
+        graph = DdsGraph(domain, name=name, interface="lo", **options)  # type: ignore[arg-type]
+        await graph.open()
+        graphs.append(graph)
+        return graph
+
+    yield open_graph
+    for graph in reversed(graphs):
+        await graph.close()
