@@ -213,7 +213,7 @@ async def test_both_ways(world: World) -> None:
     await there.create_subscription("/x", STRING, QoS(), far)
     p_here = await here.create_publisher("/x", STRING)
     p_there = await there.create_publisher("/x", STRING)
-    await until(lambda: p_here.subscribers == 1 and p_there.subscribers == 1)
+    await until(lambda: p_here.subscribers and p_there.subscribers)
     await asyncio.sleep(0.1)
     p_here.publish(sample("from here"))
     p_there.publish(sample("from there"))
@@ -256,7 +256,7 @@ async def test_ring(world: World) -> None:
         await robot.create_subscription("/x", STRING, QoS(), inboxes[name])
     source = await world.robot("a")
     publisher = await source.create_publisher("/x", STRING)
-    await until(lambda: publisher.subscribers == 2)
+    await until(lambda: publisher.subscribers >= 2)
     await asyncio.sleep(0.3)
     publisher.publish(sample("round"))
     for inbox in inboxes.values():

@@ -90,7 +90,7 @@ REGISTRY = probe_registry()
             "nav_msgs/Path",
             {"poses": {}},
             "poses",
-            "nav_msgs/Path message requires a sequence<geometry_msgs/PoseStamped> for field poses, but got a <class 'dict'>",
+            "requires a sequence<geometry_msgs/PoseStamped> for field poses, but got a <class 'dict'>",
         ),
         (
             "std_msgs/Header",

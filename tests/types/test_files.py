@@ -11,6 +11,7 @@ from ropeway.types.files import find_interfaces, read_text
 
 
 def write(path: Path, text: str = "int8 a\n") -> Path:
+    """Make a file and the directories above it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
     return path

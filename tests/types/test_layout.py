@@ -12,12 +12,14 @@ from .messages import probe_registry
 
 
 def plan(text: str, layout: str = "cdr") -> Plan:
+    """The plan of a message with this definition."""
     registry = probe_registry()
     registry.add_text("t/msg/T", text)
     return Planner(registry.definition, layout).plan("t/msg/T")
 
 
 def runs(steps: list[Step]) -> list[tuple[int, int]]:
+    """Alignment and size of the runs among ``steps``."""
     return [(step.align, step.size) for step in steps if isinstance(step, Run)]
 
 

@@ -14,6 +14,7 @@ from ropeway.types.parser import parse_interface, parse_msg, parse_sections
 
 
 def fields(text: str) -> tuple[Field, ...]:
+    """The fields of a message with this definition."""
     return parse_msg("pkg/msg/Name", text).fields
 
 

@@ -19,6 +19,7 @@ REGISTRY = probe_registry()
 
 
 def read(name: str, flavour: str, message: dict[str, Any]) -> Any:
+    """What a reader gives for a message."""
     raw = REGISTRY.codec(name).encode(message)
     value, end = make_reader(Planner(REGISTRY.definition).plan(name), flavour)(raw, 4, len(raw))
     assert end == len(raw)

@@ -15,6 +15,7 @@ RULE = "=" * 80
 
 
 def write(path: Path, text: str) -> Path:
+    """Make a file and the directories above it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
     return path
@@ -122,7 +123,7 @@ def test_faults_name_the_file(tmp_path: Path) -> None:
     registry = TypeRegistry()
     with pytest.raises(InvalidDefinition, match=r"A\.msg: the definition of p/msg/A cannot be used: line 2"):
         registry.add_path(file)
-    with pytest.raises(InvalidDefinition, match="^the definition of p/msg/A cannot be used: line 1"):
+    with pytest.raises(InvalidDefinition, match=r"^the definition of p/msg/A cannot be used: line 1"):
         registry.add_text("p/msg/A", "x")
 
 
@@ -174,7 +175,8 @@ def test_full_text() -> None:
     """A full text is the main one, then each dependency once under its heading."""
     registry = TypeRegistry()
     assert registry.full_text("std_msgs/Header") == (
-        f"builtin_interfaces/Time stamp\nstring frame_id\n{RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+        f"builtin_interfaces/Time stamp\nstring frame_id\n{RULE}\n"
+        "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
     )
     assert registry.full_text("geometry_msgs/Twist").count("MSG: geometry_msgs/Vector3\n") == 1
 

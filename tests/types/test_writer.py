@@ -18,6 +18,7 @@ WRITE = make_writer(Planner(REGISTRY.definition).plan("geometry_msgs/msg/TwistSt
 
 
 def write(value: object) -> bytes:
+    """What a writer makes of a value."""
     out: list[bytes] = []
     assert WRITE(value, out, 0) == sum(map(len, out))
     return b"".join(out)

@@ -12,7 +12,7 @@ import struct
 import sys
 from array import array
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import orjson
 import pybase64
@@ -41,6 +41,8 @@ __all__ = [
 
 _LITTLE: Final = sys.byteorder == "little"
 _SMALL: Final = 32
+
+_Sized = TypeVar("_Sized")
 
 
 class Misfit(Exception):  # noqa: N818 - not an error that leaves this room
@@ -270,7 +272,7 @@ def typed_array(value: Any) -> Any:
     return np.frombuffer(raw, f"{'<' if little and size > 1 else '>'}{kind}{size}")
 
 
-def _counted(value: Any, length: int, count: int, limit: int) -> Any:
+def _counted(value: _Sized, length: int, count: int, limit: int) -> _Sized:
     if (count >= 0 and length != count) or (limit and length > limit):
         raise Misfit
     return value
