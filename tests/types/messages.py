@@ -35,7 +35,7 @@ MATRIX = {
     "string[] j\nfloat64 k\nInner[] l\nfloat64 m\nwstring n\nfloat64 o\n",
     "probe/msg/Deep0": "uint8 a\nfloat64[] b\n",
     **{f"probe/msg/Deep{n}": f"uint8 a\nDeep{n - 1}[] b\nDeep{n - 1}[2] c\n" for n in range(1, 4)},
-    **{f"probe/msg/Deep{n}": f"uint8 a\nDeep{n - 1}[] b\nDeep{n - 1} c\n" for n in range(4, 8)},
+    **{f"probe/msg/Deep{n}": f"uint8 a\nDeep{n - 1}[] b\nDeep{n - 1} c\n" for n in range(4, 6)},
     "probe/msg/Long": "".join(f"Inner i{n}\nstd_msgs/Header h{n}\nuint8 u{n}\n" for n in range(60)),
     "probe/msg/Defaults": 'int32 a 7\nfloat32 b -1.5\nstring c "x, y"\nbool d true\nint32[] e [1, 2, 3]\n'
     'float64[2] f [0.5, 1]\nstring[] g ["p", "q, r"]\nuint8[2] h [1, 255]\nwstring i "w"\nstring<=9 j \'k\'\n',

@@ -38,6 +38,7 @@ HOSTILE = {
     "many objects that are none": (b"{bad" * 1_000_000, True),
     "many arrays and cut off": (b'{"op":"x","a":[' + b"[1],[]," * 500_000, True),
     "many objects and cut off": (b'{"op":"x","a":[' + b'{"x":1,"y":[]},' * 500_000, True),
+    "many nested arrays and cut off": (b'{"op":"x","a":[' + b"[[[[1]]]]," * 500_000, True),
     "many numbers and cut off": (b'{"op":"x","a":[' + b"1," * 2_000_000, True),
     "many words and cut off": (b'{"op":"x",' + b'"k":"v\\",' * 500_000, True),
     "just too deep": (b'{"a":' + b"[" * 128 + b"]" * 128 + b"}", True),
@@ -173,6 +174,16 @@ def test_small_pieces_cost_no_more_than_large_ones() -> None:
     assert time.perf_counter() - began < 5
 
 
+def test_a_long_path_may_come_in_pieces() -> None:
+    """An object with very many ordinary parts is assembled."""
+    pose = {"header": {"stamp": {"sec": 1, "nanosec": 2}}, "pose": {"position": {"x": 1.0}, "orientation": {"w": 1}}}
+    message = {"op": "publish", "topic": "/path", "msg": {"poses": [pose] * 20_000}}
+    data = json.dumps(message).encode()
+    assembler = JsonAssembler()
+    assert assembler.feed(data[:1_000_000], text=True) == []
+    assert assembler.feed(data[1_000_000:], text=True) == [message]
+
+
 def test_values_alone_are_read_too() -> None:
     """json_loads and cbor_loads take any value."""
     assert json_loads(b"[1,2]") == [1, 2]
@@ -218,7 +229,7 @@ OBJECTS = st.dictionaries(
 )
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=50)
 @given(st.lists(OBJECTS, min_size=1, max_size=4), st.integers(1, 40), st.booleans())
 def test_every_object_survives_being_cut(objects: list[dict[str, Any]], size: int, ascii: bool) -> None:
     """Any objects written one after the other and cut into pieces are read as they were."""

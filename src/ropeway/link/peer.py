@@ -127,6 +127,17 @@ class Channel:
         self.used = self.chooser.choose(len(sample.payload)) if self.peer.dialect is ROPEWAY else "none"
         return self.used
 
+    def frame(self, sample: Outgoing, encoding: str) -> wire_codec.Frame:
+        """A plain ``publish``; made once however many peers get it."""
+        dialect = self.peer.dialect
+        made: wire_codec.Frame = sample.cached(
+            ("frame", self.topic, encoding, dialect.name),
+            lambda: wire_codec.encode_publish(
+                self.topic, sample.payload, self.codec, encoding, dialect=dialect, stamp_ns=sample.stamp_ns
+            ),
+        )
+        return made
+
     def encode(self, sample: Outgoing, encoding: str) -> bytes:
         """The body of a record; made once however many peers get it."""
         if encoding == "cbor-raw":
@@ -271,12 +282,7 @@ class Peer:
             channel: Channel = queue.key  # type: ignore[assignment]
             encoding = channel.pick(sample)
             try:
-                frame = sample.cached(
-                    ("frame", channel.topic, encoding, self.dialect.name),
-                    lambda c=channel, s=sample, e=encoding: wire_codec.encode_publish(
-                        c.topic, s.payload, c.codec, e, dialect=self.dialect, stamp_ns=s.stamp_ns
-                    ),
-                )
+                frame = channel.frame(sample, encoding)
             except TypesError as error:
                 queue.lost[Lost.ENCODE] += 1
                 self.complaints.note("message", channel.topic, error)

@@ -224,7 +224,7 @@ class Session:
         name = resolve_name(op.topic)
         number = extra.get("channel") if self.gateway else None
         if isinstance(number, int):
-            topic = self._input_channels.get(number)
+            topic: TopicIn | None = self._input_channels.get(number)
             if topic is None:
                 topic = self._input_channels[number] = TopicIn(self, op.topic, type, op.compression)
                 topic.number = number
@@ -276,14 +276,14 @@ class Session:
                     self.peer.forget_inbound(number)
                     await topic.close()
             return
-        topic = self.inputs.get(op.topic)  # type: ignore[assignment]
-        if topic is None:
+        known = self.inputs.get(op.topic)
+        if known is None:
             return
         if ops.present(op.id):
-            topic.ids.discard(_key(op.id))
+            known.ids.discard(_key(op.id))
         else:
-            topic.ids.clear()
-        if not topic.ids:
+            known.ids.clear()
+        if not known.ids:
             loop = asyncio.get_running_loop()
             self._lingering[op.topic] = loop.call_later(self._unregister_timeout_s, self._expire, op.topic)
 
@@ -332,10 +332,10 @@ class Session:
             output = TopicOut(self, op.topic, type, number)
             self._outputs_by_channel[number] = output
         else:
-            output = self.outputs.get(op.topic)  # type: ignore[assignment]
-            if output is None:
+            if op.topic not in self.outputs:
                 self._numbers += 1
-                output = self.outputs[op.topic] = TopicOut(self, op.topic, type, self._numbers)
+                self.outputs[op.topic] = TopicOut(self, op.topic, type, self._numbers)
+            output = self.outputs[op.topic]
             type = output.type
         output.requests[_key(op.id)] = op
         qos = QoS.parse(op.qos) if op.qos is not None else None
@@ -362,17 +362,17 @@ class Session:
                 if output.topic == op.topic and _key(op.id) in output.requests:
                     await self._drop_output(output)
             return
-        output = self.outputs.get(op.topic)  # type: ignore[assignment]
-        if output is None:
+        shared = self.outputs.get(op.topic)
+        if shared is None:
             return
         if ops.present(op.id):
-            output.requests.pop(_key(op.id), None)
+            shared.requests.pop(_key(op.id), None)
         else:
-            output.requests.clear()
-        if output.requests:
-            output.settle()
+            shared.requests.clear()
+        if shared.requests:
+            shared.settle()
         else:
-            await self._drop_output(output)
+            await self._drop_output(shared)
 
 
 class UnknownTopicError(GraphError):

@@ -137,16 +137,21 @@ _QUOTE: Final = ord('"')
 _WS: Final = rb"[ \t\r\n]*+"
 _TEXT: Final = rb'(?:[^"\\]++|\\.)*+'  # up to the quote that ends it
 _SCALAR: Final = rb"(?:-?+(?:[0-9][-+.0-9eE]*+|Infinity)|NaN|true|false|null)"
-_ITEM: Final = rb'(?:"%b"|%b|[\[{](?:[^{}\[\]"]++|"%b")*+[\]}])' % (_TEXT, _SCALAR, _TEXT)  # with nothing deep in it
+_FLAT: Final = rb'[\[{](?:[^{}\[\]"]++|"%b")*+[\]}]' % _TEXT
+_NESTED: Final = rb'[\[{](?:[^{}\[\]"]++|"%b"|%b)*+[\]}]' % (_TEXT, _FLAT)
+_DEEPER: Final = rb'[\[{](?:[^{}\[\]"]++|"%b"|%b)*+[\]}]' % (_TEXT, _NESTED)
+_ITEM: Final = rb'(?:"%b"|%b|%b)' % (_TEXT, _SCALAR, _DEEPER)
 _STRING: Final = re.compile(_TEXT, re.DOTALL)
 _TOKEN: Final = re.compile(rb'%b(?:([{}\[\]:,"])|(%b))' % (_WS, _SCALAR))
-# Many simple items with their commas in one step; whether they are right JSON is seen when the object is read.
+# Many items with their commas in one step, as deep as the poses of a path; whether they are right JSON is seen when
+# the object is read.
 _ITEMS: Final = re.compile(rb"(?:%b%b%b,)++" % (_WS, _ITEM, _WS), re.DOTALL)
 _MEMBERS: Final = re.compile(rb'(?:%b"%b"%b:%b%b%b,)++' % (_WS, _TEXT, _WS, _WS, _ITEM, _WS), re.DOTALL)
 _SPACE: Final = re.compile(_WS)
 _LITERALS: Final = (b"-Infinity", b"Infinity", b"NaN", b"true", b"false", b"null")
 _LONGEST_NUMBER: Final = 1024
 _MAX_ERRORS: Final = 64  # in one frame; what has more is not worth the search
+_MAX_STEPS: Final = 50_000  # to the end of one object; about as many milliseconds as thousands of these
 
 # what may come next
 _VALUE, _FIRST_VALUE, _KEY, _FIRST_KEY, _COLON, _NEXT = range(6)
@@ -176,6 +181,7 @@ class JsonAssembler:
         self._expect = _VALUE
         self._string = False
         self._at = 0  # as far as it was looked at
+        self._steps = 0
 
     @property
     def pending_bytes(self) -> int:
@@ -270,6 +276,7 @@ class JsonAssembler:
         self._expect = _FIRST_KEY
         self._string = False
         self._at = 1
+        self._steps = 0
         return True
 
     def _end(self) -> int | None:
@@ -286,6 +293,9 @@ class JsonAssembler:
                     return None
                 self._string = False
                 at += 1
+            self._steps += 1
+            if self._steps > _MAX_STEPS:
+                raise _NotJson(len(buffer))
             if self._expect in _VALUES and open_.endswith(b"["):
                 items = _ITEMS.match(buffer, at)
             else:

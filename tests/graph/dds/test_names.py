@@ -40,7 +40,7 @@ def test_parts_of_a_service() -> None:
     assert dds_type("p/srv/Add", "_Request") == "p::srv::dds_::Add_Request_"
 
 
-@pytest.mark.parametrize("name", ["", "String", "a/b/c/d", "std_msgs/msg/", "a b/msg/C"])
+@pytest.mark.parametrize("name", ["", "String", "a/b/c/d", "a b/msg/C"])
 def test_bad_types(name: str) -> None:
     """What is no type name is refused."""
     with pytest.raises(InvalidTypeName):

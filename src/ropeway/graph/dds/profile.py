@@ -45,9 +45,9 @@ def make_profile(graph: str, interface: str | None = None, environ: Mapping[str,
     """
     env = os.environ if environ is None else environ
     reach = _discovery_range(graph, env)
-    peers = [p.strip() for p in env.get("ROS_STATIC_PEERS", "").split(";") if p.strip()]
-    if reach in ("OFF", "SYSTEM_DEFAULT"):
-        peers = []
+    peers = []
+    if reach in ("SUBNET", "LOCALHOST") and not _localhost_only(env):
+        peers = [p.strip() for p in env.get("ROS_STATIC_PEERS", "").split(";") if p.strip()]
     if interface is None and reach == "LOCALHOST" and all(_is_loopback(p) for p in peers):
         interface = "lo"
     element = _interface_element(graph, interface) if interface else ""
@@ -93,7 +93,7 @@ def make_profile(graph: str, interface: str | None = None, environ: Mapping[str,
 
 def _discovery_range(graph: str, env: Mapping[str, str]) -> str:
     given = env.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").strip().upper()
-    if env.get("ROS_LOCALHOST_ONLY", "").strip() == "1":
+    if _localhost_only(env):
         return "LOCALHOST"
     if not given:
         return "SUBNET"
@@ -102,6 +102,10 @@ def _discovery_range(graph: str, env: Mapping[str, str]) -> str:
             graph, f"ROS_AUTOMATIC_DISCOVERY_RANGE is {given!r}; set it to one of {', '.join(_RANGES)}, or unset it"
         )
     return given
+
+
+def _localhost_only(env: Mapping[str, str]) -> bool:
+    return env.get("ROS_LOCALHOST_ONLY", "").strip() == "1"
 
 
 def _is_loopback(host: str) -> bool:
@@ -134,9 +138,9 @@ def _interface_element(graph: str, interface: str) -> str:
 
 def _is_own(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> bool:
     family = socket.AF_INET if address.version == 4 else socket.AF_INET6
-    with socket.socket(family, socket.SOCK_DGRAM) as probe:
-        try:
+    try:
+        with socket.socket(family, socket.SOCK_DGRAM) as probe:
             probe.bind((str(address), 0))
-        except OSError:
-            return False
+    except OSError:
+        return False
     return True

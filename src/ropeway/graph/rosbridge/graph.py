@@ -112,6 +112,7 @@ class RosbridgeGraph:
         self._calls: dict[str, asyncio.Future[ops.ServiceResponse]] = {}
         self._attempt: asyncio.Future[None] | None = None
         self._traffic = (0, 0)
+        self._leaving = False
 
     # ── opening, the connection, closing ───────────────────────────────────────────────────────────────────────
 
@@ -138,8 +139,9 @@ class RosbridgeGraph:
 
     async def close(self) -> None:
         """Leave the far graph with everything that was created here."""
-        if self.state is LinkState.CLOSED:
+        if self._leaving:
             return
+        self._leaving = True
         for part in self._parts():
             await part.close()
         self._set_state(LinkState.CLOSED)
@@ -166,7 +168,7 @@ class RosbridgeGraph:
 
     async def _keep_connected(self) -> None:
         delay, down_since = _FIRST_RETRY_S, time.monotonic()
-        while self.state is not LinkState.CLOSED:
+        while not self._leaving:
             self._set_state(LinkState.CONNECTING)
             try:
                 connection = await connect(
@@ -182,7 +184,7 @@ class RosbridgeGraph:
                 delay, down_since = _FIRST_RETRY_S, time.monotonic()
                 await self._converse(connection)
                 down_since = time.monotonic()
-            if self.state is LinkState.CLOSED:
+            if self._leaving:
                 return
             self._set_state(LinkState.WAITING)
             await asyncio.sleep(delay * random.uniform(0.7, 1.3))  # noqa: S311  # jitter, not a secret
@@ -229,7 +231,7 @@ class RosbridgeGraph:
                     call.set_exception(GraphUnavailable(self.name, "the connection was lost during the call"))
             self._calls.clear()
             self._mirror.clear()
-        if self.state is not LinkState.CLOSED:
+        if not self._leaving:
             log.warning("%s: disconnected (%d %s)", self.name, code, reason)
 
     async def _chores(self, peer: Peer) -> None:
