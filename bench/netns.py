@@ -82,13 +82,13 @@ class Network:
         """Limit both directions; 0 takes the limit away."""
         for namespace in (self.a, self.b):
             with contextlib.suppress(subprocess.CalledProcessError):
-                _run(f"tc -n {namespace} qdisc del dev link root")
+                _run(f"tc -n {namespace} qdisc del dev wire root")
             if mbit:
-                _run(f"tc -n {namespace} qdisc add dev link root tbf rate {mbit}mbit burst 64kb latency 50ms")
+                _run(f"tc -n {namespace} qdisc add dev wire root tbf rate {mbit}mbit burst 64kb latency 50ms")
 
     def cut(self, down: bool = True) -> None:
         """Cut or restore the link."""
-        _run(f"ip -n {self.a} link set link {'down' if down else 'up'}")
+        _run(f"ip -n {self.a} link set wire {'down' if down else 'up'}")
 
 
 @contextlib.contextmanager
@@ -100,10 +100,10 @@ def network(mbit: float = 0, *, name: str = "rw", subnet: int = 77) -> Iterator[
             _run(f"ip netns del {namespace}")
         _run(f"ip netns add {namespace}")
         _run(f"ip -n {namespace} link set lo up")
-    _run(f"ip link add link netns {a} type veth peer name link netns {b}")
+    _run(f"ip link add wire netns {a} type veth peer name wire netns {b}")
     for namespace, last in ((a, 1), (b, 2)):
-        _run(f"ip -n {namespace} addr add 10.{subnet}.0.{last}/24 dev link")
-        _run(f"ip -n {namespace} link set link up")
+        _run(f"ip -n {namespace} addr add 10.{subnet}.0.{last}/24 dev wire")
+        _run(f"ip -n {namespace} link set wire up")
     made = Network(a, b, f"10.{subnet}.0.1", f"10.{subnet}.0.2")
     made.rate(mbit)
     try:

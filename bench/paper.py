@@ -47,8 +47,8 @@ def start_pair(net: Network, directory: Path, operation: str, encoding: str, top
     first = config(directory, names[server], [], f"ws://{address}:9090")
     second = config(directory, names[client], routes(operation, f"ws://{address}:9090", encoding, topics), None)
     return [
-        net.start(server, "-m", "ropeway.cli", "run", first, "--quiet"),
-        net.start(client, "-m", "ropeway.cli", "run", second, "--quiet"),
+        net.start(server, "-m", "ropeway", "run", first, "--quiet"),
+        net.start(client, "-m", "ropeway", "run", second, "--quiet"),
     ]
 
 

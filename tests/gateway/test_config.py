@@ -11,8 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ropeway import wire
 from ropeway.errors import ConfigError
 from ropeway.gateway.config import Config, load, parse
+from ropeway.gateway.model import ENCODINGS
 from ropeway.gateway.suggest import nearest
 from ropeway.graph.base import Delivery
 from ropeway.qos import QoS
@@ -497,6 +499,11 @@ def test_round_trip_and_slices(tmp_path: Path) -> None:
     assert part.routes() == config.routes()[3:]
     assert part.gateway.listen == ()
     assert config.gateway.listen == ("ws://127.0.0.1:9090",)
+
+
+def test_encodings_are_those_of_the_wire() -> None:
+    """Every encoding that the wire speaks can be asked for, and auto."""
+    assert sorted(ENCODINGS) == sorted({"auto", *wire.ENCODINGS})
 
 
 def test_models_are_frozen() -> None:

@@ -120,3 +120,18 @@ def test_full() -> None:
     assert outbox.full(queue, FRESH_BYTES)
     outbox.put(queue, Message(b"x"))
     assert outbox.full(queue, 1)
+
+
+def test_a_replaced_message_keeps_its_turn() -> None:
+    """Under overload two topics that are replaced again and again still alternate."""
+    outbox: Outbox[Message] = Outbox()
+    a: Queue[Message] = outbox.open(Queue("a"))
+    b: Queue[Message] = outbox.open(Queue("b"))
+    sent = []
+    for i in range(20):
+        for queue, name in ((a, b"a"), (b, b"b"), (b, b"b"), (a, b"a")):
+            outbox.put(queue, Message(name))
+        taken = outbox.take(4, 0)
+        assert taken is not None
+        sent.append(taken[1].payload)
+    assert sent == [b"a", b"b"] * 10

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ropeway.errors import InvalidDefinition
-from ropeway.types.files import find_interfaces, read_text
+from ropeway.types.files import find_interfaces, find_share, read_text
 
 
 def write(path: Path, text: str = "int8 a\n") -> Path:
@@ -29,6 +29,7 @@ def test_share_tree(tmp_path: Path) -> None:
     found = find_interfaces(tmp_path / "share")
     assert set(found) == {"p/msg/A", "p/srv/S", "q/action/G", "q/msg/Only"}
     assert (found["p/msg/A"], found["q/msg/Only"]) == (message, only)
+    assert find_share(tmp_path / "share") == found
 
 
 def test_source_package(tmp_path: Path) -> None:

@@ -130,18 +130,20 @@ async def play(
     chosen = [topic for topic in bag.topics if not topic.problem and (not topics or topic.name in topics)]
     publishers = {t: await graph.create_publisher(rename(t.name), t.type, t.qos) for t in chosen}
     stamped = {topic for topic in chosen if restamp and _starts_with_header(bag, topic)}
-    origin, played = new_origin(), Played()
+    origin, played, round_s = new_origin(), Played(), _round_s(bag)
     clock = asyncio.get_running_loop()
     try:
         await _readers(publishers.values(), wait_s)
-        began = clock.time()
-        ends = math.inf if for_s is None else began + for_s
+        began = 0.0
+        ends = math.inf
         while chosen:
-            round_began = began + played.rounds * _round_s(bag) / rate
             async with aclosing(read_ahead(bag.records(topics))) as batches:
                 async for record in _flat(batches):
+                    if not played.messages:  # the clock starts when the first batch has been read
+                        began = clock.time()
+                        ends = math.inf if for_s is None else began + for_s
                     offset_s = (record.time_ns - bag.start_ns) / 1e9
-                    due = round_began + offset_s / rate
+                    due = began + (played.rounds * round_s + offset_s) / rate
                     left = min(due, ends) - clock.time()
                     if left > 0 or played.messages % _BREATHER == 0:
                         await asyncio.sleep(max(left, 0))

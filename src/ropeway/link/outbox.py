@@ -10,6 +10,8 @@ Which message to send is decided when the link can take it, never before.
 from __future__ import annotations
 
 import enum
+import heapq
+import itertools
 from collections import Counter, deque
 from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol, TypeVar
 
@@ -59,7 +61,7 @@ class Queue(Generic[M]):
     waiting message is not worth sending.
     """
 
-    __slots__ = ("bytes", "depth", "key", "lifespan_ns", "limit_bytes", "lost", "priority", "waiting")
+    __slots__ = ("bytes", "depth", "key", "lifespan_ns", "limit_bytes", "lost", "number", "priority", "turn", "waiting")
 
     def __init__(
         self,
@@ -77,6 +79,7 @@ class Queue(Generic[M]):
         self.limit_bytes = limit_bytes
         self.waiting: deque[M] = deque()
         self.bytes = 0
+        self.number = self.turn = 0
         self.lost: Counter[Lost] = Counter()
 
 
@@ -84,14 +87,17 @@ class Outbox(Generic[M]):
     """All queues of one link. Not thread-safe: it belongs to the event loop."""
 
     def __init__(self) -> None:
-        self._lanes: list[deque[Queue[M]]] = [deque() for _ in range(LANES)]
+        self._lanes: list[list[tuple[int, int, Queue[M]]]] = [[] for _ in range(LANES)]  # heaps: who waits longest
         self._queues: set[Queue[M]] = set()
+        self._numbers = itertools.count()
+        self._turns = itertools.count(1)
         self.bytes = 0
         self.messages = 0
 
     def open(self, queue: Queue[M]) -> Queue[M]:
         """Make a queue part of this outbox."""
         self._queues.add(queue)
+        queue.number = next(self._numbers)
         return queue
 
     def close(self, queue: Queue[M]) -> None:
@@ -117,12 +123,12 @@ class Outbox(Generic[M]):
         """Let a message wait; the oldest of its topic makes room."""
         waiting = queue.waiting
         size = len(message.payload)
-        if waiting:
+        if waiting:  # the queue keeps its turn, or a busy topic would be sent back at each replacement
             lost = Lost.OVERFLOW if queue.depth is None else Lost.REPLACED
             while waiting and self.full(queue, size):
                 self._drop_oldest(queue, lost)
-        if not waiting:
-            self._lanes[queue.priority].append(queue)
+        else:
+            heapq.heappush(self._lanes[queue.priority], (queue.turn, queue.number, queue))
         waiting.append(message)
         queue.bytes += size
         self.bytes += size
@@ -135,22 +141,21 @@ class Outbox(Generic[M]):
                 yield priority
 
     def take(self, priority: int, now_ns: int) -> tuple[Queue[M], M] | None:
-        """The next message of a lane: topics take turns, and within a topic the oldest comes first."""
+        """The next message of a lane: the topic that was not served for longest, and of it the oldest."""
         lane = self._lanes[priority]
         while lane:
-            queue = lane[0]
+            queue = lane[0][2]
             waiting = queue.waiting
-            if not waiting:
-                lane.popleft()
-                continue
             message = waiting.popleft()
             size = len(message.payload)
             queue.bytes -= size
             self.bytes -= size
             self.messages -= 1
-            lane.popleft()
+            queue.turn = next(self._turns)
             if waiting:
-                lane.append(queue)
+                heapq.heapreplace(lane, (queue.turn, queue.number, queue))
+            else:
+                heapq.heappop(lane)
             if queue.lifespan_ns is not None and now_ns - message.stamp_ns > queue.lifespan_ns:
                 queue.lost[Lost.EXPIRED] += 1
                 continue
@@ -168,9 +173,11 @@ class Outbox(Generic[M]):
         self.bytes -= size
         self.messages -= 1
         queue.lost[reason] += 1
-        if not queue.waiting:
-            self._lanes[queue.priority].remove(queue)
 
     def _clear(self, queue: Queue[M], reason: Lost) -> None:
+        if queue.waiting:
+            lane = self._lanes[queue.priority]
+            lane.remove((queue.turn, queue.number, queue))
+            heapq.heapify(lane)
         while queue.waiting:
             self._drop_oldest(queue, reason)

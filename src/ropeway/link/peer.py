@@ -33,7 +33,7 @@ log = logging.getLogger("ropeway.link")
 _PART_MIN_BYTES: Final = 8 * 1024
 _PART_START_BYTES: Final = 64 * 1024
 _PART_MAX_BYTES: Final = 1 << 20
-_PART_S: Final = 0.004  # a part takes about so long on the wire, so that an urgent message waits no longer
+_PART_S: Final = 0.001  # a part takes about so long on the wire, so that an urgent message waits no longer
 _CONTROL_LIMIT_BYTES: Final = 32 << 20  # answers that a peer does not read; more closes the connection
 _OFFLOAD_BYTES: Final = 1 << 20  # bigger messages are encoded in a thread
 
@@ -418,7 +418,7 @@ class Peer:
                 part = int(min(max(pace.bytes_per_s * _PART_S, _PART_MIN_BYTES), _PART_MAX_BYTES))
                 if not 0.7 < part / self._part_bytes < 1.4:
                     self._part_bytes = part
-                    connection.set_ahead(max(part, 2 * _PART_MIN_BYTES))
+                    connection.set_ahead(max(part, _PART_MIN_BYTES))
             return
         self._quiet_bytes += sent_bytes
         if self._quiet_bytes > 4 * _PART_MAX_BYTES:  # nothing was held back for a long while: the link is fast

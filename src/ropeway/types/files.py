@@ -10,9 +10,10 @@ from typing import Final
 from ropeway.errors import InvalidDefinition, InvalidTypeName
 from ropeway.types.definition import KINDS, canonical_name
 
-__all__ = ["find_interfaces", "read_text"]
+__all__ = ["find_interfaces", "find_share", "read_text"]
 
 _SUFFIXES: Final = (".idl", ".action", ".srv", ".msg")  # a later one wins: .idl files repeat what a .msg says
+_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 _PACKAGE_NAME: Final = re.compile(r"<name>\s*([A-Za-z][A-Za-z0-9_]*)\s*</name>")
 
 
@@ -42,6 +43,29 @@ def find_interfaces(path: Path) -> dict[str, Path]:
             path.name, "a definition stands at PACKAGE/msg/Name.msg (or srv, action)", file=str(path)
         )
     return {name: path}
+
+
+def find_share(share: Path) -> dict[str, Path]:
+    """Full names and files of all definitions in the ``share`` directory of an installed workspace.
+
+    Looks into ``<package>/msg``, ``srv`` and ``action`` only, for a whole distribution has much else there.
+    """
+    found: dict[str, Path] = {}
+    with os.scandir(share) as packages:
+        for package in sorted(packages, key=lambda entry: entry.name):
+            for kind in KINDS:
+                directory = os.path.join(package.path, kind)  # noqa: PTH118 - a thousand Path objects are slow
+                if not os.path.isdir(directory):  # noqa: PTH112
+                    continue
+                files = sorted(os.listdir(directory), key=_rank)  # noqa: PTH208
+                for base, _, suffix in (file.rpartition(".") for file in files):
+                    if f".{suffix}" in _SUFFIXES and _NAME.match(base):
+                        found[f"{package.name}/{kind}/{base}"] = Path(directory, f"{base}.{suffix}")
+    return found
+
+
+def _rank(file: str) -> tuple[bool, str]:
+    return not file.endswith(".idl"), file
 
 
 def read_text(path: Path, name: str) -> str:

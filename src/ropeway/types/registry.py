@@ -17,7 +17,7 @@ from typing import Any
 from ropeway.errors import InvalidDefinition, InvalidTypeName, TypeConflict, UnknownType
 from ropeway.types.codec import MessageCodec
 from ropeway.types.definition import Definition, FieldType, canonical_name, short_name
-from ropeway.types.files import find_interfaces, read_text
+from ropeway.types.files import find_interfaces, find_share, read_text
 from ropeway.types.hashes import definition_md5, interface_members, rihs01
 from ropeway.types.parser import parse_interface, parse_sections
 from ropeway.types.standard import INTERFACES
@@ -32,8 +32,9 @@ _RULE = "=" * 80
 class TypeRegistry:
     """The types of one ROS distribution and all that was added.
 
-    ``distro`` is one of ``ropeway.types.stores.DISTROS``; ``None`` takes the newest long-known one. Reading is safe
-    from every thread, and adding too. Names are taken in both spellings, ``pkg/Name`` and ``pkg/msg/Name``.
+    ``distro`` is one of ``ropeway.types.stores.DISTROS``, ``None`` meaning ``NEWEST`` there; another raises
+    ``ValueError``. Reading is safe from every thread, and adding too. Names are taken in both spellings,
+    ``pkg/Name`` and ``pkg/msg/Name``.
     """
 
     def __init__(self, distro: str | None = None) -> None:
@@ -221,7 +222,7 @@ class TypeRegistry:
         for prefix in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
             share = Path(prefix) / "share"
             if prefix and share.is_dir():
-                found = {**find_interfaces(share), **found}
+                found = {**find_share(share), **found}
         with self._lock:
             loaded = {_owner(name) for name in self._builtin}
             for name, file in found.items():
@@ -241,33 +242,30 @@ class TypeRegistry:
 
     def _load(self, full: str) -> None:
         """Read the definition of ``full`` from where it waits, if it does."""
-        owner = _owner(full)
-        for name in (full, owner):
-            if name in self._files:
-                with self._lock:
-                    file = self._files.pop(name, None)
-                    if file is not None:
-                        try:
-                            self._read(name, file)
-                        except InvalidDefinition:
-                            self._files[name] = file
-                            raise
-                return
-        if full in self._definitions or full in self._sources:
-            return
-        if full in self._store:
-            definitions, sources = [from_rosbags(full, self._store[full])], {}
-        elif owner in INTERFACES:
-            text = INTERFACES[owner]
-            definitions = parse_interface(owner, text)
-            sources = {owner: text} if owner not in {d.name for d in definitions} else {}
-        else:
-            return
         with self._lock:
-            for definition in definitions:
-                if self._definitions.setdefault(definition.name, definition) is definition:
-                    self._builtin.add(definition.name)
-            self._sources.update(sources)
+            owner = _owner(full)
+            for name in (full, owner):
+                file = self._files.pop(name, None)
+                if file is not None:
+                    try:
+                        self._read(name, file)
+                    except InvalidDefinition:
+                        self._files[name] = file
+                        raise
+                    return
+            if full in self._definitions or full in self._sources:
+                return
+            if full in self._store:
+                self._add_builtin([from_rosbags(full, self._store[full])])
+            elif owner in INTERFACES:
+                self._add_builtin(parse_interface(owner, INTERFACES[owner]))
+                if owner not in self._definitions:
+                    self._sources.setdefault(owner, INTERFACES[owner])
+
+    def _add_builtin(self, definitions: Iterable[Definition]) -> None:
+        for definition in definitions:
+            if self._definitions.setdefault(definition.name, definition) is definition:
+                self._builtin.add(definition.name)
 
     def _read(self, name: str, file: Path) -> None:
         text = read_text(file, name)

@@ -23,6 +23,8 @@ from ropeway.types.standard import DEFAULTS
 __all__ = ["DISTROS", "NEWEST", "from_rosbags", "store_table"]
 
 NEWEST: Final = "kilted"
+"""What a registry has by default: all of Jazzy in the same layouts, and more. Lyrical has dropped some."""
+
 DISTROS: Final = {
     "noetic": "ros1_noetic",
     "foxy": "ros2_foxy",

@@ -35,7 +35,7 @@ Join = Callable[..., Awaitable[DdsGraph]]
 
 @pytest.fixture
 async def join(domain: int) -> AsyncIterator[Join]:
-    """Opens graphs in the test's domain, and closes them at its end: ``await join("name", **options)``."""
+    """A function that opens a graph in the test's domain; all are closed at the end."""
     graphs: list[DdsGraph] = []
 
     async def open_graph(name: str = "ropeway", **options: object) -> DdsGraph:

@@ -8,9 +8,8 @@ import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from collections.abc import Iterator
 
 from ropeway.graph.base import SEQ_NONE, Sample
 
@@ -25,6 +24,7 @@ def text(value: str) -> bytes:
 
 
 def message(value: str, seq: int = SEQ_NONE) -> Sample:
+    """A sample with a std_msgs/msg/String."""
     return Sample(text(value), STRING, time.time_ns(), bytes(16), seq)
 
 
@@ -56,14 +56,16 @@ class Inbox:
 async def until(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
     """Wait until ``condition()`` holds."""
     async with asyncio.timeout(timeout_s):
-        while not condition():
+        while not condition():  # noqa: ASYNC110 - discovery has no other signal
             await asyncio.sleep(0.005)
 
 
 @contextmanager
 def process(code: str, *arguments: object) -> Iterator[subprocess.Popen[str]]:
     """Python code in a process of its own, with ``helpers`` imported; ``sys.argv[1:]`` are the arguments."""
-    prelude = "import asyncio, sys, time\nfrom tests.graph.dds.helpers import *\nfrom ropeway.graph.dds import DdsGraph\n"
+    prelude = (
+        "import asyncio, sys, time\nfrom tests.graph.dds.helpers import *\nfrom ropeway.graph.dds import DdsGraph\n"
+    )
     prelude += "from ropeway.qos import *\n"
     with subprocess.Popen(
         [sys.executable, "-c", prelude + textwrap.dedent(code), *map(str, arguments)],

@@ -69,7 +69,9 @@ def test_services() -> None:
     assert demangle(reply, "p::srv::dds_::Add_Response_") == Name(NameKind.REPLY, "/ns/add", "p/srv/Add")
 
 
-@pytest.mark.parametrize("topic", ["ros_discovery_info", "rt", "rt/", "rx/a", "DCPSTopic", "rq/addReply", "rqRequest", ""])
+@pytest.mark.parametrize(
+    "topic", ["ros_discovery_info", "rt", "rt/", "rx/a", "DCPSTopic", "rq/addReply", "rqRequest", ""]
+)
 def test_foreign_topics(topic: str) -> None:
     """Topics that ROS did not name are foreign and keep their names."""
     assert demangle(topic).kind is NameKind.FOREIGN

@@ -11,6 +11,7 @@ from ropeway.graph.dds.profile import Profile, make_profile
 
 
 def ours(profile: Profile) -> ElementTree.Element:
+    """The domain element of our own part."""
     root = ElementTree.fromstring(profile.xml.split("</CycloneDDS>")[0] + "</CycloneDDS>")
     domain = root.find("Domain")
     assert domain is not None

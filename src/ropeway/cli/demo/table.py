@@ -15,9 +15,7 @@ WAYS: Final = {"robot": "→ cloud", "cloud": "→ robot"}
 
 
 def _table(title: str, *columns: str) -> Table:
-    table = Table(
-        title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold"
-    )
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 1), header_style="bold")
     for name in columns:
         text = name in ("topic", "way", "encoding")
         table.add_column(

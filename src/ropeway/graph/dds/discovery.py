@@ -10,13 +10,14 @@ from typing import Final
 from ropeway.graph.base import EndpointInfo, GraphEvent, NodeInfo, TopicInfo
 from ropeway.graph.dds.names import Name, NameKind, action_of, demangle, is_hidden
 from ropeway.graph.dds.nodes import NodeEntities
-from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, NodesRecord
+from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, Joined, NodesRecord
 from ropeway.qos import QoS
 
 __all__ = ["Discovery"]
 
 # An endpoint is discovered a moment before the message that tells whose node it is; its event waits this long for it.
 _NODE_GRACE_S: Final = 0.1
+_MAX_EARLY: Final = 64
 
 
 @dataclass(slots=True)
@@ -41,7 +42,8 @@ class Discovery:
     """What there is on the network.
 
     ``emit`` gets the events, others' only; ``changed`` the ROS topics whose publishers changed, once per batch;
-    ``forget`` the participants that left. ``foreign`` keeps topics that are not of ROS, under their DDS names.
+    ``gid_bytes`` the sizes of gid that others write. ``foreign`` keeps topics that are not of ROS, under their DDS
+    names.
     """
 
     def __init__(
@@ -50,17 +52,18 @@ class Discovery:
         gateway_id: str,
         emit: Callable[[GraphEvent], None],
         changed: Callable[[set[str]], None],
-        forget: Callable[[bytes], None],
+        gid_bytes: Callable[[set[int]], None],
         *,
         foreign: bool = False,
     ) -> None:
         self._graph, self._gateway_id, self._foreign = graph, gateway_id, foreign
-        self._emit, self._changed, self._forget = emit, changed, forget
+        self._emit, self._changed, self._tell_gid_bytes = emit, changed, gid_bytes
         self._endpoints: dict[tuple[str, int], _Endpoint] = {}
         self._topics: dict[str, _Topic] = {}
-        self._nodes: dict[bytes, tuple[NodeEntities, ...]] = {}
+        self._participants: set[bytes] = set()
+        self._early: dict[bytes, NodesRecord] = {}
+        self._nodes: dict[bytes, NodesRecord] = {}
         self._node_of: dict[bytes, str] = {}
-        self._local: set[bytes] = set()
         self._nameless: dict[bytes, _Endpoint] = {}
         self._timer: asyncio.TimerHandle | None = None
 
@@ -71,10 +74,14 @@ class Discovery:
             if isinstance(item, EndpointRecord):
                 self._add(item, topics)
             elif isinstance(item, NodesRecord):
-                self._set_nodes(item)
+                self._tell_nodes(item)
+            elif isinstance(item, Joined):
+                self._participants.add(item.participant)
+                if (early := self._early.pop(item.participant, None)) is not None:
+                    self._set_nodes(early)
             elif item.kind == "participant":
-                self._set_nodes(NodesRecord(item.guid, (), local=False))
-                self._forget(item.guid)
+                self._participants.discard(item.guid)
+                self._set_nodes(NodesRecord(item.guid, (), 0, local=False))
             else:
                 self._remove(item, topics)
         self._tell_named()
@@ -97,10 +104,10 @@ class Discovery:
         """Every node, with what it publishes, reads, serves and calls."""
         found: dict[str, list[NodeEntities]] = {}
         local: set[str] = set()
-        for participant, nodes in self._nodes.items():
-            for node in nodes:
+        for record in self._nodes.values():
+            for node in record.nodes:
                 found.setdefault(node.name, []).append(node)
-                if participant in self._local:
+                if record.local:
                     local.add(node.name)
         by_guid = {endpoint.record.guid: endpoint for endpoint in self._endpoints.values()}
         return {
@@ -203,24 +210,33 @@ class Discovery:
         elif name.kind is not NameKind.REPLY and not is_hidden(name.name):
             self._emit(GraphEvent(discovered, record.kind, name.name, name.type, node, self._graph))
 
+    def _tell_nodes(self, record: NodesRecord) -> None:
+        """Take nodes of participants that are there; what comes before or after them must not outlive them."""
+        if record.local or record.participant in self._participants:
+            self._set_nodes(record)
+            return
+        self._early[record.participant] = record
+        if len(self._early) > _MAX_EARLY:
+            del self._early[next(iter(self._early))]
+
     def _set_nodes(self, record: NodesRecord) -> None:
-        participant, nodes = record.participant, record.nodes
-        before = self._nodes.pop(participant, ())
-        if nodes:
-            self._nodes[participant] = nodes
+        previous = self._nodes.pop(record.participant, None)
+        before = previous.nodes if previous is not None else ()
+        if record.nodes:
+            self._nodes[record.participant] = record
         for guid in _guids(before):
             self._node_of.pop(guid, None)
-        for node in nodes:
-            for guid in (*node.readers, *node.writers):
+        for node in record.nodes:
+            for guid in _guids((node,)):
                 self._node_of[guid] = node.name
         if record.local:
-            self._local.add(participant)
             return
-        old, new = {n.name for n in before}, {n.name for n in nodes}
+        old, new = {n.name for n in before}, {n.name for n in record.nodes}
         for name in sorted(new - old):
             self._emit(GraphEvent(True, "node", name, graph=self._graph))
         for name in sorted(old - new):
             self._emit(GraphEvent(False, "node", name, graph=self._graph))
+        self._tell_gid_bytes({r.gid_bytes for r in self._nodes.values() if not r.local})
 
 
 def _guids(nodes: tuple[NodeEntities, ...]) -> Iterator[bytes]:

@@ -121,7 +121,7 @@ class DdsGraph:
                 self._gateway_id,
                 self._changes.emit,
                 self._readopt,
-                participant.forget,
+                participant.follow_gid_bytes,
                 foreign=self._foreign,
             )
             try:
@@ -142,8 +142,7 @@ class DdsGraph:
             if participant is None:
                 return
             parts: list[DdsPublisher | DdsSubscription] = [*self._publishers, *self._subscriptions]
-            for part in parts:
-                await part.close()
+            await asyncio.gather(*(part.close() for part in parts), participant.withdraw())
             self._participant = None
             await participant.close()
             self._shared.clear()

@@ -21,9 +21,9 @@ from ropeway.graph.dds.endpoints import RawReader, RawWriter, WriterIdentity, ma
 from ropeway.graph.dds.names import DISCOVERY_TOPIC, DISCOVERY_TYPE, DISCOVERY_TYPE_HASH
 from ropeway.graph.dds.nodes import GID_BYTES, OLD_GID_BYTES, NodeEntities, ParticipantEntities, encode, parse
 from ropeway.graph.dds.profile import Profile
-from ropeway.graph.dds.pump import Pump
+from ropeway.graph.dds.pump import Pump, run_in_thread
 from ropeway.graph.dds.raw import ALIVE, INFO, Endpoint, ParticipantData, SampleInfo, check, lib
-from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, NodesRecord
+from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, Joined, NodesRecord
 from ropeway.qos import QoS
 
 __all__ = ["Participant"]
@@ -70,7 +70,6 @@ class Participant:
         self._own_readers: dict[int, bool] = {}
         self._left: deque[int] = deque()
         self._gid_bytes = GID_BYTES
-        self._peer_gid_bytes: dict[bytes, int] = {}
         self._announcer: RawWriter | None = None
         self._announcing: asyncio.Handle | None = None
 
@@ -98,13 +97,18 @@ class Participant:
         self._hidden = {reader, self._announcer}
         self._announce()
 
+    async def withdraw(self) -> None:
+        """Say no more about our node; ``close`` does so too, but one after the other with the rest."""
+        if self._announcer is not None:
+            await self.delete(self._announcer)
+
     async def close(self) -> None:
         """Leave the domain, with every entity that is left."""
+        await asyncio.gather(*(self.delete(writer) for writer in list(self._writers)))
+        for reader in self._readers:
+            reader.closed = True
         if self._announcing is not None:
             self._announcing.cancel()
-        parts: list[RawReader | RawWriter] = [*self._readers, *self._writers]
-        for part in parts:
-            part.closed = True
         await self.pump.stop()
 
     # Entities ---------------------------------------------------------------------------------------------------
@@ -167,7 +171,11 @@ class Participant:
             del self._writers[part]
         self.pump.detach(part.key)
         self._announce_soon()
-        await self.pump.call(lambda: self._delete(part))
+        if isinstance(part, RawWriter) and lib.wait_for_acks(part.entity, 0):
+            # DDS waits up to a second for readers that have not got everything yet; the pump cannot.
+            await run_in_thread(f"ropeway {self.graph} linger", lambda: self._delete(part))
+        else:
+            await self.pump.call(lambda: self._delete(part))
         self._release_topic(part.topic)
 
     def matched_writers(self, reader: RawReader) -> int:
@@ -276,7 +284,9 @@ class Participant:
             ):
                 if state != ALIVE:
                     found.append(self._gone(kind, handle, address))
-                elif valid and kind != "participant":
+                elif valid and kind == "participant":
+                    found.append(Joined(bytes(ParticipantData.from_address(address).key)))
+                elif valid:
                     found.append(self._found(kind, handle, Endpoint.from_address(address)))
             lib.return_loan(reader, samples, count)
             self.pump.push(self._on_discovered, found)
@@ -323,20 +333,12 @@ class Participant:
             if entities is None or entities.guid[:_GUID_PREFIX_BYTES] != sample.origin[:_GUID_PREFIX_BYTES]:
                 log.debug("%s: a message of %d bytes on %s is none", self.graph, len(sample.payload), DISCOVERY_TOPIC)
                 continue
-            self._peer_gid_bytes[entities.guid] = entities.gid_bytes
-            found.append(NodesRecord(entities.guid, entities.nodes, local=False))
-        self._follow_gid_size()
+            found.append(NodesRecord(entities.guid, entities.nodes, entities.gid_bytes, local=False))
         if found:
             self._on_discovered(found)
 
-    def forget(self, participant: bytes) -> None:
-        """A participant has left."""
-        if self._peer_gid_bytes.pop(participant, None) is not None:
-            self._follow_gid_size()
-
-    def _follow_gid_size(self) -> None:
+    def follow_gid_bytes(self, sizes: set[int]) -> None:
         """Write gids as the others do: in 24 bytes where all of them are of ROS 2 Humble or older."""
-        sizes = set(self._peer_gid_bytes.values())
         size = OLD_GID_BYTES if sizes == {OLD_GID_BYTES} else GID_BYTES
         if size != self._gid_bytes:
             self._gid_bytes = size
@@ -354,7 +356,7 @@ class Participant:
         writers = tuple(w.guid for w in self._writers if w not in self._hidden)
         node = NodeEntities(self.node, readers, writers)
         self._announcer.write(encode(ParticipantEntities(self.guid, (node,), self._gid_bytes)))
-        self._on_discovered([NodesRecord(self.guid, (node,), local=True)])
+        self._on_discovered([NodesRecord(self.guid, (node,), self._gid_bytes, local=True)])
 
 
 def _ignore(_: list[Any]) -> None:

@@ -9,6 +9,7 @@ again when the loop has caught up.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import ctypes as ct
 import logging
 import threading
@@ -19,7 +20,7 @@ from typing import Any, Final, TypeVar
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.dds.raw import INFINITY, check, lib
 
-__all__ = ["Pump"]
+__all__ = ["Pump", "run_in_thread"]
 
 log = logging.getLogger("ropeway.graph.dds")
 
@@ -268,3 +269,26 @@ def _fail(pairs: list[tuple[asyncio.Future[Any], BaseException]]) -> None:
     for future, error in pairs:
         if not future.done():
             future.set_exception(error)
+
+
+async def run_in_thread(name: str, function: Callable[[], None]) -> None:
+    """Run ``function`` in a thread of its own and wait for its end; raises what it raised."""
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[None] = loop.create_future()
+
+    def run() -> None:
+        failure: BaseException | None = None
+        try:
+            function()
+        except Exception as error:
+            failure = error
+        with contextlib.suppress(RuntimeError):  # the loop closed first
+            if failure is None:
+                loop.call_soon_threadsafe(_succeed, [(done, None)])
+            else:
+                loop.call_soon_threadsafe(_fail, [(done, failure)])
+
+    thread = threading.Thread(target=run, name=name, daemon=True)
+    thread.start()
+    await done
+    thread.join()

@@ -184,6 +184,7 @@ _PROTOTYPES: Final[dict[str, tuple[bool, Any, tuple[Any, ...]]]] = {
     "dds_take_guardcondition": (True, _i32, (_i32, _out(ct.c_bool))),
     "dds_set_status_mask": (True, _i32, (_i32, _u32)),
     "dds_take_status": (True, _i32, (_i32, _out(_u32), _u32)),
+    "dds_wait_for_acks": (True, _i32, (_i32, _i64)),
     "dds_get_guid": (True, _i32, (_i32, _vp)),
     "dds_get_instance_handle": (True, _i32, (_i32, _out(_u64))),
     "dds_get_entity_sertype": (True, _i32, (_i32, _out(_vp))),
@@ -249,6 +250,7 @@ class Lib:
     take_guardcondition: Function
     set_status_mask: Function
     take_status: Function
+    wait_for_acks: Function
     get_guid: Function
     get_instance_handle: Function
     get_entity_sertype: Function

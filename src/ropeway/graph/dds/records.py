@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ropeway.graph.dds.nodes import NodeEntities
 from ropeway.qos import QoS
 
-__all__ = ["Discovered", "EndpointRecord", "Gone", "NodesRecord"]
+__all__ = ["Discovered", "EndpointRecord", "Gone", "Joined", "NodesRecord"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +27,13 @@ class EndpointRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class Joined:
+    """A participant that has come."""
+
+    participant: bytes
+
+
+@dataclass(frozen=True, slots=True)
 class Gone:
     """A ``publisher``, ``subscription`` or ``participant`` that has left."""
 
@@ -37,11 +44,12 @@ class Gone:
 
 @dataclass(frozen=True, slots=True)
 class NodesRecord:
-    """All nodes of a participant, as it told last."""
+    """All nodes of a participant, as it told last, with gids of so many bytes."""
 
     participant: bytes
     nodes: tuple[NodeEntities, ...]
+    gid_bytes: int
     local: bool
 
 
-Discovered = EndpointRecord | Gone | NodesRecord
+Discovered = EndpointRecord | Gone | Joined | NodesRecord

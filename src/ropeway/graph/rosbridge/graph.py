@@ -168,7 +168,7 @@ class RosbridgeGraph:
 
     async def _keep_connected(self) -> None:
         delay, down_since = _FIRST_RETRY_S, time.monotonic()
-        while not self._leaving:
+        while True:
             self._set_state(LinkState.CONNECTING)
             try:
                 connection = await connect(
