@@ -130,6 +130,14 @@ def test_typed_arrays_are_tagged_for_rosbridge_and_bare_for_rosgw(registry: Type
         assert msg["data"] == expected
 
 
+def test_long_names_are_no_problem(string: MessageCodec) -> None:
+    """A topic's name may have any length."""
+    topic = "/" + "x" * 100_000
+    for encoding in ("none", "cbor-raw"):
+        frame = encode_publish(topic, HELLO, string, encoding, stamp_ns=0)
+        assert loads(frame.data, text=frame.text)[0]["topic"] == topic
+
+
 def test_lz4_frames_have_the_parameters_of_rosgw() -> None:
     """Content size, blocks of 64 KiB, linked if there are several, no checksums."""
     payload = HELLO[:4] + os.urandom(100) * 2000

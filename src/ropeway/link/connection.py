@@ -7,21 +7,19 @@ A ``Connection`` delivers whole messages (continuation frames joined, bounded), 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
-import socket
 import ssl
-import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 from urllib.parse import urlsplit
 
 import picows
 from picows import WSCloseCode, WSFrame, WSListener, WSMsgType, WSTransport
 
 from ropeway.errors import ConnectFailed
+from ropeway.link.buffers import Buffers, tcp_info
 from ropeway.link.pace import Pace
 
 __all__ = ["Connection", "Handshake", "Limits", "Server", "connect", "listen"]
@@ -29,10 +27,6 @@ __all__ = ["Connection", "Handshake", "Limits", "Server", "connect", "listen"]
 log = logging.getLogger("ropeway.link")
 _picows_log = logging.getLogger("ropeway.link.picows")
 _picows_log.setLevel(logging.ERROR)
-
-_TCP_NOTSENT_LOWAT: Final = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
-_TCP_INFO: Final = getattr(socket, "TCP_INFO", None)
-_BYTES_RECEIVED_AT: Final = 128  # tcpi_bytes_received in Linux's struct tcp_info
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +87,7 @@ class Connection(WSListener):
         self._watch: asyncio.Task[None] | None = None
         self._close_code, self._close_reason = 1006, "the connection was lost"
         self._closed = asyncio.Event()
-        self._lowat = 0
+        self.buffers: Buffers | None = None
         self._closing: asyncio.TimerHandle | None = None
 
     # ── sending ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -124,13 +118,6 @@ class Connection(WSListener):
             return 0
         return int(transport.underlying_transport.get_write_buffer_size())
 
-    def set_ahead(self, size_bytes: int) -> None:
-        """Let the operating system hold about so many unsent bytes; small keeps the next message fresh."""
-        if self._socket is None or size_bytes == self._lowat:
-            return
-        self._lowat = size_bytes
-        with contextlib.suppress(OSError):
-            self._socket.setsockopt(socket.IPPROTO_TCP, _TCP_NOTSENT_LOWAT, size_bytes)
 
     def pause_reading(self) -> None:
         """Take no more from the peer for now; the operating system's window then holds it back."""
@@ -186,7 +173,7 @@ class Connection(WSListener):
             self.peer = _address(underlying.get_extra_info("peername"))
         if transport.response is not None:
             self.subprotocol = transport.response.headers.get("Sec-WebSocket-Protocol", "")  # the client's side
-        self.set_ahead(128 * 1024)
+        self.buffers = Buffers(self._socket)
         self.writable = True
         self._last_heard = time.monotonic()
         if self.limits.ping_interval_s is not None:
@@ -263,6 +250,8 @@ class Connection(WSListener):
     def resume_writing(self) -> None:
         """Called by the transport when the operating system took everything."""
         self.pace.resumed()
+        if self.buffers is not None and self.pace.bytes_per_s is not None:
+            self.buffers.fit(self.pace.bytes_per_s)
         if self._closing is None and not self._closed.is_set():
             self.writable = True
             self.on_writable()
@@ -292,15 +281,8 @@ class Connection(WSListener):
                 return
 
     def _received_bytes(self) -> int:
-        if _TCP_INFO is None or self._socket is None:
-            return 0
-        try:
-            info = self._socket.getsockopt(socket.IPPROTO_TCP, _TCP_INFO, _BYTES_RECEIVED_AT + 8)
-        except OSError:
-            return 0
-        if len(info) < _BYTES_RECEIVED_AT + 8:
-            return 0
-        return int(struct.unpack_from("<Q", info, _BYTES_RECEIVED_AT)[0])
+        info = tcp_info(self._socket)
+        return info.bytes_received if info is not None else 0
 
 
 def _ignore(_: object) -> None:

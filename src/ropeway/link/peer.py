@@ -408,25 +408,21 @@ class Peer:
         future.add_done_callback(done)
 
     def _tune(self, sent_bytes: int) -> None:
-        """Fit the size of parts, and what the operating system may hold, to the pace of the link."""
-        connection = self.connection
-        pace = connection.pace
+        """Fit the size of parts to the pace of the link."""
+        pace = self.connection.pace
         if pace.pauses != self._pauses_seen:
             self._pauses_seen = pace.pauses
             self._quiet_bytes = 0
             if pace.bytes_per_s is not None:
-                part = int(min(max(pace.bytes_per_s * _PART_S, _PART_MIN_BYTES), _PART_MAX_BYTES))
-                if not 0.7 < part / self._part_bytes < 1.4:
-                    self._part_bytes = part
-                    connection.set_ahead(max(part, _PART_MIN_BYTES))
+                self._part_bytes = int(min(max(pace.bytes_per_s * _PART_S, _PART_MIN_BYTES), _PART_MAX_BYTES))
             return
         self._quiet_bytes += sent_bytes
         if self._quiet_bytes > 4 * _PART_MAX_BYTES:  # nothing was held back for a long while: the link is fast
             self._quiet_bytes = 0
             pace.forget()
-            if self._part_bytes < _PART_MAX_BYTES:
-                self._part_bytes = min(2 * self._part_bytes, _PART_MAX_BYTES)
-                connection.set_ahead(max(self._part_bytes, 128 * 1024))
+            self._part_bytes = min(2 * self._part_bytes, _PART_MAX_BYTES)
+            if self.connection.buffers is not None:
+                self.connection.buffers.release()
 
     # ── in ─────────────────────────────────────────────────────────────────────────────────────────────────────
 

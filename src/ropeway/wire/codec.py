@@ -113,11 +113,12 @@ def encode_publish(
     ``codec`` may be ``None`` for what is not in ``NEEDS_CODEC``; ``stamp_ns`` goes into cbor-raw. An encoding that
     nobody knows is none, as rosbridge has it. Raises ``DecodeError`` for a payload that is not of its type.
     """
+    text_start, binary_edges = _SHORT if len(topic) < 256 else _LONG
     if encoding not in BINARY:
-        text = b"".join((_text_start(topic), _need(codec, encoding).json(payload), b"}"))
+        text = b"".join((text_start(topic), _need(codec, encoding).json(payload), b"}"))
         return Frame(True, _png_frame(text) if encoding == "png" else text)
     named = dialect.names_compression or encoding not in ROSBRIDGE.subscribe
-    start, end = _binary_edges(topic, encoding if named else "")
+    start, end = binary_edges(topic, encoding if named else "")
     if encoding == "cbor-raw":
         seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
         times = cbor2.dumps(seconds), b"\x65nsecs", cbor2.dumps(nanoseconds)
@@ -128,18 +129,20 @@ def encode_publish(
     return Frame(False, b"".join((start, *_bytes(body), end)))
 
 
-@functools.lru_cache(4096)
 def _text_start(topic: str) -> bytes:
     return dumps({"op": "publish", "topic": topic, "msg": 0})[:-2]
 
 
-@functools.lru_cache(4096)
 def _binary_edges(topic: str, compression: str) -> tuple[bytes, bytes]:
     """What comes before and after the message in a CBOR frame."""
     start = cbor2.dumps({"op": "publish", "topic": topic, "msg": None})[1:-1]
     if not compression:
         return b"\xa3" + start, b""
     return b"\xa4" + start, cbor2.dumps("compression") + cbor2.dumps(compression)
+
+
+_LONG: Final = (_text_start, _binary_edges)
+_SHORT: Final = (functools.lru_cache(4096)(_text_start), functools.lru_cache(4096)(_binary_edges))
 
 
 def _bytes(data: bytes) -> tuple[bytes, bytes]:
