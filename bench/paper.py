@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from bench.netns import Network, network
+from bench.netns import Network, Process, network
 from bench.peers import messages
 from bench.report import table
 from ropeway.types import TypeRegistry
@@ -25,9 +25,11 @@ SUBSCRIBERS = 3
 TCP_SHARE = 0.955  # of a link's rate that TCP carries as payload (measured: 95.5 of 100 Mbit/s)
 
 
-def config(directory: Path, name: str, remotes: list[dict[str, Any]], listen: str | None) -> str:
+def config(
+    directory: Path, name: str, remotes: list[dict[str, Any]], listen: str | None, graph: str = "dds:0?interface=lo"
+) -> str:
     """Write a configuration; gives its path."""
-    gateway = {"name": name, "graphs": ["dds:0?interface=lo"], "listen": [listen] if listen else [], "insecure": True}
+    gateway = {"name": name, "graphs": [graph], "listen": [listen] if listen else [], "insecure": True}
     path = directory / f"{name}.json"
     path.write_text(json.dumps({"gateway": gateway, "remotes": remotes}))
     return str(path)
@@ -63,17 +65,22 @@ def measure(
             "b", "-m", "bench.peers", "sink", "--topic", ",".join(topics), "--kind", kind, "--seconds", str(seconds + 4)
         )
         sink.line()
-        sources = [
-            net.start(
-                "a", "-m", "bench.peers", "source", "--topic", t, "--kind", k, "--hz", str(hz),
-                "--seconds", str(seconds), "--settle", "1",
-            )
-            for t, k in topics.items()
-        ]
+        sources = start_sources(net, hz, seconds, topics)
         result: dict[str, dict[str, float]] = json.loads(sink.finish(seconds + 60).splitlines()[-1])
         for process in (*sources, *gateways):
             process.stop()
     return result
+
+
+def start_sources(net: Network, hz: float, seconds: float, topics: dict[str, str]) -> list[Process]:
+    """A camera driver for each topic, so that their frames do not come in step."""
+    return [
+        net.start(
+            "a", "-m", "bench.peers", "source", "--topic", t, "--kind", k, "--hz", str(hz),
+            "--seconds", str(seconds), "--settle", "1",
+        )
+        for t, k in topics.items()
+    ]
 
 
 def local(net: Network, hz: float, seconds: float, topics: dict[str, str]) -> dict[str, dict[str, float]]:
@@ -81,10 +88,7 @@ def local(net: Network, hz: float, seconds: float, topics: dict[str, str]) -> di
     kind = next(iter(topics.values()))
     sink = net.start("a", "-m", "bench.peers", "sink", "--topic", ",".join(topics), "--kind", kind, "--seconds", str(seconds + 4))
     sink.line()
-    sources = [
-        net.start("a", "-m", "bench.peers", "source", "--topic", t, "--kind", k, "--hz", str(hz), "--seconds", str(seconds))
-        for t, k in topics.items()
-    ]
+    sources = start_sources(net, hz, seconds, topics)
     result: dict[str, dict[str, float]] = json.loads(sink.finish(seconds + 60).splitlines()[-1])
     for process in sources:
         process.stop()

@@ -95,29 +95,32 @@ def profile(args: argparse.Namespace) -> QoS:
 
 
 async def source(args: argparse.Namespace) -> None:
-    """Publish; prints what was sent."""
+    """Publish all topics in turn; prints what was sent."""
     graph = DdsGraph(args.domain, name="source", interface=args.interface)
     await graph.open()
-    kind, payloads = messages(args.kind)
-    publisher = await graph.create_publisher(args.topic, args.type or kind, profile(args))
+    parts = []
+    for topic, kind in zip(args.topic.split(","), args.kind.split(","), strict=True):
+        type, payloads = messages(kind)
+        publisher = await graph.create_publisher(topic, args.type or type, profile(args))
+        parts.append((publisher, type, _cycle(payloads)))
     loop = asyncio.get_running_loop()
     deadline = loop.time() + 10
-    while not publisher.subscribers and loop.time() < deadline:
+    while not all(publisher.subscribers for publisher, _, _ in parts) and loop.time() < deadline:
         await asyncio.sleep(0.02)
     await asyncio.sleep(args.settle)
     print("started", flush=True)
     began = loop.time()
     n = 0
-    frames = _cycle(payloads)
     while loop.time() - began < args.seconds and (not args.count or n < args.count):
-        now = time.time_ns()
-        publisher.publish(Sample(restamp(next(frames), now), kind, now, bytes(16), SEQ_NONE))
+        for publisher, type, payloads in parts:
+            now = time.time_ns()
+            publisher.publish(Sample(restamp(next(payloads), now), type, now, bytes(16), SEQ_NONE))
         n += 1
         if args.hz:
             await asyncio.sleep(max(0.0, began + n / args.hz - loop.time()))
         elif n % args.burst == 0:
             await asyncio.sleep(0)
-    print(json.dumps({"sent": n, "seconds": loop.time() - began}), flush=True)
+    print(json.dumps({"sent": n * len(parts), "seconds": loop.time() - began}), flush=True)
     await asyncio.sleep(0.5)
     await graph.close()
 
@@ -144,7 +147,7 @@ async def sink(args: argparse.Namespace) -> None:
                 if args.check:
                     sums.setdefault(topic, set()).add(hash(bytes(sample.payload[12:])))
 
-        await graph.create_subscription(topic, args.type or TYPES.get(args.kind, IMAGE), profile(args), receive)
+        await graph.create_subscription(topic, args.type or TYPES.get(args.kind.split(",")[0], IMAGE), profile(args), receive)
     print("ready", flush=True)
     await asyncio.sleep(args.seconds)
     print(json.dumps({topic: figures(rows) for topic, rows in got.items()}), flush=True)

@@ -86,13 +86,12 @@ class UnknownType(TypesError):
     def __init__(self, name: str, *, needed_by: str = "", nearest: str = "") -> None:
         self.name, self.needed_by, self.nearest = name, needed_by, nearest
         by = f" (needed by {needed_by})" if needed_by else ""
-        near = f"; did you mean {nearest}?" if nearest else ""
-        super().__init__(
-            f"the definition of {name} is not known{by}{near} "
-            'Name its directory or file under "types" in the configuration, or source the workspace that has it.'
-            if not near
-            else f"the definition of {name} is not known{by}{near}"
+        hint = (
+            f"; did you mean {nearest}?"
+            if nearest
+            else '. Name its directory or file under "types" in the configuration, or source the workspace that has it.'
         )
+        super().__init__(f"the definition of {name} is not known{by}{hint}")
 
 
 class InvalidDefinition(TypesError):

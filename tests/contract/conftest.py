@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AsyncExitStack
 from typing import Any
 
@@ -17,6 +17,7 @@ from ropeway.graph.memory import MemoryGraph
 from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
+from tests.isolation import isolated_dds
 
 _numbers = itertools.count()
 
@@ -106,7 +107,19 @@ async def open_rosbridge(stack: AsyncExitStack, *, plain: bool = False) -> Pair:
     return Pair(*ends, stack)
 
 
-KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {"memory": open_memory, "hub": open_hub, "dds": open_dds, "rosbridge": open_rosbridge}
+KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
+    "memory": open_memory,
+    "hub": open_hub,
+    "dds": open_dds,
+    "rosbridge": open_rosbridge,
+}
+
+
+@pytest.fixture(scope="session", autouse=True)
+def dds_isolation() -> Iterator[None]:
+    """Participants of this test run discover each other only."""
+    with isolated_dds():
+        yield
 
 
 @pytest.fixture(params=sorted(KINDS))

@@ -51,7 +51,7 @@ def test_follows_a_change() -> None:
 
 def test_raw_on_a_fast_link() -> None:
     """Without a known pace messages go raw."""
-    assert EncodingChooser(Pace()).choose(300_000) == "cbor-raw"
+    assert EncodingChooser(Pace()).choose(300_000, 0, 0) == "cbor-raw"
 
 
 def test_compresses_where_it_pays() -> None:
@@ -59,18 +59,18 @@ def test_compresses_where_it_pays() -> None:
     clock = Clock()
     pace = paced(clock, 12.5e6)
     good, bad = EncodingChooser(pace, clock), EncodingChooser(pace, clock)
-    assert good.choose(300_000) == bad.choose(300_000) == "zstd"  # the first one is a trial
+    assert good.choose(300_000, 0, 0) == bad.choose(300_000, 0, 0) == "zstd"  # the first one is a trial
     good.measured(300_000, 150_000, 0.0005)
     bad.measured(300_000, 298_000, 0.0005)
-    assert good.choose(300_000) == "zstd"
-    assert bad.choose(300_000) == "cbor-raw"
+    assert good.choose(300_000, 0, 0) == "zstd"
+    assert bad.choose(300_000, 0, 0) == "cbor-raw"
 
 
 def test_small_messages_go_raw() -> None:
     """A message that takes less than a millisecond on the wire is not worth compressing."""
     clock = Clock()
     chooser = EncodingChooser(paced(clock, 12.5e6), clock)
-    assert chooser.choose(1000) == "cbor-raw"
+    assert chooser.choose(1000, 0, 0) == "cbor-raw"
 
 
 def test_raw_again_when_the_link_is_faster() -> None:
@@ -78,11 +78,30 @@ def test_raw_again_when_the_link_is_faster() -> None:
     clock = Clock()
     pace = paced(clock, 12.5e6)
     chooser = EncodingChooser(pace, clock)
-    chooser.choose(300_000)
+    chooser.choose(300_000, 0, 0)
     chooser.measured(300_000, 200_000, 0.001)
-    assert chooser.choose(300_000) == "zstd"
+    assert chooser.choose(300_000, 0, 0) == "zstd"
     for _ in range(20):
         pace.paused(10**6)
         clock.now += 10**6 / 200e6
         pace.resumed()
-    assert chooser.choose(300_000) == "cbor-raw"
+    assert chooser.choose(300_000, 0, 0) == "cbor-raw"
+
+
+@pytest.mark.parametrize(("raw_hz", "packed_hz", "best"), [(250, 80, "cbor-raw"), (25, 60, "zstd")])
+def test_what_gets_through_decides(raw_hz: float, packed_hz: float, best: str) -> None:
+    """While messages are lost, the encoding that really brings more through is used nearly all the time."""
+    clock = Clock()
+    chooser = EncodingChooser(Pace(clock), clock)
+    chooser.ratio = 3.0
+    sent = lost = 0.0
+    used = []
+    for _ in range(3000):
+        encoding = chooser.choose(300_000, int(sent), int(lost))
+        used.append(encoding)
+        clock.now += 0.01
+        rate = raw_hz if encoding == "cbor-raw" else packed_hz
+        sent += 0.01 * rate
+        lost += 0.01 * (500 - rate)
+    assert used[-500:].count(best) > 400
+    assert used.count(best) > 2500

@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import signal
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -24,6 +25,7 @@ __all__ = ["app"]
 
 app = typer.Typer(add_completion=False)
 log = logging.getLogger("ropeway")
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
 @app.command("run")
@@ -60,32 +62,40 @@ def _gateway(config: Config, level: str) -> Gateway | Supervisor:
 async def _serve(config: Config, *, for_s: float | None, period_s: float | None, level: str) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, stop.set)
-    serving = asyncio.create_task(_run(config, period_s, level), name="gateway")
-    stopped = asyncio.create_task(stop.wait(), name="signals")
+
+    def stopped() -> None:
+        stop.set()
+        for number in _SIGNALS:  # a second signal does not wait for an orderly end
+            loop.remove_signal_handler(number)
+
+    for number in _SIGNALS:
+        loop.add_signal_handler(number, stopped)
+    serving = asyncio.create_task(_run(config, for_s, period_s, level), name="gateway")
+    waiting = asyncio.create_task(stop.wait(), name="signals")
     try:
-        await asyncio.wait([serving, stopped], timeout=for_s, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait([serving, waiting], return_when=asyncio.FIRST_COMPLETED)
     finally:
-        stopped.cancel()
+        waiting.cancel()
         serving.cancel()  # without effect where it has ended by itself
         with contextlib.suppress(asyncio.CancelledError):
             await serving
     log.info("%s has ended", config.gateway.name)
 
 
-async def _run(config: Config, period_s: float | None, level: str) -> None:
+async def _run(config: Config, for_s: float | None, period_s: float | None, level: str) -> None:
+    loop = asyncio.get_running_loop()
     async with _gateway(config, level) as gateway:
         _greet(config)
-        if period_s is None:
-            await gateway.wait()
-            return
+        ends = math.inf if for_s is None else loop.time() + for_s
         failing = asyncio.create_task(gateway.wait(), name="gateway failure")
         try:
-            while not failing.done():
-                await asyncio.wait([failing], timeout=period_s)
-                print_json(gateway.status())
-            await failing
+            while not failing.done() and loop.time() < ends:
+                pause = min(ends - loop.time(), math.inf if period_s is None else period_s)
+                await asyncio.wait([failing], timeout=None if math.isinf(pause) else pause)
+                if period_s is not None:
+                    print_json(gateway.status())
+            if failing.done():
+                await failing
         finally:
             failing.cancel()
             await asyncio.wait([failing])

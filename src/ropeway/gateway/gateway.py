@@ -9,6 +9,7 @@ from contextlib import AsyncExitStack
 from typing import Any, Final
 
 from ropeway.bridge.topic import TopicBridge
+from ropeway.gateway.allocator import keep_freed_memory
 from ropeway.gateway.config import Config, Route
 from ropeway.gateway.model import RemoteConfig
 from ropeway.gateway.tls import client_context, server_context
@@ -96,6 +97,7 @@ class Gateway:
         await self._stack.aclose()
 
     async def _bring_up(self, stack: AsyncExitStack) -> None:
+        keep_freed_memory()
         settings = self.config.gateway
         for path in settings.types:
             self.registry.add_path(path)

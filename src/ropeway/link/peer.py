@@ -34,6 +34,7 @@ _PART_MIN_BYTES: Final = 8 * 1024
 _PART_START_BYTES: Final = 64 * 1024
 _PART_MAX_BYTES: Final = 1 << 20
 _PART_S: Final = 0.001  # a part takes about so long on the wire, so that an urgent message waits no longer
+_QUIET_S: Final = 10.0
 _CONTROL_LIMIT_BYTES: Final = 32 << 20  # answers that a peer does not read; more closes the connection
 _OFFLOAD_BYTES: Final = 1 << 20  # bigger messages are encoded in a thread
 
@@ -99,7 +100,7 @@ class Channel:
         self.queue.key = self
         self.codec: MessageCodec | None = codec
         self.chooser = EncodingChooser(peer.connection.pace) if encoding == "auto" else None
-        self.used = encoding
+        self.used = encoding if encoding != "auto" else "none" if peer.dialect is not ROPEWAY else "cbor-raw"
         self.sent = self.sent_bytes = 0
         self.closed = False
 
@@ -124,7 +125,12 @@ class Channel:
         """The encoding for this message."""
         if self.chooser is None:
             return self.encoding
-        self.used = self.chooser.choose(len(sample.payload)) if self.peer.dialect is ROPEWAY else "none"
+        if self.peer.dialect is not ROPEWAY:
+            return self.used
+        queue = self.queue
+        self.used = self.chooser.choose(
+            len(sample.payload), self.sent, queue.lost[Lost.REPLACED] + queue.lost[Lost.OVERFLOW]
+        )
         return self.used
 
     def frame(self, sample: Outgoing, encoding: str) -> wire_codec.Frame:
@@ -417,7 +423,7 @@ class Peer:
                 self._part_bytes = int(min(max(pace.bytes_per_s * _PART_S, _PART_MIN_BYTES), _PART_MAX_BYTES))
             return
         self._quiet_bytes += sent_bytes
-        if self._quiet_bytes > 4 * _PART_MAX_BYTES:  # nothing was held back for a long while: the link is fast
+        if self._quiet_bytes > 4 * _PART_MAX_BYTES and pace.idle_s() > _QUIET_S:  # nothing was held back for long
             self._quiet_bytes = 0
             pace.forget()
             self._part_bytes = min(2 * self._part_bytes, _PART_MAX_BYTES)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 
 import pytest
 
 from ropeway.graph.dds import DdsGraph
+from tests.isolation import isolated_dds
 
 _domains = itertools.cycle(range(40, 56))
 
@@ -16,11 +16,7 @@ _domains = itertools.cycle(range(40, 56))
 @pytest.fixture(scope="session", autouse=True)
 def dds_isolation() -> Iterator[None]:
     """Participants of this test run discover each other only."""
-    tag = f"<CycloneDDS><Domain><Discovery><Tag>test-{os.getpid()}</Tag></Discovery></Domain></CycloneDDS>"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CYCLONEDDS_URI", tag)
-        for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS"):
-            patch.delenv(name, raising=False)
+    with isolated_dds():
         yield
 
 

@@ -16,7 +16,7 @@ from ropeway.qos import QoS
 __all__ = ["Discovery"]
 
 # An endpoint is discovered a moment before the message that tells whose node it is; its event waits this long for it.
-_NODE_GRACE_S: Final = 0.1
+_NODE_GRACE_S: Final = 0.25
 _MAX_EARLY: Final = 64
 
 

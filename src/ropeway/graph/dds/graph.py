@@ -33,7 +33,7 @@ from ropeway.graph.dds.profile import make_profile
 from ropeway.graph.dds.publisher import DdsPublisher
 from ropeway.graph.dds.raw import DdsError
 from ropeway.graph.dds.records import Discovered
-from ropeway.graph.dds.subscription import DdsSubscription, SharedReader
+from ropeway.graph.dds.subscription import DdsSubscription, SharedReader, settled
 from ropeway.qos import DEFAULT, QoS, common_qos
 from ropeway.types.definition import canonical_name
 
@@ -157,7 +157,7 @@ class DdsGraph:
         """Publish ``topic``; without a profile, reliable and volatile. DDS has its own way with ``delivery``."""
         participant = self._opened()
         topic, type = resolve_name(topic), canonical_name(type)
-        profile = qos or DEFAULT
+        profile = settled(qos or DEFAULT, DEFAULT)
         publisher = DdsPublisher(self, topic, type, profile)
         mark = user_data(type_hash=self._hash(type), gateway_id=self._gateway_id)
         names = (dds_topic(topic), dds_type(type))
@@ -178,7 +178,7 @@ class DdsGraph:
         self._opened()
         topic, type = resolve_name(topic), canonical_name(type)
         subscription = DdsSubscription(self, topic, type, qos, callback)
-        subscription.follow(self._adopted(subscription) if qos is None else qos)
+        subscription.follow(self._adopted(subscription))
         self._subscriptions[subscription] = None
         return subscription
 
@@ -272,9 +272,15 @@ class DdsGraph:
                     log.warning("%s: %s keeps its profile: %s", self.name, subscription.topic, error)
 
     def _adopted(self, subscription: DdsSubscription) -> QoS:
+        """The profile that a subscription should have now."""
+        asked = subscription.asked
+        if asked is not None and not subscription.adopts:
+            return asked
         assert self._discovery is not None
         offered = self._discovery.offered(subscription.topic, subscription.type)
         qos = common_qos(offered, subscription.qos)
+        if asked is not None:
+            return settled(asked, qos)
         if qos.history == "keep_last" and not qos.transient_local:
             qos = replace(qos, depth=max(qos.depth, _MIN_ADOPTED_DEPTH))
         return qos

@@ -7,10 +7,11 @@ so that topics, services and actions share them.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import ctypes as ct
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 from ropeway.graph.base import Sample, Undelivered
@@ -38,10 +39,9 @@ _LISTEN_QOS: Final = QoS(durability="transient_local", history="keep_all")
 
 
 class Participant:
-    """One participant in ``number``, with the node ``node`` (a full name).
+    """One participant in domain ``number``, with the node ``node`` (a full name).
 
-    ``on_discovered`` gets batches of records on the loop; ``on_demand(writer, count)`` the number of readers that
-    others have on a writer, whenever it changes.
+    ``graph`` is what messages call it, ``on_discovered`` gets batches of records on the loop.
     """
 
     def __init__(
@@ -63,7 +63,6 @@ class Participant:
         self._entity = 0
         self._acquired = False
         self._topics: dict[tuple[str, str], tuple[int, int, int]] = {}
-        self._demand: dict[RawWriter, Callable[[int], None]] = {}
         self._readers: dict[RawReader, None] = {}
         self._writers: dict[RawWriter, None] = {}
         self._hidden: set[RawReader | RawWriter] = set()
@@ -124,12 +123,10 @@ class Participant:
         order: ByteOrder | None = None,
     ) -> RawReader:
         """A reader of ``topic`` (DDS topic and DDS type); its samples carry ``type``. Raises ``DdsError``."""
-        topic_entity, _ = self._topic(topic)
-        with reader_qos(qos, user_data) as handle:
+        with self._using(topic) as (topic_entity, _), reader_qos(qos, user_data) as handle:
             entity = check(lib.create_reader(self._entity, topic_entity, handle, None), f"create reader {topic[0]}")
-        depth = None if qos.history == "keep_all" else max(qos.depth, 1)
-        if depth is not None and qos.transient_local:
-            depth = None
+        # What several publishers kept may be more than one of them keeps.
+        depth = None if qos.history == "keep_all" or qos.transient_local else max(qos.depth, 1)
         reader = RawReader(self, topic, type, entity, depth, deliver, dropped, order)
         reader.guid = raw.guid_of(entity)
         condition = check(lib.create_readcondition(entity, raw.ANY_STATE), "create_readcondition")
@@ -142,8 +139,7 @@ class Participant:
         self, topic: tuple[str, str], qos: QoS, user_data: bytes, demand: Callable[[int], None] | None = None
     ) -> RawWriter:
         """A writer on ``topic``; ``demand`` gets the number of others' readers on the loop. Raises ``DdsError``."""
-        topic_entity, sertype = self._topic(topic)
-        with writer_qos(qos, user_data) as handle:
+        with self._using(topic) as (topic_entity, sertype), writer_qos(qos, user_data) as handle:
             entity = check(lib.create_writer(self._entity, topic_entity, handle, None), f"create writer {topic[0]}")
         writer = RawWriter(self, topic, entity, sertype)
         writer.guid = raw.guid_of(entity)
@@ -181,6 +177,16 @@ class Participant:
     def matched_writers(self, reader: RawReader) -> int:
         """How many writers a reader is matched with."""
         return len(matched(lib.get_matched_publications, reader.entity))
+
+    @contextlib.contextmanager
+    def _using(self, key: tuple[str, str]) -> Iterator[tuple[int, int]]:
+        """A topic for an endpoint that is made in the ``with`` block, given back where that fails."""
+        topic = self._topic(key)
+        try:
+            yield topic
+        except BaseException:
+            self._release_topic(key)
+            raise
 
     def _topic(self, key: tuple[str, str]) -> tuple[int, int]:
         entity, sertype, users = self._topics.get(key) or (*raw.create_topic(self._entity, *key), 0)
@@ -247,7 +253,10 @@ class Participant:
         if writer.closed:
             return
         status = ct.c_uint32()
-        check(lib.take_status(writer.entity, ct.byref(status), raw.PUBLICATION_MATCHED), "take_status")
+        code = lib.take_status(writer.entity, ct.byref(status), raw.PUBLICATION_MATCHED)
+        if code < 0 and writer not in self._writers:  # deleted meanwhile
+            return
+        check(code, "take_status")
         handles = matched(lib.get_matched_subscriptions, writer.entity)
         self.pump.push(tell, [sum(not self._is_own_reader(writer.entity, handle) for handle in handles)])
 
@@ -278,6 +287,12 @@ class Participant:
             count = check(lib.take(reader, samples, infos, _BUILTIN_BATCH, _BUILTIN_BATCH), "take builtin topic")
             if not count:
                 return
+            try:
+                self.pump.push(self._on_discovered, read(count))
+            finally:
+                lib.return_loan(reader, samples, count)
+
+        def read(count: int) -> list[Discovered]:
             found: list[Discovered] = []
             for address, (state, valid, _, handle, _) in zip(
                 samples[:count], INFO.iter_unpack(view[: count * INFO.size]), strict=True
@@ -288,8 +303,7 @@ class Participant:
                     found.append(Joined(bytes(ParticipantData.from_address(address).key)))
                 elif valid:
                     found.append(self._found(kind, handle, Endpoint.from_address(address)))
-            lib.return_loan(reader, samples, count)
-            self.pump.push(self._on_discovered, found)
+            return found
 
         self.pump.attach(condition, on_data)
 
@@ -306,8 +320,8 @@ class Participant:
             handle=handle,
             guid=guid,
             participant=participant,
-            dds_topic=data.topic.decode("utf-8", "replace"),
-            dds_type=data.type.decode("utf-8", "replace"),
+            dds_topic=(data.topic or b"").decode("utf-8", "replace"),
+            dds_type=(data.type or b"").decode("utf-8", "replace"),
             qos=read_qos(data.qos),
             type_hash=marks.get("typehash", ""),
             gateway=marks.get("ropeway", ""),

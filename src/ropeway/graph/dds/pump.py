@@ -68,6 +68,8 @@ class Pump:
         try:
             await self._started
         except BaseException:
+            self._stopping = True
+            self._wake()
             await self._join()
             raise
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from ropeway.graph.base import SEQ_NONE, Sample, SampleCallback, Undelivered
@@ -14,7 +15,7 @@ from ropeway.qos import DEFAULT, QoS
 if TYPE_CHECKING:
     from ropeway.graph.dds.graph import DdsGraph
 
-__all__ = ["DdsSubscription", "SharedReader"]
+__all__ = ["DdsSubscription", "SharedReader", "settled"]
 
 log = logging.getLogger("ropeway.graph.dds")
 
@@ -44,15 +45,28 @@ class SharedReader:
             self._graph.drops[self.topic, reason] += count
 
 
+def settled(asked: QoS, offered: QoS) -> QoS:
+    """``asked``, with the policies of ``offered`` where it asks for the best there is."""
+    return replace(
+        asked,
+        reliability=offered.reliability if asked.reliability == "best_available" else asked.reliability,
+        durability=offered.durability if asked.durability == "best_available" else asked.durability,
+    )
+
+
 class DdsSubscription:
-    """One topic that we read. Without a profile of its own it adopts what all publishers offer, and follows them."""
+    """One topic that we read. Without a profile of its own it adopts what all publishers offer, and follows them.
+
+    A profile with ``best_available`` policies adopts these alone.
+    """
 
     def __init__(self, graph: DdsGraph, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
         self.topic, self.type = topic, type
-        self.adopts = qos is None
+        self.asked = qos
+        self.adopts = qos is None or "best_available" in (qos.reliability, qos.durability)
         self.closed = False
         self._graph = graph
-        self._qos = qos or DEFAULT
+        self._qos = DEFAULT if qos is None else settled(qos, DEFAULT)
         self._callback = callback
         self._readers: list[SharedReader] = []  # the last is the one in use, the others overlap with it
         self._seen: dict[tuple[bytes, int], None] = {}

@@ -1,0 +1,46 @@
+# The environment is made by `make` itself, in .venv, and made again when pyproject.toml changes.
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+BENCHES = $(patsubst bench/%.py,%,$(shell grep -l '^if __name__' bench/*.py))
+export PYTHON
+
+.PHONY: help demo test lint bench clean
+
+help: ## show this
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-8s %s\n", $$1, $$2}'
+
+demo: $(VENV)/runtime.stamp ## two networks, two gateways, a camera each way; DEMO="--for 60 --bag FILE" for more
+	@$(BIN)/ropeway demo $(DEMO)
+
+test: $(VENV)/dev.stamp ## all tests; TEST="-k outbox" for some
+	@$(BIN)/python -m pytest -q $(TEST)
+
+lint: $(VENV)/dev.stamp ## style, types, and the direction of imports
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+bench: $(VENV)/dev.stamp ## the figures of the README; BENCH="loopback" for one
+	@for name in $(or $(BENCH),$(BENCHES)); do $(BIN)/python -m bench.$$name || exit 1; done
+
+clean: ## remove the environment and all caches
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache dist build
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(BIN)/python:
+	@echo "Making $(VENV)"
+	@.ci/venv $(VENV)
+
+$(VENV)/runtime.stamp: pyproject.toml | $(BIN)/python
+	@echo "Installing Ropeway into $(VENV)"
+	@$(PIP) install --quiet --editable .
+	@touch $@
+
+$(VENV)/dev.stamp: pyproject.toml | $(BIN)/python
+	@echo "Installing Ropeway and its tools into $(VENV)"
+	@$(PIP) install --quiet --upgrade "pip>=25.1"  # the first that knows dependency groups
+	@$(PIP) install --quiet --editable . --group dev
+	@touch $@ $(VENV)/runtime.stamp

@@ -1,0 +1,94 @@
+"""A genuine ROS 2 node, run as a program of its own by the tests marked ``ros``.
+
+``python ros2_peer.py pub|sub TOPIC TYPE`` prints one JSON line per thing that happens.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import time
+from typing import Any
+
+import rclpy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+
+def say(**what: Any) -> None:
+    print(json.dumps(what), flush=True)
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("role", choices=("pub", "sub"))
+    parser.add_argument("topic")
+    parser.add_argument("type")
+    parser.add_argument("--node", default="peer")
+    parser.add_argument("--text", default="hello")
+    parser.add_argument("--hz", type=float, default=10.0)
+    parser.add_argument("--count", type=int, default=0, help="messages to publish; 0: for ever")
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--best-effort", action="store_true")
+    parser.add_argument("--latched", action="store_true")
+    parser.add_argument("--depth", type=int, default=10)
+    parser.add_argument("--bytes", type=int, default=0, help="for sensor_msgs/msg/Image: the size of its data")
+    return parser.parse_args()
+
+
+def made(cls: Any, args: argparse.Namespace, number: int) -> Any:
+    message = cls()
+    if hasattr(message, "data"):
+        message.data = bytes(args.bytes) if args.bytes else f"{args.text} {number}"
+    if hasattr(message, "header"):
+        now = time.time_ns()
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
+        message.header.frame_id = f"{args.text} {number}"
+    return message
+
+
+def told(message: Any) -> dict[str, Any]:
+    out: dict[str, Any] = {"at": time.time()}
+    data = getattr(message, "data", "")
+    out["text"] = data if isinstance(data, str) else message.header.frame_id
+    if not isinstance(data, str):
+        out["bytes"] = len(data)
+        out["delay_s"] = time.time() - message.header.stamp.sec - message.header.stamp.nanosec / 1e9
+    return out
+
+
+def main() -> None:
+    args = arguments()
+    package, kind, name = args.type.split("/")
+    cls = getattr(importlib.import_module(f"{package}.{kind}"), name)
+    profile = QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=args.depth,
+        reliability=ReliabilityPolicy.BEST_EFFORT if args.best_effort else ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if args.latched else DurabilityPolicy.VOLATILE,
+    )
+    rclpy.init()
+    node = rclpy.create_node(args.node)
+    end = time.monotonic() + args.seconds
+    if args.role == "sub":
+        node.create_subscription(cls, args.topic, lambda message: say(**told(message)), profile)
+        say(ready=rclpy.get_rmw_implementation_identifier())
+        while time.monotonic() < end:
+            rclpy.spin_once(node, timeout_sec=0.1)
+        return
+    publisher = node.create_publisher(cls, args.topic, profile)
+    say(ready=rclpy.get_rmw_implementation_identifier())
+    number = 0
+    message = made(cls, args, 0)
+    while time.monotonic() < end:
+        if not args.count or number < args.count:
+            message = made(cls, args, number)
+            publisher.publish(message)
+            number += 1
+        due = time.monotonic() + 1 / args.hz
+        while (left := due - time.monotonic()) > 0:
+            rclpy.spin_once(node, timeout_sec=left)
+
+
+if __name__ == "__main__":
+    main()

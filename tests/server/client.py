@@ -1,0 +1,194 @@
+"""A bare WebSocket client: whatever a hostile or odd peer does, tests can do with it frame by frame."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import ssl
+import struct
+from types import TracebackType
+from typing import Any, NamedTuple
+
+import cbor2
+
+__all__ = ["BINARY", "CLOSE", "CONTINUATION", "PING", "PONG", "TEXT", "Client", "ClosedByServer", "Frame", "frame"]
+
+CONTINUATION, TEXT, BINARY, CLOSE, PING, PONG = 0, 1, 2, 8, 9, 10
+_SHORT, _LONG = struct.Struct("!H"), struct.Struct("!Q")
+
+
+class ClosedByServer(Exception):  # noqa: N818  # an answer, not always a fault
+    """The server closed the connection; ``code`` is 1006 where it did not say why."""
+
+    def __init__(self, code: int, reason: str) -> None:
+        self.code, self.reason = code, reason
+        super().__init__(f"{code} {reason}")
+
+
+class Frame(NamedTuple):
+    """One whole message."""
+
+    text: bool
+    data: bytes
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.data)
+
+    @property
+    def cbor(self) -> Any:
+        return cbor2.loads(self.data)
+
+
+def frame(opcode: int, payload: bytes, *, fin: bool = True, rsv: int = 0) -> bytes:
+    """A client's frame; its mask is zero, which is as good as any other."""
+    size = len(payload)
+    head = bytes((opcode | rsv << 4 | (0x80 if fin else 0),))
+    if size < 126:
+        head += bytes((0x80 | size,))
+    elif size < 65536:
+        head += b"\xfe" + _SHORT.pack(size)
+    else:
+        head += b"\xff" + _LONG.pack(size)
+    return head + bytes(4) + payload
+
+
+class Client:
+    """``async with Client(port) as client``. Reads only when asked to."""
+
+    def __init__(
+        self,
+        port: int,
+        *,
+        subprotocol: str = "",
+        path: str = "/",
+        host: str = "127.0.0.1",
+        ssl_context: ssl.SSLContext | None = None,
+        receive_bytes: int = 64 << 20,
+    ) -> None:
+        self._port, self._host, self._path, self._subprotocol = port, host, path, subprotocol
+        self._ssl = ssl_context
+        self._receive_bytes = receive_bytes
+        self._numbers = itertools.count(1)
+        self._waiting: list[Frame] = []
+        self.status = ""
+        self.headers: dict[str, str] = {}
+
+    async def __aenter__(self) -> Client:
+        self.reader, self.writer = await asyncio.open_connection(
+            self._host, self._port, ssl=self._ssl, limit=self._receive_bytes
+        )
+        lines = [
+            f"GET {self._path} HTTP/1.1",
+            f"Host: {self._host}:{self._port}",
+            "Upgrade: websocket",
+            "Connection: Upgrade",
+            "Sec-WebSocket-Version: 13",
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+        ]
+        if self._subprotocol:
+            lines.append(f"Sec-WebSocket-Protocol: {self._subprotocol}")
+        self.writer.write("\r\n".join([*lines, "", ""]).encode())
+        answer = (await self.reader.readuntil(b"\r\n\r\n")).decode().split("\r\n")
+        self.status = answer[0]
+        self.headers = dict(line.split(": ", 1) for line in answer[1:] if ": " in line)
+        return self
+
+    async def __aexit__(self, kind: type[BaseException] | None, error: object, trace: TracebackType | None) -> None:
+        self.abort()
+
+    def abort(self) -> None:
+        """Leave without a word."""
+        self.writer.transport.abort()
+
+    # ── sending ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def raw(self, data: bytes) -> None:
+        self.writer.write(data)
+
+    def send(self, op: dict[str, Any] | str | bytes) -> None:
+        """A text frame."""
+        data = json.dumps(op).encode() if isinstance(op, dict) else op.encode() if isinstance(op, str) else op
+        self.raw(frame(TEXT, data))
+
+    def send_binary(self, data: bytes) -> None:
+        self.raw(frame(BINARY, data))
+
+    def send_pieces(self, opcode: int, data: bytes, size: int) -> None:
+        """One message in continuation frames of ``size`` bytes."""
+        pieces = [data[i : i + size] for i in range(0, len(data), size)] or [b""]
+        for i, piece in enumerate(pieces):
+            self.raw(frame(opcode if i == 0 else CONTINUATION, piece, fin=i == len(pieces) - 1))
+
+    # ── receiving ──────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def receive(self, timeout_s: float = 10.0) -> Frame:
+        """The next message. Raises ``ClosedByServer``."""
+        if self._waiting:
+            return self._waiting.pop(0)
+        async with asyncio.timeout(timeout_s):
+            return await self._receive()
+
+    async def _receive(self) -> Frame:
+        parts: list[bytes] = []
+        text = False
+        while True:
+            try:
+                opcode, fin, payload = await self._frame()
+            except (asyncio.IncompleteReadError, ConnectionError):
+                raise ClosedByServer(1006, "") from None
+            if opcode == CLOSE:
+                code = _SHORT.unpack(payload[:2])[0] if len(payload) >= 2 else 1005
+                raise ClosedByServer(code, payload[2:].decode())
+            if opcode == PING:
+                self.raw(frame(PONG, payload))
+            elif opcode != PONG:
+                if opcode != CONTINUATION:
+                    text = opcode == TEXT
+                parts.append(payload)
+                if fin:
+                    return Frame(text, b"".join(parts))
+
+    async def _frame(self) -> tuple[int, bool, bytes]:
+        first, second = await self.reader.readexactly(2)
+        size = second & 0x7F
+        if size == 126:
+            (size,) = _SHORT.unpack(await self.reader.readexactly(2))
+        elif size == 127:
+            (size,) = _LONG.unpack(await self.reader.readexactly(8))
+        return first & 0x0F, bool(first & 0x80), await self.reader.readexactly(size)
+
+    async def json(self, timeout_s: float = 10.0) -> Any:
+        """The next message, which must be a text frame."""
+        got = await self.receive(timeout_s)
+        assert got.text, got.data[:100]
+        return got.json
+
+    async def done(self) -> None:
+        """Everything that was sent so far has been carried out. What arrives meanwhile is kept for ``receive``."""
+        id = f"done {next(self._numbers)}"
+        self.send({"op": "call_service", "service": "/nowhere", "id": id})
+        kept: list[Frame] = []
+        async with asyncio.timeout(10):
+            while True:
+                got = await self._receive()
+                if got.text and f'"{id}"'.encode() in got.data:
+                    break
+                kept.append(got)
+        self._waiting += kept
+
+    async def nothing(self) -> None:
+        """Nothing has arrived, and nothing is on its way that was caused before."""
+        for _ in range(3):
+            await self.done()
+        assert not self._waiting, self._waiting[0]
+
+    async def closed(self, timeout_s: float = 10.0) -> tuple[int, str]:
+        """Wait for the server to close; gives its code and reason."""
+        try:
+            async with asyncio.timeout(timeout_s):
+                while True:
+                    await self._receive()
+        except ClosedByServer as end:
+            return end.code, end.reason
