@@ -38,14 +38,13 @@ def measure(
     burst: int = 16, depth: int = 10,
 ) -> dict[str, Any]:
     """Figures per topic, and the processor share of each gateway."""
-    first = next(iter(topics.values()))
     more = ["--keep-all"] if keep_all else ["--depth", str(depth)]
     qos = {"reliability": "reliable", "history": "keep_all"} if keep_all else None
     with tempfile.TemporaryDirectory() as directory:
         running = gateways(Path(directory), topics, encoding, qos) if pair else []
         sink = Process(
             None, "-m", "bench.peers", "sink", "--domain", str(DOMAIN_B if pair else DOMAIN_A),
-            "--topic", ",".join(topics), "--type", messages(first)[0], "--seconds", str(seconds + 3), *more,
+            "--topic", ",".join(topics), "--kind", ",".join(topics.values()), "--seconds", str(seconds + 3), *more,
         )
         sink.line()
         source = Process(

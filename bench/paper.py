@@ -60,9 +60,9 @@ def measure(
     """One cell: the sink's figures per topic."""
     with tempfile.TemporaryDirectory() as directory:
         gateways = start_pair(net, Path(directory), operation, encoding, topics)
-        kind = next(iter(topics.values()))
         sink = net.start(
-            "b", "-m", "bench.peers", "sink", "--topic", ",".join(topics), "--kind", kind, "--seconds", str(seconds + 4)
+            "b", "-m", "bench.peers", "sink", "--topic", ",".join(topics), "--kind", ",".join(topics.values()),
+            "--seconds", str(seconds + 4),
         )
         sink.line()
         sources = start_sources(net, hz, seconds, topics)
@@ -85,8 +85,10 @@ def start_sources(net: Network, hz: float, seconds: float, topics: dict[str, str
 
 def local(net: Network, hz: float, seconds: float, topics: dict[str, str]) -> dict[str, dict[str, float]]:
     """The same without a gateway, source and sink in one namespace."""
-    kind = next(iter(topics.values()))
-    sink = net.start("a", "-m", "bench.peers", "sink", "--topic", ",".join(topics), "--kind", kind, "--seconds", str(seconds + 4))
+    sink = net.start(
+        "a", "-m", "bench.peers", "sink", "--topic", ",".join(topics), "--kind", ",".join(topics.values()),
+        "--seconds", str(seconds + 4),
+    )
     sink.line()
     sources = start_sources(net, hz, seconds, topics)
     result: dict[str, dict[str, float]] = json.loads(sink.finish(seconds + 60).splitlines()[-1])

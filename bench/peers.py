@@ -65,6 +65,8 @@ def stamped(size: int) -> bytes:
 
 def messages(kind: str) -> tuple[str, list[bytes]]:
     """The type and the messages of a kind: recorded ones, or ``<number>`` bytes that nothing compresses."""
+    if kind == "twist":
+        return TWIST, [b"\0\1\0\0" + bytes(8) + struct.pack("<I", 1) + bytes(4) + bytes(48)]
     if kind.isdigit():
         return "sensor_msgs/msg/CompressedImage", [stamped(int(kind))]
     directory = data_directory()
@@ -135,22 +137,27 @@ async def sink(args: argparse.Namespace) -> None:
     graph = DdsGraph(args.domain, name="sink", interface=args.interface)
     await graph.open()
     got: dict[str, list[tuple[float, float, int]]] = {}
-    sums: dict[str, set[int]] = {}
+    expected = {m[12:] for k in args.kind.split(",") for m in messages(k)[1]} if args.check else set()
+    wrong = 0
+    types = {t: messages(k)[0] for t, k in zip(args.topic.split(","), args.kind.split(","), strict=False)}
+    if args.type:
+        types = dict.fromkeys(args.topic.split(","), args.type)
     for topic in args.topic.split(","):
         rows = got[topic] = []
 
-        def receive(batch: list[Sample], rows: list[tuple[float, float, int]] = rows, topic: str = topic) -> None:
+        def receive(batch: list[Sample], rows: list[tuple[float, float, int]] = rows) -> None:
+            nonlocal wrong
             now = time.time_ns()
             for sample in batch:
                 sec, nsec = STAMP.unpack_from(sample.payload, 4)
                 rows.append((now / 1e9, (now - sec * 1_000_000_000 - nsec) / 1e9, len(sample.payload)))
-                if args.check:
-                    sums.setdefault(topic, set()).add(hash(bytes(sample.payload[12:])))
+                if expected and sample.payload[12:] not in expected:
+                    wrong += 1
 
-        await graph.create_subscription(topic, args.type or TYPES.get(args.kind.split(",")[0], IMAGE), profile(args), receive)
+        await graph.create_subscription(topic, types.get(topic, args.type or IMAGE), profile(args), receive)
     print("ready", flush=True)
     await asyncio.sleep(args.seconds)
-    print(json.dumps({topic: figures(rows) for topic, rows in got.items()}), flush=True)
+    print(json.dumps({topic: figures(rows) for topic, rows in got.items()} | ({"wrong": wrong} if args.check else {})), flush=True)
     await graph.close()
 
 

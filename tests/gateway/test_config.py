@@ -413,6 +413,16 @@ def test_a_listener_for_this_machine_needs_nothing(listen: str) -> None:
     assert parse({"gateway": {"listen": [listen]}}).gateway.listen
 
 
+def test_a_listener_that_asks_for_certificates_is_guarded(tmp_path: Path) -> None:
+    """Over wss:// with an authority, clients are known by their certificates, so nothing is insecure."""
+    pem = tmp_path / "k.pem"
+    pem.write_text("")
+    tls = {"certificate": str(pem), "key": str(pem)}
+    listen = ["wss://0.0.0.0:9090"]
+    assert parse({"gateway": {"listen": listen, "tls": {**tls, "ca": str(pem)}}}).gateway.tls
+    assert "insecure" in faults({"gateway": {"listen": listen, "tls": tls}})["gateway.listen[0]"]
+
+
 def test_tls_needs_what_belongs_to_it(tmp_path: Path) -> None:
     """TLS without wss://, a listener without certificate, and half a key pair are faults."""
     pem = tmp_path / "k.pem"

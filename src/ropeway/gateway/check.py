@@ -216,15 +216,17 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
 
 
 def _listeners(gateway: Mapping[str, Any]) -> Iterable[Problem]:
-    listen = gateway.get("listen")
+    listen, tls = gateway.get("listen"), gateway.get("tls")
+    known_clients = isinstance(tls, Mapping) and tls.get("ca") is not None  # each shows a certificate
     for number, text in enumerate(listen if isinstance(listen, list) else []):
         address = _attempt(parse_listen, text)
         if address is None:
             continue
         where = f"gateway.listen[{number}]"
-        if is_secure(address) and gateway.get("tls") is None:
+        if is_secure(address) and tls is None:
             yield where, 'a wss:// listener needs gateway.tls with "certificate" and "key"'
-        if not is_loopback(address) and gateway.get("insecure") is not True:
+        guarded = is_loopback(address) or (is_secure(address) and known_clients)
+        if not guarded and gateway.get("insecure") is not True:
             yield (
                 where,
                 f"{address} lets every machine that reaches it read and publish without authentication; listen on "

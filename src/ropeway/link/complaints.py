@@ -14,37 +14,47 @@ log = logging.getLogger("ropeway.link")
 
 _QUIET_S: Final = 60.0
 _KINDS_LIMIT: Final = 1024  # a hostile peer invents topics; the table does not grow with them
+_TOPIC_LIMIT: Final = 200  # characters of what a peer sends that are kept and shown
+_TEXT_LIMIT: Final = 500
 
 
 class Complaints:
     """What one peer did wrong.
 
     ``counts`` maps (kind, topic) to how often. Kinds are short words: ``frame``, ``operation``, ``type``,
-    ``message``, ``size``, ``unknown topic``.
+    ``message``, ``size``, ``unknown topic``. What the peer sent is kept and logged in short and printable form.
     """
 
     def __init__(self, peer: str, clock: Callable[[], float] = time.monotonic) -> None:
         self.peer = peer
         self.counts: Counter[tuple[str, str]] = Counter()
         self._clock = clock
-        self._said: dict[tuple[str, str], tuple[float, int]] = {}
+        self._said: dict[str, float] = {}  # by kind: when the log told of it
+        self._unsaid: Counter[str] = Counter()
 
     def note(self, kind: str, topic: str, text: object) -> None:
-        """Count one fault, and say so in the log if it was not said within the last minute."""
+        """Count one fault, and say so in the log if none of its kind was told within the last minute."""
+        topic = _shown(topic, _TOPIC_LIMIT)
         key = (kind, topic)
         if key not in self.counts and len(self.counts) >= _KINDS_LIMIT:
             key = (kind, "(other)")
         self.counts[key] += 1
         now = self._clock()
-        said = self._said.get(key)
-        if said is not None and now - said[0] < _QUIET_S:
+        if now - self._said.get(kind, float("-inf")) < _QUIET_S:
+            self._unsaid[kind] += 1
             return
-        since = self.counts[key] - (said[1] if said else 0)
-        self._said[key] = (now, self.counts[key])
-        more = f" ({since} times since the last such line)" if said and since > 1 else ""
-        log.warning("%s: bad %s%s: %s%s", self.peer, kind, f" on {topic}" if topic else "", text, more)
+        self._said[kind] = now
+        unsaid = self._unsaid.pop(kind, 0)
+        more = f" ({unsaid} more since the last such line)" if unsaid else ""
+        where = f" on {topic}" if topic else ""
+        log.warning("%s: bad %s%s: %s%s", self.peer, kind, where, _shown(str(text), _TEXT_LIMIT), more)
 
     @property
     def total(self) -> int:
         """How many faults there were."""
         return sum(self.counts.values())
+
+
+def _shown(text: str, limit: int) -> str:
+    short = text if len(text) <= limit else f"{text[: limit - 1]}…"
+    return short if short.isprintable() else short.encode("unicode_escape").decode("ascii")[: 2 * limit]

@@ -79,9 +79,9 @@ class Connection(WSListener):
         self.handshake: Handshake | None = None
         self._transport: WSTransport | None = None
         self._socket: Any = None
-        self._parts: list[bytes] = []
-        self._parts_bytes = 0
-        self._parts_text = False
+        self._unfinished: bytearray | None = None  # a message in continuation frames, as far as it came
+        self._unfinished_text = False
+        self._pong: bytes | None = None  # the answer to the last ping, which waits until the link takes it
         self._last_heard = time.monotonic()
         self._heard_bytes = 0
         self._watch: asyncio.Task[None] | None = None
@@ -132,7 +132,7 @@ class Connection(WSListener):
     def close(self, code: int = 1000, reason: str = "") -> None:
         """Start the closing handshake; the transport goes within a second whatever the peer does."""
         transport = self._transport
-        if transport is None or self._closed.is_set():
+        if transport is None or self._closing is not None or self._closed.is_set():
             return
         self._close_code, self._close_reason = code, reason
         self.writable = False
@@ -140,9 +140,8 @@ class Connection(WSListener):
             close_code = WSCloseCode(code)
         except ValueError:
             close_code = WSCloseCode.OK
-        transport.send_close(close_code, reason.encode()[:120])
-        if self._closing is None:
-            self._closing = asyncio.get_running_loop().call_later(1.0, transport.disconnect, False)
+        transport.send_close(close_code, reason.encode("ascii", "replace")[:120])
+        self._closing = asyncio.get_running_loop().call_later(1.0, transport.disconnect, False)
 
     def abort(self, reason: str) -> None:
         """Drop the connection without a word to the peer."""
@@ -187,7 +186,9 @@ class Connection(WSListener):
         size = frame.payload_size
         self.bytes_in += size
         if kind == WSMsgType.BINARY or kind == WSMsgType.TEXT:
-            if self._parts:
+            if self._closing is not None:
+                return
+            if self._unfinished is not None:
                 self._fail(1002, "a new message began before the last one ended")
             elif frame.fin:
                 self.frames_in += 1
@@ -196,35 +197,47 @@ class Connection(WSListener):
                 else:
                     self.on_text(frame.get_payload_as_bytes())
             else:
-                self._parts = [frame.get_payload_as_bytes()]
-                self._parts_bytes = size
-                self._parts_text = kind == WSMsgType.TEXT
+                self._unfinished = bytearray(frame.get_payload_as_memoryview())
+                self._unfinished_text = kind == WSMsgType.TEXT
         elif kind == WSMsgType.CONTINUATION:
-            self._continue(frame)
+            if self._closing is None:
+                self._continue(frame)
+        elif kind == WSMsgType.PING:
+            self._answer(frame.get_payload_as_bytes())
         elif kind == WSMsgType.CLOSE:
             code = frame.get_close_code()
-            self._close_code = _number(code) or 1005
-            self._close_reason = frame.get_close_message().decode(errors="replace") if frame.payload_size > 2 else ""
-            transport.send_close(code if code else WSCloseCode.OK)
+            if self._closing is None:
+                self._close_code = _number(code)
+                self._close_reason = (
+                    frame.get_close_message().decode(errors="replace") if frame.payload_size > 2 else ""
+                )
+            transport.send_close(WSCloseCode.OK if self._close_code == 1005 else code)  # 1005 is never sent
             transport.disconnect()
 
     def _continue(self, frame: WSFrame) -> None:
-        if not self._parts:
+        message = self._unfinished
+        if message is None:
             self._fail(1002, "a continuation came without a beginning")
             return
-        self._parts_bytes += frame.payload_size
-        if self._parts_bytes > self.limits.max_message_bytes:
+        if len(message) + frame.payload_size > self.limits.max_message_bytes:
             self._fail(1009, f"a message may have {self.limits.max_message_bytes} bytes at most")
             return
-        self._parts.append(frame.get_payload_as_bytes())
+        message += frame.get_payload_as_memoryview()
         if frame.fin:
             self.frames_in += 1
-            data = b"".join(self._parts)
-            self._parts = []
-            if self._parts_text:
+            self._unfinished = None
+            data = bytes(message)
+            if self._unfinished_text:
                 self.on_text(data)
             else:
                 self.on_binary(data)
+
+    def _answer(self, ping: bytes) -> None:
+        if self.writable:
+            assert self._transport is not None
+            self._transport.send_pong(ping)
+        else:
+            self._pong = ping  # only the last one needs an answer, and a peer that does not read gets no more
 
     def on_ws_disconnected(self, transport: WSTransport) -> None:
         """Called by picows when the transport is gone."""
@@ -254,10 +267,14 @@ class Connection(WSListener):
             self.buffers.fit(self.pace.bytes_per_s)
         if self._closing is None and not self._closed.is_set():
             self.writable = True
-            self.on_writable()
+            if self._pong is not None:
+                pong, self._pong = self._pong, None
+                self._answer(pong)
+            if self.writable:
+                self.on_writable()
 
     def _fail(self, code: int, reason: str) -> None:
-        self._parts = []
+        self._unfinished = None
         log.warning("%s: closed: %s", self.peer, reason)
         self.close(code, reason)
 
@@ -334,6 +351,7 @@ async def connect(
                 extra_headers=extra,
                 logger_name=_picows_log,
                 disconnect_on_exception=False,
+                enable_auto_pong=False,
             )
     except TimeoutError:
         raise ConnectFailed(url, f"no answer within {limits.open_timeout_s:g} s") from None
@@ -413,6 +431,7 @@ async def listen(
             websocket_handshake_timeout=limits.open_timeout_s,
             logger_name=_picows_log,
             disconnect_on_exception=False,
+            enable_auto_pong=False,
         )
     except OSError as error:
         raise ConnectFailed(

@@ -10,6 +10,7 @@ import pytest
 import typer
 
 from ropeway.cli.session import Session
+from ropeway.cli.topic.delay import gauge
 from ropeway.cli.topic.echo import echo, formatter
 from ropeway.cli.topic.pub import parse_values, publish
 from ropeway.cli.topic.render import Style
@@ -77,6 +78,14 @@ async def test_meter_as_json(pair: tuple[Session, Session], capsys: pytest.Captu
         await running
     assert json.loads(said.splitlines()[0])["topic"] == "/a"
     assert json.loads(said.splitlines()[0])["rate_hz"] == pytest.approx(1.0)
+
+
+async def test_delay_needs_a_header(pair: tuple[Session, Session], capsys: pytest.CaptureFixture[str]) -> None:
+    """A type without header has no delay, and the command says so."""
+    assert gauge(pair[0], POINT, 10).read() is None
+    with pytest.raises(typer.Exit):
+        gauge(pair[0], STRING, 10)
+    assert "std_msgs/msg/String does not begin with a header" in capsys.readouterr().err
 
 
 async def echoed(pair: tuple[Session, Session], type: str, values: dict[str, Any], **options: Any) -> str:

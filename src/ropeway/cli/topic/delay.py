@@ -4,14 +4,32 @@ from __future__ import annotations
 
 import typer
 
+from ropeway.cli.console import fail
 from ropeway.cli.loop import run
-from ropeway.cli.session import GraphOption, JsonOption, QosReliability, SpinOption, TypesOption, qos_of, topic_name
+from ropeway.cli.session import (
+    GraphOption,
+    JsonOption,
+    QosReliability,
+    Session,
+    SpinOption,
+    TypesOption,
+    qos_of,
+    topic_name,
+)
 from ropeway.cli.topic.watch import TopicArgument, TypeArgument, WindowOption, meter_main
 from ropeway.cli.topic.window import Delay
 
-__all__ = ["app"]
+__all__ = ["app", "gauge"]
 
 app = typer.Typer(add_completion=False)
+
+
+def gauge(session: Session, type: str, window: int) -> Delay:
+    """The meter for a type; the end with a sentence where its messages have no stamp."""
+    codec = session.registry.codec(type)
+    if codec.header_stamp_ns(codec.encode({})) is None:
+        fail(f"{type} does not begin with a header, so the delay cannot be measured; `ropeway topic hz` tells the rate")
+    return Delay(window, codec.header_stamp_ns)
 
 
 @app.command("delay")
@@ -28,7 +46,7 @@ def delay(
     """Print the delay of TOPIC, from the stamps in its headers, every second."""
     run(
         meter_main(
-            lambda session, type: Delay(window, session.registry.codec(type).header_stamp_ns),
+            lambda session, type: gauge(session, type, window),
             topic_name(topic),
             type,
             graph=graph,

@@ -25,6 +25,7 @@ from ropeway.graph.dds.profile import Profile
 from ropeway.graph.dds.pump import Pump, run_in_thread
 from ropeway.graph.dds.raw import ALIVE, INFO, Endpoint, ParticipantData, SampleInfo, check, lib
 from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, Joined, NodesRecord
+from ropeway.graph.dds.selftest import verify
 from ropeway.qos import QoS
 
 __all__ = ["Participant"]
@@ -219,8 +220,8 @@ class Participant:
         lib.delete_qos(qos)
         self._entity = check(entity, "create participant")
         self.guid = raw.guid_of(self._entity)
-        topic, sertype = self._topic((DISCOVERY_TOPIC, DISCOVERY_TYPE))
-        raw.verify(self.graph, self._entity, topic, sertype)
+        _, sertype = self._topic((DISCOVERY_TOPIC, DISCOVERY_TYPE))
+        verify(self.graph, self._entity, sertype)
         return self._entity
 
     def _teardown(self) -> None:

@@ -292,5 +292,8 @@ async def run_in_thread(name: str, function: Callable[[], None]) -> None:
 
     thread = threading.Thread(target=run, name=name, daemon=True)
     thread.start()
-    await done
-    thread.join()
+    try:
+        await done
+    finally:
+        if done.done() and not done.cancelled():
+            thread.join()

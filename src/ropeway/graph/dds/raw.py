@@ -5,7 +5,7 @@ octet under the name of the real type, and Cyclone DDS passes whatever CDR follo
 then has type information to compare, endpoints match by name, as those of ROS 2 do.
 
 Functions keep their C names less the ``dds_`` prefix. They are looked up by ``load()``, once per process, which
-refuses a wheel other than the pinned one; ``verify()`` then checks the memory layouts that this module relies on
+refuses a wheel other than the pinned one; ``selftest`` then checks the memory layouts that this module relies on
 against a live participant. Every function returns what the C function returns: negative numbers are errors, which
 ``check`` raises as ``DdsError``.
 
@@ -43,6 +43,7 @@ __all__ = [
     "DdsError",
     "Endpoint",
     "IoVec",
+    "IoVecOut",
     "Lib",
     "ParticipantData",
     "SampleInfo",
@@ -52,7 +53,6 @@ __all__ = [
     "lib",
     "load",
     "user_data_of",
-    "verify",
 ]
 
 WHEEL_VERSION: Final = "11.0.1"
@@ -71,9 +71,8 @@ BUILTIN_SUBSCRIPTION: Final = _PSEUDO + 4
 PUBLICATION_MATCHED: Final = 1 << 11
 
 SERDATA_DATA: Final = 2  # a sample, not only its key
-# struct dds_serdata_default of the pinned version; verify() compares each with what the library does.
+# struct dds_serdata_default of the pinned version; selftest compares each with what the library does.
 SERDATA_TIMESTAMP: Final = 32
-SERDATA_STATUSINFO: Final = 40
 SERDATA_SIZE: Final = 64  # without the CDR header
 SERDATA_HEADER: Final = 116  # the CDR header, and the payload right behind it
 
@@ -120,7 +119,9 @@ class IoVec(ct.Structure):
     _fields_ = (("base", ct.c_char_p), ("len", _size))
 
 
-class _IoVecOut(ct.Structure):
+class IoVecOut(ct.Structure):
+    """One piece of a sample, where it lies in the library."""
+
     _fields_ = (("base", _vp), ("len", _size))
 
 
@@ -201,8 +202,8 @@ _PROTOTYPES: Final[dict[str, tuple[bool, Any, tuple[Any, ...]]]] = {
     "dds_forwardcdr": (True, _i32, (_i32, _vp)),
     "ddsi_serdata_from_ser_iov": (False, _vp, (_vp, ct.c_int, _size, _vp, _size)),
     "ddsi_serdata_to_ser": (True, None, (_vp, _size, _size, _vp)),
-    "ddsi_serdata_to_ser_ref": (False, _vp, (_vp, _size, _size, ct.POINTER(_IoVecOut))),
-    "ddsi_serdata_to_ser_unref": (False, None, (_vp, ct.POINTER(_IoVecOut))),
+    "ddsi_serdata_to_ser_ref": (False, _vp, (_vp, _size, _size, ct.POINTER(IoVecOut))),
+    "ddsi_serdata_to_ser_unref": (False, None, (_vp, ct.POINTER(IoVecOut))),
     "ddsi_serdata_size": (False, _u32, (_vp,)),
     "ddsi_serdata_unref": (False, None, (_vp,)),
     "dds_create_qos": (False, _vp, ()),
@@ -294,7 +295,6 @@ class Lib:
 
 
 lib: Final = Lib()
-_state: dict[str, bool] = {"verified": False}
 
 # The smallest type that every ROS message satisfies: a struct of one octet.
 _OCTET_OPS = (_u32 * 3)(0x01010000, 0, 0)
@@ -392,68 +392,3 @@ def make_serdata(sertype: int, payload: bytes) -> int:
     vector = IoVec(payload, len(payload))
     made = lib.serdata_from_ser_iov(sertype, SERDATA_DATA, 1, ct.byref(vector), len(payload))
     return made or 0
-
-
-def verify(graph: str, participant: int, topic: int, sertype: int) -> None:
-    """Check every memory layout this module assumes, once per process, without a packet on the network.
-
-    Raises ``GraphUnavailable`` with what differs.
-    """
-    if _state["verified"]:
-        return
-    for wrong in (_wrong_serdata(sertype), _wrong_info(participant)):
-        if wrong:
-            raise GraphUnavailable(
-                graph,
-                f"the library of cyclonedds {WHEEL_VERSION} differs from the one this was written for ({wrong}); "
-                f"install the wheel from PyPI: pip install --force-reinstall cyclonedds=={WHEEL_VERSION}",
-            )
-    _state["verified"] = True
-
-
-def _wrong_serdata(sertype: int) -> str:
-    for payload in (b"\0\1\0\0\x07", b"\0\1\0\0" + bytes(range(256)) * 5):
-        serdata = make_serdata(sertype, payload)
-        if not serdata:
-            return "a serialised sample is refused"
-        try:
-            if lib.serdata_size(serdata) != len(payload):
-                return "serdata size"
-            if ct.c_uint32.from_address(serdata + SERDATA_SIZE).value != len(payload) - 4:
-                return "serdata size offset"
-            out = _IoVecOut()
-            ref = lib.serdata_to_ser_ref(serdata, 0, len(payload), ct.byref(out))
-            same = out.base == serdata + SERDATA_HEADER and ct.string_at(out.base, len(payload)) == payload
-            lib.serdata_to_ser_unref(ref, ct.byref(out))
-            if not same:
-                return "serdata payload offset"
-            if ct.c_int64.from_address(serdata + SERDATA_TIMESTAMP).value != -(2**63):
-                return "serdata timestamp offset"
-            if ct.c_uint32.from_address(serdata + SERDATA_STATUSINFO).value != 0:
-                return "serdata statusinfo offset"
-        finally:
-            lib.serdata_unref(serdata)
-    if make_serdata(sertype, b"\0\1") or make_serdata(sertype, b"\x12\x34\0\0\0"):
-        return "what is no CDR is taken"
-    return ""
-
-
-def _wrong_info(participant: int) -> str:
-    reader = check(lib.create_reader(participant, BUILTIN_PARTICIPANT, None, None), "create builtin reader")
-    try:
-        own = handle_of(participant)
-        samples, infos = (_u64 * 64)(), (SampleInfo * 64)()
-        count = check(lib.read(reader, samples, infos, 64, 64), "read builtin topic")
-        try:
-            raw = memoryview(infos).cast("B")
-            for i in range(count):
-                state, valid, stamp, instance, _ = INFO.unpack_from(raw, i * INFO.size)
-                if instance == own:
-                    data = ParticipantData.from_address(samples[i])
-                    fits = state == ALIVE and valid and stamp > 0 and bytes(data.key) == guid_of(participant)
-                    return "" if fits else "sample info"
-        finally:
-            lib.return_loan(reader, samples, count)
-        return "builtin topics"
-    finally:
-        lib.delete(reader)

@@ -1,0 +1,171 @@
+"""The table of what is discovered, fed by hand."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from ropeway.graph.base import GraphEvent
+from ropeway.graph.dds import discovery as module
+from ropeway.graph.dds.discovery import Discovery
+from ropeway.graph.dds.nodes import NodeEntities
+from ropeway.graph.dds.records import EndpointRecord, Gone, Joined, NodesRecord
+from ropeway.qos import QoS
+
+from .helpers import DDS_STRING, STRING, until
+
+P1, P2 = b"\1" * 16, b"\2" * 16
+
+
+class Table:
+    """A Discovery and what it told."""
+
+    def __init__(self, gateway_id: str = "") -> None:
+        self.events: list[GraphEvent] = []
+        self.changed: list[set[str]] = []
+        self.sizes: list[set[int]] = []
+        self.table = Discovery("dds:0", gateway_id, self.events.append, self.changed.append, self.sizes.append)
+
+    @property
+    def told(self) -> list[str]:
+        return [str(e).removeprefix("dds:0: ") for e in self.events]
+
+
+def endpoint(
+    handle: int, topic: str = "rt/t", type: str = DDS_STRING, kind: str = "publisher", **other: object
+) -> EndpointRecord:
+    """A record of an endpoint of P1."""
+    values: dict[str, object] = {
+        "qos": QoS(),
+        "type_hash": "",
+        "gateway": "",
+        "local": False,
+        "guid": P1[:12] + handle.to_bytes(4, "big"),
+        "participant": P1,
+        **other,
+    }
+    return EndpointRecord(kind=kind, handle=handle, dds_topic=topic, dds_type=type, **values)  # type: ignore[arg-type]
+
+
+def nodes(participant: bytes, *entities: NodeEntities, local: bool = False, gid_bytes: int = 16) -> NodesRecord:
+    """What a participant tells of its nodes."""
+    return NodesRecord(participant, entities, gid_bytes, local)
+
+
+async def test_names_the_node() -> None:
+    """An endpoint that is discovered before its node is told of once the node is known."""
+    t = Table()
+    record = endpoint(1)
+    t.table.apply([Joined(P1), record])
+    assert t.told == []
+    t.table.apply([nodes(P1, NodeEntities("/talker", (), (record.guid,)))])
+    assert t.told == ["node /talker has appeared", f"node /talker publishes /t ({STRING})"]
+    t.table.close()
+
+
+async def test_names_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An endpoint without a node is told of after a moment."""
+    monkeypatch.setattr(module, "_NODE_GRACE_S", 0.01)
+    t = Table()
+    t.table.apply([endpoint(1)])
+    await until(lambda: t.told)
+    assert t.told == [f"a participant publishes /t ({STRING})"]
+    t.table.apply([Gone("publisher", 1, b"")])
+    assert t.told[1:] == [f"a participant no longer publishes /t ({STRING})"]
+
+
+async def test_short_life() -> None:
+    """An endpoint that leaves before its node is known is told of twice all the same."""
+    t = Table()
+    record = endpoint(1)
+    t.table.apply([record, Gone("publisher", 1, record.guid)])
+    assert len(t.told) == 2
+    assert t.table.topics() == {}
+    t.table.close()
+
+
+async def test_closed() -> None:
+    """A closed table tells nothing more."""
+    t = Table()
+    t.table.apply([endpoint(1)])
+    t.table.close()
+    await asyncio.sleep(0.3)
+    assert t.told == []
+
+
+async def test_late_nodes() -> None:
+    """Nodes of a participant that has left, or has not come yet, are not listed."""
+    t = Table()
+    t.table.apply([nodes(P1, NodeEntities("/early"))])
+    assert t.table.nodes() == {}
+    t.table.apply([Joined(P1)])
+    assert set(t.table.nodes()) == {"/early"}
+    t.table.apply([Gone("participant", 0, P1)])
+    t.table.apply([nodes(P1, NodeEntities("/late"))])
+    assert t.table.nodes() == {}
+    t.table.apply([nodes(bytes([i]) * 16, NodeEntities(f"/n{i}")) for i in range(200)])
+    assert len(t.table._early) <= 64
+
+
+async def test_nodes_change() -> None:
+    """A participant's newest message replaces what it told before."""
+    t = Table()
+    t.table.apply([Joined(P1), nodes(P1, NodeEntities("/a"), NodeEntities("/b"))])
+    t.table.apply([nodes(P1, NodeEntities("/b"), NodeEntities("/c"))])
+    assert t.told == [
+        "node /a has appeared",
+        "node /b has appeared",
+        "node /c has appeared",
+        "node /a has left",
+    ]
+    assert set(t.table.nodes()) == {"/b", "/c"}
+
+
+async def test_one_node_name_twice() -> None:
+    """Two participants with nodes of one name are one entry with the endpoints of both."""
+    t = Table()
+    first, second = endpoint(1, "rt/a"), endpoint(2, "rt/b")
+    t.table.apply([Joined(P1), Joined(P2), first, second])
+    t.table.apply([nodes(P1, NodeEntities("/n", (), (first.guid,))), nodes(P2, NodeEntities("/n", (), (second.guid,)))])
+    assert t.table.nodes()["/n"].publishers == (("/a", STRING), ("/b", STRING))
+    t.table.close()
+
+
+async def test_gid_sizes() -> None:
+    """The sizes of gid in use follow the participants that are there; our own does not count."""
+    t = Table()
+    t.table.apply([nodes(P2, NodeEntities("/own"), local=True)])
+    assert t.sizes == []
+    t.table.apply([Joined(P1), nodes(P1, NodeEntities("/n"), gid_bytes=24)])
+    t.table.apply([Gone("participant", 0, P1)])
+    assert t.sizes == [{24}, set()]
+
+
+async def test_changed_topics() -> None:
+    """Topics whose publishers come, go or change are named once per batch; those of readers are not."""
+    t = Table()
+    t.table.apply([endpoint(1), endpoint(2), endpoint(3, "rt/u"), endpoint(4, "rt/v", kind="subscription")])
+    t.table.apply([endpoint(1)])
+    t.table.apply([endpoint(1, qos=QoS(depth=3))])
+    t.table.apply([Gone("publisher", 3, b""), Gone("subscription", 4, b""), Gone("publisher", 99, b"")])
+    assert t.changed == [{"/t", "/u"}, {"/t"}, {"/u"}]
+    t.table.close()
+
+
+async def test_offered() -> None:
+    """Profiles to adopt are those of other gateways and nodes, of the same type."""
+    t = Table("gw")
+    t.table.apply(
+        [
+            endpoint(1, qos=QoS(depth=1)),
+            endpoint(2, qos=QoS(depth=2), gateway="other"),
+            endpoint(3, qos=QoS(depth=3), gateway="gw"),
+            endpoint(4, qos=QoS(depth=4), local=True),
+            endpoint(5, qos=QoS(depth=5), type="p::msg::dds_::Other_"),
+        ]
+    )
+    assert [q.depth for q in t.table.offered("/t", STRING)] == [1, 2]
+    assert t.table.offered("/none", STRING) == []
+    assert t.table.topics()["/t"].types == (STRING, "p/msg/Other")
+    t.table.close()

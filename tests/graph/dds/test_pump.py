@@ -1,0 +1,102 @@
+"""The thread of a participant."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+
+import pytest
+
+from ropeway.errors import GraphUnavailable
+from ropeway.graph.dds.pump import run_in_thread
+from ropeway.qos import QoS
+
+from .conftest import Join
+from .helpers import STRING, Inbox, message, until
+
+
+async def test_call(join: Join) -> None:
+    """A function runs in the thread, and its result or error comes back."""
+    pump = (await join()).participant.pump
+    assert await pump.call(threading.get_ident) != threading.get_ident()
+    with pytest.raises(ZeroDivisionError):
+        await pump.call(lambda: 1 // 0)
+
+
+async def test_call_after_stop(join: Join) -> None:
+    """A call to a pump that has stopped fails, and waits for nothing."""
+    graph = await join()
+    pump = graph.participant.pump
+    await graph.close()
+    with pytest.raises(GraphUnavailable):
+        await pump.call(lambda: None)
+
+
+async def test_failing_handler(join: Join, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    """An endpoint that fails in the thread is told in the log once, and costs the others nothing."""
+    near, far = await join("near"), await join("far")
+    inbox = Inbox()
+    await far.create_subscription("/good", STRING, QoS(), inbox)
+
+    def broken() -> int:
+        raise RuntimeError("no clock")
+
+    bad = await far.create_subscription("/bad", STRING, QoS(), lambda _: None)
+    monkeypatch.setattr(bad._readers[0].raw, "_clock", broken)
+    publishers = [await near.create_publisher(topic, STRING) for topic in ("/bad", "/good")]
+    await until(lambda: all(p.subscribers == 1 for p in publishers))
+    with caplog.at_level(logging.CRITICAL, "ropeway"):
+        caplog.set_level(logging.ERROR, "ropeway")
+        for _ in range(3):
+            for publisher in publishers:
+                publisher.publish(message("x"))
+        await inbox.wait(3)
+    assert len([r for r in caplog.records if "endpoint is dead" in r.message]) == 1
+
+
+async def test_one_wake_up_per_burst(join: Join) -> None:
+    """While the loop is busy, what arrives is joined into one batch per subscription."""
+    near, far = await join("near"), await join("far")
+    inbox = Inbox()
+    await far.create_subscription("/t", STRING, QoS(depth=500), inbox)
+    publisher = await near.create_publisher("/t", STRING, QoS(depth=500))
+    await until(lambda: publisher.subscribers == 1)
+    for _ in range(300):
+        publisher.publish(message("x"))
+    await inbox.wait(300)
+    assert inbox.batches < 30
+
+
+async def test_thread_per_graph(join: Join) -> None:
+    """A graph has one thread of its own, and none after it is closed."""
+    before = threading.active_count()
+    graph = await join()
+    for i in range(10):
+        await graph.create_subscription(f"/t{i}", STRING, QoS(), lambda _: None)
+    assert threading.active_count() == before + 1
+    await graph.close()
+    assert threading.active_count() == before
+
+
+async def test_cancelled_open(domain: int) -> None:
+    """An open that is cancelled leaves no thread."""
+    from ropeway.graph.dds import DdsGraph
+
+    before = threading.active_count()
+    task = asyncio.create_task(DdsGraph(domain, interface="lo").open())
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert threading.active_count() == before
+
+
+async def test_run_in_thread() -> None:
+    """A function in a thread of its own tells of its failure, and leaves no thread."""
+    before = threading.active_count()
+    await run_in_thread("test", lambda: None)
+    with pytest.raises(ZeroDivisionError):
+        await run_in_thread("test", lambda: 1 // 0)  # type: ignore[arg-type]
+    assert threading.active_count() == before
