@@ -7,26 +7,34 @@ A ``Connection`` delivers whole messages (continuation frames joined, bounded), 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+import os
+import socket
 import ssl
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 from urllib.parse import urlsplit
 
 import picows
 from picows import WSCloseCode, WSFrame, WSListener, WSMsgType, WSTransport
 
 from ropeway.errors import ConnectFailed
-from ropeway.link.buffers import Buffers, tcp_info
 from ropeway.link.pace import Pace
+from ropeway.link.window import Window, tcp_info
 
 __all__ = ["Connection", "Handshake", "Limits", "Server", "connect", "listen"]
 
 log = logging.getLogger("ropeway.link")
 _picows_log = logging.getLogger("ropeway.link.picows")
 _picows_log.setLevel(logging.ERROR)
+
+_TCP_RTO_MAX_MS: Final = 44  # Linux 6.15
+_RETRANSMIT_MS: Final = 1000  # what was lost is sent again so often at least, and goes soon after a cut has ended
+_SHORTEST_LOOK_S: Final = 0.001
+_LONGEST_LOOK_S: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +95,12 @@ class Connection(WSListener):
         self._watch: asyncio.Task[None] | None = None
         self._close_code, self._close_reason = 1006, "the connection was lost"
         self._closed = asyncio.Event()
-        self.buffers: Buffers | None = None
+        self.window: Window | None = None
+        self._full_at: float | None = None  # since when the operating system takes no more
+        self._full_bytes = 0
+        self._waits_since: float | None = None  # since when the window is used up
+        self._waits_bytes = 0
+        self._look: asyncio.TimerHandle | None = None
         self._closing: asyncio.TimerHandle | None = None
 
     # ── sending ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -108,7 +121,53 @@ class Connection(WSListener):
         self.bytes_out += size
         self.frames_out += 1
         transport.send(kind, data)
-        self.pace.sent(size)
+        window = self.window
+        if self.writable and window is not None and window.limit is not None:
+            outstanding = window.outstanding()
+            if outstanding is not None and outstanding >= window.limit:
+                self._wait_for_window(outstanding)
+
+    # ── when to send ───────────────────────────────────────────────────────────────────────────────────────────
+
+    def _wait_for_window(self, outstanding: int) -> None:
+        self.writable = False
+        self._waits_since, self._waits_bytes = time.monotonic(), outstanding
+        self._arm(outstanding)
+
+    def _arm(self, outstanding: int) -> None:
+        window = self.window
+        assert window is not None
+        pace = self.pace.bytes_per_s
+        enough = (window.limit or 0) // 2
+        seconds = _SHORTEST_LOOK_S if pace is None else min((outstanding - enough) / pace, _LONGEST_LOOK_S)
+        self._look = asyncio.get_running_loop().call_later(max(seconds, _SHORTEST_LOOK_S), self._look_again)
+
+    def _look_again(self) -> None:
+        self._look = None
+        window, since = self.window, self._waits_since
+        if window is None or since is None or self._closed.is_set():
+            return
+        outstanding = window.outstanding() or 0
+        if window.limit is not None and outstanding > window.limit // 2:
+            self._arm(outstanding)
+            return
+        self._waits_since = None
+        self._busy(self._waits_bytes - outstanding, time.monotonic() - since)
+        self._go_on()
+
+    def _busy(self, size_bytes: int, seconds: float) -> None:
+        self.pace.carried(size_bytes, seconds)
+        if self.window is not None and self.pace.bytes_per_s is not None:
+            self.window.fit(self.pace.bytes_per_s)
+
+    def _go_on(self) -> None:
+        if self._full_at is None and self._waits_since is None and self._closing is None and not self.closed:
+            self.writable = True
+            if self._pong is not None:
+                ping, self._pong = self._pong, None
+                self._answer(ping)
+            if self.writable:
+                self.on_writable()
 
     @property
     def unsent_bytes(self) -> int:
@@ -117,7 +176,6 @@ class Connection(WSListener):
         if transport is None:
             return 0
         return int(transport.underlying_transport.get_write_buffer_size())
-
 
     def pause_reading(self) -> None:
         """Take no more from the peer for now; the operating system's window then holds it back."""
@@ -167,12 +225,14 @@ class Connection(WSListener):
         underlying = transport.underlying_transport
         underlying.set_write_buffer_limits(high=0, low=0)
         self._socket = underlying.get_extra_info("socket")
+        with contextlib.suppress(OSError, AttributeError):
+            self._socket.setsockopt(socket.IPPROTO_TCP, _TCP_RTO_MAX_MS, _RETRANSMIT_MS)
         self.secure = underlying.get_extra_info("sslcontext") is not None
         if not self.peer:
             self.peer = _address(underlying.get_extra_info("peername"))
         if transport.response is not None:
             self.subprotocol = transport.response.headers.get("Sec-WebSocket-Protocol", "")  # the client's side
-        self.buffers = Buffers(self._socket)
+        self.window = Window(self._socket)
         self.writable = True
         self._last_heard = time.monotonic()
         if self.limits.ping_interval_s is not None:
@@ -242,6 +302,8 @@ class Connection(WSListener):
     def on_ws_disconnected(self, transport: WSTransport) -> None:
         """Called by picows when the transport is gone."""
         self.writable = False
+        if self._look is not None:
+            self._look.cancel()
         handshake = transport.close_handshake
         if handshake is not None and handshake.sent is not None and self._close_code == 1006:
             sent = handshake.sent
@@ -258,20 +320,14 @@ class Connection(WSListener):
     def pause_writing(self) -> None:
         """Called by the transport when it holds bytes that the operating system did not take."""
         self.writable = False
-        self.pace.paused(self.unsent_bytes)
+        self._full_at, self._full_bytes = time.monotonic(), self.unsent_bytes
 
     def resume_writing(self) -> None:
         """Called by the transport when the operating system took everything."""
-        self.pace.resumed()
-        if self.buffers is not None and self.pace.bytes_per_s is not None:
-            self.buffers.fit(self.pace.bytes_per_s)
-        if self._closing is None and not self._closed.is_set():
-            self.writable = True
-            if self._pong is not None:
-                pong, self._pong = self._pong, None
-                self._answer(pong)
-            if self.writable:
-                self.on_writable()
+        since, self._full_at = self._full_at, None
+        if since is not None and self._waits_since is None:
+            self._busy(self._full_bytes, time.monotonic() - since)
+        self._go_on()
 
     def _fail(self, code: int, reason: str) -> None:
         self._unfinished = None
@@ -316,6 +372,13 @@ def _nothing() -> None:
 
 def _number(code: Any) -> int:
     return int(getattr(code, "value", code))
+
+
+def _reason(error: OSError) -> str:
+    """What the operating system says, without the words of the event loop around it."""
+    if isinstance(error, (socket.gaierror, ssl.SSLError)) or not error.errno:
+        return error.strerror or str(error)
+    return os.strerror(error.errno)
 
 
 def _address(name: Any) -> str:
@@ -365,8 +428,8 @@ async def connect(
         fatal = status in (400, 401, 403, 404)
         what = f"answered HTTP {status}" if status else f"is not a WebSocket server ({error})"
         raise ConnectFailed(url, what, retryable=not fatal) from None
-    except (OSError, ssl.SSLError) as error:
-        raise ConnectFailed(url, error.strerror or str(error)) from None
+    except OSError as error:
+        raise ConnectFailed(url, _reason(error)) from None
     return connection
 
 

@@ -30,10 +30,10 @@ __all__ = ["CONTROL_OPS", "Channel", "Outgoing", "Peer", "PeerHandler"]
 
 log = logging.getLogger("ropeway.link")
 
-_PART_MIN_BYTES: Final = 8 * 1024
-_PART_START_BYTES: Final = 64 * 1024
+_PART_MIN_BYTES: Final = 4 * 1024
+_PART_START_BYTES: Final = 16 * 1024
 _PART_MAX_BYTES: Final = 1 << 20
-_PART_S: Final = 0.001  # a part takes about so long on the wire, so that an urgent message waits no longer
+_PART_S: Final = 0.002  # a part takes about so long on the wire, so that an urgent message waits no longer
 _QUIET_S: Final = 10.0
 _CONTROL_LIMIT_BYTES: Final = 32 << 20  # answers that a peer does not read; more closes the connection
 _OFFLOAD_BYTES: Final = 1 << 20  # bigger messages are encoded in a thread
@@ -201,7 +201,7 @@ class Peer:
         self._assembler = wire_codec.JsonAssembler(limit_bytes=self.limit_bytes)
         self._scheduled = False
         self._part_bytes = _PART_START_BYTES
-        self._pauses_seen = 0
+        self._samples_seen = 0
         self._quiet_bytes = 0
         self._loop = asyncio.get_running_loop()
         self._encoding: set[asyncio.Future[bytes]] = set()
@@ -416,8 +416,8 @@ class Peer:
     def _tune(self, sent_bytes: int) -> None:
         """Fit the size of parts to the pace of the link."""
         pace = self.connection.pace
-        if pace.pauses != self._pauses_seen:
-            self._pauses_seen = pace.pauses
+        if pace.samples != self._samples_seen:
+            self._samples_seen = pace.samples
             self._quiet_bytes = 0
             if pace.bytes_per_s is not None:
                 self._part_bytes = int(min(max(pace.bytes_per_s * _PART_S, _PART_MIN_BYTES), _PART_MAX_BYTES))
@@ -427,8 +427,6 @@ class Peer:
             self._quiet_bytes = 0
             pace.forget()
             self._part_bytes = min(2 * self._part_bytes, _PART_MAX_BYTES)
-            if self.connection.buffers is not None:
-                self.connection.buffers.release()
 
     # ── in ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
