@@ -6,7 +6,6 @@ A profile that says nothing about a policy leaves the choice to the graph (``Non
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -18,6 +17,10 @@ _CHOICES: Final = {
     "reliability": ("reliable", "best_effort", "best_available"),
     "durability": ("volatile", "transient_local", "best_available"),
 }
+
+
+_DEEPEST: Final = 2**31 - 1  # what DDS can say
+_FOREVER_S: Final = 2.0**31
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +58,7 @@ class QoS:
             raise ValueError("qos must be an object, as in {\"reliability\": \"best_effort\"}")
         unknown = set(value) - {"history", "depth", "reliability", "durability", "deadline", "lifespan"}
         if unknown:
-            raise ValueError(f"unknown qos policy {sorted(unknown)[0]!r}")
+            raise ValueError(f"unknown qos policy {min(map(str, unknown))!r}")
         changes: dict[str, Any] = {}
         for key, valid in _CHOICES.items():
             if key in value:
@@ -65,8 +68,8 @@ class QoS:
                 changes[key] = given.lower()
         if "depth" in value:
             depth = value["depth"]
-            if isinstance(depth, bool) or not isinstance(depth, int) or depth < 0:
-                raise ValueError(f"{depth!r} is not a valid depth. Valid are whole numbers from 0")
+            if isinstance(depth, bool) or not isinstance(depth, int) or not 0 <= depth <= _DEEPEST:
+                raise ValueError(f"{depth!r} is not a valid depth. Valid are whole numbers from 0 to {_DEEPEST}")
             changes["depth"] = depth
         for key in ("deadline", "lifespan"):
             if key in value:
@@ -90,15 +93,15 @@ class QoS:
 def _duration(key: str, value: object) -> float | None:
     if value in ("infinite", "best_available", None):
         return None
-    if isinstance(value, Mapping) and {"secs", "nsecs"} <= set(value):
-        seconds = float(value["secs"]) + float(value["nsecs"]) / 1e9
-    elif isinstance(value, (int, float)) and not isinstance(value, bool):
-        seconds = float(value)
-    else:
-        raise ValueError(f'{key} must be seconds, {{"secs", "nsecs"}} or "infinite"')
-    if seconds < 0 or math.isnan(seconds):
-        raise ValueError(f"{key} must not be negative")
-    return None if math.isinf(seconds) else seconds
+    parts = [value["secs"], value["nsecs"]] if isinstance(value, Mapping) and {"secs", "nsecs"} <= set(value) else [value]
+    seconds = 0.0
+    for part, unit in zip(parts, (1, 1e9), strict=False):
+        if isinstance(part, bool) or not isinstance(part, (int, float)):
+            raise ValueError(f'{key} must be seconds, {{"secs", "nsecs"}} or "infinite"')
+        if not part >= 0:
+            raise ValueError(f"{key} must not be negative")
+        seconds += min(part, _FOREVER_S * unit) / unit
+    return None if seconds >= _FOREVER_S else seconds
 
 
 DEFAULT: Final = QoS()

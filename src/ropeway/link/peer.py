@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -20,6 +21,8 @@ from ropeway.link.outbox import LANES, Lost, Outbox, Queue
 from ropeway.wire import codec as wire_codec
 from ropeway.wire import filters, ops
 from ropeway.wire.dialect import ROPEWAY, Dialect, by_subprotocol, detect
+from ropeway.wire.fragment import Defragmenter, Fragmenter
+from ropeway.wire.frames import loads
 from ropeway.wire.records import Arrival, RecordReader, RecordWriter
 
 if TYPE_CHECKING:
@@ -81,6 +84,7 @@ class Channel:
         "closed",
         "codec",
         "encoding",
+        "fragment_size",
         "number",
         "peer",
         "queue",
@@ -101,6 +105,7 @@ class Channel:
         self.codec: MessageCodec | None = codec
         self.chooser = EncodingChooser(peer.connection.pace) if encoding == "auto" else None
         self.used = encoding if encoding != "auto" else "none" if peer.dialect is not ROPEWAY else "cbor-raw"
+        self.fragment_size: int | None = None  # characters; longer texts go in fragments
         self.sent = self.sent_bytes = 0
         self.closed = False
 
@@ -199,6 +204,9 @@ class Peer:
         self._writer = RecordWriter()
         self._reader = RecordReader(self.limit_bytes, self._refused)
         self._assembler = wire_codec.JsonAssembler(limit_bytes=self.limit_bytes)
+        self._fragmenter = Fragmenter()
+        self._fragments: deque[bytes] = deque()  # of the text that is being sent
+        self._defragmenter = Defragmenter(limit_bytes=self.limit_bytes)
         self._scheduled = False
         self._part_bytes = _PART_START_BYTES
         self._samples_seen = 0
@@ -253,6 +261,7 @@ class Peer:
         for lane, cursor in enumerate(self._cursors):
             if cursor is not None and cursor.channel is channel:
                 self._cursors[lane] = None
+                self.wake()  # others may have waited for this lane
 
     def wake(self) -> None:
         """See that what waits is sent in this turn of the event loop."""
@@ -279,6 +288,9 @@ class Peer:
                 pass
 
     def _send_plain(self) -> bool:
+        if self._fragments:
+            self.connection.send_text(self._fragments.popleft())
+            return True
         now = time.time_ns()
         for lane in self.outbox.lanes():
             taken = self.outbox.take(lane, now)
@@ -293,7 +305,10 @@ class Peer:
                 queue.lost[Lost.ENCODE] += 1
                 self.complaints.note("message", channel.topic, error)
                 return True
-            if frame.text:
+            if frame.text and channel.fragment_size is not None:
+                self._fragments.extend(self._fragmenter.split(frame.data, channel.fragment_size))
+                self.connection.send_text(self._fragments.popleft())
+            elif frame.text:
                 self.connection.send_text(frame.data)
             else:
                 self.connection.send_binary(frame.data)
@@ -433,9 +448,10 @@ class Peer:
     def _on_text(self, data: bytes) -> None:
         self._objects(data, text=True)
 
-    def feed_text(self, data: bytes) -> None:
-        """Take a text that came in fragments, as if it had come in one frame."""
-        self._objects(data, text=True)
+    def unpacked(self, text: bytes) -> None:
+        """Take the operations of a text that came in fragments or in an image. Raises ``InvalidFrame``."""
+        for message in loads(text, text=True):
+            self._object(message)
 
     def _on_binary(self, data: bytes | memoryview) -> None:
         if self.dialect is not ROPEWAY:
@@ -475,7 +491,7 @@ class Peer:
             elif op == "pong":
                 self._pong(message)
             else:
-                self.handler.control(message)
+                self._control(str(op), message)
             return
         try:
             parsed = ops.parse(message)
@@ -484,9 +500,20 @@ class Peer:
             return
         self.dialect = detect(self.dialect, parsed)
         try:
-            self.handler.operation(parsed)
+            if isinstance(parsed, ops.Fragment):
+                text = self._defragmenter.add(parsed)
+                if text is not None:
+                    self.unpacked(text)
+            else:
+                self.handler.operation(parsed)
         except RopewayError as error:
             self.complaints.note(str(op), str(message.get("topic", ""))[:200], error)
+
+    def _control(self, op: str, message: Mapping[str, Any]) -> None:
+        try:
+            self.handler.control(message)
+        except RopewayError as error:
+            self.complaints.note(op, "", error)
 
     def decode(self, arrival: Arrival, codec: MessageCodec | None) -> bytes:
         """The CDR of a message that came in a record. Raises ``DecodeError`` or ``MessageTooBig``."""

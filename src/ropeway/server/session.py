@@ -171,7 +171,7 @@ class Session:
             "complaints": {f"{kind} {topic}".strip(): n for (kind, topic), n in self.peer.complaints.counts.items()},
             "topics": [
                 *(
-                    topic_status(t.topic, "in", t.type, t.meter, {})
+                    topic_status(t.topic, "in", t.type, t.encoding, t.meter, {})
                     for t in (*self.inputs.values(), *self._input_channels.values())
                 ),
                 *(
@@ -179,6 +179,7 @@ class Session:
                         t.topic,
                         "out",
                         t.type,
+                        t.channel.used if t.channel is not None else "",
                         t.meter,
                         {**t.drops, **(t.channel.queue.lost if t.channel is not None else {})},
                     )

@@ -12,6 +12,7 @@ from ropeway.bridge.pipeline import Drop, RateLimit
 from ropeway.errors import MessageTooBig, TypesError
 from ropeway.graph.base import SEQ_NONE, Sample, new_origin
 from ropeway.qos import QoS
+from ropeway.server.throttle import Throttle
 from ropeway.wire import codec as wire_codec
 from ropeway.wire import ops
 from ropeway.wire.records import Arrival
@@ -27,6 +28,8 @@ __all__ = ["TopicIn", "TopicOut", "topic_status"]
 log = logging.getLogger("ropeway.server")
 
 _EARLY_LIMIT_BYTES: Final = 16 << 20  # what may wait while a publisher is being made
+_DEPTH_LIMIT: Final = 100_000
+_LONGEST_MS: Final = 1e9
 _PRIORITY_OF_COMPRESSION: Final = {
     "none": 0,
     "png": 1,
@@ -48,6 +51,7 @@ class TopicIn:
         self.publisher: Publisher | None = None
         self.meter = Meter()
         self.number: int | None = None
+        self.encoding = compression or "none"  # of the last message
         self._codec: MessageCodec | None = None
         self._early: deque[Sample] = deque()
         self._early_bytes = 0
@@ -90,12 +94,13 @@ class TopicIn:
         for arrival in arrivals:
             payload = arrival.body
             if arrival.encoding != wire_codec.CBOR_RAW:
-                needs = wire_codec.encoding_name(arrival.encoding) not in ("rawzip", "zstd")
                 try:
+                    needs = wire_codec.encoding_name(arrival.encoding) not in ("rawzip", "zstd")
                     payload = peer.decode(arrival, self.codec() if needs else None)
                 except (TypesError, MessageTooBig) as error:
                     peer.complaints.note("message", self.topic, error)
                     continue
+            self.encoding = wire_codec.ENCODINGS[arrival.encoding]
             sent = arrival.stamp_ns - offset if arrival.stamp_ns else 0
             self._publish(Sample(payload, self.type, now, arrival.origin, arrival.seq, arrival.relayed, sent))
 
@@ -137,6 +142,7 @@ class TopicOut:
         self.drops: Counter[Drop] = Counter()
         self.meter = Meter()
         self._limit: RateLimit | None = None
+        self._throttle: Throttle | None = None
         self._wanted_definition = False
         self._depth: int | None = None
 
@@ -146,11 +152,6 @@ class TopicOut:
         extra: dict[str, Any] = {}
         for request in requests:
             extra.update(request.ropeway or {})
-        rate = _number(extra.get("rate_hz"))
-        if rate is None:
-            throttle = min(r.throttle_rate for r in requests)
-            rate = 1000.0 / throttle if throttle > 0 else None
-        self._limit = RateLimit(rate) if rate else None
         encoding = max((r.compression or "none" for r in requests), key=lambda c: _PRIORITY_OF_COMPRESSION.get(c, 0))
         if encoding not in _PRIORITY_OF_COMPRESSION:
             encoding = "none"
@@ -158,10 +159,8 @@ class TopicOut:
         if depth is None:
             lengths = [r.queue_length for r in requests]
             depth = min(lengths) if min(lengths) > 0 else None
-        self._depth = None if depth is None else int(depth)
-        if self.channel is not None:
-            self.channel.close()
-        self.channel = self.session.peer.open_channel(
+        self._depth = None if depth is None else min(int(depth), _DEPTH_LIMIT)
+        channel = self.session.peer.open_channel(
             self.number,
             self.topic,
             self.type,
@@ -170,9 +169,30 @@ class TopicOut:
             depth=self._depth or 10,
             lifespan_s=_number(extra.get("lifespan_s")),
         )
+        if self.channel is not None:
+            self.channel.close()
+        self.channel = channel
+        sizes = [r.fragment_size for r in requests if r.fragment_size is not None]
+        channel.fragment_size = min(sizes, default=None)
+        self._settle_rate(requests, _number(extra.get("rate_hz")))
         self._wanted_definition = bool(extra.get("want_definition"))
         if self.subscription is not None:
             self.follow(self.subscription.qos)
+
+    def _settle_rate(self, requests: Sequence[ops.Subscribe], rate_hz: float | None) -> None:
+        """A gateway's rate is kept on average; rosbridge's least time between messages may have a queue."""
+        waiting = self._throttle.close() if self._throttle is not None else []
+        self._limit = self._throttle = None
+        period_ms = min(_LONGEST_MS, *(r.throttle_rate for r in requests))
+        length = min(r.queue_length for r in requests)
+        if rate_hz is not None:
+            self._limit = RateLimit(rate_hz)
+        elif period_ms > 0 and length > 0:
+            self._throttle = Throttle(period_ms / 1000, length, self._put, self._dropped)
+        elif period_ms > 0:
+            self._limit = RateLimit(1000 / period_ms)
+        for sample in waiting:
+            self._pass(sample)
 
     def follow(self, qos: QoS) -> None:
         """The subscription has this profile: queue as deep, and tell a gateway."""
@@ -188,18 +208,36 @@ class TopicOut:
 
     def deliver(self, batch: Sequence[Sample]) -> None:
         """Messages came from the graph."""
-        channel, limit = self.channel, self._limit
-        if channel is None:
-            return
-        for sample in batch:
-            if limit is not None and (reason := limit(sample)) is not None:
-                self.drops[reason] += 1
-            else:
+        channel = self.channel
+        if self._throttle is None and self._limit is None and channel is not None:
+            for sample in batch:
                 self.meter.add(sample, sample.stamp_ns)
                 channel.put(sample)
+        else:
+            for sample in batch:
+                self._pass(sample)
+
+    def _pass(self, sample: Sample) -> None:
+        if self._throttle is not None:
+            self._throttle.put(sample)
+        elif self._limit is not None and (reason := self._limit(sample)) is not None:
+            self.drops[reason] += 1
+        else:
+            self._put(sample)
+
+    def _put(self, sample: Sample) -> None:
+        if self.channel is not None:
+            self.meter.add(sample, sample.stamp_ns)
+            self.channel.put(sample)
+
+    def _dropped(self) -> None:
+        self.drops[Drop.RATE] += 1
 
     async def close(self) -> None:
         """Stop reading."""
+        if self._throttle is not None:
+            self._throttle.close()
+            self._throttle = None
         if self.channel is not None:
             self.channel.close()
             self.channel = None
@@ -208,12 +246,15 @@ class TopicOut:
             self.subscription = None
 
 
-def topic_status(topic: str, direction: str, type: str, meter: Meter, drops: Mapping[Any, int]) -> dict[str, Any]:
+def topic_status(
+    topic: str, direction: str, type: str, encoding: str, meter: Meter, drops: Mapping[Any, int]
+) -> dict[str, Any]:
     """One row of a table."""
     return {
         "name": topic,
         "direction": direction,
         "type": type,
+        "encoding": encoding,
         "messages": meter.messages,
         "rate_hz": round(meter.rate_hz, 2),
         "bandwidth_bps": round(meter.rate_bps),
@@ -225,4 +266,4 @@ def topic_status(topic: str, direction: str, type: str, meter: Meter, drops: Map
 def _number(value: object) -> float | None:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
         return None
-    return float(value)
+    return float(min(value, 1e12))

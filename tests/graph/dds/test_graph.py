@@ -213,7 +213,7 @@ async def test_loop_behind(join: Join) -> None:
     near, far = await join("near"), await join("far")
     inbox = Inbox()
     await far.create_subscription("/big", STRING, QoS(depth=5), inbox)
-    publisher = await near.create_publisher("/big", STRING, QoS(depth=5))
+    publisher = await near.create_publisher("/big", STRING, QoS(depth=100))
     await until(lambda: publisher.subscribers == 1)
     payload = bytes(4 << 20)
     count = 60
@@ -428,7 +428,7 @@ async def test_services_and_actions_are_recognised(join: Join) -> None:
         if reads:
             participant.create_reader((topic, type), "", QoS(), b"", lambda _: None, lambda _: None)
         else:
-            participant.create_writer((topic, type), QoS(), b"")
+            participant.create_writer((topic, type), QoS(), b"", print)
     await until(lambda: len(events) >= 3)
     await until(lambda: far.nodes()["/near"].services)
     node = far.nodes()["/near"]
@@ -481,11 +481,11 @@ async def test_hostile_discovery_info(join: Join) -> None:
     near, far = await join("near"), await join("far")
     await until(lambda: "/near" in far.nodes())
     writer = near.participant.create_writer(
-        (DISCOVERY_TOPIC, DISCOVERY_TYPE), QoS(durability="transient_local", depth=50), b""
+        (DISCOVERY_TOPIC, DISCOVERY_TYPE), QoS(durability="transient_local", depth=50), b"", print
     )
     forged = ParticipantEntities(far.participant.guid, (NodeEntities("/forged"),))
     for payload in (b"\0\1\0\0\xff", b"\0\1\0\0" + b"\xff" * 64, b"\0\1\0\0" + os.urandom(500), encode(forged)):
-        assert writer.write(payload) is None
+        writer.write(payload)
     inbox = Inbox()
     await far.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await near.create_publisher("/t", STRING)
@@ -514,7 +514,7 @@ async def test_old_gids(join: Join) -> None:
     near.participant.create_reader(key, DISCOVERY_TYPE, latched, b"", on_message, lambda _: None)
     await until(lambda: seen)
     assert set(seen) == {16}
-    writer = near.participant.create_writer(key, latched, b"")
+    writer = near.participant.create_writer(key, latched, b"", print)
     old = ParticipantEntities(near.participant.guid, (NodeEntities("/humble"),), 24)
     await until(lambda: writer.write(encode(old)) or seen[-1] == 24)
 

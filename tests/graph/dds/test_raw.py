@@ -56,7 +56,7 @@ async def test_verified_once(join: Join, unverified: None) -> None:
 async def test_serdata_round_trip(join: Join, payload: bytes) -> None:
     """Bytes come out of DDS as they went in."""
     graph = await join()
-    writer = graph.participant.create_writer(("rt/t", DDS_STRING), QoS(), b"")
+    writer = graph.participant.create_writer(("rt/t", DDS_STRING), QoS(), b"", print)
     serdata = raw.make_serdata(writer._sertype, payload)
     assert ctypes.string_at(serdata + raw.SERDATA_HEADER, len(payload)) == payload
     raw.lib.serdata_unref(serdata)

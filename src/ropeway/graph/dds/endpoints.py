@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import ctypes as ct
 from collections import Counter, deque
 from collections.abc import Callable
@@ -32,9 +34,10 @@ _BATCH: Final = 64  # samples per take
 _HEADER_BYTES: Final = 4
 _COPY_WITHOUT_GIL_BYTES: Final = 32768  # above, copying costs more than letting go of the GIL
 _PENDING_LIMIT_BYTES: Final = 256 << 20
+_COURIER_BYTES: Final = 1 << 20  # about a millisecond on the network
 _MAX_STAMP: Final = 2**31 * 10**9 - 1  # what a source timestamp on the wire can hold for every vendor
 
-_string_at = ct.string_at
+_string_at, _byref = ct.string_at, ct.byref
 _u32_at = ct.c_uint32.from_address
 _i64_at = ct.c_int64.from_address
 _new_bytes = ct.PYFUNCTYPE(ct.py_object, ct.c_void_p, ct.c_ssize_t)(("PyBytes_FromStringAndSize", ct.pythonapi))
@@ -168,31 +171,62 @@ class RawReader:
 
 
 class RawWriter:
-    """Writes serialised samples, at once, from the loop."""
+    """Writes serialised samples: at once from the loop, big ones in the courier's thread, all in order.
 
-    def __init__(self, participant: Participant, topic: tuple[str, str], entity: int, sertype: int) -> None:
+    Of what waits for the courier the newest ``depth`` (and 256 MB) survive; ``refused`` gets the reason of each one
+    that was given to ``write`` and not sent. A ``depth`` of ``None`` keeps the oldest instead.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        topic: tuple[str, str],
+        entity: int,
+        sertype: int,
+        depth: int | None,
+        refused: Callable[[Undelivered], None],
+    ) -> None:
         self.topic, self.entity = topic, entity
         self.guid = b""
         self.closed = False
         self.key = 0
         self._sertype = sertype
+        self._courier = participant.courier
+        self._depth = depth
+        self._refused = refused
         self._vector = IoVec()
-        self._vector_ref = ct.byref(self._vector)
+        self._waiting: deque[tuple[bytes, int]] = deque()
+        self._in_count = self._in_bytes = 0  # changed by the loop alone
+        self._out_count = self._out_bytes = 0  # changed by the courier alone
 
-    def write(self, payload: bytes, source_stamp_ns: int = 0) -> Undelivered | None:
-        """Send CDR bytes with their header; gives why they were not sent, or ``None``.
+    @property
+    def busy(self) -> bool:
+        """True while the courier has something of ours."""
+        return self._in_count != self._out_count
+
+    def write(self, payload: bytes, source_stamp_ns: int = 0) -> None:
+        """Send CDR bytes with their header.
 
         ``source_stamp_ns`` is sent as the source timestamp; 0 sends the time of now.
         """
         if self.closed:
-            return Undelivered.CLOSED
+            self._refused(Undelivered.CLOSED)
+            return
         if payload.__class__ is not bytes:
             payload = bytes(payload)
+        if len(payload) >= _COURIER_BYTES or self._in_count != self._out_count:
+            self._enqueue(payload, source_stamp_ns)
+            return
+        reason = self._send(payload, source_stamp_ns)
+        if reason is not None:
+            self._refused(reason)
+
+    def _send(self, payload: bytes, source_stamp_ns: int) -> Undelivered | None:
         length = len(payload)
         vector = self._vector
         vector.base, vector.len = payload, length
         make = lib.serdata_from_ser_iov if length < _COPY_WITHOUT_GIL_BYTES else lib.serdata_from_ser_iov_nogil
-        serdata = make(self._sertype, SERDATA_DATA, 1, self._vector_ref, length)
+        serdata = make(self._sertype, SERDATA_DATA, 1, _byref(vector), length)
         if length >= _COPY_WITHOUT_GIL_BYTES:
             vector.base = None  # what was big is not kept until the next write
         if not serdata:
@@ -203,6 +237,40 @@ class RawWriter:
         else:
             code = lib.writecdr(self.entity, serdata)
         return None if code >= 0 else Undelivered.WRITE
+
+    def _enqueue(self, payload: bytes, source_stamp_ns: int) -> None:
+        waiting = self._waiting
+        if self._depth is None:
+            if waiting and self._in_bytes - self._out_bytes > _PENDING_LIMIT_BYTES:
+                self._refused(Undelivered.WRITE)
+                return
+        else:
+            while len(waiting) >= self._depth or self._in_bytes - self._out_bytes > _PENDING_LIMIT_BYTES:
+                try:
+                    oldest, _ = waiting.popleft()
+                except IndexError:  # the courier took it
+                    break
+                self._in_count -= 1
+                self._in_bytes -= len(oldest)
+                self._refused(Undelivered.WRITE)
+        waiting.append((payload, source_stamp_ns))
+        self._in_count += 1
+        self._in_bytes += len(payload)
+        loop = asyncio.get_running_loop()
+        self._courier.submit(lambda: self._write_next(loop))
+
+    def _write_next(self, loop: asyncio.AbstractEventLoop) -> None:
+        """In the courier's thread."""
+        try:
+            payload, source_stamp_ns = self._waiting.popleft()
+        except IndexError:  # a newer one took its place
+            return
+        reason = self._send(payload, source_stamp_ns)
+        self._out_bytes += len(payload)
+        self._out_count += 1
+        if reason is not None:
+            with contextlib.suppress(RuntimeError):  # the loop closed first
+                loop.call_soon_threadsafe(self._refused, reason)
 
 
 def matched(get: Callable[..., Any], entity: int) -> list[int]:

@@ -161,7 +161,9 @@ class DdsGraph:
         publisher = DdsPublisher(self, topic, type, profile)
         mark = user_data(type_hash=self._hash(type), gateway_id=self._gateway_id)
         names = (dds_topic(topic), dds_type(type))
-        publisher.bind(self._try(lambda: participant.create_writer(names, profile, mark, publisher.on_count)))
+        publisher.bind(
+            self._try(lambda: participant.create_writer(names, profile, mark, publisher.on_refused, publisher.on_count))
+        )
         self._publishers[publisher] = None
         return publisher
 

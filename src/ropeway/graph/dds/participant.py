@@ -12,11 +12,12 @@ import ctypes as ct
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any, Final
+from typing import Final
 
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.dds import domain, raw
 from ropeway.graph.dds.byteorder import ByteOrder
+from ropeway.graph.dds.courier import Courier
 from ropeway.graph.dds.endpoint_qos import parse_user_data, read_qos, reader_qos, user_data, writer_qos
 from ropeway.graph.dds.endpoints import RawReader, RawWriter, WriterIdentity, matched
 from ropeway.graph.dds.names import DISCOVERY_TOPIC, DISCOVERY_TYPE, DISCOVERY_TYPE_HASH
@@ -59,6 +60,7 @@ class Participant:
         self.guid = b""
         self.identities: dict[int, WriterIdentity] = {}
         self.pump = Pump(graph, self._setup, self._teardown)
+        self.courier = Courier(graph)
         self._number, self._profile = number, profile
         self._on_discovered = on_discovered
         self._entity = 0
@@ -92,7 +94,7 @@ class Participant:
         mark = user_data(type_hash=DISCOVERY_TYPE_HASH)
         key = (DISCOVERY_TOPIC, DISCOVERY_TYPE)
         reader = self.create_reader(key, DISCOVERY_TYPE, _LISTEN_QOS, mark, self._on_nodes, _ignore)
-        self._announcer = self.create_writer(key, _ANNOUNCE_QOS, mark)
+        self._announcer = self.create_writer(key, _ANNOUNCE_QOS, mark, _ignore)
         # As the middleware of ROS does, its own two endpoints belong to no node.
         self._hidden = {reader, self._announcer}
         self._announce()
@@ -109,6 +111,7 @@ class Participant:
             reader.closed = True
         if self._announcing is not None:
             self._announcing.cancel()
+        await self.courier.stop()
         await self.pump.stop()
 
     # Entities ---------------------------------------------------------------------------------------------------
@@ -137,12 +140,18 @@ class Participant:
         return reader
 
     def create_writer(
-        self, topic: tuple[str, str], qos: QoS, user_data: bytes, demand: Callable[[int], None] | None = None
+        self,
+        topic: tuple[str, str],
+        qos: QoS,
+        user_data: bytes,
+        refused: Callable[[Undelivered], None],
+        demand: Callable[[int], None] | None = None,
     ) -> RawWriter:
         """A writer on ``topic``; ``demand`` gets the number of others' readers on the loop. Raises ``DdsError``."""
         with self._using(topic) as (topic_entity, sertype), writer_qos(qos, user_data) as handle:
             entity = check(lib.create_writer(self._entity, topic_entity, handle, None), f"create writer {topic[0]}")
-        writer = RawWriter(self, topic, entity, sertype)
+        depth = None if qos.history == "keep_all" else max(qos.depth, 1)
+        writer = RawWriter(self, topic, entity, sertype, depth, refused)
         writer.guid = raw.guid_of(entity)
         self._writers[writer] = None
         if demand is not None:
@@ -168,6 +177,8 @@ class Participant:
             del self._writers[part]
         self.pump.detach(part.key)
         self._announce_soon()
+        if isinstance(part, RawWriter) and part.busy:
+            await self.courier.flush()
         if isinstance(part, RawWriter) and lib.wait_for_acks(part.entity, 0):
             # DDS waits up to a second for readers that have not got everything yet; the pump cannot.
             await run_in_thread(f"ropeway {self.graph} linger", lambda: self._delete(part))
@@ -374,5 +385,5 @@ class Participant:
         self._on_discovered([NodesRecord(self.guid, (node,), self._gid_bytes, local=True)])
 
 
-def _ignore(_: list[Any]) -> None:
+def _ignore(_: object) -> None:
     """A drop on ros_discovery_info: the next message of that participant replaces it."""

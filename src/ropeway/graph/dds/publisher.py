@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from ropeway.graph.base import Sample
+from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.dds.endpoints import RawWriter
 from ropeway.qos import QoS
 
@@ -35,10 +35,12 @@ class DdsPublisher:
         self._write = writer.write
 
     def publish(self, sample: Sample) -> None:
-        """Send; what DDS does not take is counted."""
-        refused = self._write(sample.payload, sample.seq if self._keep_stamp else 0)
-        if refused is not None:
-            self._graph.drops[self.topic, refused] += 1
+        """Send, without waiting; what DDS does not take is counted."""
+        self._write(sample.payload, sample.seq if self._keep_stamp else 0)
+
+    def on_refused(self, reason: Undelivered) -> None:
+        """Count a message that was not sent."""
+        self._graph.drops[self.topic, reason] += 1
 
     @property
     def subscribers(self) -> int:

@@ -90,7 +90,12 @@ class DdsSubscription:
         if self.closed or (self._readers and qos == self._qos):
             return
         self._qos = qos
-        self._readers.append(self._graph.attach(self, qos))
+        known = next((reader for reader in self._readers if reader.qos == qos), None)
+        if known is not None:  # the profile changed back before the overlap was over
+            self._readers.remove(known)
+            self._readers.append(known)
+        else:
+            self._readers.append(self._graph.attach(self, qos))
         if len(self._readers) == 1:
             return
         self._tries = 0
