@@ -78,14 +78,13 @@ def main() -> None:
         return
     publisher = node.create_publisher(cls, args.topic, profile)
     say(ready=rclpy.get_rmw_implementation_identifier())
+    began = time.monotonic()
     number = 0
-    message = made(cls, args, 0)
     while time.monotonic() < end:
         if not args.count or number < args.count:
-            message = made(cls, args, number)
-            publisher.publish(message)
+            publisher.publish(made(cls, args, number))
             number += 1
-        due = time.monotonic() + 1 / args.hz
+        due = began + number / args.hz if not args.count or number < args.count else end
         while (left := due - time.monotonic()) > 0:
             rclpy.spin_once(node, timeout_sec=left)
 

@@ -233,18 +233,20 @@ async def test_default_profile(place: Place) -> None:
     assert publishers(place, "/few") == [QoS(durability="transient_local", depth=3, lifespan_s=1.0)]
 
 
-async def test_old_messages_do_not_come_back(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_old_messages_do_not_come_back(place: Place) -> None:
     """A client that comes late gets what is younger than the lifespan of the topic: no command of yesterday."""
     talker, listener = await place.client(), await place.client()
-    talker.send(CHATTER)
+    talker.send({**CHATTER, "qos": {"durability": "transient_local", "depth": 100, "lifespan": 0.5}})
     talker.send(said("old"))
     await talker.done()
-    now = time.time_ns
-    monkeypatch.setattr(time, "time_ns", lambda: now() + 5_000_000_000)
+    await asyncio.sleep(0.6)
     talker.send(said("fresh"))
     await talker.done()
     listener.send(listen())
     assert await listener.json() == heard("fresh")
+    inbox = await reader(place, qos=QoS(durability="transient_local", depth=100))
+    await inbox.wait(1)
+    assert inbox.payloads == [text("fresh")]
 
 
 async def test_latch(place: Place) -> None:
@@ -705,13 +707,13 @@ async def test_silence(place: Place) -> None:
 async def test_many_operations_at_once(place: Place) -> None:
     """A client that sends faster than operations are carried out is held back, and everything is done in order."""
     client = await place.client()
-    for i in range(2000):
+    for i in range(300):
         client.send({**CHATTER, "topic": f"/t{i}"})
-    for i in range(2000):
+    for i in range(300):
         client.send({"op": "unadvertise", "topic": f"/t{i}"})
-    await client.writer.drain()
     await client.done()
     assert not place.complaints
+    assert place.session.peer.connection.frames_in == 601
     await until(lambda: not [t for t in place.robot.topics() if t.startswith("/t")])
 
 

@@ -135,10 +135,14 @@ class TopicBridge:
         offered = [p.qos for p in known.publishers if not p.local] if known is not None else []
         if offered:
             qos = common_qos(offered)
-        elif self.subscription is not None:
-            qos = self.subscription.qos
+            if any(q.lifespan_s is not None for q in offered):
+                # kept for late joiners only for a time (rosbridge's clients: 1 s): a publisher whose lifespan nobody
+                # can tell from the first one's time stamps would keep it for ever, and replay old commands
+                qos = replace(qos, durability="volatile")
         elif self.publisher is not None:
             qos = self.publisher.qos
+        elif self.subscription is not None:
+            qos = self.subscription.qos
         else:
             qos = DEFAULT
         return replace(qos, deadline_s=None, lifespan_s=None)

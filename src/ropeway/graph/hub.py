@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import replace
 
@@ -34,6 +34,7 @@ from ropeway.graph.base import (
     new_origin,
     resolve_name,
 )
+from ropeway.graph.history import History
 from ropeway.graph.seen import Seen
 from ropeway.graph.standby import Standby
 from ropeway.qos import DEFAULT, QoS, common_qos
@@ -115,8 +116,7 @@ class ViewPublisher:
         self.standby = Standby(hub.graph, hub.gateway_id, self.topic, self.type, self._received)
         self._gid = new_origin()
         self._seq = 0
-        keep = None if self.qos.history == "keep_all" else max(self.qos.depth, 1)
-        self._history: deque[Sample] = deque(maxlen=keep)
+        self._history = History(self.qos)
         self._readers: list[ViewSubscription] = []
         self._demand: list[Callable[[int], None]] = []
         self._closed = False
@@ -141,7 +141,7 @@ class ViewPublisher:
         else:
             self._inner.publish(sample)
         if self.qos.transient_local:
-            self._history.append(sample)
+            self._history.add(sample)
         for reader in self._readers:
             reader.deliver([sample])
 
@@ -173,7 +173,7 @@ class ViewPublisher:
         if fits:
             self._readers.append(reader)
             if self.qos.transient_local and reader.wants_history:
-                reader.deliver(list(self._history))
+                reader.deliver(self._history.replay())
         else:
             self._readers.remove(reader)
         self._tell()
@@ -371,6 +371,11 @@ class View:
                 subscriptions=tuple(self._seen(e, (name, False) in mine) for e in info.subscriptions),
             )
         return out
+
+    def types(self, topic: str) -> tuple[str, ...]:
+        """The types that one topic has now."""
+        info = self.hub.graph.topics().get(topic)
+        return info.types if info is not None else ()
 
     @staticmethod
     def _seen(endpoint: EndpointInfo, mine: bool) -> EndpointInfo:

@@ -29,6 +29,7 @@ from ropeway.graph.base import (
     new_origin,
     resolve_name,
 )
+from ropeway.graph.history import History
 from ropeway.qos import DEFAULT, QoS, common_qos
 
 __all__ = ["MemoryGraph", "MemoryPublisher", "MemorySubscription"]
@@ -58,7 +59,7 @@ class MemoryPublisher:
         self.gid = new_origin()
         self._graph = graph
         self._seq = 0
-        self._history: deque[Sample] = deque(maxlen=None if qos.history == "keep_all" else max(qos.depth, 1))
+        self._history = History(qos)
         self._readers: list[MemorySubscription] = []
         self._demand: list[Callable[[int], None]] = []
         self.closed = False
@@ -72,7 +73,7 @@ class MemoryPublisher:
             self._seq += 1
             sample = Sample(sample.payload, self.type, sample.stamp_ns or time.time_ns(), self.gid, self._seq)
         if self.qos.transient_local:
-            self._history.append(sample)
+            self._history.add(sample)
         for reader in self._readers:
             reader.put(sample)
 
@@ -105,7 +106,7 @@ class MemoryPublisher:
         if fits:
             self._readers.append(reader)
             if reader.qos.transient_local:
-                for sample in self._history:
+                for sample in self._history.replay():
                     reader.put_once(sample)
         else:
             self._readers.remove(reader)

@@ -267,11 +267,11 @@ class Connection(WSListener):
         elif kind == WSMsgType.CLOSE:
             code = frame.get_close_code()
             if self._closing is None:
-                self._close_code = _number(code)
+                self._close_code = _number(code) or 1005
                 self._close_reason = (
                     frame.get_close_message().decode(errors="replace") if frame.payload_size > 2 else ""
                 )
-            transport.send_close(WSCloseCode.OK if self._close_code == 1005 else code)  # 1005 is never sent
+            transport.send_close(code if _number(code) else WSCloseCode.OK)
             transport.disconnect()
 
     def _continue(self, frame: WSFrame) -> None:

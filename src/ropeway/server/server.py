@@ -22,14 +22,15 @@ __all__ = ["RosbridgeServer"]
 
 log = logging.getLogger("ropeway.server")
 
+_LINGERING = 256  # clients that left; above, the first of them lingers no longer
 _CLIENT_SILENCE_S = 30.0  # a browser tab or a robot on Wi-Fi may pause; a gateway may not
 
 
 class RosbridgeServer:
     """Serves the graph of ``hub`` to rosbridge clients and gateways.
 
-    ``unregister_timeout_s``: how long a topic stays advertised after its last client withdrew it (rosbridge's
-    default is 10 s).
+    ``unregister_timeout_s``: how long a topic stays advertised after its last client withdrew it or left (rosbridge's
+    default is 10 s), so that what it said last is heard.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class RosbridgeServer:
         self.limits = limits or Limits()
         self.unregister_timeout_s = unregister_timeout_s
         self.sessions: dict[Session, asyncio.Task[None]] = {}
+        self.lingering: dict[Session, asyncio.Task[None]] = {}
         self.listeners: list[Server] = []
         self.served = 0
         self._ticker: asyncio.Task[None] | None = None
@@ -86,6 +88,7 @@ class RosbridgeServer:
             gateway_id=self.gateway_id,
             name=self.name,
             unregister_timeout_s=self.unregister_timeout_s,
+            on_advertised=self._advertised,
         )
         task = asyncio.create_task(session.run(), name=f"session {connection.peer}")
         self.sessions[session] = task
@@ -102,6 +105,24 @@ class RosbridgeServer:
             log.error("%s: the session failed: %s", peer, error, exc_info=error)
             session.peer.connection.close(1011, "internal error")
         log.info("%s: client disconnected, %d in total", peer, len(self.sessions))
+        if session.lingers:
+            self.lingering[session] = asyncio.create_task(self._linger(session), name=f"lingering {peer}")
+            if len(self.lingering) > _LINGERING:
+                next(iter(self.lingering.values())).cancel()
+
+    async def _linger(self, session: Session) -> None:
+        try:
+            await asyncio.sleep(self.unregister_timeout_s)
+        finally:
+            await session.withdraw()
+            del self.lingering[session]
+
+    async def _advertised(self, topic: str) -> None:
+        """A topic is published again: nothing of those who left need linger on it."""
+        for session, task in list(self.lingering.items()):
+            await session.withdraw(topic)
+            if not session.lingers:
+                task.cancel()
 
     async def _tick(self) -> None:
         while True:
@@ -117,8 +138,12 @@ class RosbridgeServer:
         await end(self._ticker)
         self._ticker = None
         tasks = list(self.sessions.values())
+        connections = [session.peer.connection for session in self.sessions]
         for session in list(self.sessions):
             session.peer.connection.close(1001, "the gateway stops")
             session.lost(1001, "the gateway stops")
         if tasks:
             await asyncio.wait(tasks, timeout=5)
+        await end(*self.lingering.values())
+        for connection in connections:
+            await connection.wait_closed()  # within a second, see ``Connection.close``

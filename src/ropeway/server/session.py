@@ -7,11 +7,11 @@ import contextlib
 import logging
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.errors import GraphError, RopewayError, TypeConflict, TypesError
+from ropeway.errors import GraphError, InvalidOperation, RopewayError, TypeConflict, TypesError
 from ropeway.graph.base import resolve_name
 from ropeway.link.peer import Peer
 from ropeway.qos import QoS
@@ -19,7 +19,7 @@ from ropeway.server.topics import TopicIn, TopicOut, topic_status
 from ropeway.server.watch import Watch
 from ropeway.wire import ops
 from ropeway.wire.dialect import ROPEWAY, ROSGW
-from ropeway.wire.fragment import Defragmenter
+
 from ropeway.wire.records import Arrival
 
 if TYPE_CHECKING:
@@ -34,6 +34,11 @@ log = logging.getLogger("ropeway.server")
 _PAUSE_AT: Final = 256  # operations that wait; above, the socket is not read
 _RESUME_AT: Final = 32
 _NO_ID: Final = "\0none"
+_TOPICS_LIMIT: Final = 4096  # of one client, in both directions
+_IDS_LIMIT: Final = 1024  # of one topic of one client
+_DEFINITION_LIMIT: Final = 1 << 20  # characters
+_DEPTH_LIMIT: Final = 100_000
+_RAW: Final = ("cbor-raw", "rawzip")
 
 
 class Session:
@@ -48,6 +53,7 @@ class Session:
         gateway_id: str,
         name: str,
         unregister_timeout_s: float,
+        on_advertised: Callable[[str], Awaitable[None]],
     ) -> None:
         self.registry = registry
         self.peer = Peer(connection, registry, self)
@@ -63,10 +69,11 @@ class Session:
         self._waiting: deque[ops.Op | _Retire] = deque()
         self._wake = asyncio.Event()
         self._unregister_timeout_s = unregister_timeout_s
+        self._on_advertised = on_advertised
         self._lingering: dict[str, asyncio.TimerHandle] = {}
         self._paused = False
         self._watch: Watch | None = None
-        self._defragmenter = Defragmenter()
+        self._definitions = 0
         self._gone = False
         if self.gateway:
             self.peer.send({"op": "hello", "gateway": gateway_id, "name": name})
@@ -84,10 +91,15 @@ class Session:
                     if self._paused and len(self._waiting) <= _RESUME_AT:
                         self._paused = False
                         self.peer.connection.resume_reading()
+                    await asyncio.sleep(0)  # others have their turn, however much this client asks for
         finally:
-            await self._withdraw()
+            await self._leave()
+            if not self.lingers:
+                await self.withdraw()
 
-    async def _withdraw(self) -> None:
+    async def _leave(self) -> None:
+        """Take back everything but the topics that linger; ``withdraw`` takes those back."""
+        self._waiting.clear()
         if self._watch is not None:
             await self._watch.close()
         for handle in self._lingering.values():
@@ -96,9 +108,19 @@ class Session:
             await output.close()
         for channel in self._input_channels.values():
             await channel.close()
-        for topic in self.inputs.values():
+
+    @property
+    def lingers(self) -> bool:
+        """True if the client, which has left, published topics that may still be wanted."""
+        return bool(self.inputs) and self._unregister_timeout_s > 0
+
+    async def withdraw(self, name: str | None = None) -> None:
+        """The client has left for good: take back its topics, or with ``name`` this one."""
+        for topic in [t for t in self.inputs.values() if name is None or t.name == name]:
+            self.inputs.pop(topic.topic, None)
             await topic.close()
-        await self.view.close()
+        if not self.inputs:
+            await self.view.close()
 
     # ── what the peer says ─────────────────────────────────────────────────────────────────────────────────────
 
@@ -106,14 +128,9 @@ class Session:
         """An operation came; publishing on a known topic is done at once, all else waits for its turn."""
         if isinstance(op, ops.Publish) and not self._waiting:
             known = self.inputs.get(op.topic)
-            if known is not None and known.publisher is not None:
+            if known is not None and known.publisher is not None and known.ids:
                 known.published(op)
                 return
-        if isinstance(op, ops.Fragment):
-            text = self._defragmenter.add(op)
-            if text is not None:
-                self.peer.feed_text(text)
-            return
         self._waiting.append(op)
         self._wake.set()
         if len(self._waiting) > _PAUSE_AT and not self._paused:
@@ -206,7 +223,7 @@ class Session:
                 case ops.Unsubscribe():
                     await self._unsubscribe(op)
                 case ops.CallService():
-                    name = op.service if op.service.startswith("/") else f"/{op.service}"
+                    name = op.name if op.name.startswith("/") else f"/{op.name}"
                     text = f"Service {name} does not exist"
                     self.peer.send(ops.ServiceResponse(service=op.service, values=text, result=False, id=op.id))
                 case _:
@@ -219,55 +236,87 @@ class Session:
                 self.peer.send({"op": "refused", "channel": channel, "reason": str(error)})
 
     async def _advertise(self, op: ops.Advertise) -> None:
+        number = self._channel(op.ropeway)
+        try:
+            await self._make_input(op, number)
+        except (RopewayError, ValueError):
+            if number is not None and (early := self._input_channels.get(number)) and early.publisher is None:
+                del self._input_channels[number]
+            raise
+
+    async def _make_input(self, op: ops.Advertise, number: int | None) -> None:
         type = self.registry.canonical(op.type)
-        extra = op.ropeway or {}
-        self._learn(type, extra)
+        self._learn(type, op.ropeway or {})
         name = resolve_name(op.topic)
-        number = extra.get("channel") if self.gateway else None
-        if isinstance(number, int):
-            topic: TopicIn | None = self._input_channels.get(number)
-            if topic is None:
-                topic = self._input_channels[number] = TopicIn(self, op.topic, type, op.compression)
-                topic.number = number
+        known = self.inputs.get(op.topic) if number is None else self._input_channels.get(number)
+        if known is not None and known.publisher is not None and known.topic == op.topic:
+            if known.type != type:
+                raise TypeConflict(op.topic, known.type, type)
+            _add(known.ids, op.id)
+            self._stop_linger(op.topic)
+            return
+        if known is not None and known.publisher is not None:
+            raise InvalidOperation("advertise", f"channel {number} is that of {known.topic}")
+        self._check_type(name, type)
+        if number is None and op.compression not in _RAW:
+            self.registry.codec(type)  # what nobody can read is no topic
+        qos = self._publisher_qos(op)
+        self._check_count()
+        early = known is not None and (known.topic, known.type) == (op.topic, type)
+        topic = known if known is not None and early else TopicIn(self, op.topic, type, op.compression)
+        topic.number = number
+        publisher = await self.view.create_publisher(name, type, qos)
+        topic.name = publisher.topic
+        _add(topic.ids, op.id)
+        if number is None:
+            self.inputs[op.topic] = topic
         else:
-            topic = self.inputs.get(op.topic)
-            if topic is None:
-                topic = self.inputs[op.topic] = TopicIn(self, op.topic, type, op.compression)
-        if topic.type != type:
-            raise TypeConflict(op.topic, topic.type, type)
-        topic.ids.add(_key(op.id))
-        handle = self._lingering.pop(op.topic, None)
+            self._input_channels[number] = topic
+        topic.ready(publisher)
+        await self._on_advertised(publisher.topic)
+
+    def _channel(self, extra: Mapping[str, Any] | None) -> int | None:
+        """The channel number that a gateway gave a topic."""
+        number = (extra or {}).get("channel")
+        if not self.gateway or number is None:
+            return None
+        if isinstance(number, bool) or not isinstance(number, int) or not 0 < number < 65536:
+            raise InvalidOperation("", f"a channel is a number from 1 to 65535, not {str(number)[:20]}")
+        return number
+
+    def _check_count(self) -> None:
+        tables = (self.inputs, self.outputs, self._input_channels, self._outputs_by_channel)
+        if sum(map(len, tables)) >= _TOPICS_LIMIT:
+            raise InvalidOperation("", f"a client may have {_TOPICS_LIMIT} topics at most")
+
+    def _stop_linger(self, topic: str) -> None:
+        handle = self._lingering.pop(topic, None)
         if handle is not None:
             handle.cancel()
-        if topic.publisher is None:
-            self._check_type(name, type)
-            try:
-                topic.ready(await self.view.create_publisher(name, type, self._publisher_qos(op)))
-            except (RopewayError, ValueError):
-                self.inputs.pop(op.topic, None)
-                if isinstance(number, int):
-                    self._input_channels.pop(number, None)
-                raise
 
     def _publisher_qos(self, op: ops.Advertise | ops.Publish) -> QoS:
         if op.qos is not None:
             return QoS.parse(op.qos)
         if self.peer.dialect is ROSGW or self.gateway:
             return QoS()
-        depth = op.queue_size or 100
+        depth = min(op.queue_size or 100, _DEPTH_LIMIT)
         if op.latch:
             return QoS(durability="transient_local", depth=1)
         return QoS(durability="transient_local", depth=depth, lifespan_s=1.0)
 
     def _check_type(self, name: str, type: str) -> None:
-        known = self.view.topics().get(name)
-        if known is not None and known.types and type not in known.types:
-            raise TypeConflict(name, known.type, type)
+        types = self.view.types(name)
+        if types and type not in types:
+            raise TypeConflict(name, types[0], type)
 
     def _learn(self, type: str, extra: Mapping[str, Any]) -> None:
         text = extra.get("definition")
-        if isinstance(text, str) and not self.registry.has(type):
-            self.registry.add_full_text(type, text)
+        if not self.gateway or not isinstance(text, str) or self.registry.has(type):
+            return
+        self._definitions += 1
+        if self._definitions > _TOPICS_LIMIT or len(text) > _DEFINITION_LIMIT:
+            raise InvalidOperation("", f"the definition of {type} is one too many, or too long")
+        self.registry.add_full_text(type, text)
 
     async def _unadvertise(self, op: ops.Unadvertise) -> None:
         if self.gateway:
@@ -286,6 +335,7 @@ class Session:
             known.ids.clear()
         if not known.ids:
             loop = asyncio.get_running_loop()
+            self._stop_linger(op.topic)
             self._lingering[op.topic] = loop.call_later(self._unregister_timeout_s, self._expire, op.topic)
 
     def _expire(self, name: str) -> None:
@@ -295,14 +345,14 @@ class Session:
 
     async def _retire(self, name: str) -> None:
         topic = self.inputs.get(name)
-        if topic is not None and not topic.ids:
+        if topic is not None and not topic.ids and name not in self._lingering:
             del self.inputs[name]
             await topic.close()
 
     async def _publish(self, op: ops.Publish) -> None:
         topic = self.inputs.get(op.topic)
-        if topic is None or topic.publisher is None:
-            type = op.type or self._inferred(op.topic)
+        if topic is None or not topic.ids:
+            type = topic.type if topic is not None else op.type or self._inferred(op.topic)
             await self._advertise(
                 ops.Advertise(
                     id=op.id,
@@ -318,36 +368,49 @@ class Session:
         topic.published(op)
 
     def _inferred(self, topic: str) -> str:
-        known = self.view.topics().get(resolve_name(topic))
-        if known is None or not known.types:
+        types = self.view.types(resolve_name(topic))
+        if not types:
             raise UnknownTopicError(topic)
-        return known.type
+        return types[0]
 
     async def _subscribe(self, op: ops.Subscribe) -> None:
-        extra = op.ropeway or {}
         name = resolve_name(op.topic)
         type = self.registry.canonical(op.type) if op.type else self._inferred(op.topic)
-        self._learn(type, extra)
-        number = extra.get("channel") if self.gateway else None
-        if isinstance(number, int):
-            output = TopicOut(self, op.topic, type, number)
-            self._outputs_by_channel[number] = output
-        else:
-            if op.topic not in self.outputs:
-                self._numbers += 1
-                self.outputs[op.topic] = TopicOut(self, op.topic, type, self._numbers)
-            output = self.outputs[op.topic]
-            type = output.type
-        output.requests[_key(op.id)] = op
+        self._learn(type, op.ropeway or {})
+        self._check_type(name, type)
         qos = QoS.parse(op.qos) if op.qos is not None else None
+        number = self._channel(op.ropeway)
+        if number is not None:
+            output = self._outputs_by_channel.get(number)
+            if output is not None:
+                await self._drop_output(output)
+            self._check_count()
+            output = self._outputs_by_channel[number] = TopicOut(self, op.topic, type, number)
+        else:
+            output = self.outputs.get(op.topic)
+            if output is None:
+                self._check_count()
+                self._numbers += 1
+                output = self.outputs[op.topic] = TopicOut(self, op.topic, type, self._numbers)
+            elif output.type != type:
+                raise TypeConflict(op.topic, output.type, type)
+        key = _key(op.id)
+        before = output.requests.get(key)
+        if before is None and len(output.requests) >= _IDS_LIMIT:
+            raise InvalidOperation("", f"a topic may have {_IDS_LIMIT} ids at most")
+        output.requests[key] = op
         try:
-            self._check_type(name, type)
             output.settle()
             if output.subscription is None:
                 output.subscription = await self.view.create_subscription(name, type, qos, output.deliver)
                 output.subscription.on_qos(output.follow)
         except (RopewayError, ValueError):
-            await self._drop_output(output)
+            if output.subscription is None:
+                await self._drop_output(output)
+            elif before is not None:
+                output.requests[key] = before
+            else:
+                del output.requests[key]
             raise
 
     async def _drop_output(self, output: TopicOut) -> None:
@@ -392,6 +455,12 @@ class _Retire:
 
     topic: str
     op: str = "unadvertise"
+
+
+def _add(ids: set[str], id: object) -> None:
+    if len(ids) >= _IDS_LIMIT:
+        raise InvalidOperation("", f"a topic may have {_IDS_LIMIT} ids at most")
+    ids.add(_key(id))
 
 
 def _key(id: object) -> str:

@@ -47,6 +47,7 @@ class TopicIn:
 
     def __init__(self, session: Session, topic: str, type: str, compression: str | None) -> None:
         self.session, self.topic, self.type, self.compression = session, topic, type, compression
+        self.name = ""  # on the graph, once it is published there
         self.ids: set[str] = set()
         self.publisher: Publisher | None = None
         self.meter = Meter()

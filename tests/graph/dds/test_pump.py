@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import threading
 
 import pytest
@@ -46,12 +45,10 @@ async def test_failing_handler(join: Join, monkeypatch: pytest.MonkeyPatch, capl
     monkeypatch.setattr(bad._readers[0].raw, "_clock", broken)
     publishers = [await near.create_publisher(topic, STRING) for topic in ("/bad", "/good")]
     await until(lambda: all(p.subscribers == 1 for p in publishers))
-    with caplog.at_level(logging.CRITICAL, "ropeway"):
-        caplog.set_level(logging.ERROR, "ropeway")
-        for _ in range(3):
-            for publisher in publishers:
-                publisher.publish(message("x"))
-        await inbox.wait(3)
+    for _ in range(3):
+        for publisher in publishers:
+            publisher.publish(message("x"))
+    await inbox.wait(3)
     assert len([r for r in caplog.records if "endpoint is dead" in r.message]) == 1
 
 
@@ -100,3 +97,21 @@ async def test_run_in_thread() -> None:
     with pytest.raises(ZeroDivisionError):
         await run_in_thread("test", lambda: 1 // 0)  # type: ignore[arg-type]
     assert threading.active_count() == before
+
+
+async def test_thread_dies(join: Join, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    """When the thread fails as a whole, that is told, nothing hangs, and the graph can be closed and opened again."""
+    graph = await join()
+    publisher = await graph.create_publisher("/t", STRING)
+    subscription = await graph.create_subscription("/t", STRING, None, lambda _: None)
+    pump = graph.participant.pump
+    with monkeypatch.context() as patch:
+        patch.setattr(pump, "_on_guard", None)
+        pump._wake()
+        await until(lambda: pump.stopped)
+    publisher.publish(message("x"))
+    await subscription.close()
+    await graph.close()
+    assert any("until it is opened again" in r.message for r in caplog.records)
+    await graph.open()
+    await graph.create_publisher("/t", STRING)

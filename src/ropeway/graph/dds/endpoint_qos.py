@@ -38,6 +38,7 @@ def writer_qos(qos: QoS, user_data: bytes) -> Iterator[int]:
         lib.qset_reliability(handle, _RELIABLE if qos.reliable else _BEST_EFFORT, 0)
         lib.qset_history(handle, _KEEP_ALL if keep_all else _KEEP_LAST, _UNLIMITED if keep_all else depth)
         lib.qset_writer_data_lifecycle(handle, False)
+        lib.qset_writer_batching(handle, True)  # small samples share datagrams; whoever writes flushes
         if qos.transient_local:
             lib.qset_durability_service(
                 handle,

@@ -195,6 +195,8 @@ class RawWriter:
         self._depth = depth
         self._refused = refused
         self._vector = IoVec()
+        self._unflushed = False
+        self._loop = asyncio.get_running_loop()
         self._waiting: deque[tuple[bytes, int]] = deque()
         self._in_count = self._in_bytes = 0  # changed by the loop alone
         self._out_count = self._out_bytes = 0  # changed by the courier alone
@@ -220,6 +222,14 @@ class RawWriter:
         reason = self._send(payload, source_stamp_ns)
         if reason is not None:
             self._refused(reason)
+        elif not self._unflushed:
+            self._unflushed = True
+            self._loop.call_soon(self._flush)
+
+    def _flush(self) -> None:
+        self._unflushed = False
+        if not self.closed:
+            lib.write_flush(self.entity)  # what shares a datagram that is not full
 
     def _send(self, payload: bytes, source_stamp_ns: int) -> Undelivered | None:
         length = len(payload)
@@ -266,6 +276,7 @@ class RawWriter:
         except IndexError:  # a newer one took its place
             return
         reason = self._send(payload, source_stamp_ns)
+        lib.write_flush(self.entity)
         self._out_bytes += len(payload)
         self._out_count += 1
         if reason is not None:

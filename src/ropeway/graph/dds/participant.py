@@ -177,6 +177,8 @@ class Participant:
             del self._writers[part]
         self.pump.detach(part.key)
         self._announce_soon()
+        if self.pump.stopped:
+            return
         if isinstance(part, RawWriter) and part.busy:
             await self.courier.flush()
         if isinstance(part, RawWriter) and lib.wait_for_acks(part.entity, 0):

@@ -110,6 +110,11 @@ class Pump:
         self._wake()
         return future
 
+    @property
+    def stopped(self) -> bool:
+        """True once the thread has ended, or is about to; it has deleted every entity then."""
+        return self._stopping
+
     # In the thread ----------------------------------------------------------------------------------------------
 
     @property

@@ -217,6 +217,8 @@ _PROTOTYPES: Final[dict[str, tuple[bool, Any, tuple[Any, ...]]]] = {
     "dds_qset_deadline": (False, None, (_vp, _i64)),
     "dds_qset_lifespan": (False, None, (_vp, _i64)),
     "dds_qset_ignorelocal": (False, None, (_vp, ct.c_int)),
+    "dds_qset_writer_batching": (False, None, (_vp, ct.c_bool)),
+    "dds_write_flush": (True, _i32, (_i32,)),
     "dds_qset_writer_data_lifecycle": (False, None, (_vp, ct.c_bool)),
     "dds_qset_data_representation": (False, None, (_vp, _u32, ct.POINTER(ct.c_int16))),
     "dds_qget_userdata": (False, ct.c_bool, (_vp, _out(_vp), _out(_size))),
@@ -284,6 +286,8 @@ class Lib:
     qset_deadline: Function
     qset_lifespan: Function
     qset_ignorelocal: Function
+    qset_writer_batching: Function
+    write_flush: Function
     qset_writer_data_lifecycle: Function
     qset_data_representation: Function
     qget_userdata: Function

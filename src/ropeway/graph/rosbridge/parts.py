@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import MessageTooBig, TypesError
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample, SampleCallback, Undelivered, new_origin
+from ropeway.graph.history import History
 from ropeway.link.outbox import Lost
 from ropeway.qos import DEFAULT, QoS
 from ropeway.wire import codec as wire_codec
@@ -65,7 +66,7 @@ class RemotePublisher:
         self._seq = 0
         self._count: int | None = 0  # None: connected to a server that cannot tell
         self._demand: list[Callable[[int], None]] = []
-        self._history: deque[Sample] = deque(maxlen=max(qos.depth, 1) if qos.transient_local else 0)
+        self._history = History(qos)
         self.closed = False
 
     def publish(self, sample: Sample) -> None:
@@ -77,7 +78,7 @@ class RemotePublisher:
             self._seq = max(time.time_ns(), self._seq + 1)
             sample = Sample(sample.payload, self.type, sample.stamp_ns or self._seq, self._gid, self._seq)
         if self.qos.transient_local:
-            self._history.append(sample)
+            self._history.add(sample)
             if self.channel is None:
                 return  # sent when the link is back
         elif self.channel is None:
@@ -140,7 +141,7 @@ class RemotePublisher:
                 ropeway=extra,
             )
         )
-        for sample in self._history:
+        for sample in self._history.replay():
             self.channel.put(sample)
 
     def disconnected(self) -> None:
