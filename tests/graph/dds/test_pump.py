@@ -112,6 +112,6 @@ async def test_thread_dies(join: Join, monkeypatch: pytest.MonkeyPatch, caplog: 
     publisher.publish(message("x"))
     await subscription.close()
     await graph.close()
-    assert any("until it is opened again" in r.message for r in caplog.records)
+    assert any("until it is closed and opened" in r.message for r in caplog.records)
     await graph.open()
     await graph.create_publisher("/t", STRING)

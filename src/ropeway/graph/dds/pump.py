@@ -47,7 +47,7 @@ class Pump:
         self._started: asyncio.Future[None] = self._loop.create_future()
         self._stopped: asyncio.Future[None] = self._loop.create_future()
         self._stopped.add_done_callback(lambda _: self._run_calls())  # one that came as the thread ended
-        self._stopping = False
+        self._stopping = self._failed = False
         self._waitset = 0
         self._guard = 0
         self._keys = _GUARD_KEY
@@ -78,6 +78,9 @@ class Pump:
         self._stopping = True
         self._wake()
         await self._join()
+        if self._failed:
+            self._failed = False
+            await run_in_thread(f"ropeway {self._name} teardown", self._teardown)
 
     def attach(self, entity: int, handler: Callable[[], None]) -> int:
         """Run ``handler`` in the thread whenever ``entity`` triggers; gives the key for ``detach``."""
@@ -112,7 +115,7 @@ class Pump:
 
     @property
     def stopped(self) -> bool:
-        """True once the thread has ended, or is about to; it has deleted every entity then."""
+        """True once the thread has ended, or is about to; where it failed, only ``stop`` deletes the entities."""
         return self._stopping
 
     # In the thread ----------------------------------------------------------------------------------------------
@@ -159,8 +162,13 @@ class Pump:
         try:
             self._run()
         except Exception:
-            log.exception("%s: the DDS thread failed; the graph is dead until it is opened again", self._name)
-        self._finish(None)
+            log.exception("%s: the DDS thread failed; the graph is deaf until it is closed and opened", self._name)
+            # The loop may be writing at this moment, so nothing is deleted before it says so.
+            self._failed = self._stopping = True
+            self._run_calls()
+            self._tell(self._stopped, None)
+        else:
+            self._finish(None)
 
     def _run(self) -> None:
         triggers = (ct.c_ssize_t * _MAX_TRIGGERS)()
