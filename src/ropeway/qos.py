@@ -27,8 +27,8 @@ _FOREVER_S: Final = 2.0**31
 class QoS:
     """One profile.
 
-    ``depth`` counts samples (used with ``keep_last``); ``deadline_s`` and ``lifespan_s`` are seconds,
-    ``None`` meaning infinite.
+    ``depth`` counts samples (used with ``keep_last``); 0 stands for a depth that was not told, as of Fast DDS
+    publishers. ``deadline_s`` and ``lifespan_s`` are seconds, ``None`` meaning infinite.
     """
 
     reliability: str = "reliable"
@@ -47,6 +47,11 @@ class QoS:
     def transient_local(self) -> bool:
         """True where late joiners get what was published before."""
         return self.durability == "transient_local"
+
+    @property
+    def latched(self) -> bool:
+        """True where late joiners get it however late they are."""
+        return self.transient_local and self.lifespan_s is None
 
     @classmethod
     def parse(cls, value: Mapping[str, Any], base: QoS | None = None) -> QoS:
@@ -113,14 +118,21 @@ def common_qos(offered: Iterable[QoS], fallback: QoS = DEFAULT) -> QoS:
     """The strongest request that every one of ``offered`` satisfies.
 
     A reader that asks for this matches all of these writers: reliable only if all are, transient local only if
-    all are, and as deep as the deepest. Nothing offered gives ``fallback``.
+    all are. It is as deep as the deepest; where all are transient local as all of them together, so that what
+    several publishers latch (``/tf_static``) has room, and has their lifespan if all have one. Nothing offered gives
+    ``fallback``.
     """
     profiles = list(offered)
     if not profiles:
         return fallback
+    transient_local = all(q.transient_local for q in profiles)
+    depths = [q.depth or DEFAULT.depth for q in profiles]
+    lifespans = [q.lifespan_s for q in profiles if q.lifespan_s is not None]
+    expires = transient_local and len(lifespans) == len(profiles)
     return QoS(
         reliability="reliable" if all(q.reliable for q in profiles) else "best_effort",
-        durability="transient_local" if all(q.transient_local for q in profiles) else "volatile",
+        durability="transient_local" if transient_local else "volatile",
         history="keep_all" if any(q.history == "keep_all" for q in profiles) else "keep_last",
-        depth=max(max(q.depth for q in profiles), 1),
+        depth=sum(depths) if transient_local else max(depths),
+        lifespan_s=max(lifespans) if expires else None,
     )

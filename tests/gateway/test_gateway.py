@@ -188,6 +188,33 @@ async def test_latched(world: World, operation: str) -> None:
     await inbox.wait(2)
 
 
+@pytest.mark.parametrize("operation", ["publish", "subscribe"])
+async def test_latched_by_several(world: World, operation: str) -> None:
+    """Who comes late gets what each of several publishers of the other network has latched (/tf_static)."""
+    cloud = await world.gateway("cloud", [])
+    here, there = await world.robot("robot"), await world.robot("cloud")
+    source, sink = (here, there) if operation == "publish" else (there, here)
+    await world.gateway("robot", [{"address": url(cloud), operation: [item("/tf_static")]}])
+    await until(lambda: "/tf_static" in sink.topics())
+    early = Inbox()
+    await sink.create_subscription("/tf_static", STRING, QoS(durability="transient_local", depth=100), early)
+    wanted = [text(name * 100_000) for name in ("a", "b", "c")]
+    publishers = []
+    for number, name in enumerate(("a", "b", "c"), 1):
+        publishers.append(await source.create_publisher("/tf_static", STRING, LATCHED))
+        publishers[-1].publish(sample(name * 100_000))
+        await early.wait(number)
+    await until(lambda: set(early.payloads) == set(wanted))
+    await until(lambda: [p.qos.depth for p in sink.topics()["/tf_static"].publishers] == [3])
+    for _ in range(2):
+        late = Inbox()
+        await sink.create_subscription("/tf_static", STRING, QoS(durability="transient_local", depth=100), late)
+        await late.wait(3)
+        await asyncio.sleep(0.1)
+        assert sorted(late.payloads) == wanted
+        await publishers[0].close()  # a publisher that leaves takes nothing away
+
+
 async def test_best_effort(world: World) -> None:
     """A best-effort publisher is matched, and its topic is best effort on the other side."""
     cloud = await world.gateway("cloud", [])

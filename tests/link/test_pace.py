@@ -98,3 +98,22 @@ def test_what_gets_through_decides(raw_hz: float, packed_hz: float, best: str) -
         lost += 0.01 * (500 - rate)
     assert used[-500:].count(best) > 400
     assert used.count(best) > 2500
+
+
+def test_a_slow_link_is_not_tried_raw() -> None:
+    """Where the link has no room for more raw messages than go through compressed, raw gets no turn."""
+    clock = Clock()
+    pace = paced(clock, 1.19e6)
+    chooser = EncodingChooser(pace, clock)
+    chooser.choose(305_000, 0, 0)
+    chooser.measured(305_000, 95_000, 0.001)
+    sent = lost = 0.0
+    used = []
+    for _ in range(2000):
+        encoding = chooser.choose(305_000, int(sent), int(lost))
+        used.append(encoding)
+        clock.now += 0.01
+        rate = 3.9 if encoding == "cbor-raw" else 11.0
+        sent += 0.01 * rate
+        lost += 0.01 * (30 - rate)
+    assert used.count("zstd") > 1990

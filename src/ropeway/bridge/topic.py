@@ -139,6 +139,8 @@ class TopicBridge:
                 # kept for late joiners only for a time (rosbridge's clients: 1 s): a publisher whose lifespan nobody
                 # can tell from the first one's time stamps would keep it for ever, and replay old commands
                 qos = replace(qos, durability="volatile")
+            if self.publisher is not None and replace(self.publisher.qos, depth=qos.depth) == qos:
+                qos = replace(qos, depth=max(qos.depth, self.publisher.qos.depth))  # a shallower one would gain nothing
         elif self.publisher is not None:
             qos = self.publisher.qos
         elif self.subscription is not None:
@@ -157,7 +159,7 @@ class TopicBridge:
             self.publisher.on_demand(lambda _: self._changed.set())
             if old is not None:
                 await old.close()
-            if old is not None and old.qos.transient_local != qos.transient_local and self.subscription is not None:
+            if old is not None and (old.qos.transient_local or qos.transient_local):
                 await self._stop_reading()  # read again, so that the new publisher gets what is latched
         readers = self.publisher.subscribers
         wanted = readers is None or readers > 0 or qos.transient_local

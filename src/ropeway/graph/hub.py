@@ -59,6 +59,7 @@ class Hub:
         self.subscriptions: dict[str, list[ViewSubscription]] = {}
         self.views: list[View] = []
         self.duplicates: Counter[str] = Counter()
+        self.retired: dict[str, Seen] = {}  # what publishers gave that were transient local and have closed
         self._seen: dict[str, tuple[Seen, Seen]] = {}
 
     async def open(self) -> None:
@@ -88,6 +89,7 @@ class Hub:
         """Nobody here uses the topic any more."""
         if not self.publishers.get(topic) and not self.subscriptions.get(topic):
             self._seen.pop(topic, None)
+            self.retired.pop(topic, None)
             self.publishers.pop(topic, None)
             self.subscriptions.pop(topic, None)
 
@@ -117,6 +119,7 @@ class ViewPublisher:
         self._gid = new_origin()
         self._seq = 0
         self._history = History(self.qos)
+        self.given = Seen() if self.qos.transient_local else None
         self._readers: list[ViewSubscription] = []
         self._demand: list[Callable[[int], None]] = []
         self._closed = False
@@ -130,10 +133,12 @@ class ViewPublisher:
             self._seq = max(time.time_ns(), self._seq + 1)
             stamp_ns = sample.stamp_ns or self._seq
             sample = Sample(sample.payload, self.type, stamp_ns, self._gid, self._seq, sent_ns=sample.sent_ns)
-        if self._published.has(sample) or self._received.has(sample):
+        if (self._published.has(sample) or self._received.has(sample)) and not self._takes_over(sample):
             self.view.hub.duplicates[self.topic] += 1
             return
         self._published.add(sample)
+        if self.given is not None:
+            self.given.add(sample)
         if self._closed:
             return
         if self.standby.defers:
@@ -144,6 +149,17 @@ class ViewPublisher:
             self._history.add(sample)
         for reader in self._readers:
             reader.deliver([sample])
+
+    def _takes_over(self, sample: Sample) -> bool:
+        """True for a latched message of a publisher that this one follows: it gives it once more to late joiners."""
+        if self.given is None or self.given.has(sample):
+            return False
+        hub = self.view.hub
+        before = hub.retired.get(self.topic)
+        if before is not None and before.has(sample):
+            return True
+        others = (p for p in hub.publishers.get(self.topic, ()) if p.view is self.view)
+        return any(other.given is not None and other.given.has(sample) for other in others)
 
     @property
     def subscribers(self) -> int | None:
@@ -196,6 +212,8 @@ class ViewPublisher:
             self.match(reader)
             reader.readopt()
         self.view.hub.announce(self.view, "publisher", self.topic, self.type, False)
+        if self.given is not None:
+            self.view.hub.retired.setdefault(self.topic, Seen()).update(self.given)
         self.view.hub.forget(self.topic)
         await self.standby.close()
         await self._inner.close()

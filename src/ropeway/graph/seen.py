@@ -32,6 +32,13 @@ class Seen:
             self._older, self._newer = self._newer, {}
         self._newer[sample.seq] = None if sample.relayed else sample.origin
 
+    def update(self, other: Seen) -> None:
+        """Remember the samples of another, too."""
+        for known in (other._older, other._newer):
+            if len(self._newer) + len(known) > _KEEP:
+                self._older, self._newer = self._newer, {}
+            self._newer.update(known)
+
     def has(self, sample: Sample) -> bool:
         """True if the sample was had before."""
         seq = sample.seq

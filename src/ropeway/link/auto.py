@@ -65,7 +65,8 @@ class EncodingChooser:
             rates = self._rates
             overruled = other in rates and wanted in rates and rates[other] > _BETTER * rates[wanted]
             self.encoding = other if overruled else wanted
-            if now >= self._retry_at and self._may_win(_OTHER[self.encoding], size_bytes):
+            known = self.encoding in rates
+            if known and now >= self._retry_at and self._may_win(_OTHER[self.encoding], size_bytes):
                 self.encoding = self._trial = _OTHER[self.encoding]
                 self._turn_at, self._sent, self._lost = now, sent, lost
         return self.encoding

@@ -28,13 +28,27 @@ from ropeway.link.window import Window, tcp_info
 __all__ = ["Connection", "Handshake", "Limits", "Server", "connect", "listen"]
 
 log = logging.getLogger("ropeway.link")
-_picows_log = logging.getLogger("ropeway.link.picows")
-_picows_log.setLevel(logging.ERROR)
+
+
+class _PicowsLog(logging.LoggerAdapter[logging.Logger]):
+    """Leaves to us what a peer did wrong: we know its address."""
+
+    def error(self, msg: object, *args: object, **kwargs: Any) -> None:
+        if not str(msg).startswith("WS parser error"):
+            super().error(msg, *args, **kwargs)
+
+
+logging.getLogger("ropeway.link.picows").setLevel(logging.ERROR)
+_picows_log = _PicowsLog(logging.getLogger("ropeway.link.picows"), {})
 
 _TCP_RTO_MAX_MS: Final = 44  # Linux 6.15
 _RETRANSMIT_MS: Final = 1000  # what was lost is sent again so often at least, and goes soon after a cut has ended
 _SHORTEST_LOOK_S: Final = 0.001
 _LONGEST_LOOK_S: Final = 0.05
+_ALMOST_NOTHING_BYTES: Final = 3000  # two segments, which a receiver may acknowledge late
+_LATE: Final = 0.3  # of the time: a look that came so late says nothing of the link
+_LATE_LOOKS: Final = 3  # in a row: then more must be on the way while we do other things
+_FASTER: Final = 1.25  # a wider window that brings so much more shows that the link has room
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +114,9 @@ class Connection(WSListener):
         self._full_bytes = 0
         self._waits_since: float | None = None  # since when the window is used up
         self._waits_bytes = 0
+        self._look_due = 0.0
+        self._late_looks = 0
+        self._rate_when_empty = 0.0
         self._look: asyncio.TimerHandle | None = None
         self._closing: asyncio.TimerHandle | None = None
 
@@ -140,7 +157,9 @@ class Connection(WSListener):
         pace = self.pace.bytes_per_s
         enough = (window.limit or 0) // 2
         seconds = _SHORTEST_LOOK_S if pace is None else min((outstanding - enough) / pace, _LONGEST_LOOK_S)
-        self._look = asyncio.get_running_loop().call_later(max(seconds, _SHORTEST_LOOK_S), self._look_again)
+        loop = asyncio.get_running_loop()
+        self._look_due = loop.time() + max(seconds, _SHORTEST_LOOK_S)
+        self._look = loop.call_at(self._look_due, self._look_again)
 
     def _look_again(self) -> None:
         self._look = None
@@ -152,13 +171,29 @@ class Connection(WSListener):
             self._arm(outstanding)
             return
         self._waits_since = None
-        self._busy(self._waits_bytes - outstanding, time.monotonic() - since)
+        seconds = time.monotonic() - since
+        late_s = asyncio.get_running_loop().time() - self._look_due
+        self._learn(self._waits_bytes - outstanding, seconds, outstanding, late_s)
         self._go_on()
 
-    def _busy(self, size_bytes: int, seconds: float) -> None:
-        self.pace.carried(size_bytes, seconds)
-        if self.window is not None and self.pace.bytes_per_s is not None:
-            self.window.fit(self.pace.bytes_per_s)
+    def _learn(self, carried_bytes: int, seconds: float, outstanding: int, late_s: float = 0.0) -> None:
+        """Take the measure of the link, if it was busy all the time until we looked."""
+        window, pace = self.window, self.pace
+        if window is None or seconds <= 0:
+            return
+        if outstanding <= _ALMOST_NOTHING_BYTES:
+            rate, before = carried_bytes / seconds, self._rate_when_empty
+            self._rate_when_empty = rate
+            late = late_s > _LATE * seconds
+            self._late_looks = self._late_looks + 1 if late else 0
+            if (late and self._late_looks >= _LATE_LOOKS) or (pace.bytes_per_s is None and rate > _FASTER * before):
+                window.grow()
+                return
+            if late:
+                return
+        pace.carried(carried_bytes, seconds)
+        if pace.bytes_per_s is not None:
+            window.fit(pace.bytes_per_s)
 
     def _go_on(self) -> None:
         if self._full_at is None and self._waits_since is None and self._closing is None and not self.closed:
@@ -309,6 +344,7 @@ class Connection(WSListener):
             sent = handshake.sent
             self._close_code = _number(sent.code)
             self._close_reason = sent.reason or self._close_reason
+            log.warning("%s: closed: %s", self.peer, self._close_reason)
         if self._closing is not None:
             self._closing.cancel()
         if self._watch is not None and self._watch is not asyncio.current_task():
@@ -325,8 +361,8 @@ class Connection(WSListener):
     def resume_writing(self) -> None:
         """Called by the transport when the operating system took everything."""
         since, self._full_at = self._full_at, None
-        if since is not None and self._waits_since is None:
-            self._busy(self._full_bytes, time.monotonic() - since)
+        if since is not None and self._waits_since is None and self.window is not None:
+            self._learn(self._full_bytes, time.monotonic() - since, self.window.outstanding() or 0)
         self._go_on()
 
     def _fail(self, code: int, reason: str) -> None:
@@ -394,12 +430,16 @@ async def connect(
     subprotocols: Sequence[str] = (),
     ssl_context: ssl.SSLContext | None = None,
     headers: Mapping[str, str] | None = None,
+    on_connection: Callable[[Connection], None] | None = None,
 ) -> Connection:
     """Connect to a ``ws://`` or ``wss://`` URL.
 
+    ``on_connection`` is called before the first message: what the server says at once is lost without.
     Raises ``ConnectFailed``; its ``retryable`` is false for answers that another try will not change.
     """
     connection = Connection(limits, peer=url)
+    if on_connection is not None:
+        connection.on_connected = lambda: on_connection(connection)
     extra = dict(headers or {})
     if subprotocols:
         extra["Sec-WebSocket-Protocol"] = ", ".join(subprotocols)
@@ -417,7 +457,7 @@ async def connect(
                 enable_auto_pong=False,
             )
     except TimeoutError:
-        raise ConnectFailed(url, f"no answer within {limits.open_timeout_s:g} s") from None
+        raise ConnectFailed(url, "no answer in time") from None
     except ssl.SSLCertVerificationError as error:
         raise ConnectFailed(
             url, f"its certificate is not trusted ({error.verify_message}); name its CA under tls.ca", retryable=False

@@ -58,10 +58,23 @@ class Queue(Generic[M]):
     """The messages of one topic that wait on one link.
 
     ``depth`` counts messages, ``None`` means keep all (bounded in bytes); ``lifespan_ns`` is the age at which a
-    waiting message is not worth sending.
+    waiting message is not worth sending; of a ``latched`` topic each of the last ``depth`` messages is wanted,
+    whatever their size.
     """
 
-    __slots__ = ("bytes", "depth", "key", "lifespan_ns", "limit_bytes", "lost", "number", "priority", "turn", "waiting")
+    __slots__ = (
+        "bytes",
+        "depth",
+        "key",
+        "latched",
+        "lifespan_ns",
+        "limit_bytes",
+        "lost",
+        "number",
+        "priority",
+        "turn",
+        "waiting",
+    )
 
     def __init__(
         self,
@@ -77,6 +90,7 @@ class Queue(Generic[M]):
         self.depth = None if depth is None else max(depth, 1)
         self.lifespan_ns = lifespan_ns
         self.limit_bytes = limit_bytes
+        self.latched = False
         self.waiting: deque[M] = deque()
         self.bytes = 0
         self.number = self.turn = 0
@@ -117,7 +131,8 @@ class Outbox(Generic[M]):
             return False
         if queue.depth is None:
             return queue.bytes + size > queue.limit_bytes
-        return count >= queue.depth or queue.bytes + size > FRESH_BYTES
+        limit_bytes = queue.limit_bytes if queue.latched else FRESH_BYTES
+        return count >= queue.depth or queue.bytes + size > limit_bytes
 
     def put(self, queue: Queue[M], message: M) -> None:
         """Let a message wait; the oldest of its topic makes room."""

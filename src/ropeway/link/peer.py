@@ -198,7 +198,7 @@ class Peer:
         self.outbox: Outbox[Outgoing] = Outbox()
         self.channels: dict[int, Channel] = {}
         self.rtt_s: float | None = None
-        self.clock_offset_ns = 0  # the peer's clock minus ours
+        self.clock_offset_ns: int | None = None  # the peer's clock minus ours, once it is measured
         self._offset_rtt = float("inf")
         self._cursors: list[_Cursor | None] = [None] * LANES
         self._writer = RecordWriter()
@@ -430,18 +430,22 @@ class Peer:
 
     def _tune(self, sent_bytes: int) -> None:
         """Fit the size of parts to the pace of the link."""
-        pace = self.connection.pace
+        pace, window = self.connection.pace, self.connection.window
+        if pace.bytes_per_s is not None:
+            wanted = pace.bytes_per_s * _PART_S
+        elif window is not None and window.limit is not None:
+            wanted = window.limit / 2
+        else:
+            wanted = _PART_MAX_BYTES
+        self._part_bytes = int(min(max(wanted, _PART_MIN_BYTES), _PART_MAX_BYTES))
         if pace.samples != self._samples_seen:
             self._samples_seen = pace.samples
             self._quiet_bytes = 0
-            if pace.bytes_per_s is not None:
-                self._part_bytes = int(min(max(pace.bytes_per_s * _PART_S, _PART_MIN_BYTES), _PART_MAX_BYTES))
             return
         self._quiet_bytes += sent_bytes
         if self._quiet_bytes > 4 * _PART_MAX_BYTES and pace.idle_s() > _QUIET_S:  # nothing was held back for long
             self._quiet_bytes = 0
             pace.forget()
-            self._part_bytes = min(2 * self._part_bytes, _PART_MAX_BYTES)
 
     # ── in ─────────────────────────────────────────────────────────────────────────────────────────────────────
 

@@ -25,7 +25,8 @@ _QUEUE_S: Final = 0.0025  # so much may wait on the way: timers have a resolutio
 _GAIN: Final = 1.25
 _MIN_BYTES: Final = 8 * 1024
 _MAX_BYTES: Final = 1 << 20  # a link that could use more is left to the kernel
-_FIRST_BYTES: Final = 32 * 1024
+_FIRST_BYTES: Final = 16 * 1024
+_GROWTH: Final = 1.5
 _LONGEST_RTT_S: Final = 1.0
 
 
@@ -75,7 +76,15 @@ class Window:
             self.limit = None
             return
         wanted = _GAIN * bytes_per_s * (min(info.min_rtt_s, _LONGEST_RTT_S) + _QUEUE_S)
+        if self.limit is not None:
+            wanted = min(wanted, _GROWTH * self.limit)  # a burst that passed at once is not yet a pace
         self.limit = None if wanted > _MAX_BYTES else int(max(wanted, _MIN_BYTES))
+
+    def grow(self) -> None:
+        """The link ran empty: allow more."""
+        if self.limit is not None:
+            wider = _GROWTH * self.limit
+            self.limit = None if wider > _MAX_BYTES else int(wider)
 
     def release(self) -> None:
         """Leave it to the kernel: the link is fast."""

@@ -77,6 +77,7 @@ class Session:
         self._gone = False
         if self.gateway:
             self.peer.send({"op": "hello", "gateway": gateway_id, "name": name})
+            self.peer.ping()
 
     async def run(self) -> None:
         """Carry out the client's operations until it leaves, then take back what it created."""
@@ -285,8 +286,8 @@ class Session:
         return number
 
     def _check_count(self) -> None:
-        tables = (self.inputs, self.outputs, self._input_channels, self._outputs_by_channel)
-        if sum(map(len, tables)) >= _TOPICS_LIMIT:
+        inputs = len(self.inputs) + len(self._input_channels)
+        if inputs + len(self.outputs) + len(self._outputs_by_channel) >= _TOPICS_LIMIT:
             raise InvalidOperation("", f"a client may have {_TOPICS_LIMIT} topics at most")
 
     def _stop_linger(self, topic: str) -> None:

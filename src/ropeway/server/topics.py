@@ -102,7 +102,7 @@ class TopicIn:
                     peer.complaints.note("message", self.topic, error)
                     continue
             self.encoding = wire_codec.ENCODINGS[arrival.encoding]
-            sent = arrival.stamp_ns - offset if arrival.stamp_ns else 0
+            sent = arrival.stamp_ns - offset if arrival.stamp_ns and offset is not None else 0
             self._publish(Sample(payload, self.type, now, arrival.origin, arrival.seq, arrival.relayed, sent))
 
     def _publish(self, sample: Sample) -> None:
@@ -200,6 +200,7 @@ class TopicOut:
         if self.channel is not None and self._depth is None:
             keep_all = qos.history == "keep_all" and qos.reliable
             self.channel.queue.depth = None if keep_all else max(qos.depth, 1)
+            self.channel.queue.latched = qos.latched
         if not self.session.gateway:
             return
         message: dict[str, Any] = {"op": "adopted", "channel": self.number, "qos": qos.to_json()}

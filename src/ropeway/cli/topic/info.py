@@ -68,6 +68,7 @@ def endpoint_block(end: EndpointInfo) -> str:
     namespace, _, node = end.node.rpartition("/")
     qos = end.qos
     depth = f" ({qos.depth})" if qos.history == "keep_last" else ""
+    history = f"{qos.history.upper()}{depth}" if qos.depth else "UNKNOWN"
     lines = [
         f"Node name: {node or '_NODE_NAME_UNKNOWN_'}",
         f"Node namespace: {(namespace or '/') if node else '_NODE_NAMESPACE_UNKNOWN_'}",
@@ -77,7 +78,7 @@ def endpoint_block(end: EndpointInfo) -> str:
         f"GID: {'.'.join(f'{byte:02x}' for byte in end.gid)}",
         "QoS profile:",
         f"  Reliability: {qos.reliability.upper()}",
-        f"  History (Depth): {qos.history.upper()}{depth}",
+        f"  History (Depth): {history}",
         f"  Durability: {qos.durability.upper()}",
         f"  Lifespan: {_duration(qos.lifespan_s)}",
         f"  Deadline: {_duration(qos.deadline_s)}",

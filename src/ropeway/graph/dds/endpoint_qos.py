@@ -73,8 +73,8 @@ def reader_qos(qos: QoS, user_data: bytes) -> Iterator[int]:
         lib.delete_qos(handle)
 
 
-def read_qos(handle: int) -> QoS:
-    """The profile that a DDS qos object holds."""
+def read_qos(handle: int, *, tells_history: bool = True) -> QoS:
+    """The profile that a DDS qos object holds; without ``tells_history`` its depth is a default that nobody told."""
     kind, depth, duration = ct.c_int(), ct.c_int32(), ct.c_int64()
     reliable = lib.qget_reliability(handle, ct.byref(kind), ct.byref(duration)) and kind.value == _RELIABLE
     transient = lib.qget_durability(handle, ct.byref(kind)) and kind.value >= _TRANSIENT_LOCAL
@@ -86,7 +86,7 @@ def read_qos(handle: int) -> QoS:
         reliability="reliable" if reliable else "best_effort",
         durability="transient_local" if transient else "volatile",
         history="keep_all" if keep_all else "keep_last",
-        depth=max(depth.value, 1) if has_history and not keep_all else 1,
+        depth=0 if not tells_history else max(depth.value, 1) if has_history and not keep_all else 1,
         deadline_s=None if deadline == INFINITY else deadline / 1e9,
         lifespan_s=None if lifespan == INFINITY else lifespan / 1e9,
     )

@@ -36,6 +36,7 @@ log = logging.getLogger("ropeway.graph.dds")
 _BUILTIN_BATCH: Final = 64
 _REMEMBERED_WRITERS: Final = 1024  # that have left, so that their last samples still have a name
 _GUID_PREFIX_BYTES: Final = 12
+_CYCLONE: Final = b"\x01\x10"  # its vendor id, which its GUIDs begin with; the only one to announce the history
 _ANNOUNCE_QOS: Final = QoS(durability="transient_local", depth=1)
 _LISTEN_QOS: Final = QoS(durability="transient_local", history="keep_all")
 
@@ -336,7 +337,7 @@ class Participant:
             participant=participant,
             dds_topic=(data.topic or b"").decode("utf-8", "replace"),
             dds_type=(data.type or b"").decode("utf-8", "replace"),
-            qos=read_qos(data.qos),
+            qos=read_qos(data.qos, tells_history=guid.startswith(_CYCLONE)),
             type_hash=marks.get("typehash", ""),
             gateway=marks.get("ropeway", ""),
             local=participant == self.guid,

@@ -12,6 +12,7 @@ import ssl
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 from ropeway.errors import ConnectFailed, GraphUnavailable, RopewayError
@@ -34,6 +35,7 @@ from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
 from ropeway.wire import ops
+from ropeway.wire.codec import unpack_png
 from ropeway.wire.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL
 from ropeway.wire.records import Arrival
 
@@ -43,7 +45,9 @@ log = logging.getLogger("ropeway.graph.rosbridge")
 
 _FIRST_RETRY_S: Final = 0.1
 _PATIENT_AFTER_S: Final = 300.0  # a peer that is away for long is asked less often
-_EAGER_RETRY_S: Final = 1.0  # until then it is asked at least so often, to be back soon after a cut
+_EAGER_RETRY_S: Final = 0.5  # until then it is asked at least so often, to be back soon after a cut
+_HASTY_S: Final = 1.5  # a link that is cut says nothing: waiting longer would miss its return
+_PATIENT_TURN: Final = 4  # every so many tries take their time, for links that are slow
 _LAZY_RETRY_S: Final = 10.0
 _CLOCK_S: Final = 1.0
 _ROSAPI_S: Final = 3.0
@@ -112,6 +116,7 @@ class RosbridgeGraph:
         self._calls: dict[str, asyncio.Future[ops.ServiceResponse]] = {}
         self._attempt: asyncio.Future[None] | None = None
         self._traffic = (0, 0)
+        self._rtt_s = 0.0
         self._leaving = False
 
     # ── opening, the connection, closing ───────────────────────────────────────────────────────────────────────
@@ -166,24 +171,35 @@ class RosbridgeGraph:
             for callback in self._state_callbacks:
                 callback(state)
 
+    def _patience(self, attempt: int) -> Limits:
+        if attempt % _PATIENT_TURN == 0:
+            return self._limits
+        return replace(
+            self._limits, open_timeout_s=min(self._limits.open_timeout_s, max(_HASTY_S, 8 * self._rtt_s))
+        )
+
     async def _keep_connected(self) -> None:
-        delay, down_since = _FIRST_RETRY_S, time.monotonic()
+        delay, down_since, attempt = _FIRST_RETRY_S, time.monotonic(), 0
         while True:
             self._set_state(LinkState.CONNECTING)
+            peers: list[Peer] = []
             try:
                 connection = await connect(
                     self.name,
-                    limits=self._limits,
+                    limits=self._patience(attempt),
                     subprotocols=() if self._plain else (ROPEWAY_SUBPROTOCOL,),
                     ssl_context=self._ssl,
                     headers=self._headers,
+                    on_connection=lambda made: peers.append(Peer(made, self.registry, self)),  # noqa: B023  # now
                 )
             except ConnectFailed as error:
                 self._failed(error)
+                delay = delay if error.retryable else _LAZY_RETRY_S
             else:
-                delay, down_since = _FIRST_RETRY_S, time.monotonic()
-                await self._converse(connection)
+                delay, attempt = _FIRST_RETRY_S, 0
+                await self._converse(connection, peers[-1])
                 down_since = time.monotonic()
+            attempt += 1
             if self._leaving:
                 return
             self._set_state(LinkState.WAITING)
@@ -194,15 +210,14 @@ class RosbridgeGraph:
     def _failed(self, error: ConnectFailed) -> None:
         if self.last_error != str(error):
             self.last_error = str(error)
-            log.warning("%s (trying again until it answers)", error)
+            log.warning("%s (trying again %s)", error, "until it answers" if error.retryable else "every 10 s")
         if self._attempt is not None and not self._attempt.done():
             if self._wait:
                 self._attempt.set_exception(error)
             else:
                 self._attempt.cancel()
 
-    async def _converse(self, connection: Connection) -> None:
-        peer = Peer(connection, self.registry, self)
+    async def _converse(self, connection: Connection, peer: Peer) -> None:
         self.peer = peer
         self.connections += 1
         self.last_error = ""
@@ -213,7 +228,10 @@ class RosbridgeGraph:
             if self._watch:
                 peer.send({"op": "watch"})
         for part in self._parts():
-            part.connected(peer)
+            try:
+                part.connected(peer)
+            except RopewayError as error:  # one topic that cannot go to this peer must not hold up the others
+                self._was_refused(part, str(error))
         self._set_state(LinkState.CONNECTED)
         if self._attempt is not None and not self._attempt.done():
             self._attempt.set_result(None)
@@ -223,6 +241,7 @@ class RosbridgeGraph:
         finally:
             await end(chores)
             self._traffic = (self._traffic[0] + connection.bytes_in, self._traffic[1] + connection.bytes_out)
+            self._rtt_s = peer.rtt_s or 0.0
             self.peer = None
             for part in self._parts():
                 part.disconnected()
@@ -248,6 +267,7 @@ class RosbridgeGraph:
                     self._mirror.filled.set()
                 await asyncio.sleep(_ROSAPI_S)
             else:
+                self._mirror.filled.set()  # nobody will tell
                 return
 
     @property
@@ -383,6 +403,8 @@ class RosbridgeGraph:
                     subscription.published(op)
             if not found and self.peer is not None:
                 self.peer.complaints.note("unknown topic", op.topic, "it was not subscribed to")
+        elif isinstance(op, ops.Png) and self.peer is not None:
+            self.peer.unpacked(unpack_png(op.data, limit_bytes=self.peer.limit_bytes))
         elif isinstance(op, ops.ServiceResponse):
             call = self._calls.get(str(op.id))
             if call is not None and not call.done():
@@ -400,10 +422,10 @@ class RosbridgeGraph:
         elif op == "demand" and publisher is not None and isinstance(message.get("count"), int):
             publisher.demand(message["count"])
         elif op == "adopted" and subscription is not None:
-            subscription.learned(message)
             if isinstance(message.get("qos"), Mapping):
                 with contextlib.suppress(ValueError):
                     subscription.adopted(QoS.parse(message["qos"]))
+            subscription.learned(message)
         elif op == "refused":
             self._was_refused(publisher or subscription, str(message.get("reason", "")))
         elif op == "stats" and publisher is not None:

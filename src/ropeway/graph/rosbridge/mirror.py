@@ -63,16 +63,17 @@ class Mirror:
         before, self.topics = self.topics, topics
         nodes_before, self.nodes = self.nodes, nodes
         old, new = _uses(before), _uses(topics)
-        for kind, name, type, node in sorted(new - old):
+        for kind, name, type, node, _ in sorted(new - old):
             self._changes.emit(GraphEvent(True, kind, name, type, node, self._graph))
-        for kind, name, type, node in sorted(old - new):
+        for kind, name, type, node, _ in sorted(old - new):
             self._changes.emit(GraphEvent(False, kind, name, type, node, self._graph))
         for name in sorted(nodes.keys() ^ nodes_before.keys()):
             self._changes.emit(GraphEvent(name in nodes, "node", name, graph=self._graph))
 
 
-def _uses(topics: Mapping[str, TopicInfo]) -> set[tuple[str, str, str, str]]:
-    return {(e.kind, e.topic, e.type, e.node) for t in topics.values() for e in (*t.publishers, *t.subscriptions)}
+def _uses(topics: Mapping[str, TopicInfo]) -> set[tuple[str, str, str, str, bytes]]:
+    ends = (e for t in topics.values() for e in (*t.publishers, *t.subscriptions))
+    return {(e.kind, e.topic, e.type, e.node, e.gid) for e in ends}
 
 
 def _items(value: object) -> list[tuple[str, Any]]:

@@ -115,7 +115,7 @@ class RemotePublisher:
         delivery = self.delivery
         plain = peer.dialect is not ROPEWAY
         encoding = delivery.encoding
-        if plain and encoding in ("auto", "zstd"):
+        if plain and encoding in ("auto", "zstd", "png"):
             encoding = "none"
         extra: dict[str, Any] | None = None
         self.demand(None if plain else 0)  # a gateway tells at once how many read
@@ -131,6 +131,7 @@ class RemotePublisher:
             lifespan_s=delivery.lifespan_s,
         )
         self.channel.queue.lost = self.lost
+        self.channel.queue.latched = self.qos.latched
         peer.send(
             ops.Advertise(
                 id=self.id,
@@ -270,7 +271,7 @@ class RemoteSubscription:
                 except (TypesError, MessageTooBig) as error:
                     self._undecodable(error)
                     continue
-            sent = arrival.stamp_ns - offset if arrival.stamp_ns else 0
+            sent = arrival.stamp_ns - offset if arrival.stamp_ns and offset is not None else 0
             batch.append(Sample(payload, self.type, now, arrival.origin, arrival.seq, arrival.relayed, sent))
         self._deliver(batch)
 

@@ -1,0 +1,93 @@
+"""A gateway with a robot beside it in one process, for tests of faults between machines.
+
+The only argument is a JSON object: ``name``, ``listen`` (URLs), ``remotes`` as in a configuration, ``publish`` (topic
+to rate in Hz) and ``read`` (topics) of the robot, ``ahead_s`` by which the clock is wrong, ``size`` of the messages.
+Prints what happens as JSON lines: ``{"t": <time.monotonic()>, ...}``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import uvloop
+
+order: dict[str, Any] = json.loads(sys.argv[1])
+if order.get("ahead_s"):
+    _true_time_ns, _true_time = time.time_ns, time.time
+    time.time_ns = lambda: _true_time_ns() + int(order["ahead_s"] * 1e9)
+    time.time = lambda: _true_time() + order["ahead_s"]
+
+from ropeway.gateway import config  # noqa: E402  # with the clock as it is to be
+from ropeway.gateway.gateway import Gateway  # noqa: E402
+from ropeway.graph.base import SEQ_NONE, Sample  # noqa: E402
+from ropeway.graph.memory import MemoryGraph  # noqa: E402
+from ropeway.qos import QoS  # noqa: E402
+from tests.contract.test_topics import STRING, text  # noqa: E402
+
+
+def tell(**event: Any) -> None:
+    print(json.dumps({"t": time.monotonic(), **event}), flush=True)
+
+
+async def talk(robot: MemoryGraph, topic: str, hz: float) -> None:
+    """Publish numbers."""
+    publisher = await robot.create_publisher(topic, STRING, QoS(depth=10))
+    padding = "x" * order.get("size", 0)
+    number = 0
+    while True:
+        number += 1
+        publisher.publish(Sample(text(f"{number} {padding}"), STRING, time.time_ns(), bytes(16), SEQ_NONE))
+        await asyncio.sleep(1 / hz)
+
+
+def hears(topic: str) -> Any:
+    def heard(batch: Sequence[Sample]) -> None:
+        for sample in batch:
+            tell(topic=topic, n=int(bytes(sample.payload[8:28]).split(b" ")[0]))
+
+    return heard
+
+
+async def main() -> None:
+    """Run until standard input ends."""
+    name = order["name"]
+    settings = {"name": name, "graphs": [f"memory:{name}"], "listen": order.get("listen", []), "insecure": True}
+    robot = MemoryGraph(name, node="/robot")
+    await robot.open()
+    ends = asyncio.ensure_future(asyncio.to_thread(sys.stdin.readline))
+    async with Gateway(config.parse({"gateway": settings, "remotes": order.get("remotes", [])})) as gateway:
+        ports = [listener.port for server in gateway.servers for listener in server.listeners]
+        for topic in order.get("read", ()):
+            await robot.create_subscription(topic, STRING, QoS(depth=100), hears(topic))
+        talking = [asyncio.create_task(talk(robot, t, hz)) for t, hz in order.get("publish", {}).items()]
+        for remote in gateway.remotes:
+            remote.graph.on_state(lambda state: tell(state=state.value))
+        tell(ready=ports)
+        sessions, told = 0, 0.0
+        while not ends.done():
+            count = sum(len(server.sessions) for server in gateway.servers)
+            if count != sessions:
+                tell(sessions=count)
+                sessions = count
+            if time.monotonic() - told > 0.5:
+                told = time.monotonic()
+                tell(status=gateway.status())
+            await asyncio.wait([ends], timeout=0.02)
+        for task in talking:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+    await robot.close()
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.WARNING)
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        runner.run(main())
