@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import signal
+import sys
 import time
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -10,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.contract.test_topics import STRING
-from tests.faults.conftest import Machine, Pair
+from tests.faults.conftest import ROOT, Machine, Pair
 
 pytestmark = [pytest.mark.netns, pytest.mark.timeout(90)]
 
@@ -18,6 +21,7 @@ MakePair = Callable[[], Awaitable[Pair]]
 NOTICED_S = 5.0
 BACK_S = 2.0
 HZ = 20.0
+STALLED_S = 8.0
 
 
 def item(name: str, **more: Any) -> dict[str, Any]:
@@ -47,37 +51,40 @@ def once_and_in_order(machine: Machine, topic: str) -> None:
     assert numbers == sorted(set(numbers))
 
 
-@pytest.mark.parametrize("seconds", [0.7, 2.2, 3.1, 4.5, 20.0])
-async def test_cut_link(pair: MakePair, seconds: float) -> None:
+async def cut(net: Pair, robot: Machine, cloud: Machine, seconds: float, silently: bool) -> None:
+    """Cut the link for so long, and see that everything is as it should be during the cut and after."""
+    act = net.swallow if silently else net.pull
+    what = f"a cut of {seconds:g} s{' without a sign' if silently else ''}"
+    act()
+    began = time.monotonic()
+    await asyncio.sleep(seconds)
+    act(back=True)
+    back = time.monotonic()
+    took = await flows(robot, cloud, back, 15)
+    if seconds > NOTICED_S + 1:
+        for noticed in (robot.first("state", "waiting to retry", began), cloud.first("sessions", 0, began)):
+            assert noticed is not None
+            assert noticed - began < NOTICED_S, f"{what} was noticed after {noticed - began:.2f} s"
+    assert took < BACK_S, f"data after {took:.2f} s: {what}"
+    for machine, topic in ((robot, "/down"), (cloud, "/up")):
+        await machine.until(lambda m=machine, t=topic: len(m.heard(t, back)) > HZ, 5)
+        once_and_in_order(machine, topic)
+    await robot.until(lambda: [r["state"] for r in robot.status["routes"]] == ["active", "active"], 3)
+
+
+async def test_cut_links(pair: MakePair) -> None:
     """A cut is noticed within 5 s on both sides, and data flows both ways within 2 s of the end of any cut."""
 
-    async def cut(silently: bool) -> None:
+    async def cuts(seconds: tuple[float, ...], silently: bool) -> None:
         net = await pair()
         robot, cloud = await two_gateways(net)
-        act = net.swallow if silently else net.pull
-        act()
-        began = time.monotonic()
-        await asyncio.sleep(seconds)
-        act(back=True)
-        back = time.monotonic()
-        took = await flows(robot, cloud, back, 15)
-        if seconds > NOTICED_S + 1:
-            noticed = robot.first("state", "waiting to retry", began)
-            assert noticed is not None
-            assert noticed - began < NOTICED_S
-            gone = cloud.first("sessions", 0, began)
-            assert gone is not None
-            assert gone - began < NOTICED_S
-        print(f"{seconds} {silently} {took:.2f}")
-        assert took < BACK_S, f"{took:.2f} s after a cut of {seconds} s{' without a sign' if silently else ''}"
-        for machine, topic in ((robot, "/down"), (cloud, "/up")):
-            await machine.until(lambda m=machine, t=topic: len(m.heard(t, back)) > HZ, 5)
-            once_and_in_order(machine, topic)
-        await robot.until(lambda: [r["state"] for r in robot.status["routes"]] == ["active", "active"], 3)
+        for one in seconds:
+            await cut(net, robot, cloud, one, silently)
 
     async with asyncio.TaskGroup() as group:
         for silently in (False, True):
-            group.create_task(cut(silently))
+            group.create_task(cuts((20.0,), silently))
+            group.create_task(cuts((0.7, 2.2, 3.1, 4.5), silently))
 
 
 async def test_killed_peer(pair: MakePair) -> None:
@@ -111,3 +118,71 @@ async def test_wrong_clock(pair: MakePair) -> None:
 
     await robot.until(lambda: len(delays()) == 3 and all(d is not None for d in delays()), 10)
     assert all(d is not None and -5 < d < 100 for d in delays()), delays()
+
+
+async def test_stopped_peer(pair: MakePair) -> None:
+    """A peer that hangs costs the other remotes nothing and no memory; it is given up, and found again."""
+    net = await pair()
+    clouds = [
+        await net.machine("b", name=f"cloud{i}", listen=[f"ws://{net.address_b}:909{i}"], read=["/up"]) for i in (0, 1)
+    ]
+    remotes = [{"address": f"ws://{net.address_b}:909{i}", "publish": [item("/up")]} for i in (0, 1)]
+    robot = await net.machine("a", name="robot", remotes=remotes, publish={"/up": 30.0}, size=300_000)
+    hung, well = clouds
+    for cloud in clouds:
+        await cloud.until(lambda c=cloud: len(c.heard("/up")) > 30, 10)
+    before = robot.memory_bytes
+    began = time.monotonic()
+    hung.process.send_signal(signal.SIGSTOP)
+    await robot.until(lambda: robot.first("state", "waiting to retry", began), NOTICED_S + 0.5)
+    await asyncio.sleep(2)
+    assert len(well.heard("/up", began)) > 0.9 * 30 * (time.monotonic() - began)
+    assert robot.memory_bytes - before < 10 << 20
+    hung.process.send_signal(signal.SIGCONT)
+    back = time.monotonic()
+    await hung.until(lambda: len(hung.heard("/up", back + 1)) > 30, 5)
+    assert [r["connections"] for r in robot.status["remotes"]] == [2, 1]
+
+
+async def test_stalled_reader(pair: MakePair) -> None:
+    """A client that stops reading costs no memory; others get every message, and operations are answered at once."""
+    net = await pair()
+    cloud = await net.machine("b", name="cloud", listen=["ws://127.0.0.1:9090"], publish={"/image": 30.0}, size=300_000)
+    script = f"""
+import asyncio, json, sys, time
+from tests.server.client import Client
+from tests.server.test_session import listen
+
+async def main():
+    async with Client(9090) as good, Client(9090, receive_bytes=65536) as stalled, Client(9090) as control:
+        for client in (stalled, good):
+            client.send(listen("/image"))
+        await control.done()
+        print("ready", flush=True)
+        began, number, slowest, asked = time.monotonic(), 0, 0.0, 0.0
+        while time.monotonic() - began < {STALLED_S}:
+            await good.json()
+            number += 1
+            if time.monotonic() - asked > 0.2:
+                asked = time.monotonic()
+                await control.done()
+                slowest = max(slowest, time.monotonic() - asked)
+        seconds = time.monotonic() - began
+        got = [int((await stalled.json())["msg"]["data"].split()[0]) for _ in range(30)]
+        print(json.dumps(dict(rate=number / seconds, slowest=slowest, got=got)), flush=True)
+
+asyncio.run(main())
+"""
+    process = await asyncio.create_subprocess_exec(
+        *("ip", "netns", "exec", net.b, sys.executable, "-c", script), stdout=asyncio.subprocess.PIPE, cwd=ROOT
+    )
+    assert process.stdout is not None
+    await process.stdout.readline()
+    await asyncio.sleep(2)
+    before = cloud.memory_bytes
+    told = json.loads((await process.communicate())[0])
+    assert told["rate"] > 28
+    assert told["slowest"] < 0.25
+    assert cloud.memory_bytes - before < 10 << 20
+    assert told["got"] == sorted(set(told["got"]))
+    assert told["got"][-1] > 30 * (STALLED_S - 2), "what was sent after the pause is fresh"

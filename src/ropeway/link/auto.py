@@ -21,7 +21,7 @@ PACKED: Final = "zstd"
 _OTHER: Final = {RAW: PACKED, PACKED: RAW}
 
 _MIN_BYTES: Final = 2048  # below, a header outweighs what compression saves
-_TRIAL_S: Final = 5.0  # how often a topic that goes raw is compressed once, to know its ratio
+_SAMPLE_S: Final = 5.0  # how often a topic that goes raw is compressed once, to know its ratio
 _GAIN: Final = 0.85  # compression must save 15 % of the time, or the processor has better things to do
 _WORTH_S: Final = 0.001  # a message that takes less on the wire goes raw
 _TURN_S: Final = 0.5  # an encoding's turn while messages are lost
@@ -42,7 +42,8 @@ class EncodingChooser:
         self.ratio: float | None = None
         self._seconds_per_byte = 0.0
         self._sampled = float("-inf")
-        self._turn_at = clock()
+        self._next = RAW
+        self._turn_at = self._asked_at = float("-inf")
         self._sent = self._lost = 0
         self._rates: dict[str, float] = {}
         self._retry_at = float("-inf")
@@ -55,9 +56,19 @@ class EncodingChooser:
         if size_bytes < _MIN_BYTES:
             return RAW
         now = self._clock()
+        if now - self._asked_at > _TURN_S:
+            self._begin_turn(now, sent, lost)  # what was idle in between says nothing
+        self._asked_at = now
+        before = self.encoding
+        self._decide(size_bytes, now, sent, lost)
+        if self.encoding != before:
+            self._begin_turn(now, sent, lost)
+        return self._next
+
+    def _decide(self, size_bytes: int, now: float, sent: int, lost: int) -> None:
         if now - self._turn_at >= _TURN_S and sent + lost - self._sent - self._lost >= _TURN_MESSAGES:
             self._end_turn(now, sent, lost)
-        wanted = self._by_model(size_bytes, now)
+        wanted = self._by_model(size_bytes)
         if not self._losing:
             self.encoding = wanted
         elif self._trial is None:
@@ -68,8 +79,9 @@ class EncodingChooser:
             known = self.encoding in rates
             if known and now >= self._retry_at and self._may_win(_OTHER[self.encoding], size_bytes):
                 self.encoding = self._trial = _OTHER[self.encoding]
-                self._turn_at, self._sent, self._lost = now, sent, lost
-        return self.encoding
+        self._next = self.encoding
+        if self.encoding == RAW and self._wants_sample(size_bytes, now):
+            self._next = PACKED
 
     def measured(self, size_bytes: int, packed_bytes: int, seconds: float) -> None:
         """Tell what compressing one message brought and cost."""
@@ -81,10 +93,13 @@ class EncodingChooser:
             self.ratio += 0.2 * (ratio - self.ratio)
             self._seconds_per_byte += 0.2 * (cost - self._seconds_per_byte)
 
+    def _begin_turn(self, now: float, sent: int, lost: int) -> None:
+        self._turn_at, self._sent, self._lost = now, sent, lost
+
     def _end_turn(self, now: float, sent: int, lost: int) -> None:
         went, fell = sent - self._sent, lost - self._lost
         seconds = now - self._turn_at
-        self._turn_at, self._sent, self._lost = now, sent, lost
+        self._begin_turn(now, sent, lost)
         was_losing, self._losing = self._losing, fell > _LOSING * (went + fell)
         if not self._losing:
             self._trial = None
@@ -105,13 +120,18 @@ class EncodingChooser:
             return True
         return pace / size_bytes > self._rates.get(PACKED, 0.0)
 
-    def _by_model(self, size_bytes: int, now: float) -> str:
+    def _wants_sample(self, size_bytes: int, now: float) -> bool:
+        """True now and then, so that the ratio and the cost of compression stay known while messages go raw."""
         pace = self._pace.bytes_per_s
-        if pace is None or size_bytes / pace < _WORTH_S:
+        if pace is None or size_bytes / pace < _WORTH_S or now - self._sampled < _SAMPLE_S:
+            return False
+        self._sampled = now
+        return True
+
+    def _by_model(self, size_bytes: int) -> str:
+        pace = self._pace.bytes_per_s
+        if pace is None or self.ratio is None or size_bytes / pace < _WORTH_S:
             return RAW
-        if self.ratio is None or (self.encoding == RAW and now - self._sampled > _TRIAL_S):
-            self._sampled = now
-            return PACKED
         raw_s = size_bytes / pace
         packed_s = raw_s / self.ratio + 2 * size_bytes * self._seconds_per_byte  # unpacking costs about the same
         return PACKED if packed_s < _GAIN * raw_s else RAW
