@@ -24,13 +24,36 @@ def measure(size: int, mbit: float, count: int, period_s: float) -> dict[str, An
         net.start("a", "-m", "ropeway", "run", near, "--quiet")
         seconds = count * period_s
         sink = net.start(
-            "b", "-m", "bench.peers", "sink", "--topic", "/cloud", "--kind", str(size), "--check",
-            "--seconds", str(seconds + 6 + period_s),
+            "b",
+            "-m",
+            "bench.peers",
+            "sink",
+            "--topic",
+            "/cloud",
+            "--kind",
+            str(size),
+            "--check",
+            "--seconds",
+            str(seconds + 6 + period_s),
         )
         sink.line()
         net.start(
-            "a", "-m", "bench.peers", "source", "--topic", "/cloud", "--kind", str(size), "--hz", str(1 / period_s),
-            "--count", str(count), "--seconds", str(seconds + 60), "--settle", "1",
+            "a",
+            "-m",
+            "bench.peers",
+            "source",
+            "--topic",
+            "/cloud",
+            "--kind",
+            str(size),
+            "--hz",
+            str(1 / period_s),
+            "--count",
+            str(count),
+            "--seconds",
+            str(seconds + 60),
+            "--settle",
+            "1",
         )
         result: dict[str, Any] = json.loads(sink.finish(seconds + 120).splitlines()[-1])
         return result
@@ -52,7 +75,12 @@ def main() -> None:
             delay = figures.get("delay_p50_ms")
             rows.append(
                 [
-                    size / 1e6, mbit or "unlimited", count, figures["n"], got["wrong"], delay,
+                    size / 1e6,
+                    mbit or "unlimited",
+                    count,
+                    figures["n"],
+                    got["wrong"],
+                    delay,
                     delay / 1e3 / wire_s if wire_s and delay else None,
                 ]
             )

@@ -28,14 +28,25 @@ def gateways(directory: Path, topics: dict[str, str], encoding: str, qos: dict[s
     ]
     far = config(directory, "far", [], f"ws://127.0.0.1:{PORT}", f"dds:{DOMAIN_B}?interface=lo")
     near = config(
-        directory, "near", [{"address": f"ws://127.0.0.1:{PORT}", "publish": items}], None, f"dds:{DOMAIN_A}?interface=lo"
+        directory,
+        "near",
+        [{"address": f"ws://127.0.0.1:{PORT}", "publish": items}],
+        None,
+        f"dds:{DOMAIN_A}?interface=lo",
     )
     return [Process(None, "-m", "ropeway", "run", path, "--quiet") for path in (far, near)]
 
 
 def measure(
-    topics: dict[str, str], *, hz: float, seconds: float, pair: bool, encoding: str = "auto", keep_all: bool = False,
-    burst: int = 16, depth: int = 10,
+    topics: dict[str, str],
+    *,
+    hz: float,
+    seconds: float,
+    pair: bool,
+    encoding: str = "auto",
+    keep_all: bool = False,
+    burst: int = 16,
+    depth: int = 10,
 ) -> dict[str, Any]:
     """Figures per topic, and the processor share of each gateway."""
     more = ["--keep-all"] if keep_all else ["--depth", str(depth)]
@@ -43,14 +54,41 @@ def measure(
     with tempfile.TemporaryDirectory() as directory:
         running = gateways(Path(directory), topics, encoding, qos) if pair else []
         sink = Process(
-            None, "-m", "bench.peers", "sink", "--domain", str(DOMAIN_B if pair else DOMAIN_A),
-            "--topic", ",".join(topics), "--kind", ",".join(topics.values()), "--seconds", str(seconds + 3), *more,
+            None,
+            "-m",
+            "bench.peers",
+            "sink",
+            "--domain",
+            str(DOMAIN_B if pair else DOMAIN_A),
+            "--topic",
+            ",".join(topics),
+            "--kind",
+            ",".join(topics.values()),
+            "--seconds",
+            str(seconds + 3),
+            *more,
         )
         sink.line()
         source = Process(
-            None, "-m", "bench.peers", "source", "--domain", str(DOMAIN_A), "--topic", ",".join(topics),
-            "--kind", ",".join(topics.values()), "--hz", str(hz), "--seconds", str(seconds), "--settle", "1",
-            "--burst", str(burst), *more,
+            None,
+            "-m",
+            "bench.peers",
+            "source",
+            "--domain",
+            str(DOMAIN_A),
+            "--topic",
+            ",".join(topics),
+            "--kind",
+            ",".join(topics.values()),
+            "--hz",
+            str(hz),
+            "--seconds",
+            str(seconds),
+            "--settle",
+            "1",
+            "--burst",
+            str(burst),
+            *more,
         )
         source.line()
         before, began = [p.cpu_s() for p in running], time.monotonic()
@@ -93,7 +131,15 @@ def main() -> None:
         pair = measure(images, hz=60, seconds=args.seconds, pair=True)
         for t in images:
             x, y = bare["topics"][t], pair["topics"][t]
-            rows.append([f"{t} at 60 Hz, delay p50 ms", x["delay_p50_ms"], y["delay_p50_ms"], y["delay_p50_ms"] - x["delay_p50_ms"], "added < 1.5"])
+            rows.append(
+                [
+                    f"{t} at 60 Hz, delay p50 ms",
+                    x["delay_p50_ms"],
+                    y["delay_p50_ms"],
+                    y["delay_p50_ms"] - x["delay_p50_ms"],
+                    "added < 1.5",
+                ]
+            )
             rows.append([f"{t} at 60 Hz, rate", x["rate_hz"], y["rate_hz"], y["rate_hz"] / x["rate_hz"], "1"])
         for name, cpu, memory in zip(("far", "near"), pair["cpu"], pair["memory"], strict=True):
             rows.append([f"gateway {name}: % of a core at 60 Hz", None, 100 * cpu, None, "<= 8"])
@@ -109,7 +155,12 @@ def main() -> None:
         pair = measure(small, hz=200, seconds=args.seconds, pair=True)
         x, y = total(bare, "delay_p50_ms"), total(pair, "delay_p50_ms")
         rows.append(["1 kB delay p50 ms at 200 Hz", x, y, y - x, "added < 0.5"])
-    table("loopback", ["figure", "bare DDS", "through two gateways", "ratio or difference", "to reach"], rows, as_json=args.json)
+    table(
+        "loopback",
+        ["figure", "bare DDS", "through two gateways", "ratio or difference", "to reach"],
+        rows,
+        as_json=args.json,
+    )
 
 
 if __name__ == "__main__":

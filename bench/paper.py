@@ -61,8 +61,16 @@ def measure(
     with tempfile.TemporaryDirectory() as directory:
         gateways = start_pair(net, Path(directory), operation, encoding, topics)
         sink = net.start(
-            "b", "-m", "bench.peers", "sink", "--topic", ",".join(topics), "--kind", ",".join(topics.values()),
-            "--seconds", str(seconds + 4),
+            "b",
+            "-m",
+            "bench.peers",
+            "sink",
+            "--topic",
+            ",".join(topics),
+            "--kind",
+            ",".join(topics.values()),
+            "--seconds",
+            str(seconds + 4),
         )
         sink.line()
         sources = start_sources(net, hz, seconds, topics)
@@ -76,8 +84,20 @@ def start_sources(net: Network, hz: float, seconds: float, topics: dict[str, str
     """A camera driver for each topic, so that their frames do not come in step."""
     return [
         net.start(
-            "a", "-m", "bench.peers", "source", "--topic", t, "--kind", k, "--hz", str(hz),
-            "--seconds", str(seconds), "--settle", "1",
+            "a",
+            "-m",
+            "bench.peers",
+            "source",
+            "--topic",
+            t,
+            "--kind",
+            k,
+            "--hz",
+            str(hz),
+            "--seconds",
+            str(seconds),
+            "--settle",
+            "1",
         )
         for t, k in topics.items()
     ]
@@ -86,8 +106,16 @@ def start_sources(net: Network, hz: float, seconds: float, topics: dict[str, str
 def local(net: Network, hz: float, seconds: float, topics: dict[str, str]) -> dict[str, dict[str, float]]:
     """The same without a gateway, source and sink in one namespace."""
     sink = net.start(
-        "a", "-m", "bench.peers", "sink", "--topic", ",".join(topics), "--kind", ",".join(topics.values()),
-        "--seconds", str(seconds + 4),
+        "a",
+        "-m",
+        "bench.peers",
+        "sink",
+        "--topic",
+        ",".join(topics),
+        "--kind",
+        ",".join(topics.values()),
+        "--seconds",
+        str(seconds + 4),
     )
     sink.line()
     sources = start_sources(net, hz, seconds, topics)
@@ -139,7 +167,22 @@ def main() -> None:
             dds = predicted(raw_sizes, hz, args.mbit * 1e6, subscribers=SUBSCRIBERS)
             for topic in TOPICS:
                 f = base[topic]
-                rows.append([hz, "local DDS", "", topic.rsplit("/", 2)[-2], f["rate_hz"], 1.0, dds, None, f["delay_p50_ms"], f["delay_p99_ms"], None, None])
+                rows.append(
+                    [
+                        hz,
+                        "local DDS",
+                        "",
+                        topic.rsplit("/", 2)[-2],
+                        f["rate_hz"],
+                        1.0,
+                        dds,
+                        None,
+                        f["delay_p50_ms"],
+                        f["delay_p99_ms"],
+                        None,
+                        None,
+                    ]
+                )
             for operation in args.operations.split(","):
                 for encoding in args.encodings.split(","):
                     got = measure(net, operation, encoding, hz, args.seconds, TOPICS)
@@ -153,16 +196,34 @@ def main() -> None:
                         rate = f.get("rate_hz", 0.0)
                         rows.append(
                             [
-                                hz, operation, encoding, topic.rsplit("/", 2)[-2], rate,
-                                rate / base[topic]["rate_hz"], expected, rate / capacity,
-                                f.get("delay_p50_ms"), f.get("delay_p99_ms"),
-                                f.get("delay_p50_ms", 0) / wire_ms, f.get("delay_p99_ms", 0) / wire_ms,
+                                hz,
+                                operation,
+                                encoding,
+                                topic.rsplit("/", 2)[-2],
+                                rate,
+                                rate / base[topic]["rate_hz"],
+                                expected,
+                                rate / capacity,
+                                f.get("delay_p50_ms"),
+                                f.get("delay_p99_ms"),
+                                f.get("delay_p50_ms", 0) / wire_ms,
+                                f.get("delay_p99_ms", 0) / wire_ms,
                             ]
                         )
                     print(f"{hz:g} Hz {operation} {encoding} done", file=sys.stderr, flush=True)
     heads = [
-        "source Hz", "operation", "encoding", "topic", "rate Hz", "of local", "eq. (3)-(5) Hz", "of capacity",
-        "delay p50 ms", "p99 ms", "p50/wire", "p99/wire",
+        "source Hz",
+        "operation",
+        "encoding",
+        "topic",
+        "rate Hz",
+        "of local",
+        "eq. (3)-(5) Hz",
+        "of capacity",
+        "delay p50 ms",
+        "p99 ms",
+        "p50/wire",
+        "p99/wire",
     ]
     table(f"colour and depth over {args.mbit:g} Mbit/s", heads, rows, as_json=args.json)
 

@@ -161,7 +161,10 @@ async def sink(args: argparse.Namespace) -> None:
         await graph.create_subscription(topic, types.get(topic, args.type or IMAGE), profile(args), receive)
     print("ready", flush=True)
     await asyncio.sleep(args.seconds)
-    print(json.dumps({topic: figures(rows) for topic, rows in got.items()} | ({"wrong": wrong} if args.check else {})), flush=True)
+    print(
+        json.dumps({topic: figures(rows) for topic, rows in got.items()} | ({"wrong": wrong} if args.check else {})),
+        flush=True,
+    )
     await graph.close()
 
 

@@ -47,8 +47,20 @@ def start(directory: str, seconds: float) -> tuple[Process, Process]:
     path = config(Path(directory), "server", [], f"ws://127.0.0.1:{PORT}", f"dds:{DOMAIN}?interface=lo")
     gateway = Process(None, "-m", "ropeway", "run", path, "--quiet")
     camera = Process(
-        None, "-m", "bench.peers", "source", "--domain", str(DOMAIN), "--topic", "/rgb", "--kind", "rgb",
-        "--hz", str(HZ), "--seconds", str(seconds),
+        None,
+        "-m",
+        "bench.peers",
+        "source",
+        "--domain",
+        str(DOMAIN),
+        "--topic",
+        "/rgb",
+        "--kind",
+        "rgb",
+        "--hz",
+        str(HZ),
+        "--seconds",
+        str(seconds),
     )
     return gateway, camera
 

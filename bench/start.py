@@ -66,7 +66,9 @@ def main() -> None:
         results = sorted(uvloop.run(once(topics)) for _ in range(args.runs))
         middle = results[len(results) // 2]
         rows.append([topics, middle[0], results[-1][0], middle[1]])
-    table("cold start", ["topics", "first message s (< 1.5)", "slowest s", "memory MB (<= 120)"], rows, as_json=args.json)
+    table(
+        "cold start", ["topics", "first message s (< 1.5)", "slowest s", "memory MB (<= 120)"], rows, as_json=args.json
+    )
     if args.json:
         print(json.dumps({"runs": args.runs}))
 

@@ -29,24 +29,48 @@ def main() -> None:
                 {"name": "/cmd_vel", "type": messages("twist")[0], "priority": "command"},
             ]
             far = config(Path(directory), "far", [], f"ws://{net.address_b}:9090")
-            near = config(
-                Path(directory), "near", [{"address": f"ws://{net.address_b}:9090", "publish": items}], None
-            )
+            near = config(Path(directory), "near", [{"address": f"ws://{net.address_b}:9090", "publish": items}], None)
             net.start("b", "-m", "ropeway", "run", far, "--quiet")
             net.start("a", "-m", "ropeway", "run", near, "--quiet")
             sink = net.start(
-                "b", "-m", "bench.peers", "sink", "--topic", "/rgb,/cmd_vel", "--kind", "rgb,twist",
-                "--seconds", str(args.seconds + 3),
+                "b",
+                "-m",
+                "bench.peers",
+                "sink",
+                "--topic",
+                "/rgb,/cmd_vel",
+                "--kind",
+                "rgb,twist",
+                "--seconds",
+                str(args.seconds + 3),
             )
             sink.line()
             for topic, kind, hz in (("/rgb", "rgb", 30), ("/cmd_vel", "twist", 50)):
                 net.start(
-                    "a", "-m", "bench.peers", "source", "--topic", topic, "--kind", kind, "--hz", str(hz),
-                    "--seconds", str(args.seconds), "--settle", "1",
+                    "a",
+                    "-m",
+                    "bench.peers",
+                    "source",
+                    "--topic",
+                    topic,
+                    "--kind",
+                    kind,
+                    "--hz",
+                    str(hz),
+                    "--seconds",
+                    str(args.seconds),
+                    "--settle",
+                    "1",
                 )
             got = json.loads(sink.finish(60).splitlines()[-1])
         for topic, figures in got.items():
-            rows.append([encoding, topic, *(figures.get(k) for k in ("rate_hz", "delay_p50_ms", "delay_p99_ms", "delay_max_ms"))])
+            rows.append(
+                [
+                    encoding,
+                    topic,
+                    *(figures.get(k) for k in ("rate_hz", "delay_p50_ms", "delay_p99_ms", "delay_max_ms")),
+                ]
+            )
     heads = ["image encoding", "topic", "rate Hz", "delay p50 ms", "p99 ms (command: < 60)", "max ms"]
     table(f"commands beside images on {args.mbit:g} Mbit/s", heads, rows, as_json=args.json)
 

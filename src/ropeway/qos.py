@@ -60,7 +60,7 @@ class QoS:
         Raises ``ValueError`` with a sentence that names the policy and its valid values.
         """
         if not isinstance(value, Mapping):
-            raise ValueError("qos must be an object, as in {\"reliability\": \"best_effort\"}")
+            raise ValueError('qos must be an object, as in {"reliability": "best_effort"}')
         unknown = set(value) - {"history", "depth", "reliability", "durability", "deadline", "lifespan"}
         if unknown:
             raise ValueError(f"unknown qos policy {min(map(str, unknown))!r}")
@@ -89,16 +89,19 @@ class QoS:
             "reliability": self.reliability,
             "durability": self.durability,
         }
-        for key, seconds in (("deadline", self.deadline_s), ("lifespan", self.lifespan_s)):
-            if seconds is not None:
-                out[key] = seconds
+        if self.deadline_s is not None:
+            out["deadline"] = self.deadline_s
+        if self.lifespan_s is not None:
+            out["lifespan"] = self.lifespan_s
         return out
 
 
 def _duration(key: str, value: object) -> float | None:
     if value in ("infinite", "best_available", None):
         return None
-    parts = [value["secs"], value["nsecs"]] if isinstance(value, Mapping) and {"secs", "nsecs"} <= set(value) else [value]
+    parts = (
+        [value["secs"], value["nsecs"]] if isinstance(value, Mapping) and {"secs", "nsecs"} <= set(value) else [value]
+    )
     seconds = 0.0
     for part, unit in zip(parts, (1, 1e9), strict=False):
         if isinstance(part, bool) or not isinstance(part, (int, float)):

@@ -86,7 +86,9 @@ class Machine:
                 while not condition():
                     await asyncio.sleep(0.01)
         except TimeoutError:
-            raise AssertionError(f"{self.order['name']}: not within {timeout_s:g} s\n{''.join(self.log[-20:])}") from None
+            raise AssertionError(
+                f"{self.order['name']}: not within {timeout_s:g} s\n{''.join(self.log[-20:])}"
+            ) from None
 
     def kill(self) -> None:
         """End it as a power failure would."""

@@ -40,11 +40,11 @@ async def talk(robot: MemoryGraph, topic: str, hz: float) -> None:
     """Publish numbers."""
     publisher = await robot.create_publisher(topic, STRING, QoS(depth=10))
     padding = "x" * order.get("size", 0)
-    number = 0
+    number, began = 0, time.monotonic()
     while True:
         number += 1
         publisher.publish(Sample(text(f"{number} {padding}"), STRING, time.time_ns(), bytes(16), SEQ_NONE))
-        await asyncio.sleep(1 / hz)
+        await asyncio.sleep(began + number / hz - time.monotonic())
 
 
 def hears(topic: str) -> Any:

@@ -147,9 +147,7 @@ async def test_nobody_there(fake: FakeServer) -> None:
     await graph.close()
 
 
-async def test_waits_for_its_server(
-    stack: AsyncExitStack, fake: FakeServer, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_waits_for_its_server(stack: AsyncExitStack, fake: FakeServer, caplog: pytest.LogCaptureFixture) -> None:
     """Without wait, the connection is made when the server appears; the log tells once that it is missing."""
     caplog.set_level(logging.INFO)
     await fake.start()
@@ -174,9 +172,7 @@ async def test_waits_for_its_server(
     await inbox.wait(1)
 
 
-async def test_refusal_is_retried_lazily(
-    stack: AsyncExitStack, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_refusal_is_retried_lazily(stack: AsyncExitStack, caplog: pytest.LogCaptureFixture) -> None:
     """An answer that another try will not change is told as such."""
 
     async def reply(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

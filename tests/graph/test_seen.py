@@ -36,3 +36,15 @@ def test_is_bounded() -> None:
     assert seen.has(sample(b"a", 100_000 - 4000))
     assert not seen.has(sample(b"a", 50_000))
     assert len(seen._newer) + len(seen._older) <= 2 * 4096
+
+
+def test_takes_in_another() -> None:
+    """All that another has seen is known, too, within the same bound."""
+    seen, other = Seen(), Seen()
+    seen.add(sample(b"a", 1))
+    for i in range(2, 6000):
+        other.add(sample(b"b", i))
+    seen.update(other)
+    assert seen.has(sample(b"b", 5999))
+    assert seen.has(sample(b"b", 2000))
+    assert len(seen._newer) + len(seen._older) <= 2 * 4096

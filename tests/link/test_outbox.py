@@ -35,6 +35,16 @@ def test_only_the_newest_image_waits() -> None:
     assert camera.lost == {Lost.REPLACED: 4}
 
 
+def test_latched_messages_all_wait() -> None:
+    """Of a latched topic as many messages wait as its depth says, however big they are."""
+    outbox: Outbox[Message] = Outbox()
+    maps: Queue[Message] = outbox.open(Queue("map", depth=3))
+    maps.latched = True
+    for i in range(5):
+        outbox.put(maps, Message(bytes([i]) * 300_000))
+    assert drain(outbox) == [bytes([i]) * 300_000 for i in (2, 3, 4)]
+
+
 def test_small_messages_queue_to_their_depth() -> None:
     """Small messages wait in order up to the depth of their topic; the oldest makes room."""
     outbox: Outbox[Message] = Outbox()
@@ -128,7 +138,7 @@ def test_a_replaced_message_keeps_its_turn() -> None:
     a: Queue[Message] = outbox.open(Queue("a"))
     b: Queue[Message] = outbox.open(Queue("b"))
     sent = []
-    for i in range(20):
+    for _ in range(20):
         for queue, name in ((a, b"a"), (b, b"b"), (b, b"b"), (a, b"a")):
             outbox.put(queue, Message(name))
         taken = outbox.take(4, 0)

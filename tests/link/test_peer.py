@@ -253,9 +253,7 @@ async def test_too_big(link: Link) -> None:
 async def test_the_end(link: Link) -> None:
     """When the connection goes, what waits is lost and counted, and both handlers are told."""
     channel = link.channel(1)
-    far_channel = link.far.open_channel(
-        1, "/back", STRING, encoding="png", priority=4, depth=10, lifespan_s=None
-    )
+    far_channel = link.far.open_channel(1, "/back", STRING, encoding="png", priority=4, depth=10, lifespan_s=None)
     far_channel.put(sample(text("x" * 3_000_000)))
     await asyncio.sleep(0)
     await asyncio.sleep(0)
@@ -352,9 +350,7 @@ async def test_plain_messages(setting: Setting) -> None:
     """A plain peer gets frames of rosbridge; auto is none for it."""
     client, peer, _ = await setting.client()
     for number, encoding in enumerate(("auto", "none", "cbor-raw")):
-        channel = peer.open_channel(
-            number, "/t", STRING, encoding=encoding, priority=4, depth=10, lifespan_s=None
-        )
+        channel = peer.open_channel(number, "/t", STRING, encoding=encoding, priority=4, depth=10, lifespan_s=None)
         channel.put(sample(text("hi")))
         got = await client.receive()
         assert got.text is (encoding != "cbor-raw")

@@ -18,7 +18,7 @@ CONTINUATION, TEXT, BINARY, CLOSE, PING, PONG = 0, 1, 2, 8, 9, 10
 _SHORT, _LONG = struct.Struct("!H"), struct.Struct("!Q")
 
 
-class ClosedByServer(Exception):  # noqa: N818  # an answer, not always a fault
+class ClosedByServer(Exception):  # an answer, not always a fault
     """The server closed the connection; ``code`` is 1006 where it did not say why."""
 
     def __init__(self, code: int, reason: str) -> None:

@@ -37,9 +37,7 @@ class Place:
         graph = await self.participant("/gateway")
         self.robot = await self.participant("/robot")
         self.hub = Hub(graph)
-        self.server = RosbridgeServer(
-            self.hub, self.registry, limits=limits, unregister_timeout_s=unregister_timeout_s
-        )
+        self.server = RosbridgeServer(self.hub, self.registry, limits=limits, unregister_timeout_s=unregister_timeout_s)
         self.stack.push_async_callback(self.server.close)
         self.port = (await self.server.listen("ws://127.0.0.1:0")).port
 

@@ -69,7 +69,10 @@ BAD: dict[str, tuple[bytes, dict[str, int]]] = {
     "cbor id": (cbor({**PUBLISH, "id": b"\x00\xff"}), {"operation": 1}),
     "not for a server": (json_frame({"op": "png", "data": "x"}), {"operation": 1}),
     "bad fragment": (json_frame({"op": "fragment", "id": 1, "num": 3, "total": 2, "data": ""}), {"operation": 1}),
-    "fragments of no json": (json_frame({"op": "fragment", "id": 1, "num": 0, "total": 1, "data": "]"}), {"fragment": 1}),
+    "fragments of no json": (
+        json_frame({"op": "fragment", "id": 1, "num": 0, "total": 1, "data": "]"}),
+        {"fragment": 1},
+    ),
     # names and types
     "bad name": (json_frame({**CHATTER, "topic": "/1/ x"}), {"advertise": 1}),
     "long name": (json_frame({**CHATTER, "topic": "/ " * 100_000}), {"advertise": 1}),
@@ -79,7 +82,10 @@ BAD: dict[str, tuple[bytes, dict[str, int]]] = {
     "unknown type read": (json_frame(listen("/x", type="my_msgs/Own")), {"subscribe": 1}),
     "type conflict": (json_frame({**CHATTER, "type": "std_msgs/Int32"}), {"advertise": 1}),
     "type conflict of a reader": (json_frame(listen(type="std_msgs/Int32")), {"subscribe": 1}),
-    "conflict with the network": (json_frame({**CHATTER, "topic": "/robot", "type": "std_msgs/Int32"}), {"advertise": 1}),
+    "conflict with the network": (
+        json_frame({**CHATTER, "topic": "/robot", "type": "std_msgs/Int32"}),
+        {"advertise": 1},
+    ),
     "not advertised": (json_frame(said("x", "/never")), {"publish": 1}),
     # profiles
     "qos policy": (json_frame({**CHATTER, "topic": "/x", "qos": {"speed": 1}}), {"advertise": 1}),
@@ -219,9 +225,7 @@ async def test_odd_numbers(place: Place, number: float) -> None:
     assert (await client.json())["msg"]["data"] == "0"
 
 
-@pytest.mark.parametrize(
-    "number", [float("nan"), float("inf"), 1e300, 10**400, -1, 0, True, "1", [], 65536], ids=_name
-)
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), 1e300, 10**400, -1, 0, True, "1", [], 65536], ids=_name)
 async def test_odd_numbers_of_a_gateway(place: Place, number: object) -> None:
     """A gateway that gives a topic odd numbers is refused it, or gets the default, and the others live on."""
     client = await place.client(subprotocol=ROPEWAY_SUBPROTOCOL)
@@ -230,9 +234,9 @@ async def test_odd_numbers_of_a_gateway(place: Place, number: object) -> None:
     sub = '{"op":"subscribe","topic":"/t","type":"std_msgs/msg/String","id":"s","ropeway":{"channel":'
     for key in ("rate_hz", "depth", "priority", "lifespan_s"):
         client.send(f'{sub}3,"{key}":{odd}}}}}')
-    client.send(f'{sub}{odd}}}}}')
-    client.send(f'{sub.replace("subscribe", "advertise")}{odd}}}}}')
-    client.send(f'{sub}4}}}}')
+    client.send(f"{sub}{odd}}}}}")
+    client.send(f"{sub.replace('subscribe', 'advertise')}{odd}}}}}")
+    client.send(f"{sub}4}}}}")
     client.send({"op": "demand", "channel": number, "count": number})
     client.send({"op": "call_service", "service": "/nowhere", "id": "end"})
     publisher = await place.robot.create_publisher("/t", STRING)

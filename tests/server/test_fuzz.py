@@ -46,7 +46,12 @@ def texts() -> list[bytes]:
     goal = {"action": "/a", "action_type": "p/A", "args": {"x": 1}, "id": "g"}
     note = {"ropeway": {"channel": 5, "priority": 0, "depth": 3, "rate_hz": 10.0, "lifespan_s": 1.0}}
     typed = {"channel": 6, "type_hash": "RIHS01_00", "definition": "int32 x\nstring[<=5] y\n"}
-    qos = {"reliability": "best_effort", "durability": "transient_local", "depth": 5, "lifespan": {"secs": 1, "nsecs": 2}}
+    qos = {
+        "reliability": "best_effort",
+        "durability": "transient_local",
+        "depth": 5,
+        "lifespan": {"secs": 1, "nsecs": 2},
+    }
     operations: list[dict[str, Any]] = [
         {**CHATTER, "id": "a", "latch": True, "queue_size": 5},
         {**CHATTER, "topic": "/q", "qos": qos},
@@ -95,9 +100,7 @@ def binaries() -> list[bytes]:
     string = registry.codec(STRING)
     payload = text("hello hello hello")
     operation = {"op": "publish", "topic": "/chatter"}
-    out = [
-        codec.encode_publish("/chatter", payload, string, name, stamp_ns=1).data for name in ("cbor", "cbor-raw")
-    ]
+    out = [codec.encode_publish("/chatter", payload, string, name, stamp_ns=1).data for name in ("cbor", "cbor-raw")]
     for name in ("zip", "rawzip", "cbor-raw", "zstd"):
         body = codec.encode_msg(name, payload, string)
         out.append(cbor2.dumps({**operation, "msg": body, "compression": name}))

@@ -387,9 +387,7 @@ async def test_cbor(place: Place) -> None:
     publisher.publish(sample("hello"))
     got = await client.receive()
     assert not got.text
-    assert got.data.hex() == (
-        "a3626f70677075626c69736865746f706963682f615f746f706963636d7367a164646174616568656c6c6f"
-    )
+    assert got.data.hex() == ("a3626f70677075626c69736865746f706963682f615f746f706963636d7367a164646174616568656c6c6f")
 
 
 async def test_cbor_raw(place: Place) -> None:

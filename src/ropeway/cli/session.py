@@ -124,7 +124,7 @@ async def settle(
 ) -> dict[str, TopicInfo]:
     """The topics once ``done`` says so, or at the latest after ``spin_time_s``.
 
-    Without ``done``, once something is there and nothing new came for a while.
+    Without ``done``, once something is there, nothing new came for a while, and the graph expects nothing more.
     """
     news = asyncio.Event()
 
@@ -148,7 +148,7 @@ async def settle(
                 async with asyncio.timeout(min(left, _QUIET_S)):
                     await news.wait()
             except TimeoutError:
-                if done is None and topics:
+                if done is None and topics and getattr(graph, "settled", True):
                     return topics
     finally:
         listener.cancel()

@@ -18,7 +18,7 @@ def server_context(tls: ListenTls | None) -> ssl.SSLContext | None:
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     _load(context, "gateway.tls", tls.certificate, tls.key)
     if tls.ca is not None:
-        context.load_verify_locations(tls.ca)
+        _trust(context, "gateway.tls", tls.ca)
         context.verify_mode = ssl.CERT_REQUIRED
     return context
 
@@ -27,7 +27,11 @@ def client_context(tls: RemoteTls | None, path: str) -> ssl.SSLContext | None:
     """For one remote; ``path`` is where the configuration names it. Raises ``ConfigError``."""
     if tls is None:
         return None
-    context = ssl.create_default_context(cafile=tls.ca)
+    if tls.ca is None:
+        context = ssl.create_default_context()
+    else:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        _trust(context, path, tls.ca)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     if not tls.verify:
         context.check_hostname = False
@@ -35,6 +39,13 @@ def client_context(tls: RemoteTls | None, path: str) -> ssl.SSLContext | None:
     if tls.certificate is not None:
         _load(context, path, tls.certificate, tls.key)
     return context
+
+
+def _trust(context: ssl.SSLContext, path: str, ca: str) -> None:
+    try:
+        context.load_verify_locations(ca)
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigError([(f"{path}.ca", f"{ca} holds no certificates in PEM: {error}")]) from None
 
 
 def _load(context: ssl.SSLContext, path: str, certificate: str, key: str | None) -> None:

@@ -268,11 +268,17 @@ class Graph(Protocol):
     name: str  # how it is written as a URL: "dds:0", "ws://host:9090"
     drops: Counter[tuple[str, Undelivered]]
 
-    async def open(self) -> None: ...
-    async def close(self) -> None: ...
+    async def open(self) -> None:
+        """Join the network. Raises ``GraphUnavailable`` with what to do about it."""
+
+    async def close(self) -> None:
+        """Leave it with everything that was created here."""
+
     async def create_publisher(
         self, topic: str, type: str, qos: QoS | None = None, *, delivery: Delivery = NO_HINTS
-    ) -> Publisher: ...
+    ) -> Publisher:
+        """Publish ``topic``."""
+
     async def create_subscription(
         self,
         topic: str,
@@ -281,10 +287,17 @@ class Graph(Protocol):
         callback: SampleCallback,
         *,
         delivery: Delivery = NO_HINTS,
-    ) -> Subscription: ...
-    def topics(self) -> dict[str, TopicInfo]: ...
-    def nodes(self) -> dict[str, NodeInfo]: ...
-    def changes(self) -> AsyncIterator[GraphEvent]: ...
+    ) -> Subscription:
+        """Read ``topic``; ``callback`` gets batches, oldest first."""
+
+    def topics(self) -> dict[str, TopicInfo]:
+        """What is discovered now, by name."""
+
+    def nodes(self) -> dict[str, NodeInfo]:
+        """The nodes that are discovered now, by full name."""
+
+    def changes(self) -> AsyncIterator[GraphEvent]:
+        """What is discovered and undiscovered from this call on."""
 
 
 @dataclass

@@ -470,7 +470,33 @@ async def connect(
         raise ConnectFailed(url, what, retryable=not fatal) from None
     except OSError as error:
         raise ConnectFailed(url, _reason(error)) from None
+    if connection.closed or not connection.writable:  # picows takes a server that hangs up for one that answers
+        alert = await _tls_alert(url, ssl_context, limits.open_timeout_s)
+        if alert:
+            what = f"does not take our certificate ({alert}); name one that it trusts under tls.certificate"
+            raise ConnectFailed(url, what, retryable=False)
+        raise ConnectFailed(url, "closed the connection during the handshake")
     return connection
+
+
+async def _tls_alert(url: str, ssl_context: ssl.SSLContext | None, timeout_s: float) -> str:
+    """Why a server hangs up after the TLS handshake: in TLS 1.3 it looks at our certificate only then."""
+    if ssl_context is None:
+        return ""
+    parts = urlsplit(url)
+    try:
+        async with asyncio.timeout(timeout_s):
+            reader, writer = await asyncio.open_connection(parts.hostname, parts.port or 443, ssl=ssl_context)
+            try:
+                writer.write(b"GET / HTTP/1.1\r\n\r\n")
+                await reader.read(1)
+            finally:
+                writer.transport.abort()
+    except ssl.SSLError as error:
+        return (error.reason or "").lower().replace("_", " ")
+    except (OSError, TimeoutError):
+        return ""
+    return ""
 
 
 class Server:

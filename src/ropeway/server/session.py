@@ -19,7 +19,6 @@ from ropeway.server.topics import TopicIn, TopicOut, topic_status
 from ropeway.server.watch import Watch
 from ropeway.wire import ops
 from ropeway.wire.dialect import ROPEWAY, ROSGW
-
 from ropeway.wire.records import Arrival
 
 if TYPE_CHECKING:

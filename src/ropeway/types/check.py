@@ -36,7 +36,7 @@ def explain(name: str, value: Any, definition: Callable[[str], Definition]) -> V
     return ValueMismatch(name, "", "the value does not fit the message")
 
 
-class _Found(Exception):  # noqa: N818 - ends the walk
+class _Found(Exception):
     def __init__(self, path: tuple[str, ...], reason: str) -> None:
         self.field = "".join(part if part.startswith("[") else f".{part}" for part in path).lstrip(".")
         self.reason = reason

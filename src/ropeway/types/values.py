@@ -45,11 +45,11 @@ _SMALL: Final = 32
 _Sized = TypeVar("_Sized")
 
 
-class Misfit(Exception):  # noqa: N818 - not an error that leaves this room
+class Misfit(Exception):
     """A value does not fit its field."""
 
 
-class Short(Exception):  # noqa: N818 - not an error that leaves this room
+class Short(Exception):
     """The bytes end before the message does, or a length in them is impossible."""
 
 

@@ -159,7 +159,7 @@ _VALUES: Final = frozenset((_VALUE, _FIRST_VALUE))
 _KEYS: Final = frozenset((_KEY, _FIRST_KEY))
 
 
-class _NotJson(Exception):  # noqa: N818  # a signal within this module
+class _NotJson(Exception):  # a signal within this module
     def __init__(self, at: int) -> None:
         self.at = at  # what comes before is no use
 

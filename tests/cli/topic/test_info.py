@@ -54,4 +54,6 @@ def test_verbose_info() -> None:
     assert "  Lifespan: 500000000 nanoseconds\n" in late
     assert "Node namespace: /\n" in late
     assert LATCHED.depth == 1
+    untold = endpoint_block(EndpointInfo("publisher", "/t", TYPE, QoS(depth=0)))
+    assert "  History (Depth): UNKNOWN\n" in untold
     assert info_text(CHATTER, verbose=True).count("Endpoint type:") == 3

@@ -36,6 +36,12 @@ def test_writers(qos: QoS) -> None:
         assert read_qos(handle) == qos
 
 
+def test_untold_history() -> None:
+    """Of a vendor that does not announce the history the depth stays open."""
+    with writer_qos(LATCHED, b"") as handle:
+        assert read_qos(handle, tells_history=False) == QoS(durability="transient_local", depth=0)
+
+
 @given(profiles)
 def test_readers(qos: QoS) -> None:
     """A reader keeps what decides on matching; its history is at least as deep."""

@@ -24,7 +24,7 @@ def bw(
     window: WindowOption = 100,
     qos_reliability: QosReliability = "",
     types: TypesOption = None,
-    spin_time: SpinOption = 1.0,
+    spin_time: SpinOption = 2.0,
     as_json: JsonOption = False,
 ) -> None:
     """Print the bandwidth of TOPIC every second."""

@@ -40,7 +40,7 @@ def delay(
     window: WindowOption = 10_000,
     qos_reliability: QosReliability = "",
     types: TypesOption = None,
-    spin_time: SpinOption = 1.0,
+    spin_time: SpinOption = 2.0,
     as_json: JsonOption = False,
 ) -> None:
     """Print the delay of TOPIC, from the stamps in its headers, every second."""

@@ -141,7 +141,7 @@ def echo_command(
     qos_reliability: QosReliability = "",
     qos_durability: QosDurability = "",
     types: TypesOption = None,
-    spin_time: SpinOption = 1.0,
+    spin_time: SpinOption = 2.0,
     as_json: JsonOption = False,
 ) -> None:
     """Print the messages of TOPIC. Without --qos options, what the publishers offer is asked for."""

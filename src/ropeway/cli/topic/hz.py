@@ -22,7 +22,7 @@ def hz(
     window: WindowOption = 10_000,
     qos_reliability: QosReliability = "",
     types: TypesOption = None,
-    spin_time: SpinOption = 1.0,
+    spin_time: SpinOption = 2.0,
     as_json: JsonOption = False,
 ) -> None:
     """Print the average rate of TOPIC every second."""

@@ -21,7 +21,7 @@ def info(
     topic: Annotated[str, typer.Argument(help="The topic, such as /chatter.", show_default=False)],
     graph: GraphOption = "",
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show nodes, type hashes and QoS.")] = False,
-    spin_time: SpinOption = 1.0,
+    spin_time: SpinOption = 2.0,
     as_json: JsonOption = False,
 ) -> None:
     """Show the type of TOPIC and count its publishers and subscribers."""

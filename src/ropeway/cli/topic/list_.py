@@ -49,7 +49,7 @@ def list_topics(
     include_hidden: Annotated[
         bool, typer.Option("--include-hidden-topics", help="Show names with a part that starts with _.")
     ] = False,
-    spin_time: SpinOption = 1.0,
+    spin_time: SpinOption = 2.0,
     as_json: JsonOption = False,
 ) -> None:
     """List the topics."""

@@ -114,6 +114,11 @@ class Discovery:
             name: _node_info(name, entities, by_guid, local=name in local) for name, entities in sorted(found.items())
         }
 
+    @property
+    def settled(self) -> bool:
+        """True where the nodes of every participant are known (those without ROS never tell any)."""
+        return all(participant in self._nodes for participant in self._participants)
+
     def offered(self, topic: str, type: str) -> list[QoS]:
         """The profiles of all publishers of a topic but those of our own gateway."""
         known = self._topics.get(topic)

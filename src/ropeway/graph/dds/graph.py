@@ -197,6 +197,11 @@ class DdsGraph:
         return self._changes.listen()
 
     @property
+    def settled(self) -> bool:
+        """True once every participant that was discovered has told its nodes; Fast DDS may take some seconds."""
+        return self._discovery is None or self._discovery.settled
+
+    @property
     def participant(self) -> Participant:
         """The DDS side, for services and actions. Raises ``GraphUnavailable`` where the graph is not open."""
         return self._opened()

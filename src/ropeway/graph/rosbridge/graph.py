@@ -174,9 +174,7 @@ class RosbridgeGraph:
     def _patience(self, attempt: int) -> Limits:
         if attempt % _PATIENT_TURN == 0:
             return self._limits
-        return replace(
-            self._limits, open_timeout_s=min(self._limits.open_timeout_s, max(_HASTY_S, 8 * self._rtt_s))
-        )
+        return replace(self._limits, open_timeout_s=min(self._limits.open_timeout_s, max(_HASTY_S, 8 * self._rtt_s)))
 
     async def _keep_connected(self) -> None:
         delay, down_since, attempt = _FIRST_RETRY_S, time.monotonic(), 0

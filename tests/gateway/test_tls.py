@@ -1,0 +1,296 @@
+"""ropeway.gateway.tls: wss between gateways, with certificates made for each test run."""
+
+from __future__ import annotations
+
+import asyncio
+import datetime
+import ipaddress
+import itertools
+import ssl
+import warnings
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
+
+from ropeway.errors import ConfigError, ConnectFailed
+from ropeway.gateway import config
+from ropeway.gateway.gateway import Gateway
+from ropeway.gateway.model import ListenTls, RemoteTls
+from ropeway.gateway.tls import client_context, server_context
+from ropeway.graph.memory import MemoryGraph
+from ropeway.graph.rosbridge import RosbridgeGraph
+from ropeway.link.connection import Limits
+from ropeway.qos import QoS
+from ropeway.types import TypeRegistry
+from tests.contract.conftest import Inbox, until
+from tests.contract.test_topics import STRING, sample, text
+
+_numbers = itertools.count()
+NOW = datetime.datetime.now(datetime.UTC)
+DAY = datetime.timedelta(days=1)
+LIMITS = Limits(open_timeout_s=2.0)
+
+
+class Authority:
+    """A certificate authority and what it signs, as files."""
+
+    def __init__(self, directory: Path, name: str) -> None:
+        self.directory, self.name = directory, name
+        self._key = ec.generate_private_key(ec.SECP256R1())
+        self._subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+        builder = self._builder(self._subject, self._key)
+        certificate = builder.add_extension(x509.BasicConstraints(True, None), True).sign(self._key, hashes.SHA256())
+        self.file = self._write(f"{name}.pem", certificate.public_bytes(serialization.Encoding.PEM))
+
+    def _builder(self, subject: x509.Name, key: ec.EllipticCurvePrivateKey) -> x509.CertificateBuilder:
+        return (
+            x509.CertificateBuilder()
+            .subject_name(subject)
+            .issuer_name(self._subject)
+            .public_key(key.public_key())
+            .serial_number(x509.random_serial_number())
+            .not_valid_before(NOW - 2 * DAY)
+            .not_valid_after(NOW + DAY)
+        )
+
+    def _write(self, name: str, data: bytes) -> str:
+        path = self.directory / name
+        path.write_bytes(data)
+        return str(path)
+
+    def sign(self, name: str, *, host: str = "127.0.0.1", expired: bool = False) -> dict[str, str]:
+        """A certificate and its key, as a configuration names them."""
+        key = ec.generate_private_key(ec.SECP256R1())
+        builder = self._builder(x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)]), key)
+        try:
+            alternative: x509.GeneralName = x509.IPAddress(ipaddress.ip_address(host))
+        except ValueError:
+            alternative = x509.DNSName(host)
+        builder = builder.add_extension(x509.SubjectAlternativeName([alternative]), False)
+        if expired:
+            builder = builder.not_valid_after(NOW - DAY) if False else _until(builder, NOW - DAY)
+        certificate = builder.sign(self._key, hashes.SHA256())
+        private = key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        )
+        return {
+            "certificate": self._write(f"{name}.crt", certificate.public_bytes(serialization.Encoding.PEM)),
+            "key": self._write(f"{name}.key", private),
+        }
+
+
+def _until(builder: x509.CertificateBuilder, end: datetime.datetime) -> x509.CertificateBuilder:
+    builder._not_valid_after = end.replace(tzinfo=None)  # it may be set once only
+    return builder
+
+
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory: pytest.TempPathFactory) -> Authority:
+    """The authority that both sides trust."""
+    return Authority(tmp_path_factory.mktemp("ours"), "ours")
+
+
+@pytest.fixture(scope="module")
+def strangers(tmp_path_factory: pytest.TempPathFactory) -> Authority:
+    """One that nobody trusts."""
+    return Authority(tmp_path_factory.mktemp("strangers"), "strangers")
+
+
+@pytest.fixture
+async def stack() -> AsyncIterator[AsyncExitStack]:
+    async with AsyncExitStack() as made:
+        yield made
+
+
+async def gateway(
+    stack: AsyncExitStack, name: str, remotes: list[dict[str, Any]], tls: dict[str, str] | None = None
+) -> tuple[Gateway, MemoryGraph]:
+    """A gateway and a robot on its network."""
+    network = f"tls-{name}-{next(_numbers)}"
+    settings = {"name": name, "graphs": [f"memory:{network}"], "listen": ["wss://127.0.0.1:0"] if tls else []}
+    made = Gateway(config.parse({"gateway": {**settings, "tls": tls}, "remotes": remotes}))
+    await stack.enter_async_context(made)
+    robot = MemoryGraph(network, node="/robot")
+    await robot.open()
+    stack.push_async_callback(robot.close)
+    return made, robot
+
+
+def url(gateway: Gateway, host: str = "127.0.0.1") -> str:
+    return f"wss://{host}:{gateway.servers[0].listeners[0].port}"
+
+
+async def attempt(address: str, tls: dict[str, Any]) -> ConnectFailed:
+    """Connect, which must fail."""
+    graph = RosbridgeGraph(
+        address,
+        registry=TypeRegistry(),
+        ssl_context=client_context(RemoteTls.model_validate(tls), "remotes[0].tls"),
+        limits=LIMITS,
+    )
+    with pytest.raises(ConnectFailed) as failed:
+        await graph.open()
+    return failed.value
+
+
+@pytest.mark.parametrize("mutual", [False, True])
+async def test_two_gateways(stack: AsyncExitStack, ours: Authority, mutual: bool) -> None:
+    """Topics cross a wss link, where asked with certificates on both sides."""
+    listener = {**ours.sign("cloud"), **({"ca": ours.file} if mutual else {})}
+    own = ours.sign("robot") if mutual else {}
+    cloud, there = await gateway(stack, "cloud", [], listener)
+    item = {"name": "/x", "type": STRING}
+    robot, here = await gateway(
+        stack, "robot", [{"address": url(cloud), "tls": {"ca": ours.file, **own}, "publish": [item]}]
+    )
+    inbox = Inbox()
+    await there.create_subscription("/x", STRING, QoS(), inbox)
+    publisher = await here.create_publisher("/x", STRING)
+    await until(lambda: publisher.subscribers == 1)
+    publisher.publish(sample("secret"))
+    publisher.publish(sample("x" * 3_000_000))
+    await inbox.wait(2)
+    assert inbox.payloads == [text("secret"), text("x" * 3_000_000)]
+    assert robot.remotes[0].graph.peer is not None
+    assert robot.remotes[0].graph.peer.connection.secure
+    (session,) = cloud.servers[0].sessions
+    assert session.peer.connection.secure
+
+
+async def test_unknown_authority(
+    stack: AsyncExitStack, ours: Authority, strangers: Authority, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A certificate of an unknown authority is refused; the message says where to name it, and no try will help."""
+    cloud, _ = await gateway(stack, "cloud", [], ours.sign("cloud"))
+    for tls in ({"ca": strangers.file}, {}):
+        failed = await attempt(url(cloud), tls)
+        assert not failed.retryable
+        assert "its certificate is not trusted" in str(failed)
+        assert "tls.ca" in str(failed)
+    item = {"name": "/x", "type": STRING}
+    robot, _ = await gateway(
+        stack, "robot", [{"address": url(cloud), "tls": {"ca": strangers.file}, "publish": [item]}]
+    )
+    await until(lambda: robot.status()["remotes"][0]["error"])
+    assert "not trusted" in robot.status()["remotes"][0]["error"]
+    assert robot.status()["routes"][0]["state"] == "waiting to retry"
+
+
+@pytest.mark.parametrize(
+    ("host", "expired", "reason"),
+    [
+        ("example.org", False, "is not valid for '127.0.0.1'"),
+        ("10.1.2.3", False, "is not valid for '127.0.0.1'"),
+        ("127.0.0.1", True, "expired"),
+    ],
+)
+async def test_wrong_certificate(stack: AsyncExitStack, ours: Authority, host: str, expired: bool, reason: str) -> None:
+    """A certificate for another host, or an old one, is refused with the reason."""
+    cloud, _ = await gateway(stack, "cloud", [], ours.sign("cloud", host=host, expired=expired))
+    failed = await attempt(url(cloud), {"ca": ours.file})
+    assert not failed.retryable
+    assert reason in str(failed)
+
+
+async def test_names(stack: AsyncExitStack, ours: Authority) -> None:
+    """A certificate is checked for the host that the address names."""
+    cloud, _ = await gateway(stack, "cloud", [], ours.sign("cloud", host="localhost"))
+    context = client_context(RemoteTls(ca=ours.file), "tls")
+    graph = RosbridgeGraph(url(cloud, "localhost"), registry=TypeRegistry(), ssl_context=context, limits=LIMITS)
+    await graph.open()
+    await graph.close()
+
+
+async def test_no_verification(stack: AsyncExitStack, ours: Authority) -> None:
+    """With verify false any certificate is taken."""
+    cloud, _ = await gateway(stack, "cloud", [], ours.sign("cloud", host="example.org", expired=True))
+    context = client_context(RemoteTls(verify=False), "tls")
+    graph = RosbridgeGraph(url(cloud), registry=TypeRegistry(), ssl_context=context, limits=LIMITS)
+    await graph.open()
+    assert graph.remote or graph.peer is not None
+    await graph.close()
+
+
+@pytest.mark.parametrize("own", ["none", "stranger"])
+async def test_client_certificate_required(
+    stack: AsyncExitStack, ours: Authority, strangers: Authority, own: str
+) -> None:
+    """A client without the certificate that is asked for, or with a wrong one, is refused and told so."""
+    cloud, _ = await gateway(stack, "cloud", [], {**ours.sign("cloud"), "ca": ours.file})
+    certificate = strangers.sign("robot") if own == "stranger" else {}
+    failed = await attempt(url(cloud), {"ca": ours.file, **certificate})
+    assert not failed.retryable
+    assert "certificate" in str(failed)
+    assert "tls.certificate" in str(failed)
+    assert not cloud.servers[0].sessions
+
+
+async def test_plain_client_at_a_secure_port(stack: AsyncExitStack, ours: Authority) -> None:
+    """Ws at a wss port, and wss at a ws port, fail with what they found; the server lives on."""
+    cloud, _ = await gateway(stack, "cloud", [], ours.sign("cloud"))
+    graph = RosbridgeGraph(url(cloud).replace("wss", "ws"), registry=TypeRegistry(), limits=LIMITS)
+    with pytest.raises(ConnectFailed):
+        await graph.open()
+    other = Gateway(config.parse({"gateway": {"name": "p", "graphs": ["memory:p"], "listen": ["ws://127.0.0.1:0"]}}))
+    await stack.enter_async_context(other)
+    failed = await attempt(url(other), {"ca": ours.file})
+    assert "TLS" in str(failed)
+    context = client_context(RemoteTls(ca=ours.file), "tls")
+    good = RosbridgeGraph(url(cloud), registry=TypeRegistry(), ssl_context=context, limits=LIMITS)
+    await good.open()
+    await good.close()
+
+
+async def test_garbage_at_a_secure_port(stack: AsyncExitStack, ours: Authority) -> None:
+    """Bytes that are no TLS, and half a handshake, cost nothing."""
+    cloud, _ = await gateway(stack, "cloud", [], ours.sign("cloud"))
+    port = cloud.servers[0].listeners[0].port
+    for data in (b"\0" * 500, b"\x16\x03\x01\x02\x00\x01", b"GET / HTTP/1.1\r\n\r\n"):
+        _, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(data)
+        await writer.drain()
+        writer.close()
+    context = client_context(RemoteTls(ca=ours.file), "tls")
+    graph = RosbridgeGraph(url(cloud), registry=TypeRegistry(), ssl_context=context, limits=LIMITS)
+    await graph.open()
+    await graph.close()
+
+
+def test_old_versions(ours: Authority) -> None:
+    """TLS before 1.2 is not spoken."""
+    server = server_context(ListenTls.model_validate(ours.sign("cloud")))
+    client = client_context(RemoteTls(ca=ours.file), "tls")
+    assert server is not None
+    assert client is not None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        assert server.minimum_version >= ssl.TLSVersion.TLSv1_2
+        assert client.minimum_version >= ssl.TLSVersion.TLSv1_2
+    assert server_context(None) is None
+    assert client_context(None, "tls") is None
+
+
+def test_files_that_do_not_fit(ours: Authority, strangers: Authority, tmp_path: Path) -> None:
+    """A key that is not the certificate's, and files that are no PEM, are configuration errors with their path."""
+    one, two = ours.sign("one"), strangers.sign("two")
+    junk = tmp_path / "junk.pem"
+    junk.write_text("hello")
+    with pytest.raises(ConfigError) as error:
+        server_context(ListenTls(certificate=one["certificate"], key=two["key"]))
+    assert error.value.problems[0][0] == "gateway.tls"
+    with pytest.raises(ConfigError) as error:
+        client_context(RemoteTls(certificate=str(junk), key=one["key"]), "remotes[3].tls")
+    assert error.value.problems[0][0] == "remotes[3].tls"
+    with pytest.raises(ConfigError) as error:
+        client_context(RemoteTls(ca=str(junk)), "remotes[4].tls")
+    assert error.value.problems[0][0] == "remotes[4].tls.ca"
+    with pytest.raises(ConfigError) as error:
+        server_context(ListenTls.model_validate({**one, "ca": str(junk)}))
+    assert error.value.problems[0][0] == "gateway.tls.ca"

@@ -1,0 +1,38 @@
+"""ropeway.qos: what several publishers have in common."""
+
+from __future__ import annotations
+
+from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA, QoS, common_qos
+
+
+def test_nothing_offered() -> None:
+    """Where nobody offers anything, the fallback is taken."""
+    assert common_qos([], LATCHED) == LATCHED
+    assert common_qos([]) == DEFAULT
+
+
+def test_weakest_wins() -> None:
+    """A reader asks for no more than every publisher gives, and is as deep as the deepest."""
+    assert common_qos([QoS(depth=3), SENSOR_DATA]) == QoS(reliability="best_effort", depth=5)
+    assert common_qos([LATCHED, QoS(depth=3)]) == QoS(depth=3)
+    assert common_qos([QoS(history="keep_all"), QoS()]).history == "keep_all"
+
+
+def test_latched_by_several() -> None:
+    """What each of several publishers has latched has room."""
+    assert common_qos([LATCHED, LATCHED, QoS(durability="transient_local", depth=5)]).depth == 7
+
+
+def test_untold_depth() -> None:
+    """A depth that was not told counts as the usual one."""
+    assert common_qos([QoS(depth=0)]).depth == 10
+    assert common_qos([QoS(durability="transient_local", depth=0)] * 2).depth == 20
+
+
+def test_lifespan_of_latched_messages() -> None:
+    """What every publisher keeps for a time only is not latched."""
+    brief = QoS(durability="transient_local", depth=100, lifespan_s=1.0)
+    assert common_qos([brief, brief]).lifespan_s == 1.0
+    assert not common_qos([brief]).latched
+    assert common_qos([brief, LATCHED]).latched
+    assert common_qos([QoS(lifespan_s=1.0)]).lifespan_s is None
