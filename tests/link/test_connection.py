@@ -235,6 +235,24 @@ async def test_odd_answers(answer: bytes, retryable: bool, reason: str) -> None:
                 await writer.wait_closed()
 
 
+async def test_hangs_up(place: Place) -> None:
+    """A server that hangs up in the middle of the handshake has not answered, and may be tried again."""
+    for answer in (b"", b"HTTP/1.1 101 Swit"):
+
+        async def reply(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, data: bytes = answer) -> None:
+            await reader.readuntil(b"\r\n\r\n")
+            writer.write(data)
+            writer.close()
+            await writer.wait_closed()
+
+        server = await asyncio.start_server(reply, "127.0.0.1", 0)
+        async with server:
+            port = server.sockets[0].getsockname()[1]
+            with pytest.raises(ConnectFailed, match="closed the connection during the handshake") as failed:
+                await connect(f"ws://127.0.0.1:{port}", limits=QUIET)
+            assert failed.value.retryable
+
+
 async def test_taken_port(place: Place) -> None:
     """A port that is taken says so, and that another gateway may be running."""
     await place.listen()

@@ -261,7 +261,7 @@ async def test_the_end(link: Link) -> None:
     link.far.connection.abort("pulled")
     await until(lambda: link.near_handler.ends and link.far_handler.ends)
     assert link.far_handler.ends == [(1006, "pulled")]
-    assert link.near.outbox.messages == link.far.outbox.messages == 0
+    assert link.near.sender.outbox.messages == link.far.sender.outbox.messages == 0
     assert far_channel.closed
     assert far_channel.queue.lost[Lost.UNSENT] == 1
     channel.put(sample(text("x")))
@@ -365,7 +365,7 @@ async def test_a_slow_plain_peer_gets_the_newest(setting: Setting) -> None:
     for i in range(200):
         channel.put(sample(text(f"{i} " + "x" * 500_000)))
         await asyncio.sleep(0)
-    assert peer.outbox.messages == 1
+    assert peer.sender.outbox.messages == 1
     assert peer.connection.unsent_bytes < 4 << 20
     got: list[int] = []
     while not got or got[-1] < 199:

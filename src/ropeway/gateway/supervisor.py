@@ -26,6 +26,7 @@ _START_S: Final = 20.0
 _STOP_S: Final = 3.0
 _STEADY_S: Final = 5.0  # a worker that lived so long is started again at once
 _PAUSE_S: Final = 1.0
+_LONGEST_PAUSE_S: Final = 10.0
 
 
 def slices(config: Config) -> list[tuple[str, Config]]:
@@ -55,6 +56,7 @@ class Worker:
 
     async def run(self) -> None:
         """Keep the process up for ever."""
+        short_lives = 0
         while True:
             began = time.monotonic()
             self.starts += 1
@@ -64,8 +66,9 @@ class Worker:
                 return
             self.status = {}
             log.warning("worker %s ended%s; it is started again", self.name, f" ({self.error})" if self.error else "")
-            if time.monotonic() - began < _STEADY_S:
-                await asyncio.sleep(_PAUSE_S)
+            short_lives = short_lives + 1 if time.monotonic() - began < _STEADY_S else 0
+            if short_lives > 1:  # one accident soon after the start is none of its own fault
+                await asyncio.sleep(min(_PAUSE_S * 2 ** (short_lives - 2), _LONGEST_PAUSE_S))
 
     async def _once(self) -> None:
         process = self.process = await asyncio.create_subprocess_exec(

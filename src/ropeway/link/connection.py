@@ -22,6 +22,7 @@ import picows
 from picows import WSCloseCode, WSFrame, WSListener, WSMsgType, WSTransport
 
 from ropeway.errors import ConnectFailed
+from ropeway.link.complaints import Complaints
 from ropeway.link.pace import Pace
 from ropeway.link.window import Window, tcp_info
 
@@ -43,6 +44,8 @@ _picows_log = _PicowsLog(logging.getLogger("ropeway.link.picows"), {})
 
 _TCP_RTO_MAX_MS: Final = 44  # Linux 6.15
 _RETRANSMIT_MS: Final = 1000  # what was lost is sent again so often at least, and goes soon after a cut has ended
+_OTHER_HOST: Final = (62, 64)  # OpenSSL: X509_V_ERR_HOSTNAME_MISMATCH, X509_V_ERR_IP_ADDRESS_MISMATCH
+_EXPIRED: Final = 10
 _SHORTEST_LOOK_S: Final = 0.001
 _LONGEST_LOOK_S: Final = 0.05
 _ALMOST_NOTHING_BYTES: Final = 3000  # two segments, which a receiver may acknowledge late
@@ -394,6 +397,23 @@ class Connection(WSListener):
         return info.bytes_received if info is not None else 0
 
 
+def _take_failed_handshakes(complaints: Complaints) -> None:
+    """A client that hangs up during the TLS handshake is told to the event loop as an error of ours: it is none."""
+    loop = asyncio.get_running_loop()
+    others = loop.get_exception_handler()
+
+    def handle(_: object, context: dict[str, Any]) -> None:
+        if context.get("message") == "SSL handshake failed":
+            error = context.get("exception")
+            complaints.note("handshake", "", str(error) or getattr(error, "__name__", error))
+        elif others is not None:
+            others(loop, context)
+        else:
+            loop.default_exception_handler(context)
+
+    loop.set_exception_handler(handle)
+
+
 def _ignore(_: object) -> None:
     return None
 
@@ -408,6 +428,14 @@ def _nothing() -> None:
 
 def _number(code: Any) -> int:
     return int(getattr(code, "value", code))
+
+
+def _distrust(error: ssl.SSLCertVerificationError) -> str:
+    if error.verify_code in _OTHER_HOST:
+        return f"its certificate is not for this host ({error.verify_message})"
+    if error.verify_code == _EXPIRED:
+        return "its certificate has expired"
+    return f"its certificate is not trusted ({error.verify_message}); name its CA under tls.ca"
 
 
 def _reason(error: OSError) -> str:
@@ -459,9 +487,7 @@ async def connect(
     except TimeoutError:
         raise ConnectFailed(url, "no answer in time") from None
     except ssl.SSLCertVerificationError as error:
-        raise ConnectFailed(
-            url, f"its certificate is not trusted ({error.verify_message}); name its CA under tls.ca", retryable=False
-        ) from None
+        raise ConnectFailed(url, _distrust(error), retryable=False) from None
     except picows.WSError as error:
         response = getattr(error, "response", None)
         status = response.status.value if response is not None else None
@@ -471,32 +497,9 @@ async def connect(
     except OSError as error:
         raise ConnectFailed(url, _reason(error)) from None
     if connection.closed or not connection.writable:  # picows takes a server that hangs up for one that answers
-        alert = await _tls_alert(url, ssl_context, limits.open_timeout_s)
-        if alert:
-            what = f"does not take our certificate ({alert}); name one that it trusts under tls.certificate"
-            raise ConnectFailed(url, what, retryable=False)
-        raise ConnectFailed(url, "closed the connection during the handshake")
+        hint = "; does it ask for a certificate that it trusts (tls.certificate)?" if ssl_context is not None else ""
+        raise ConnectFailed(url, f"closed the connection during the handshake{hint}")
     return connection
-
-
-async def _tls_alert(url: str, ssl_context: ssl.SSLContext | None, timeout_s: float) -> str:
-    """Why a server hangs up after the TLS handshake: in TLS 1.3 it looks at our certificate only then."""
-    if ssl_context is None:
-        return ""
-    parts = urlsplit(url)
-    try:
-        async with asyncio.timeout(timeout_s):
-            reader, writer = await asyncio.open_connection(parts.hostname, parts.port or 443, ssl=ssl_context)
-            try:
-                writer.write(b"GET / HTTP/1.1\r\n\r\n")
-                await reader.read(1)
-            finally:
-                writer.transport.abort()
-    except ssl.SSLError as error:
-        return (error.reason or "").lower().replace("_", " ")
-    except (OSError, TimeoutError):
-        return ""
-    return ""
 
 
 class Server:
@@ -548,6 +551,8 @@ async def listen(
         )
 
     address = f"{'wss' if ssl_context else 'ws'}://{f'[{host}]' if ':' in host else host}:{port}"
+    if ssl_context is not None:
+        _take_failed_handshakes(Complaints(address))
     try:
         server = await picows.ws_create_server(
             upgrade,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -47,6 +48,28 @@ def test_loopback(interface: str) -> None:
 def test_localhost_only(env: dict[str, str]) -> None:
     """ROS's variables that keep a node on its machine keep us there."""
     assert make_profile("dds:0", None, env) == make_profile("dds:0", "lo", {})
+
+
+def test_interface_of_cyclonedds_uri(tmp_path: Path) -> None:
+    """An interface that CYCLONEDDS_URI selects, inline or in a file, is not named twice; another one is refused."""
+
+    def selecting(element: str) -> str:
+        interfaces = f"<General><Interfaces>{element}</Interfaces></General>"
+        return f"<CycloneDDS><Domain>{interfaces}</Domain></CycloneDDS>"
+
+    inline = selecting('<NetworkInterface name="lo"/>')
+    file = tmp_path / "cyclone.xml"
+    file.write_text(inline)
+    for uri in (inline, f"file://{file}", f"<CycloneDDS/>,{file}"):
+        for interface, env in ((None, {"ROS_LOCALHOST_ONLY": "1"}), ("lo", {}), ("127.0.0.1", {}), (None, {})):
+            domain = ours(make_profile("dds:0", interface, {**env, "CYCLONEDDS_URI": uri}))
+            assert domain.find("General/Interfaces") is None
+            assert [p.attrib["Address"] for p in domain.findall("Discovery/Peers/Peer")] == ["127.0.0.1"]
+    other = selecting('<NetworkInterface autodetermine="true"/>')
+    with pytest.raises(GraphUnavailable, match="take the interface out of one of the two"):
+        make_profile("dds:0", "lo", {"CYCLONEDDS_URI": other})
+    tag = "<CycloneDDS><!-- <NetworkInterface name='eth7'/> --></CycloneDDS>"
+    assert ours(make_profile("dds:0", "lo", {"CYCLONEDDS_URI": tag})).find("General/Interfaces") is not None
 
 
 def test_static_peers() -> None:

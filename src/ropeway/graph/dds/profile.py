@@ -7,11 +7,14 @@ writer cache of this profile matter more than the size of the datagrams. ``CYCLO
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import os
+import re
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 from xml.sax.saxutils import quoteattr
 
@@ -41,17 +44,28 @@ def make_profile(graph: str, interface: str | None = None, environ: Mapping[str,
     """The profile for ``interface`` (a name or an address; ``None`` leaves the choice to Cyclone DDS).
 
     ROS's own variables are honoured: ``ROS_AUTOMATIC_DISCOVERY_RANGE``, ``ROS_LOCALHOST_ONLY``,
-    ``ROS_STATIC_PEERS``. Raises ``GraphUnavailable`` for an interface that this machine does not have.
+    ``ROS_STATIC_PEERS``. What ``CYCLONEDDS_URI`` selects goes before ``None`` and before ROS's variables. Raises
+    ``GraphUnavailable`` for an interface that this machine does not have, or that is not the one selected there.
     """
     env = os.environ if environ is None else environ
     reach = _discovery_range(graph, env)
     peers = []
     if reach in ("SUBNET", "LOCALHOST") and not _localhost_only(env):
         peers = [p.strip() for p in env.get("ROS_STATIC_PEERS", "").split(";") if p.strip()]
-    if interface is None and reach == "LOCALHOST" and all(_is_loopback(p) for p in peers):
+    theirs = env.get("CYCLONEDDS_URI", "").strip()
+    selected = _selected_interfaces(theirs)
+    if selected:
+        if interface and not any(_is_same(interface, other) for other in selected):
+            raise GraphUnavailable(
+                graph,
+                f"interface {interface} was asked for, but CYCLONEDDS_URI selects {', '.join(selected)}; "
+                "take the interface out of one of the two",
+            )
+        interface = None  # naming it twice is an error for Cyclone DDS
+    elif interface is None and reach == "LOCALHOST" and all(_is_loopback(p) for p in peers):
         interface = "lo"
     element = _interface_element(graph, interface) if interface else ""
-    loopback = bool(interface) and (interface == "lo" or _is_loopback(interface or ""))
+    loopback = any(_is_loopback(name) for name in selected or ((interface,) if interface else ()))
     unicast = loopback or reach in ("LOCALHOST", "OFF")
     if unicast and reach != "OFF":
         peers.append("127.0.0.1")
@@ -87,8 +101,29 @@ def make_profile(graph: str, interface: str | None = None, environ: Mapping[str,
         f"<Internal>{''.join(internal)}</Internal>"
         "</Domain></CycloneDDS>"
     )
-    theirs = env.get("CYCLONEDDS_URI", "").strip()
-    return Profile(f"{ours},{theirs}" if theirs else ours, interface or "")
+    return Profile(f"{ours},{theirs}" if theirs else ours, interface or ", ".join(selected))
+
+
+def _selected_interfaces(uri: str) -> tuple[str, ...]:
+    """The network interfaces that a value of ``CYCLONEDDS_URI`` selects: inline XML and files, comma-separated."""
+    texts = [uri]
+    for part in _INLINE.sub("", uri).split(","):
+        path = part.strip().removeprefix("file://")
+        if path:
+            with contextlib.suppress(OSError, UnicodeError, ValueError):
+                texts.append(Path(path).read_text())
+    names = (_NAME.search(element) for text in texts for element in _SELECTION.findall(_COMMENT.sub("", text)))
+    return tuple(name.group(1) if name else "one by itself" for name in names)
+
+
+_INLINE: Final = re.compile(r"<.*>", re.DOTALL)
+_COMMENT: Final = re.compile(r"<!--.*?-->", re.DOTALL)
+_SELECTION: Final = re.compile(r"<NetworkInterface\b[^>]*>", re.IGNORECASE)
+_NAME: Final = re.compile(r"""\b(?:name|address)\s*=\s*["']([^"']+)""", re.IGNORECASE)
+
+
+def _is_same(interface: str, other: str) -> bool:
+    return interface == other or (_is_loopback(interface) and _is_loopback(other))
 
 
 def _discovery_range(graph: str, env: Mapping[str, str]) -> str:

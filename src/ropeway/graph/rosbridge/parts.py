@@ -168,7 +168,8 @@ class RemotePublisher:
         self.closed = True
         self.graph.forget(self)
         if self.channel is not None:
-            peer = self.channel.peer
+            peer = self.graph.peer
+            assert peer is not None
             peer.pump()
             self._collect()
             self.channel.close()

@@ -1,0 +1,136 @@
+"""One topic that goes out on a link: what waits of it, and how it is encoded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from ropeway.link.auto import EncodingChooser
+from ropeway.link.outbox import Lost, Queue
+from ropeway.wire import codec as wire_codec
+from ropeway.wire import filters
+
+if TYPE_CHECKING:
+    from ropeway.link.sender import Sender
+    from ropeway.types import MessageCodec
+
+__all__ = ["Channel", "Outgoing"]
+
+_BIG_BYTES: Final = 1 << 20  # encoding this takes milliseconds, which the event loop has not
+_BIG_PNG_BYTES: Final = 16 << 10  # a PNG takes ten times as long
+
+
+class Outgoing(Protocol):
+    """What a link needs of a message that goes out; ``ropeway.graph.Sample`` has it."""
+
+    payload: bytes
+    type: str
+    stamp_ns: int
+    origin: bytes
+    seq: int
+    relayed: bool
+
+    def cached(self, key: object, make: Callable[[], Any]) -> Any:
+        """See ``Sample.cached``."""
+
+
+class Channel:
+    """A topic under the ``number`` that the client gave it; ``sender`` makes it."""
+
+    __slots__ = (
+        "chooser",
+        "closed",
+        "codec",
+        "encoding",
+        "fragment_size",
+        "number",
+        "queue",
+        "sender",
+        "sent",
+        "sent_bytes",
+        "topic",
+        "type",
+        "used",
+    )
+
+    def __init__(
+        self,
+        sender: Sender,
+        number: int,
+        topic: str,
+        type: str,
+        encoding: str,
+        queue: Queue[Outgoing],
+        codec: MessageCodec | None,
+    ) -> None:
+        self.sender, self.number, self.topic, self.type = sender, number, topic, type
+        self.encoding = encoding
+        self.queue = queue
+        self.queue.key = self
+        self.codec = codec
+        self.chooser: EncodingChooser | None = None
+        self.used = encoding  # by the last message
+        if encoding == "auto":
+            self.used = "cbor-raw" if sender.records else "none"
+            if sender.records:
+                self.chooser = EncodingChooser(sender.connection.pace)
+        self.fragment_size: int | None = None  # characters; longer texts go in fragments
+        self.sent = self.sent_bytes = 0
+        self.closed = False
+
+    def put(self, sample: Outgoing) -> None:
+        """Let a message wait for its turn."""
+        if self.closed:
+            self.queue.lost[Lost.UNSENT] += 1
+        else:
+            self.sender.put(self, sample)
+
+    def close(self) -> None:
+        """Withdraw the topic; what waits is lost."""
+        if not self.closed:
+            self.closed = True
+            self.sender.drop(self)
+
+    def pick(self, sample: Outgoing) -> str:
+        """The encoding for this message."""
+        if self.chooser is not None:
+            lost = self.queue.lost
+            self.used = self.chooser.choose(len(sample.payload), self.sent, lost[Lost.REPLACED] + lost[Lost.OVERFLOW])
+        return self.used
+
+    @staticmethod
+    def is_slow(sample: Outgoing, encoding: str) -> bool:
+        """True for a message that a thread should encode."""
+        size = len(sample.payload)
+        if encoding in ("cbor-raw", "rawzip"):
+            return False
+        return size >= _BIG_BYTES or (encoding == "png" and size >= _BIG_PNG_BYTES)
+
+    def frame(self, sample: Outgoing, encoding: str) -> wire_codec.Frame:
+        """A plain ``publish``; made once however many peers get it. Raises ``TypesError``."""
+        dialect = self.sender.dialect
+        made: wire_codec.Frame = sample.cached(
+            ("frame", self.topic, encoding, dialect.name),
+            lambda: wire_codec.encode_publish(
+                self.topic, sample.payload, self.codec, encoding, dialect=dialect, stamp_ns=sample.stamp_ns
+            ),
+        )
+        return made
+
+    def body(self, sample: Outgoing, encoding: str) -> bytes:
+        """The body of a record; made once however many peers get it. Raises ``TypesError``."""
+        if encoding == "cbor-raw":
+            return sample.payload
+
+        def make() -> bytes:
+            if encoding != "zstd":
+                return wire_codec.encode_msg(encoding, sample.payload, self.codec, stamp_ns=sample.stamp_ns)
+            began = time.perf_counter()
+            packed = filters.encode(sample.payload, self.type)
+            if self.chooser is not None:
+                self.chooser.measured(len(sample.payload), len(packed), time.perf_counter() - began)
+            return packed
+
+        made: bytes = sample.cached(("body", encoding), make)
+        return made
