@@ -111,7 +111,7 @@ def test_slices() -> None:
     """Active remotes are dealt out to the workers; per-remote gives each its own, and the listeners one more."""
 
     def addresses(parts: list[tuple[str, config.Config]]) -> dict[str, list[str]]:
-        return {name: [r.address.removeprefix("ws://h")[0] for r in part.remotes] for name, part in parts}
+        return {name: [r.address.removeprefix("ws://h")[0] for r in part.remotes if r.active] for name, part in parts}
 
     assert addresses(slices(parsed(2))) == {"worker0": ["0", "3"], "worker1": ["2"]}
     assert addresses(slices(parsed("per-remote"))) == {"remote0": ["0"], "remote2": ["2"], "remote3": ["3"]}

@@ -17,8 +17,9 @@ from ropeway.graph.base import Delivery
 from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
 from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
-from ropeway.link.connection import Connection, Limits, Server, listen
+from ropeway.link.connection import Connection, Limits
 from ropeway.link.outbox import Lost
+from ropeway.link.websocket import Server, listen
 from ropeway.qos import LATCHED, QoS
 from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry

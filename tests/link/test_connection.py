@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 from ropeway.errors import ConnectFailed
-from ropeway.link.connection import Connection, Limits, Server, connect, listen
+from ropeway.link.connection import Connection, Limits
+from ropeway.link.websocket import Server, connect, listen
 from tests.contract.conftest import until
 from tests.server.client import BINARY, CLOSE, CONTINUATION, PING, PONG, TEXT, Client, ClosedByServer, frame
 
@@ -113,11 +114,11 @@ async def test_holding_back(place: Place) -> None:
     await place.listen(Limits(ping_interval_s=None))
     client, far = await place.client()
     connection = far.connection
-    assert connection.pace.bytes_per_s is None
+    assert connection.flow.pace.bytes_per_s is None
     for fast in (False, True):
-        assert connection.window is not None
+        assert connection.flow.window is not None
         if fast:
-            connection.window.release()  # all that the operating system takes may be on the way
+            connection.flow.window.release()  # all that the operating system takes may be on the way
         sent = 0
         while connection.writable:
             connection.send_binary(bytes(65536))
@@ -130,7 +131,7 @@ async def test_holding_back(place: Place) -> None:
         await until(lambda: connection.writable)
         assert far.writables == before + 1
         assert connection.unsent_bytes == 0
-    assert connection.pace.bytes_per_s is not None
+    assert connection.flow.pace.bytes_per_s is not None
 
 
 async def test_not_reading(place: Place) -> None:

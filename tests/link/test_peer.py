@@ -15,9 +15,10 @@ import pytest
 
 from ropeway.errors import DecodeError, InvalidDefinition, UnknownType
 from ropeway.graph.base import Sample
-from ropeway.link.connection import Limits, connect, listen
+from ropeway.link.connection import Limits
 from ropeway.link.outbox import Lost
 from ropeway.link.peer import Channel, Peer
+from ropeway.link.websocket import connect, listen
 from ropeway.types import TypeRegistry
 from ropeway.wire import ops
 from ropeway.wire.codec import ENCODING_NUMBERS

@@ -39,7 +39,7 @@ class Remote:
         """The link, for people and programs."""
         peer = self.graph.peer
         bytes_in, bytes_out = self.graph.traffic
-        pace = peer.connection.pace.bytes_per_s if peer is not None else None
+        pace = peer.connection.flow.pace.bytes_per_s if peer is not None else None
         return {
             "address": self.config.address,
             "title": self.config.title,

@@ -81,6 +81,10 @@ class Peer:
         connection.on_writable = self.sender.pump
         connection.on_closed = self._on_closed
 
+    def speak(self, dialect: Dialect) -> None:
+        """Speak to a plain peer as ``dialect``, from now on."""
+        self.dialect = self.sender.dialect = dialect
+
     # ── out ────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def send(self, op: ops.Op | Mapping[str, Any]) -> None:

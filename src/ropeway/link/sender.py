@@ -322,7 +322,7 @@ class RecordSender(Sender):
 
     def _tune(self, sent_bytes: int) -> None:
         """Fit the size of parts to the pace of the link."""
-        pace, window = self.connection.pace, self.connection.window
+        pace, window = self.connection.flow.pace, self.connection.flow.window
         if pace.bytes_per_s is not None:
             wanted = pace.bytes_per_s * _PART_S
         elif window is not None and window.limit is not None:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from ropeway.errors import ConnectFailed
-from ropeway.link.connection import Connection, Limits, Server, listen
+from ropeway.link.connection import Connection, Limits
+from ropeway.link.websocket import Server, listen
 from ropeway.server.session import Session
 from ropeway.tasks import end
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL

@@ -1,7 +1,7 @@
 """Who speaks rosbridge how: rosbridge itself, the original ROS Gateway (rosgw), and other Ropeway gateways.
 
 Another Ropeway gateway is known by the WebSocket subprotocol. A plain peer is taken for rosbridge until it does
-something that only rosgw does; ``detect`` tells.
+something that only rosgw does: ``by_server`` tells from the answer of a server, ``detect`` from what a peer says.
 """
 
 from __future__ import annotations
@@ -13,7 +13,17 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from ropeway.wire.ops import Op
 
-__all__ = ["DIALECTS", "ROPEWAY", "ROPEWAY_SUBPROTOCOL", "ROSBRIDGE", "ROSGW", "Dialect", "by_subprotocol", "detect"]
+__all__ = [
+    "DIALECTS",
+    "ROPEWAY",
+    "ROPEWAY_SUBPROTOCOL",
+    "ROSBRIDGE",
+    "ROSGW",
+    "Dialect",
+    "by_server",
+    "by_subprotocol",
+    "detect",
+]
 
 ROPEWAY_SUBPROTOCOL: Final = "ropeway.1"
 """What two Ropeway gateways offer and accept when they open a WebSocket."""
@@ -62,6 +72,8 @@ ROPEWAY: Final = Dialect("ropeway", subscribe=_ALL, publish=_ALL, names_compress
 
 DIALECTS: Final = {dialect.name: dialect for dialect in (ROSBRIDGE, ROSGW, ROPEWAY)}
 
+_ROSBRIDGE_SERVERS: Final = ("tornado", "autobahn", "websocket++")
+
 # rosgw numbers its requests below 32 hexadecimal digits that name its bridge; no client library does
 _ROSGW_ID: Final = re.compile(
     r"(?:un)?(?:advertise|subscribe):[0-9a-f]{32}:\d+|(?:expose|del)(?:srv|act):[0-9a-f]{32}:\d+"
@@ -72,6 +84,17 @@ _ROSGW_ONLY: Final = frozenset(("zip", "rawzip"))
 def by_subprotocol(subprotocol: str | None) -> Dialect:
     """The dialect of a peer that has just connected with this WebSocket subprotocol, or none."""
     return ROPEWAY if subprotocol == ROPEWAY_SUBPROTOCOL else ROSBRIDGE
+
+
+def by_server(server: str, *, dated: bool) -> Dialect | None:
+    """The dialect of a server without our subprotocol, from the head of its answer; ``None`` leaves it open.
+
+    ``server`` is its ``Server`` line, ``dated`` tells whether it had a ``Date``. rosbridge servers stand on Tornado,
+    Autobahn (ROS 1) or WebSocket++; the library below rosgw gives a date and no name.
+    """
+    if server.lower().startswith(_ROSBRIDGE_SERVERS):
+        return ROSBRIDGE
+    return ROSGW if dated and not server else None
 
 
 def detect(dialect: Dialect, op: Op) -> Dialect:

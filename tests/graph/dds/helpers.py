@@ -57,7 +57,7 @@ class Inbox:
 async def until(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
     """Wait until ``condition()`` holds."""
     async with asyncio.timeout(timeout_s):
-        while not condition():  # noqa: ASYNC110 - discovery has no other signal
+        while not condition():
             await asyncio.sleep(0.005)
 
 

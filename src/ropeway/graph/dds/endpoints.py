@@ -15,6 +15,7 @@ from ropeway.graph.dds.raw import (
     INFO,
     SERDATA_DATA,
     SERDATA_HEADER,
+    SERDATA_HEADER,
     SERDATA_SIZE,
     SERDATA_TIMESTAMP,
     DdsError,
@@ -241,6 +242,8 @@ class RawWriter:
             vector.base = None  # what was big is not kept until the next write
         if not serdata:
             return Undelivered.ENCODE
+        if length & 3:  # it goes out padded to four bytes, with what happens to be in memory unless told otherwise
+            ct.memset(serdata + SERDATA_HEADER + length, 0, -length & 3)
         if 0 < source_stamp_ns <= _MAX_STAMP:
             _i64_at(serdata + SERDATA_TIMESTAMP).value = source_stamp_ns
             code = lib.forwardcdr(self.entity, serdata)  # either takes the reference over

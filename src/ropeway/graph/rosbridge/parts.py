@@ -15,7 +15,7 @@ from ropeway.link.outbox import Lost
 from ropeway.qos import DEFAULT, QoS
 from ropeway.wire import codec as wire_codec
 from ropeway.wire import ops
-from ropeway.wire.dialect import ROPEWAY
+from ropeway.wire.dialect import ROPEWAY, ROSGW
 from ropeway.wire.records import Arrival
 
 if TYPE_CHECKING:
@@ -114,9 +114,7 @@ class RemotePublisher:
         """Announce the topic on a new connection."""
         delivery = self.delivery
         plain = peer.dialect is not ROPEWAY
-        encoding = delivery.encoding
-        if plain and encoding in ("auto", "zstd", "png"):
-            encoding = "none"
+        encoding = self.graph.publish_encoding(peer, self.topic, delivery.encoding)
         extra: dict[str, Any] | None = None
         self.demand(None if plain else 0)  # a gateway tells at once how many read
         if not plain:
@@ -132,13 +130,16 @@ class RemotePublisher:
         )
         self.channel.queue.lost = self.lost
         self.channel.queue.latched = self.qos.latched
+        rosgw = peer.dialect is ROSGW
         peer.send(
             ops.Advertise(
                 id=self.id,
                 topic=self.topic,
                 type=self.type,
-                qos=None if self.graph.says_rosgw(encoding) else self.qos.to_json(),
-                compression=encoding if self.graph.says_rosgw(encoding) else None,
+                latch=plain and not rosgw and self.qos.latched,  # for servers that do not know qos
+                queue_size=max(self.qos.depth, 1) if plain and not rosgw else 100,
+                qos=None if rosgw else self.qos.to_json(),
+                compression=encoding if rosgw and encoding != "none" else None,
                 ropeway=extra,
             )
         )

@@ -1,0 +1,190 @@
+"""Opening WebSocket connections: dialling and listening."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import socket
+import ssl
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+import picows
+
+from ropeway.errors import ConnectFailed
+from ropeway.link.complaints import Complaints
+from ropeway.link.connection import Connection, Handshake, Limits
+
+__all__ = ["Server", "connect", "listen"]
+
+
+class _PicowsLog(logging.LoggerAdapter[logging.Logger]):
+    """Leaves to us what a peer did wrong: we know its address."""
+
+    def error(self, msg: object, *args: object, **kwargs: Any) -> None:
+        if not str(msg).startswith("WS parser error"):
+            super().error(msg, *args, **kwargs)
+
+
+logging.getLogger("ropeway.link.picows").setLevel(logging.ERROR)
+_picows_log = _PicowsLog(logging.getLogger("ropeway.link.picows"), {})
+
+_OTHER_HOST: Final = (62, 64)  # OpenSSL: X509_V_ERR_HOSTNAME_MISMATCH, X509_V_ERR_IP_ADDRESS_MISMATCH
+_EXPIRED: Final = 10
+
+
+async def connect(
+    url: str,
+    *,
+    limits: Limits,
+    subprotocols: Sequence[str] = (),
+    ssl_context: ssl.SSLContext | None = None,
+    headers: Mapping[str, str] | None = None,
+    on_connection: Callable[[Connection], None] | None = None,
+) -> Connection:
+    """Connect to a ``ws://`` or ``wss://`` URL.
+
+    ``on_connection`` is called before the first message: what the server says at once is lost without.
+    Raises ``ConnectFailed``; its ``retryable`` is false for answers that another try will not change.
+    """
+    connection = Connection(limits, peer=url)
+    if on_connection is not None:
+        connection.on_connected = lambda: on_connection(connection)
+    extra = dict(headers or {})
+    if subprotocols:
+        extra["Sec-WebSocket-Protocol"] = ", ".join(subprotocols)
+    try:
+        async with asyncio.timeout(limits.open_timeout_s):
+            await picows.ws_connect(
+                lambda: connection,
+                url,
+                ssl_context=ssl_context,
+                websocket_handshake_timeout=limits.open_timeout_s,
+                max_frame_size=limits.max_message_bytes,
+                extra_headers=extra,
+                logger_name=_picows_log,
+                disconnect_on_exception=False,
+                enable_auto_pong=False,
+            )
+    except TimeoutError:
+        raise ConnectFailed(url, "no answer in time") from None
+    except ssl.SSLCertVerificationError as error:
+        raise ConnectFailed(url, _distrust(error), retryable=False) from None
+    except picows.WSError as error:
+        response = getattr(error, "response", None)
+        status = response.status.value if response is not None else None
+        fatal = status in (400, 401, 403, 404)
+        what = f"answered HTTP {status}" if status else f"is not a WebSocket server ({error})"
+        raise ConnectFailed(url, what, retryable=not fatal) from None
+    except OSError as error:
+        raise ConnectFailed(url, _reason(error)) from None
+    if connection.closed or not connection.writable:  # picows takes a server that hangs up for one that answers
+        hint = "; does it ask for a certificate that it trusts (tls.certificate)?" if ssl_context is not None else ""
+        raise ConnectFailed(url, f"closed the connection during the handshake{hint}")
+    return connection
+
+
+class Server:
+    """A listening socket; made by ``listen``."""
+
+    def __init__(self, server: asyncio.AbstractServer, address: str) -> None:
+        self._server = server
+        self.address = address
+        sockets = getattr(server, "sockets", ())
+        self.port: int = sockets[0].getsockname()[1] if sockets else 0
+
+    async def close(self) -> None:
+        """Stop listening; connections that stand go on."""
+        self._server.close()
+
+
+async def listen(
+    host: str,
+    port: int,
+    on_connection: Callable[[Connection], None],
+    *,
+    limits: Limits,
+    subprotocols: Sequence[str] = (),
+    ssl_context: ssl.SSLContext | None = None,
+    path: str = "/",
+    reuse_port: bool = False,
+) -> Server:
+    """Listen for WebSocket clients on ``host:port``; ``port`` 0 takes a free one.
+
+    Of the subprotocols that a client offers the first of ours is chosen; a client that offers none gets none.
+    Raises ``ConnectFailed`` if the address cannot be bound.
+    """
+
+    def upgrade(request: picows.WSUpgradeRequest) -> Any:
+        target = urlsplit(request.path.decode("latin-1"))
+        if target.path.rstrip("/") != path.rstrip("/"):
+            return None
+        offered = tuple(
+            part.strip() for value in request.headers.getall("Sec-WebSocket-Protocol", []) for part in value.split(",")
+        )
+        chosen = next((name for name in subprotocols if name in offered), "")
+        connection = Connection(limits)
+        connection.subprotocol = chosen
+        connection.handshake = Handshake(target.path, target.query, request.headers, offered)
+        connection.on_connected = lambda: on_connection(connection)
+        extra = {"Sec-WebSocket-Protocol": chosen} if chosen else None
+        return picows.WSUpgradeResponseWithListener(
+            picows.WSUpgradeResponse.create_101_response(extra_headers=extra), connection
+        )
+
+    address = f"{'wss' if ssl_context else 'ws'}://{f'[{host}]' if ':' in host else host}:{port}"
+    if ssl_context is not None:
+        _take_failed_handshakes(Complaints(address))
+    try:
+        server = await picows.ws_create_server(
+            upgrade,
+            host,
+            port,
+            ssl=ssl_context,
+            reuse_port=reuse_port or None,
+            reuse_address=True,
+            max_frame_size=limits.max_message_bytes,
+            websocket_handshake_timeout=limits.open_timeout_s,
+            logger_name=_picows_log,
+            disconnect_on_exception=False,
+            enable_auto_pong=False,
+        )
+    except OSError as error:
+        raise ConnectFailed(
+            address, f"cannot listen: {error.strerror or error}; is another gateway running?", retryable=False
+        ) from None
+    return Server(server, address)
+
+
+def _take_failed_handshakes(complaints: Complaints) -> None:
+    """A client that hangs up during the TLS handshake is told to the event loop as an error of ours: it is none."""
+    loop = asyncio.get_running_loop()
+    others = loop.get_exception_handler()
+
+    def handle(_: object, context: dict[str, Any]) -> None:
+        if context.get("message") == "SSL handshake failed":
+            error = context.get("exception")
+            complaints.note("handshake", "", str(error) or getattr(error, "__name__", error))
+        elif others is not None:
+            others(loop, context)
+        else:
+            loop.default_exception_handler(context)
+
+    loop.set_exception_handler(handle)
+
+
+def _distrust(error: ssl.SSLCertVerificationError) -> str:
+    if error.verify_code in _OTHER_HOST:
+        return f"its certificate is not for this host ({error.verify_message})"
+    if error.verify_code == _EXPIRED:
+        return "its certificate has expired"
+    return f"its certificate is not trusted ({error.verify_message}); name its CA under tls.ca"
+
+
+def _reason(error: OSError) -> str:
+    """What the operating system says, without the words of the event loop around it."""
+    if isinstance(error, (socket.gaierror, ssl.SSLError)) or not error.errno:
+        return error.strerror or str(error)
+    return os.strerror(error.errno)
