@@ -1,7 +1,8 @@
 """A gateway with a robot beside it in one process, for tests of faults between machines.
 
-The only argument is a JSON object: ``name``, ``listen`` (URLs), ``remotes`` as in a configuration, ``publish`` (topic
-to rate in Hz) and ``read`` (topics) of the robot, ``ahead_s`` by which the clock is wrong, ``size`` of the messages.
+The only argument is a JSON object: ``name``, ``graph`` (of memory unless told), ``listen`` (URLs), ``remotes`` as in a
+configuration, ``publish`` (topic to rate in Hz) and ``read`` (topics) of the robot, ``ahead_s`` by which the clock is
+wrong, ``size`` of the messages.
 Prints what happens as JSON lines: ``{"t": <time.monotonic()>, ...}``.
 """
 
@@ -26,8 +27,8 @@ if order.get("ahead_s"):
 
 from ropeway.gateway import config  # noqa: E402  # with the clock as it is to be
 from ropeway.gateway.gateway import Gateway  # noqa: E402
-from ropeway.graph.base import SEQ_NONE, Sample  # noqa: E402
-from ropeway.graph.memory import MemoryGraph  # noqa: E402
+from ropeway.graph.base import SEQ_NONE, Graph, Sample  # noqa: E402
+from ropeway.graph.factory import open_graph  # noqa: E402
 from ropeway.qos import QoS  # noqa: E402
 from tests.contract.test_topics import STRING, text  # noqa: E402
 
@@ -36,7 +37,7 @@ def tell(**event: Any) -> None:
     print(json.dumps({"t": time.monotonic(), **event}), flush=True)
 
 
-async def talk(robot: MemoryGraph, topic: str, hz: float) -> None:
+async def talk(robot: Graph, topic: str, hz: float) -> None:
     """Publish numbers."""
     publisher = await robot.create_publisher(topic, STRING, QoS(depth=10))
     padding = "x" * order.get("size", 0)
@@ -50,7 +51,7 @@ async def talk(robot: MemoryGraph, topic: str, hz: float) -> None:
 def hears(topic: str) -> Any:
     def heard(batch: Sequence[Sample]) -> None:
         for sample in batch:
-            tell(topic=topic, n=int(bytes(sample.payload[8:28]).split(b" ")[0]))
+            tell(topic=topic, n=int(bytes(sample.payload[8:28]).split(b" ")[0]), origin=sample.origin.hex())
 
     return heard
 
@@ -58,9 +59,9 @@ def hears(topic: str) -> Any:
 async def main() -> None:
     """Run until standard input ends."""
     name = order["name"]
-    settings = {"name": name, "graphs": [f"memory:{name}"], "listen": order.get("listen", []), "insecure": True}
-    robot = MemoryGraph(name, node="/robot")
-    await robot.open()
+    graph = order.get("graph", f"memory:{name}")
+    settings = {"name": name, "graphs": [graph], "listen": order.get("listen", []), "insecure": True}
+    robot = await open_graph(graph, name="robot")
     ends = asyncio.ensure_future(asyncio.to_thread(sys.stdin.readline))
     async with Gateway(config.parse({"gateway": settings, "remotes": order.get("remotes", [])})) as gateway:
         ports = [listener.port for server in gateway.servers for listener in server.listeners]

@@ -68,7 +68,7 @@ class Cloud:
 
     def _hear(self, batch: Any) -> None:
         for sample in batch:
-            self.heard.append((time.monotonic(), int(bytes(sample.payload[8:]).rstrip(b"\0"))))
+            self.heard.append((time.monotonic(), int(bytes(sample.payload[8:]).split(b"\0")[0])))
 
     def since(self, when: float) -> list[tuple[float, int]]:
         return [h for h in self.heard if h[0] >= when]
@@ -211,7 +211,7 @@ async def test_worker_that_keeps_falling(stack: AsyncExitStack, caplog: pytest.L
     (worker,) = supervisor.workers
     times = []
     for starts in (1, 2, 3):
-        await until(lambda n=starts: worker.starts == n and worker.process is not None)
+        await until(lambda n=starts: worker.starts == n and worker.process and worker.process.returncode is None)
         process = worker.process
         assert process is not None
         began = time.monotonic()

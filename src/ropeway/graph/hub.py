@@ -141,10 +141,20 @@ class ViewPublisher:
             self.given.add(sample)
         if self._closed:
             return
-        if self.standby.defers:
+        if sample.relayed and self.standby.listens:  # in a ring it may be from here, and we hear it in a moment
+            self.standby.hold(sample, self._give)
+        elif self.standby.defers:
             self.standby.hold(sample, self._inner.publish)
+            self._share(sample)
         else:
-            self._inner.publish(sample)
+            self._give(sample)
+
+    def _give(self, sample: Sample) -> None:
+        self._inner.publish(sample)
+        self._share(sample)
+
+    def _share(self, sample: Sample) -> None:
+        """Let our own readers have it, also those to come."""
         if self.qos.transient_local:
             self._history.add(sample)
         for reader in self._readers:

@@ -2,8 +2,9 @@
 
 Whoever the others are, this gateway then reads the topic as well, so that a message that left the network here and
 comes back in a ring of gateways is known. Are they another gateway's, one of the two speaks and the other stands by:
-the one with the smaller id publishes at once, the other waits 30 ms for each message to appear and publishes those
-that do not. So parallel links give every message once, and one of them may fail without a gap.
+the one with the smaller id publishes at once, the other waits 100 ms for each message to appear and publishes those
+that do not. So parallel links give every message once, and one of them may fail without a gap. A message that two
+gateways passed on before may have come round faster than this network brought it to us: it waits, too, for 30 ms.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ __all__ = ["Standby"]
 
 log = logging.getLogger("ropeway.graph.standby")
 
-_WAIT_S: Final = 0.03
+_WAIT_S: Final = 0.1  # a gateway on a busy machine may be as late as that
+_COME_ROUND_S: Final = 0.03
 _HELD: Final = 256
 
 
@@ -41,22 +43,33 @@ class Standby:
         self._held: deque[tuple[float, Sample, Callable[[Sample], None]]] = deque()
         self._timer: asyncio.TimerHandle | None = None
         self._lock = asyncio.Lock()
+        self._closed = False
+
+    @property
+    def listens(self) -> bool:
+        """True while others publish the topic on this network, and we hear them."""
+        return self._monitor is not None
 
     async def look(self) -> None:
         """See who else publishes the topic, and act on it."""
         async with self._lock:
+            if self._closed:
+                return
             known = self._graph.topics().get(self._topic)
             others = {p.gateway for p in known.publishers if not p.local} if known is not None else set()
             others.discard(self._gateway_id)
-            defers = any(other < self._gateway_id for other in others if other)
             if others and self._monitor is None:
                 with contextlib.suppress(RopewayError):
                     self._monitor = await self._graph.create_subscription(self._topic, self._type, None, self._heard)
             elif not others and self._monitor is not None:
                 monitor, self._monitor = self._monitor, None
                 await monitor.close()
+            # who cannot hear the others would publish everything once more, and late
+            defers = self._monitor is not None and any(other < self._gateway_id for other in others if other)
             if defers != self.defers:
                 self.defers = defers
+                if not defers:
+                    self._release(float("inf"), len(self._held))  # before anything newer is published
                 log.info(
                     "%s: %s %s",
                     self._graph.name,
@@ -71,11 +84,12 @@ class Standby:
     def hold(self, sample: Sample, publish: Callable[[Sample], None]) -> None:
         """Publish the message in a moment, unless it appears by then."""
         loop = asyncio.get_running_loop()
-        self._held.append((loop.time() + _WAIT_S, sample, publish))
+        wait_s = _COME_ROUND_S if sample.relayed else _WAIT_S
+        self._held.append((loop.time() + wait_s, sample, publish))
         if len(self._held) > _HELD:
             self._release(float("inf"), 1)
         if self._timer is None:
-            self._timer = loop.call_later(_WAIT_S, self._due)
+            self._timer = loop.call_later(wait_s, self._due)
 
     def _due(self) -> None:
         self._timer = None
@@ -95,6 +109,7 @@ class Standby:
 
     async def close(self) -> None:
         """Stop; what is held goes out now."""
+        self._closed = True
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

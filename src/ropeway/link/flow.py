@@ -14,7 +14,6 @@ __all__ = ["Flow"]
 
 _SHORTEST_LOOK_S: Final = 0.001
 _LONGEST_LOOK_S: Final = 0.05
-_ALMOST_NOTHING_BYTES: Final = 3000  # two segments, which a receiver may acknowledge late
 _LATE: Final = 0.3  # of the time: a look that came so late says nothing of the link
 _LATE_LOOKS: Final = 3  # in a row: then more must be on the way while we do other things
 _FASTER: Final = 1.25  # a wider window that brings so much more shows that the link has room
@@ -101,7 +100,7 @@ class Flow:
         window, pace = self.window, self.pace
         if window is None or seconds <= 0:
             return
-        if outstanding <= _ALMOST_NOTHING_BYTES:
+        if outstanding <= window.late_bytes:
             rate, before = carried_bytes / seconds, self._rate_when_empty
             self._rate_when_empty = rate
             late = late_s > _LATE * seconds

@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 __all__ = ["TcpInfo", "Window", "tcp_info"]
 
 _TCP_INFO: Final = getattr(socket, "TCP_INFO", None)
-_FIELDS: Final = struct.Struct("<68x I 56x Q 12x I")  # tcpi_rtt, tcpi_bytes_received, tcpi_min_rtt
+_FIELDS: Final = struct.Struct("<16x I 48x I 56x Q 12x I")  # tcpi_snd_mss, _rtt, _bytes_received, _min_rtt
 _INT: Final = struct.Struct("i")
 _QUEUE_S: Final = 0.0015  # so much may wait on the way: timers have a resolution of 1 ms
 _GAIN: Final = 1.25
@@ -31,8 +31,9 @@ _LONGEST_RTT_S: Final = 1.0
 
 
 class TcpInfo(NamedTuple):
-    """What the kernel knows of a connection."""
+    """What the kernel knows of a connection; ``segment_bytes`` is what one packet to the peer carries."""
 
+    segment_bytes: int
     rtt_s: float
     min_rtt_s: float
     bytes_received: int
@@ -48,8 +49,8 @@ def tcp_info(sock: Any) -> TcpInfo | None:
         return None
     if len(raw) < _FIELDS.size:
         return None
-    rtt, received, min_rtt = _FIELDS.unpack(raw)
-    return TcpInfo(rtt / 1e6, min_rtt / 1e6, received)
+    segment, rtt, received, min_rtt = _FIELDS.unpack(raw)
+    return TcpInfo(segment, rtt / 1e6, min_rtt / 1e6, received)
 
 
 class Window:
@@ -60,7 +61,12 @@ class Window:
         self._fd = -1
         with contextlib.suppress(OSError, AttributeError):
             self._fd = sock.fileno()
-        self.limit: int | None = _FIRST_BYTES if self.outstanding() is not None else None
+        info = tcp_info(sock)
+        segment = info.segment_bytes if info is not None else 0
+        self.late_bytes = 2 * segment  # a receiver may acknowledge so much up to 40 ms late, however fast the link is
+        self.limit: int | None = None
+        if info is not None and self.outstanding() is not None:
+            self.limit = max(_FIRST_BYTES, 2 * self.late_bytes)
 
     def outstanding(self) -> int | None:
         """Bytes handed to TCP that the peer has not acknowledged; ``None`` where the kernel does not tell."""
@@ -78,7 +84,7 @@ class Window:
         wanted = _GAIN * bytes_per_s * (min(info.min_rtt_s, _LONGEST_RTT_S) + _QUEUE_S)
         if self.limit is not None:
             wanted = min(wanted, _GROWTH * self.limit)  # a burst that passed at once is not yet a pace
-        self.limit = None if wanted > _MAX_BYTES else int(max(wanted, _MIN_BYTES))
+        self.limit = None if wanted > _MAX_BYTES else int(max(wanted, _MIN_BYTES, 2 * self.late_bytes))
 
     def grow(self) -> None:
         """The link ran empty: allow more."""

@@ -15,7 +15,6 @@ from ropeway.graph.dds.raw import (
     INFO,
     SERDATA_DATA,
     SERDATA_HEADER,
-    SERDATA_HEADER,
     SERDATA_SIZE,
     SERDATA_TIMESTAMP,
     DdsError,

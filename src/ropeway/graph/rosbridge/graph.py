@@ -29,6 +29,7 @@ from ropeway.graph.base import (
 )
 from ropeway.graph.rosbridge.mirror import Mirror
 from ropeway.graph.rosbridge.parts import EchoFilter, RemotePublisher, RemoteSubscription
+from ropeway.graph.rosbridge.plain import PlainServer
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.peer import Peer
 from ropeway.link.websocket import connect
@@ -36,8 +37,8 @@ from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
 from ropeway.wire import ops
-from ropeway.wire.codec import BINARY, unpack_png
-from ropeway.wire.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL, ROSBRIDGE, ROSGW, by_server
+from ropeway.wire.codec import unpack_png
+from ropeway.wire.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL
 from ropeway.wire.records import Arrival
 
 __all__ = ["LinkState", "RosbridgeGraph"]
@@ -51,8 +52,6 @@ _HASTY_S: Final = 1.5  # a link that is cut says nothing: waiting longer would m
 _PATIENT_TURN: Final = 4  # every so many tries take their time, for links that are slow
 _LAZY_RETRY_S: Final = 10.0
 _CLOCK_S: Final = 1.0
-_HANGS_UP_S: Final = 2.0  # a server that ends connections sooner, after a binary frame,
-_HUNG_UP: Final = 2  # and so many times one after the other, gets JSON
 _ROSAPI_S: Final = 3.0
 
 
@@ -118,9 +117,7 @@ class RosbridgeGraph:
         self._task: asyncio.Task[None] | None = None
         self._calls: dict[str, asyncio.Future[ops.ServiceResponse]] = {}
         self._attempt: asyncio.Future[None] | None = None
-        self._json_only = self._hangs_up = False
-        self._hung_up = 0
-        self._said: set[str] = set()
+        self.plain_server = PlainServer(url, self.registry)
         self._traffic = (0, 0)
         self._rtt_s = 0.0
         self._leaving = False
@@ -231,7 +228,7 @@ class RosbridgeGraph:
             if self._watch:
                 peer.send({"op": "watch"})
         else:
-            self._greet_plain(peer)
+            self.plain_server.greet(peer)
         log.info("%s: connected (%s)", self.name, peer.dialect.name)
         began = time.monotonic()
         for part in self._parts():
@@ -250,7 +247,8 @@ class RosbridgeGraph:
             self._traffic = (self._traffic[0] + connection.bytes_in, self._traffic[1] + connection.bytes_out)
             self._rtt_s = peer.rtt_s or 0.0
             self.peer = None
-            self._watch_binary(peer, time.monotonic() - began)
+            channels = [p.channel for p in self._publishers.values() if p.channel is not None]
+            self.plain_server.ended(peer, channels, time.monotonic() - began)
             for part in self._parts():
                 part.disconnected()
             for call in self._calls.values():
@@ -362,45 +360,6 @@ class RosbridgeGraph:
             self.echoes.setdefault(topic, EchoFilter())
         else:
             self.echoes.pop(topic, None)
-
-    def publish_encoding(self, peer: Peer, topic: str, encoding: str) -> str:
-        """In what the peer is published to: a plain one takes JSON, and only rosgw anything else.
-
-        A server that may be either is taken for rosgw where the configuration asks for a binary encoding.
-        """
-        if peer.dialect is ROPEWAY or encoding == "none":
-            return encoding
-        if encoding == "zstd" and peer.dialect is ROSGW:
-            return "rawzip"
-        if encoding not in ROSGW.publish:
-            return "none"
-        if self._json_only:
-            self._say_once(f"{topic} goes there as JSON: a rosbridge server cannot take {encoding}")
-            return "none"
-        peer.speak(ROSGW)
-        return encoding
-
-    def _say_once(self, sentence: str) -> None:
-        if sentence not in self._said:
-            self._said.add(sentence)
-            log.warning("%s: %s", self.name, sentence)
-
-    def _greet_plain(self, peer: Peer) -> None:
-        """Learn from the answer of a plain server who it is."""
-        connection = peer.connection
-        known = by_server(connection.server, dated=connection.dated)
-        self._json_only = self._hangs_up or known is ROSBRIDGE
-        if known is ROSGW and not self._hangs_up:
-            peer.speak(ROSGW)
-
-    def _watch_binary(self, peer: Peer, lasted_s: float) -> None:
-        """A server that hangs up whenever it gets a binary frame is rosbridge, whatever stands before it."""
-        sent = [p.channel for p in self._publishers.values() if p.channel is not None and p.channel.sent]
-        if peer.dialect is ROSGW and lasted_s < _HANGS_UP_S and any(c.encoding in BINARY for c in sent):
-            self._hung_up += 1
-            self._hangs_up = self._hung_up >= _HUNG_UP
-        else:
-            self._hung_up = 0
 
     def type_note(self, type: str) -> dict[str, Any]:
         """What a gateway should know of a type: its hash, and once per connection its definition."""

@@ -114,7 +114,9 @@ class RemotePublisher:
         """Announce the topic on a new connection."""
         delivery = self.delivery
         plain = peer.dialect is not ROPEWAY
-        encoding = self.graph.publish_encoding(peer, self.topic, delivery.encoding)
+        encoding = delivery.encoding
+        if plain:
+            encoding = self.graph.plain_server.encoding(peer, self.topic, self.type, encoding)
         extra: dict[str, Any] | None = None
         self.demand(None if plain else 0)  # a gateway tells at once how many read
         if not plain:
