@@ -114,6 +114,19 @@ def test_listing_1_of_the_paper_is_accepted() -> None:
     assert routes[3].qos is None
 
 
+def test_graph_of_ros_domain_id(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without graphs, the gateway stands on the domain that ROS is told to use; one that is none is a fault."""
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    assert parse([]).gateway.graphs == ("dds:0",)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    assert parse([]).gateway.graphs == ("dds:42",)
+    assert parse({"gateway": {"graphs": ["dds:3"]}}).gateway.graphs == ("dds:3",)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "seven")
+    with pytest.raises(ConfigError, match=r'gateway.graphs: ROS_DOMAIN_ID is "seven"; expected a number from 0 to'):
+        parse([])
+    assert parse({"gateway": {"graphs": ["dds:3"]}}).gateway.graphs == ("dds:3",)
+
+
 def test_rosgw_example_is_accepted(tmp_path: Path) -> None:
     """The example file of rosgw loads as it stands."""
     file = tmp_path / "example_cfg.json"

@@ -108,6 +108,7 @@ async def test_two_pairs(stack: AsyncExitStack) -> None:
         if index == 0:  # the dead half of the first pair returns, before the other pair dies
             near[0] = await gateway(stack, "a1", a, near[0].order["remotes"])
             await until(lambda: a.publisher.subscribers == 2, 15)
+            await asyncio.sleep(0.5)  # those side by side have found each other
             await a.say(25)
             assert await settled(b, a.sent) == list(range(1, a.sent + 1))
 

@@ -53,15 +53,16 @@ class Network:
             monitor(samples)
 
 
-def sample(seq: int) -> Sample:
-    return Sample(text(str(seq)), STRING, seq, b"o" * 16, seq)
+def sample(seq: int, *, relayed: bool = False) -> Sample:
+    return Sample(text(str(seq)), STRING, seq, b"o" * 16, seq, relayed)
 
 
 class Place:
     def __init__(self) -> None:
         self.network = Network()
-        self.received = Seen()
-        self.standby = Standby(self.network, US, "/x", STRING, self.received)  # type: ignore[arg-type]
+        self.received, self.given = Seen(), Seen()
+        graph: Any = self.network
+        self.standby = Standby(graph, US, "/x", STRING, self.received, self.given)
         self.published: list[int] = []
 
     async def others(self, *gateways: str) -> None:
@@ -71,6 +72,7 @@ class Place:
     def publish(self, *seqs: int) -> None:
         """As ``ViewPublisher.publish`` does."""
         for seq in seqs:
+            self.given.add(sample(seq))
             if self.standby.defers:
                 self.standby.hold(sample(seq), self._publish)
             else:
@@ -125,6 +127,34 @@ async def test_stands_by(place: Place) -> None:
     assert place.standby.duplicates == 2
     place.publish(5)
     await until(lambda: place.published[-1] == 5, 1)
+
+
+async def test_different_messages(place: Place) -> None:
+    """Where the other brings other messages under the same name, ours go out at once, until it brings ours again."""
+    await place.others("a")
+    for seq in range(1, 40):
+        place.publish(seq)
+        place.network.hears(sample(1000 + seq, relayed=True))
+    await until(lambda: not place.standby.defers, 1)
+    assert place.published == list(range(1, 40))
+    place.publish(40)
+    assert place.published[-1] == 40
+    place.network.hears(sample(40, relayed=True))
+    assert place.standby.defers
+    place.publish(41)
+    assert place.published[-1] == 40
+
+
+async def test_ring(place: Place) -> None:
+    """A message that came round waits a moment, so that we have heard it if it is from here."""
+    await place.others("")
+    assert place.standby.listens
+    place.standby.hold(sample(1, relayed=True), place._publish)
+    place.standby.hold(sample(2, relayed=True), place._publish)
+    place.network.hears(sample(1))
+    await until(lambda: place.published, 1)
+    assert place.published == [2]
+    assert not place.standby.defers
 
 
 async def test_takes_over(place: Place) -> None:

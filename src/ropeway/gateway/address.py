@@ -6,6 +6,7 @@ A new kind of link or graph is one line in one of the two tables.
 from __future__ import annotations
 
 import ipaddress
+import os
 import re
 from collections.abc import Mapping
 from typing import Final
@@ -13,7 +14,7 @@ from urllib.parse import SplitResult, urlsplit
 
 from ropeway.gateway.suggest import did_you_mean
 
-__all__ = ["GRAPHS", "LINKS", "is_loopback", "is_secure", "parse_graph", "parse_link", "parse_listen"]
+__all__ = ["GRAPHS", "LINKS", "default_graph", "is_loopback", "is_secure", "parse_graph", "parse_link", "parse_listen"]
 
 DEFAULT_PORT: Final = 9090
 
@@ -61,6 +62,14 @@ def parse_graph(text: str) -> str:
     if kind == "dds" and int(match["domain"]) > _MAX_DOMAIN:
         raise ValueError(f'expected a DDS domain from 0 to {_MAX_DOMAIN}, got "{text}"')
     return text
+
+
+def default_graph(environ: Mapping[str, str] | None = None) -> str:
+    """DDS with the domain that ROS is told to use. Raises ``ValueError`` where ``ROS_DOMAIN_ID`` is no domain."""
+    domain = (os.environ if environ is None else environ).get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not domain.isdecimal() or int(domain) > _MAX_DOMAIN:
+        raise ValueError(f'ROS_DOMAIN_ID is "{domain}"; expected a number from 0 to {_MAX_DOMAIN}')
+    return f"dds:{int(domain)}"
 
 
 def is_loopback(address: str) -> bool:

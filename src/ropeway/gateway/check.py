@@ -16,8 +16,8 @@ from typing import Any, Final, TypeVar, get_args
 from pydantic import AliasChoices, BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ropeway.gateway.address import is_loopback, is_secure, parse_graph, parse_link, parse_listen
-from ropeway.gateway.model import OPERATIONS, Document, GatewayConfig, Item, RemoteConfig
+from ropeway.gateway.address import default_graph, is_loopback, is_secure, parse_graph, parse_link, parse_listen
+from ropeway.gateway.model import OPERATIONS, Document, Item, RemoteConfig
 from ropeway.gateway.suggest import did_you_mean, nearest, show, unknown_key
 
 __all__ = ["check", "json_path", "route_key"]
@@ -200,7 +200,12 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
     gateway = full.get("gateway")
     gateway = gateway if isinstance(gateway, Mapping) else {}
     problems = list(_listeners(gateway))
-    graphs = gateway.get("graphs", GatewayConfig.model_fields["graphs"].default)
+    graphs = gateway.get("graphs")
+    if graphs is None:
+        try:
+            graphs = [default_graph()]
+        except ValueError as error:
+            problems.append(("gateway.graphs", str(error)))
     first_seen: dict[str, str] = {}
     for index, remote in _objects(full.get("remotes")):
         path = f"remotes[{index}]"

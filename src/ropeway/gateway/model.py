@@ -24,7 +24,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from ropeway.errors import InvalidName, InvalidTypeName
-from ropeway.gateway.address import parse_graph, parse_link, parse_listen
+from ropeway.gateway.address import default_graph, parse_graph, parse_link, parse_listen
 from ropeway.gateway.suggest import one_of, show, unknown_key
 from ropeway.graph.base import Delivery, resolve_name
 from ropeway.qos import QoS
@@ -159,6 +159,13 @@ def _not_empty(value: tuple[T, ...]) -> tuple[T, ...]:
     if not value:
         raise ValueError("expected at least one")
     return value
+
+
+def _default_graphs() -> tuple[str, ...]:
+    try:
+        return (default_graph(),)
+    except ValueError:
+        return ("dds:0",)  # ``check`` tells what is wrong
 
 
 def _hostname() -> str:
@@ -342,7 +349,7 @@ class GatewayConfig(_Model):
         default_factory=_hostname, description="how others see it; left out: from the host name"
     )
     graphs: Annotated[Many[Annotated[str, AfterValidator(parse_graph)]], AfterValidator(_not_empty)] = Field(
-        ("dds:0",), description="the local networks, as dds:<domain>"
+        default_factory=_default_graphs, description="the local networks, as dds:<domain>; left out: ROS_DOMAIN_ID"
     )
     listen: Many[Annotated[str, AfterValidator(parse_listen)]] = Field(
         ("ws://127.0.0.1:9090",), description="where other gateways and rosbridge clients connect; [] for nowhere"
