@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import time
+from contextlib import AsyncExitStack
 
 import pytest
 import typer
 
 from ropeway.cli.session import Session, default_graph, find_topic, qos_of, settle, topic_name
+from ropeway.graph.memory import MemoryGraph
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 
 STRING = "std_msgs/msg/String"
@@ -83,3 +85,22 @@ async def test_find_topic_returns_when_it_appears(pair: tuple[Session, Session])
     assert found.type == STRING
     assert time.monotonic() - began < 2.0
     assert await find_topic(here.graph, "/never", 0.05) is None
+
+
+async def test_settle_waits_for_what_is_announced() -> None:
+    """A quiet network where more is expected has not settled yet."""
+
+    class Slow(MemoryGraph):
+        settled = False
+
+    graph, other = Slow("slow", node="/here"), MemoryGraph("slow", node="/there")
+    async with AsyncExitStack() as stack:
+        for part in (graph, other):
+            await part.open()
+            stack.push_async_callback(part.close)
+        await other.create_publisher("/a", STRING)
+        loop = asyncio.get_running_loop()
+        loop.call_later(0.8, setattr, graph, "settled", True)
+        began = time.monotonic()
+        assert list(await settle(graph, 10.0)) == ["/a"]
+        assert 0.7 < time.monotonic() - began < 5.0

@@ -95,10 +95,7 @@ class Standby:
         for sample in batch:
             self._received.add(sample)
             if self._second and sample.relayed and not self.defers and self._published.has(sample):
-                self._judge(True)
-
-    def _judge(self, appeared: bool) -> None:
-        self._share += _WEIGHT * (appeared - self._share)
+                self._share = 1.0
 
     def hold(self, sample: Sample, publish: Callable[[Sample], None]) -> None:
         """Publish the message in a moment, unless it appears by then."""
@@ -115,7 +112,10 @@ class Standby:
         loop = asyncio.get_running_loop()
         now = loop.time() + 0.001
         while self._held and self._held[0][0] <= now:
-            self._judge(self._release())
+            come_round = self._held[0][1].relayed
+            appeared = self._release()
+            if not come_round:
+                self._share += _WEIGHT * (appeared - self._share)
         if self._second and not self.defers:
             self._release_all()
         if self._held:

@@ -26,6 +26,7 @@ log = logging.getLogger("ropeway.link")
 
 
 _TCP_RTO_MAX_MS: Final = 44  # Linux 6.15
+_LOOKS_PER_PING: Final = 4
 _RETRANSMIT_MS: Final = 1000  # what was lost is sent again so often at least, and goes soon after a cut has ended
 
 
@@ -294,19 +295,20 @@ class Connection(WSListener):
     async def _watch_peer(self) -> None:
         interval = self.limits.ping_interval_s
         assert interval is not None
+        looked_at = time.monotonic()
         while self._transport is not None and not self._closed.is_set():
             self._transport.send_ping()
-            await asyncio.sleep(interval)
-            silence = self.silence_s
-            if silence is None:
-                continue
-            received = self._received_bytes()
-            if received != self._heard_bytes:  # part of a message counts as a sign of life
-                self._heard_bytes = received
-                self._last_heard = time.monotonic()
-            if time.monotonic() - self._last_heard > silence:
-                self.abort(f"nothing was heard for {silence:g} s")
-                return
+            for _ in range(_LOOKS_PER_PING):
+                await asyncio.sleep(interval / _LOOKS_PER_PING)
+                received = self._received_bytes()
+                if received != self._heard_bytes:  # part of a message counts as a sign of life
+                    self._heard_bytes = received
+                    self._last_heard = max(self._last_heard, looked_at)
+                looked_at = time.monotonic()
+                silence = self.silence_s
+                if silence is not None and looked_at - self._last_heard > silence:
+                    self.abort(f"nothing was heard for {silence:g} s")
+                    return
 
     def _received_bytes(self) -> int:
         info = tcp_info(self._socket)

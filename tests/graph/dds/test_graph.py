@@ -116,6 +116,15 @@ async def test_late_joiner(join: Join, domain: int) -> None:
         assert sorted(p[8:15] for p in inbox.payloads) == [f"robot {i}".encode() for i in range(3)]
 
 
+async def test_settled(join: Join) -> None:
+    """The graph has settled once it knows the nodes of every participant that it found."""
+    graph = await join("here")
+    assert graph.settled
+    await join("there")
+    await until(lambda: "/there" in graph.nodes())
+    assert graph.settled
+
+
 async def test_shared_reader(join: Join) -> None:
     """Volatile subscriptions of one profile get the same objects from one reader; others have their own."""
     near, far = await join("near"), await join("far")
