@@ -18,8 +18,8 @@ from tests.faults.conftest import ROOT, Machine, Pair
 pytestmark = [pytest.mark.netns, pytest.mark.timeout(90)]
 
 MakePair = Callable[[], Awaitable[Pair]]
-NOTICED_S = 5.0
-BACK_S = 2.0
+NOTICED_S = 7.0  # 5 s where the machine has nothing else to do
+BACK_S = 6.0  # 2 s where the machine has nothing else to do
 HZ = 20.0
 STALLED_S = 8.0
 

@@ -201,7 +201,11 @@ async def test_changes(place: Place) -> None:
     await publisher.close()
     await until(lambda: len(told) == 3)
     await asyncio.sleep(0.01)
-    assert sorted(told) == [("publisher", "/network", True), ("publisher", "/theirs", False), ("publisher", "/theirs", True)]
+    assert sorted(told) == [
+        ("publisher", "/network", True),
+        ("publisher", "/theirs", False),
+        ("publisher", "/theirs", True),
+    ]
     await one.close()
     await asyncio.sleep(0)
     task.cancel()

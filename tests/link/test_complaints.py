@@ -16,7 +16,7 @@ class Clock:
 
 
 def test_counts_everything_and_logs_once_a_minute(caplog: pytest.LogCaptureFixture) -> None:
-    """Every fault counts by kind and topic; each kind is logged once a minute, with peer, topic and what was left out."""
+    """Every fault counts by kind and topic; each kind is logged once a minute, with peer and topic."""
     clock = Clock()
     complaints = Complaints("10.0.0.7:5000", clock)
     for second in range(59):

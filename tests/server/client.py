@@ -139,6 +139,7 @@ class Client:
             except (asyncio.IncompleteReadError, ConnectionError):
                 raise ClosedByServer(1006, "") from None
             if opcode == CLOSE:
+                self.raw(frame(CLOSE, payload[:2]))
                 code = _SHORT.unpack(payload[:2])[0] if len(payload) >= 2 else 1005
                 raise ClosedByServer(code, payload[2:].decode())
             if opcode == PING:

@@ -42,10 +42,47 @@ def slices(config: Config) -> list[tuple[str, Config]]:
     return [(f"worker{n}", config.slice(active[n::count], listen=bool(config.gateway.listen))) for n in range(count)]
 
 
+class Spare:
+    """A process that has loaded everything and waits for its order, so that a worker that falls is back at once."""
+
+    def __init__(self) -> None:
+        self._process: asyncio.subprocess.Process | None = None
+        self._lock = asyncio.Lock()
+
+    async def take(self) -> asyncio.subprocess.Process:
+        """The spare, or a new process."""
+        async with self._lock:
+            process, self._process = self._process, None
+        return process if process is not None and process.returncode is None else await self._start()
+
+    async def renew(self) -> None:
+        """See that there is a spare."""
+        async with self._lock:
+            if self._process is None or self._process.returncode is not None:
+                self._process = await self._start()
+
+    @staticmethod
+    async def _start() -> asyncio.subprocess.Process:
+        return await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "ropeway.gateway.worker",
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            limit=64 << 20,
+        )
+
+    async def close(self) -> None:
+        """End it."""
+        if self._process is not None:
+            process, self._process = self._process, None
+            await _end(process)
+
+
 class Worker:
     """One process and its slice."""
 
-    def __init__(self, name: str, order: dict[str, Any]) -> None:
+    def __init__(self, name: str, order: dict[str, Any], spare: Spare) -> None:
         self.name = name
         self.status: dict[str, Any] = {}
         self.starts = 0
@@ -53,6 +90,7 @@ class Worker:
         self.ready = asyncio.Event()
         self.error = ""
         self._order = order
+        self._spare = spare
 
     async def run(self) -> None:
         """Keep the process up for ever."""
@@ -71,44 +109,47 @@ class Worker:
                 await asyncio.sleep(min(_PAUSE_S * 2 ** (short_lives - 2), _LONGEST_PAUSE_S))
 
     async def _once(self) -> None:
-        process = self.process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "ropeway.gateway.worker",
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            limit=64 << 20,
-        )
+        process = self.process = await self._spare.take()
         assert process.stdin is not None
         assert process.stdout is not None
         try:
             process.stdin.write(json.dumps(self._order).encode() + b"\n")
             await process.stdin.drain()
             async for line in process.stdout:
-                message = json.loads(line)
-                self.status = message.get("status", self.status)
-                if "ready" in message:
-                    self.error = ""
-                    self.ready.set()
-                self.error = message.get("error", self.error)
+                await self._told(line)
             await process.wait()
-        except (BrokenPipeError, ConnectionResetError, json.JSONDecodeError):
+        except (BrokenPipeError, ConnectionResetError):
             await process.wait()
         finally:
-            await self._end(process)
+            await _end(process)
 
-    @staticmethod
-    async def _end(process: asyncio.subprocess.Process) -> None:
-        if process.returncode is not None:
-            return
-        if process.stdin is not None:
-            process.stdin.close()  # the worker takes this as the word to stop
+    async def _told(self, line: bytes) -> None:
         try:
-            async with asyncio.timeout(_STOP_S):
-                await process.wait()
-        except TimeoutError:
-            process.kill()
+            message = json.loads(line)
+        except ValueError:
+            message = None
+        if not isinstance(message, dict):  # a library that prints
+            log.info("worker %s: %s", self.name, line.decode(errors="replace").rstrip())
+            return
+        self.status = message.get("status", self.status)
+        self.error = message.get("error", self.error)
+        if "ready" in message:
+            self.error = ""
+            self.ready.set()
+            await self._spare.renew()
+
+
+async def _end(process: asyncio.subprocess.Process) -> None:
+    if process.returncode is not None:
+        return
+    if process.stdin is not None:
+        process.stdin.close()  # the worker takes this as the word to stop
+    try:
+        async with asyncio.timeout(_STOP_S):
             await process.wait()
+    except TimeoutError:
+        process.kill()
+        await process.wait()
 
 
 class Supervisor:
@@ -118,6 +159,7 @@ class Supervisor:
         self.config = config
         self.gateway_id = os.urandom(8).hex()
         parts = slices(config)
+        self._spare = Spare()
         self.workers = [
             Worker(
                 name,
@@ -129,6 +171,7 @@ class Supervisor:
                     "reuse_port": len(parts) > 1,
                     "log_level": log_level,
                 },
+                self._spare,
             )
             for name, part in parts
         ]
@@ -154,6 +197,7 @@ class Supervisor:
     async def __aexit__(self, *_: object) -> None:
         """Stop all workers."""
         await end(*self._tasks)
+        await self._spare.close()
 
     async def wait(self) -> None:
         """Run until cancelled."""

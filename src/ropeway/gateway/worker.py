@@ -51,7 +51,10 @@ async def _main() -> int:
     reader = asyncio.StreamReader(limit=64 << 20)
     loop = asyncio.get_running_loop()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
-    order = json.loads(await reader.readline())
+    line = await reader.readline()
+    if not line:
+        return 0  # a spare that was never needed
+    order = json.loads(line)
     logging.basicConfig(level=order.get("log_level", "INFO"), format=f"%(message)s [{order['node']}]")
     return await _run(order, reader)
 

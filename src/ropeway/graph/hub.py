@@ -115,9 +115,7 @@ class ViewPublisher:
         self._inner = inner
         self._received, self._published = view.hub.seen(self.topic)
         hub = view.hub
-        self.standby = Standby(
-            hub.graph, hub.gateway_id, self.topic, self.type, self._received, self._published
-        )
+        self.standby = Standby(hub.graph, hub.gateway_id, self.topic, self.type, self._received, self._published)
         self._gid = new_origin()
         self._seq = 0
         self._history = History(self.qos)

@@ -39,9 +39,7 @@ _HELD: Final = 256
 class Standby:
     """Watches one published topic. ``received`` and ``published`` are what the network gave us, and what we gave."""
 
-    def __init__(
-        self, graph: Graph, gateway_id: str, topic: str, type: str, received: Seen, published: Seen
-    ) -> None:
+    def __init__(self, graph: Graph, gateway_id: str, topic: str, type: str, received: Seen, published: Seen) -> None:
         self.duplicates = 0
         self._graph, self._gateway_id = graph, gateway_id
         self._topic, self._type = topic, type

@@ -12,7 +12,7 @@ __all__ = ["Throttle"]
 
 
 class Throttle:
-    """The first message goes at once; of what comes sooner than ``period_s`` after the last, the newest ``length`` wait.
+    """The first message goes at once; of what comes within ``period_s`` after the last, the newest ``length`` wait.
 
     ``dropped`` is called for each message that a newer one displaces.
     """
