@@ -21,7 +21,7 @@ MakePair = Callable[[], Awaitable[Pair]]
 NOTICED_S = 7.0  # 5 s where the machine has nothing else to do
 BACK_S = 6.0  # 2 s where the machine has nothing else to do
 HZ = 20.0
-STALLED_S = 8.0
+STALLED_S = 5.0
 
 
 def item(name: str, **more: Any) -> dict[str, Any]:

@@ -104,7 +104,7 @@ async def test_two_pairs(stack: AsyncExitStack) -> None:
     assert b.heard == sorted(b.heard)
     await heard_once(b, range(1, 51))
     for index, victim in ((0, near[0]), (1, far[1])):
-        saying = asyncio.create_task(a.say(75))
+        saying = asyncio.create_task(a.say(60))
         await asyncio.sleep(0.5)
         victim.kill()
         await saying

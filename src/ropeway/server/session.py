@@ -32,6 +32,7 @@ log = logging.getLogger("ropeway.server")
 
 _PAUSE_AT: Final = 256  # operations that wait; above, the socket is not read
 _RESUME_AT: Final = 32
+_PAUSE_BYTES: Final = 64 << 20  # received while operations wait
 _NO_ID: Final = "\0none"
 _TOPICS_LIMIT: Final = 4096  # of one client, in both directions
 _IDS_LIMIT: Final = 1024  # of one topic of one client
@@ -71,6 +72,7 @@ class Session:
         self._on_advertised = on_advertised
         self._lingering: dict[str, asyncio.TimerHandle] = {}
         self._paused = False
+        self._idle_bytes = 0  # what had been received before operations had to wait
         self._watch: Watch | None = None
         self._definitions = 0
         self._gone = False
@@ -88,7 +90,7 @@ class Session:
                     op = self._waiting[0]
                     await self._carry_out(op)
                     self._waiting.popleft()
-                    if self._paused and len(self._waiting) <= _RESUME_AT:
+                    if self._paused and len(self._waiting) <= (0 if self._heavy else _RESUME_AT):
                         self._paused = False
                         self.peer.connection.resume_reading()
                     await asyncio.sleep(0)  # others have their turn, however much this client asks for
@@ -131,11 +133,17 @@ class Session:
             if known is not None and known.publisher is not None and known.ids:
                 known.published(op)
                 return
+        if not self._waiting:
+            self._idle_bytes = self.peer.connection.bytes_in
         self._waiting.append(op)
         self._wake.set()
-        if len(self._waiting) > _PAUSE_AT and not self._paused:
+        if not self._paused and (len(self._waiting) > _PAUSE_AT or self._heavy):
             self._paused = True
             self.peer.connection.pause_reading()
+
+    @property
+    def _heavy(self) -> bool:
+        return self.peer.connection.bytes_in - self._idle_bytes > _PAUSE_BYTES
 
     def control(self, message: Mapping[str, Any]) -> None:
         """A message of the Ropeway dialect came."""

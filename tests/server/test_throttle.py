@@ -1,0 +1,70 @@
+"""ropeway.server.throttle."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+from ropeway.graph.base import Sample
+from ropeway.server.throttle import Throttle
+from tests.contract.conftest import until
+
+
+class Place:
+    def __init__(self, period_s: float, length: int) -> None:
+        self.sent: list[tuple[float, int]] = []
+        self.dropped = 0
+        self.throttle = Throttle(period_s, length, self._send, self._drop)
+
+    def put(self, *numbers: int) -> None:
+        for number in numbers:
+            self.throttle.put(Sample(b"", "", 0, b"", number))
+
+    def _send(self, sample: Sample) -> None:
+        self.sent.append((time.monotonic(), sample.seq))
+
+    def _drop(self) -> None:
+        self.dropped += 1
+
+    @property
+    def numbers(self) -> list[int]:
+        return [number for _, number in self.sent]
+
+
+async def test_newest_wait() -> None:
+    """The first message goes at once, the newest of the others one by one in their time, the rest are dropped."""
+    place = Place(0.05, 3)
+    place.put(*range(10))
+    assert place.numbers == [0]
+    assert place.dropped == 6
+    await until(lambda: len(place.sent) == 4)
+    assert place.numbers == [0, 7, 8, 9]
+    times = [t for t, _ in place.sent]
+    assert all(later - sooner > 0.04 for sooner, later in zip(times, times[1:], strict=False))
+
+
+async def test_pause() -> None:
+    """After a pause longer than the period a message goes at once again."""
+    place = Place(0.02, 1)
+    place.put(1)
+    await asyncio.sleep(0.05)
+    place.put(2)
+    assert place.numbers == [1, 2]
+
+
+async def test_close() -> None:
+    """What waits at the close is given back, and nothing more is sent."""
+    place = Place(0.01, 5)
+    place.put(1, 2, 3)
+    assert [s.seq for s in place.throttle.close()] == [2, 3]
+    await asyncio.sleep(0.03)
+    assert place.numbers == [1]
+    assert place.throttle.close() == []
+
+
+async def test_length() -> None:
+    """At least one message may wait."""
+    place = Place(0.01, 0)
+    place.put(1, 2)
+    await until(lambda: place.numbers == [1, 2])
+    place.throttle.close()
