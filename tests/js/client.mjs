@@ -1,33 +1,57 @@
-// A roslibjs program: node client.mjs VERSION URL COMPRESSION
-// Publishes each line it reads on /from_client, prints what comes on /to_client, ends on the line "end".
-import readline from "node:readline";
+// Clients of roslibjs, run as a program of their own by the tests.
+//
+// node client.mjs roslib1|roslib2 PORT PLAN
+//
+// PLAN is JSON: {"clients": n, "subscribe": [options of a Topic], "publish": [options of a Topic and "message"]}; an
+// item with "client" is for that one only, "#" in a name stands for the number of the client. One JSON line is
+// written per thing that happens; a line on stdin makes every client publish once more, the end of stdin ends it.
 
-const [version, url, compression] = process.argv.slice(2);
-const module = await import(version);
-const ROSLIB = module.default ?? module;
+import { createInterface } from "node:readline";
 
-const ros = new ROSLIB.Ros({ url });
-ros.on("error", (error) => {
-  console.error(String(error));
-  process.exit(1);
-});
-await new Promise((resolve) => ros.on("connection", resolve));
+const [library, port, text] = process.argv.slice(2);
+const loaded = await import(library);
+const ROSLIB = loaded.default ?? loaded;
+const plan = JSON.parse(text);
 
-const reader = new ROSLIB.Topic({ ros, name: "/to_client", messageType: "sensor_msgs/Image", compression });
-reader.subscribe((message) => {
-  const image = message.data instanceof Uint8Array ? Buffer.from(message.data).toString("base64") : message.data;
-  console.log(JSON.stringify(message.bytes ? { raw: message.bytes.length } : { width: message.width, data: image }));
-});
-const writer = new ROSLIB.Topic({ ros, name: "/from_client", messageType: "std_msgs/String" });
-writer.advertise();
-console.log("ready");
+const say = (what) => process.stdout.write(JSON.stringify(what, plainly) + "\n");
 
-for await (const line of readline.createInterface({ input: process.stdin })) {
-  if (line === "end") break;
-  writer.publish(ROSLIB.Message ? new ROSLIB.Message({ data: line }) : { data: line });
+function plainly(_, value) {
+  if (typeof value === "bigint") return value.toString();
+  if (ArrayBuffer.isView(value)) return { kind: value.constructor.name, values: Array.from(value) };
+  if (value?.type === "Buffer" && Array.isArray(value.data)) return { kind: "Buffer", values: value.data };
+  return value;
 }
-reader.unsubscribe();
-writer.unadvertise();
-await new Promise((resolve) => setTimeout(resolve, 50));
-ros.close();
-process.exit(0);
+
+function topic(ros, number, { client, message, type, name, ...options }) {
+  return new ROSLIB.Topic({ ros, name: name.replace("#", number), messageType: type, ...options });
+}
+
+const publishers = [];
+const mine = (items, number) => (items ?? []).filter((item) => (item.client ?? number) === number);
+
+for (let number = 0; number < (plan.clients ?? 1); number++) {
+  const ros = new ROSLIB.Ros({ url: `ws://127.0.0.1:${port}` });
+  ros.on("error", (error) => say({ client: number, error: String(error?.message ?? error) }));
+  ros.on("close", () => say({ client: number, closed: true }));
+  ros.on("connection", () => {
+    for (const item of mine(plan.subscribe, number)) {
+      const reader = topic(ros, number, item);
+      reader.subscribe((message) => say({ client: number, topic: reader.name, message }));
+      if (item.once) reader.on?.("message", () => reader.unsubscribe());
+    }
+    for (const item of mine(plan.publish, number)) {
+      const writer = topic(ros, number, item);
+      writer.advertise();
+      publishers.push([writer, item.message]);
+    }
+    say({ client: number, connected: true });
+  });
+}
+
+const lines = createInterface({ input: process.stdin });
+lines.on("line", () => {
+  for (const [writer, message] of publishers) {
+    writer.publish(ROSLIB.Message ? new ROSLIB.Message(message) : message);
+  }
+});
+lines.on("close", () => process.exit(0));

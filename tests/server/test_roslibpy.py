@@ -1,77 +1,175 @@
-"""roslibpy, as its users run it, against our server."""
+"""roslibpy, over both of its transports, as a client of the server."""
 
 from __future__ import annotations
 
 import asyncio
+import base64
+import importlib.util
 import json
-import math
 import sys
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from ropeway.graph.base import SEQ_NONE, Sample
-from ropeway.graph.hub import Hub
-from ropeway.graph.memory import MemoryGraph
-from ropeway.qos import QoS
-from ropeway.server import RosbridgeServer
-from ropeway.types import TypeRegistry
+from ropeway.qos import LATCHED, QoS
 from tests.contract.conftest import Inbox, until
-from tests.contract.test_topics import STRING, text
+from tests.server.conftest import Place
+from tests.server.peers import Peers, peers
 
-pytest.importorskip("roslibpy")
+if importlib.util.find_spec("roslibpy") is None:
+    pytest.skip("needs roslibpy", allow_module_level=True)
 
-CLIENT = Path(__file__).with_name("roslibpy_client.py")
-IMU = "sensor_msgs/msg/Imu"
+PROGRAM = Path(__file__).with_name("roslibpy_client.py")
+STRING, IMAGE, IMU = "std_msgs/msg/String", "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu"
+JOINTS = "sensor_msgs/msg/JointState"
+HEADER = {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "cam"}
+SENT: dict[str, dict[str, Any]] = {
+    "std_msgs/String": {"data": "grüße \u2603"},
+    IMAGE: {"header": HEADER, "height": 2, "width": 2, "step": 2, "data": base64.b64encode(b"\0\1\xfe\xff").decode()},
+    JOINTS: {"header": HEADER, "name": ["a", "b"], "position": [0.5, -1.0], "velocity": [], "effort": []},
+}
+
+Run = Callable[..., AbstractAsyncContextManager[Peers]]
 
 
-@pytest.mark.parametrize("clients", [1, 8])
-async def test_topics_both_ways(clients: int) -> None:
-    """Topics go both ways with roslibpy; NaN in a covariance, which is no JSON, comes as null."""
-    registry = TypeRegistry()
-    graph, robot = MemoryGraph("roslibpy", node="/gateway"), MemoryGraph("roslibpy", node="/robot")
-    await graph.open()
-    await robot.open()
-    server = RosbridgeServer(Hub(graph), registry, unregister_timeout_s=0.1)
-    listener = await server.listen("ws://127.0.0.1:0")
+@pytest.fixture(params=["twisted", "asyncio"])
+def run(request: pytest.FixtureRequest, place: Place) -> Run:
+    """Runs clients of the place's server."""
+
+    @asynccontextmanager
+    async def start(plan: dict[str, Any]) -> AsyncIterator[Peers]:
+        async with peers(sys.executable, str(PROGRAM), request.param, str(place.port), plan=plan) as program:
+            await program.connected(plan.get("clients", 1))
+            yield program
+
+    return start
+
+
+def sample(place: Place, type: str, message: dict[str, Any]) -> Sample:
+    """A message for the robot to publish."""
+    return Sample(place.registry.codec(type).from_json(message), type, 0, bytes(16), SEQ_NONE)
+
+
+async def test_publish(run: Run, place: Place) -> None:
+    """What roslibpy publishes arrives whole, with long and short names of types."""
+    inboxes = {type: Inbox() for type in SENT}
+    items = []
+    for number, (type, message) in enumerate(SENT.items()):
+        await place.robot.create_subscription(f"/t{number}", place.registry.canonical(type), QoS(), inboxes[type])
+        items.append({"name": f"/t{number}", "type": type, "message": message})
+    async with run({"publish": items}) as program:
+        program.publish()
+        for type, inbox in inboxes.items():
+            await inbox.wait(1)
+            assert json.loads(place.registry.codec(type).json(inbox.payloads[0])).items() >= SENT[type].items()
+    assert place.complaints == {}
+
+
+async def test_subscribe(run: Run, place: Place) -> None:
+    """What the robot publishes arrives as JSON: bytes as base64, what is no number as null, long integers whole."""
+    messages = {
+        **{place.registry.canonical(type): message for type, message in SENT.items()},
+        IMU: {"header": HEADER, "orientation_covariance": [None, *[0.5] * 8]},
+        "std_msgs/msg/Int64": {"data": 2**63 - 1},
+    }
+    items = [{"name": f"/t{n}", "type": type} for n, type in enumerate(messages)]
+    publishers = [await place.robot.create_publisher(f"/t{n}", type, LATCHED) for n, type in enumerate(messages)]
+    for publisher, (type, message) in zip(publishers, messages.items(), strict=True):
+        publisher.publish(sample(place, type, message))
+    async with run({"subscribe": items}) as program:
+        for number, message in enumerate(messages.values()):
+            await program.wait(lambda topic=f"/t{number}": program.heard(topic))
+            (got,) = program.heard(f"/t{number}")
+            assert got.items() >= message.items()
+
+
+async def test_one_client_to_another(run: Run) -> None:
+    """One client hears what another publishes, and what it publishes itself."""
+    plan = {
+        "clients": 2,
+        "subscribe": [{"name": "/chat", "type": "std_msgs/String"}],
+        "publish": [{"name": "/chat", "type": "std_msgs/String", "message": {"data": "hello"}, "client": 0}],
+    }
+    async with run(plan) as program:
+        await asyncio.sleep(0.2)
+        program.publish()
+        for client in (0, 1):
+            await program.wait(lambda client=client: program.heard("/chat", client))
+            assert program.heard("/chat", client) == [{"data": "hello"}]
+
+
+async def test_latch(run: Run, place: Place) -> None:
+    """What is published with latch reaches those who come later."""
+    item = {"name": "/map", "type": STRING, "latch": True, "message": {"data": "kept"}}
+    async with run({"publish": [item]}) as program:
+        program.publish()
+        await until(lambda: "/map" in place.robot.topics())
+        await asyncio.sleep(1.2)  # the server's default forgets after 1 s
+        inbox = Inbox()
+        await place.robot.create_subscription("/map", STRING, LATCHED, inbox)
+        await inbox.wait(1)
+
+
+async def test_throttle(run: Run, place: Place) -> None:
+    """With a throttle rate, messages come no more often."""
+    publisher = await place.robot.create_publisher("/fast", STRING, QoS(depth=100))
+    plan = {"subscribe": [{"name": "/fast", "type": STRING, "throttle_rate": 200, "queue_length": 1}]}
+    async with run(plan) as program:
+        await until(lambda: publisher.subscribers == 1)
+        for number in range(60):
+            publisher.publish(sample(place, STRING, {"data": str(number)}))
+            await asyncio.sleep(0.01)
+        await program.wait(lambda: program.heard("/fast")[-1:] == [{"data": "59"}])
+        assert 3 <= len(program.heard("/fast")) <= 6
+
+
+async def test_thirty_clients(run: Run, place: Place) -> None:
+    """Thirty clients at once each hear everything and are each heard."""
+    publisher = await place.robot.create_publisher("/all", STRING, QoS(depth=100))
+    inboxes = [Inbox() for _ in range(30)]
+    for number, inbox in enumerate(inboxes):
+        await place.robot.create_subscription(f"/from{number}", STRING, QoS(depth=100), inbox)
+    plan = {
+        "clients": 30,
+        "subscribe": [{"name": "/all", "type": STRING}],
+        "publish": [{"name": "/from#", "type": STRING, "message": {"data": "here"}}],
+    }
+    async with run(plan) as program:
+        await until(lambda: sum(len(s.outputs) for s in place.server.sessions) == 30)
+        for number in range(10):
+            publisher.publish(sample(place, STRING, {"data": str(number)}))
+        program.publish()
+        wanted = [{"data": str(number)} for number in range(10)]
+        await program.wait(lambda: len(program.heard("/all")) == 300)
+        assert all(program.heard("/all", client) == wanted for client in range(30))
+        for inbox in inboxes:
+            await inbox.wait(1)
+    await until(lambda: not place.server.sessions)
+    assert publisher.subscribers == 0
+
+
+async def test_reconnect(run: Run, place: Place) -> None:
+    """After a restart of the server the library comes back, and data flows both ways again."""
+    publisher = await place.robot.create_publisher("/down", STRING, QoS())
     inbox = Inbox()
-    await robot.create_subscription("/from_client", STRING, QoS(depth=100), inbox)
-    publisher = await robot.create_publisher("/to_client", IMU)
-    programs = [
-        await asyncio.create_subprocess_exec(
-            sys.executable,
-            str(CLIENT),
-            "127.0.0.1",
-            str(listener.port),
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.DEVNULL,
-        )
-        for _ in range(clients)
-    ]
-    codec = registry.codec(IMU)
-    covariance = [math.nan] + [0.0] * 8
-    message = codec.encode({"header": {"frame_id": "imu"}, "orientation_covariance": covariance})
-    for program in programs:
-        assert program.stdout is not None
-        assert (await asyncio.wait_for(program.stdout.readline(), 20)) == b"ready\n"
-    await until(lambda: sum(len(s.outputs) for s in server.sessions) == clients)
-    await until(lambda: publisher.subscribers == 1 or (publisher.subscribers or 0) >= clients)
-    publisher.publish(Sample(message, IMU, 0, bytes(16), SEQ_NONE))
-    for number, program in enumerate(programs):
-        assert program.stdout is not None
-        assert program.stdin is not None
-        got = json.loads(await asyncio.wait_for(program.stdout.readline(), 20))
-        assert got["header"]["frame_id"] == "imu"
-        assert got["orientation_covariance"][0] is None
-        program.stdin.write(f"word{number}\n".encode())
-    await inbox.wait(clients, 20)
-    assert sorted(inbox.payloads) == sorted(text(f"word{n}") for n in range(clients))
-    for program in programs:
-        assert program.stdin is not None
-        program.stdin.write(b"end\n")
-    assert [await asyncio.wait_for(p.wait(), 20) for p in programs] == [0] * clients
-    await until(lambda: not server.sessions)
-    await server.close()
-    await robot.close()
-    await graph.close()
+    await place.robot.create_subscription("/up", STRING, QoS(), inbox)
+    plan = {
+        "subscribe": [{"name": "/down", "type": STRING}],
+        "publish": [{"name": "/up", "type": STRING, "message": {"data": "up"}}],
+    }
+    async with run(plan) as program:
+        await until(lambda: publisher.subscribers == 1)
+        await place.server.close()
+        await program.wait(lambda: any("closed" in s for s in program.said))
+        await place.server.listen(f"ws://127.0.0.1:{place.port}")
+        await until(lambda: publisher.subscribers == 1, 20)
+        publisher.publish(sample(place, STRING, {"data": "again"}))
+        await program.wait(lambda: program.heard("/down"))
+        async with asyncio.timeout(10):
+            while not inbox.samples:
+                program.publish()
+                await asyncio.sleep(0.1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import time
 
 from ropeway.graph.base import Sample
@@ -40,7 +41,7 @@ async def test_newest_wait() -> None:
     await until(lambda: len(place.sent) == 4)
     assert place.numbers == [0, 7, 8, 9]
     times = [t for t, _ in place.sent]
-    assert all(later - sooner > 0.04 for sooner, later in zip(times, times[1:], strict=False))
+    assert all(later - sooner > 0.04 for sooner, later in itertools.pairwise(times))
 
 
 async def test_pause() -> None:
