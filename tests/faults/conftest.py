@@ -72,7 +72,7 @@ class Machine:
             asyncio.create_task(self._read(self.process.stdout, lambda line: self.events.append(json.loads(line)))),
             asyncio.create_task(self._read(self.process.stderr, lambda line: self.log.append(line.decode()))),
         ]
-        await self.until(lambda: any("ready" in e for e in self.events), 20)
+        await self.until(lambda: any("status" in e for e in self.events), 20)  # told right after ``ready``
 
     @staticmethod
     async def _read(stream: asyncio.StreamReader, keep: Callable[[bytes], None]) -> None:

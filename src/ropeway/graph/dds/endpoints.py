@@ -32,6 +32,8 @@ __all__ = ["RawReader", "RawWriter", "WriterIdentity"]
 
 _BATCH: Final = 64  # samples per take
 _HEADER_BYTES: Final = 4
+_OPTIONS_AT: Final = 3  # in the header; the two lowest bits count the padding (DDSI-RTPS 2.5, 10.2)
+_NO_OPTIONS: Final = b"\0\0"
 _COPY_WITHOUT_GIL_BYTES: Final = 32768  # above, copying costs more than letting go of the GIL
 _PENDING_LIMIT_BYTES: Final = 256 << 20
 _COURIER_BYTES: Final = 1 << 20  # about a millisecond on the network
@@ -130,6 +132,8 @@ class RawReader:
                 payload = _new_bytes(None, length)
                 lib.serdata_to_ser(serdata, 0, length, _address_of(payload))
             unref(serdata)
+            if payload[_OPTIONS_AT]:
+                payload = _without_padding(payload)
             handed += length
             size -= length
             samples -= 1
@@ -232,6 +236,8 @@ class RawWriter:
             lib.write_flush(self.entity)  # what shares a datagram that is not full
 
     def _send(self, payload: bytes, source_stamp_ns: int) -> Undelivered | None:
+        if len(payload) & 3:
+            payload = _with_padding_told(payload)
         length = len(payload)
         vector = self._vector
         vector.base, vector.len = payload, length
@@ -284,6 +290,21 @@ class RawWriter:
         if reason is not None:
             with contextlib.suppress(RuntimeError):  # the loop closed first
                 loop.call_soon_threadsafe(self._refused, reason)
+
+
+def _without_padding(payload: bytes) -> bytes:
+    """The message as it was written: its header's options tell how many bytes the network adds to fill up four."""
+    end = len(payload)
+    if end % 4 == 0:  # within a process nothing is added
+        end = max(end - (payload[_OPTIONS_AT] & 3), _HEADER_BYTES)
+    return b"".join((payload[:2], _NO_OPTIONS, payload[_HEADER_BYTES:end]))
+
+
+def _with_padding_told(payload: bytes) -> bytes:
+    """``payload`` with options that tell how many bytes DDS will add to fill up four."""
+    if len(payload) < _HEADER_BYTES:
+        return payload
+    return b"".join((payload[:_OPTIONS_AT], bytes((-len(payload) & 3,)), payload[_HEADER_BYTES:]))
 
 
 def matched(get: Callable[..., Any], entity: int) -> list[int]:
