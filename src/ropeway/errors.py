@@ -19,8 +19,7 @@
     │   ├── GraphUnavailable      it cannot be opened, or has gone away
     │   └── InvalidName           not a topic, service, action or node name
     ├── LinkError                 a connection between two gateways
-    │   ├── ConnectFailed         nobody answered, or the answer was a refusal
-    │   └── OutboxFull            more waits to be sent than the bounds allow
+    │   └── ConnectFailed         nobody answered, or the answer was a refusal
     └── BagUnreadable             a recording that is missing, damaged or of an unknown kind
 
 An error carries what a program needs as attributes and says in its text what a person can do next.
@@ -42,7 +41,6 @@ __all__ = [
     "InvalidTypeName",
     "LinkError",
     "MessageTooBig",
-    "OutboxFull",
     "RopewayError",
     "TypeConflict",
     "TypesError",
@@ -184,14 +182,6 @@ class ConnectFailed(LinkError):
     def __init__(self, address: str, reason: str, *, retryable: bool = True) -> None:
         self.address, self.reason, self.retryable = address, reason, retryable
         super().__init__(f"{address}: {reason}")
-
-
-class OutboxFull(LinkError):
-    """More waits to be sent than the bounds allow."""
-
-    def __init__(self, link: str, topic: str, queued_bytes: int, limit_bytes: int) -> None:
-        self.link, self.topic, self.queued_bytes, self.limit_bytes = link, topic, queued_bytes, limit_bytes
-        super().__init__(f"{link}: {topic}: {queued_bytes} bytes wait, the limit is {limit_bytes} bytes")
 
 
 class BagUnreadable(RopewayError):

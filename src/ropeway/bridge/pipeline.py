@@ -17,7 +17,6 @@ class Drop(enum.Enum):
 
     RATE = "more often than the rate limit"
     EXPIRED = "older than its lifespan"
-    DUPLICATE = "seen before"
     INACTIVE = "nobody asked for it"
 
 

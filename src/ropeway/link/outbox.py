@@ -33,7 +33,6 @@ class Lost(enum.Enum):
     EXPIRED = "it was older than the lifespan of its topic"
     UNSENT = "the link closed before it could be sent"
     ENCODE = "it could not be encoded"
-    TOO_BIG = "it was above the message limit of the link"
 
 
 class Message(Protocol):
