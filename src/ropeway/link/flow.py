@@ -101,9 +101,6 @@ class Flow:
         if window is None or seconds <= 0:
             return
         if outstanding <= window.late_bytes:
-            if seconds < 2 * _SHORTEST_LOOK_S:  # it was empty before a timer can tell: how fast it is, nobody knows
-                window.grow()
-                return
             rate, before = carried_bytes / seconds, self._rate_when_empty
             self._rate_when_empty = rate
             late = late_s > _LATE * seconds
