@@ -77,7 +77,6 @@ class Connection(WSListener):
         self.on_writable: Callable[[], None] = _nothing
         self.on_closed: Callable[[int, str], None] = _ignore_close
         self.bytes_in = self.bytes_out = self.frames_in = self.frames_out = 0
-        self.connected_at = time.time()
         self.secure = False
         self.handshake: Handshake | None = None
         self._open = False

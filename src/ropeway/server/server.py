@@ -51,7 +51,6 @@ class RosbridgeServer:
         self.sessions: dict[Session, asyncio.Task[None]] = {}
         self.lingering: dict[Session, asyncio.Task[None]] = {}
         self.listeners: list[Server] = []
-        self.served = 0
         self._ticker: asyncio.Task[None] | None = None
 
     async def listen(self, url: str, *, ssl_context: ssl.SSLContext | None = None, reuse_port: bool = False) -> Server:
@@ -93,7 +92,6 @@ class RosbridgeServer:
         )
         task = asyncio.create_task(session.run(), name=f"session {connection.peer}")
         self.sessions[session] = task
-        self.served += 1
         log.info(
             "%s: client connected (%s), %d in total", connection.peer, session.peer.dialect.name, len(self.sessions)
         )

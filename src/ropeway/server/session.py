@@ -196,7 +196,7 @@ class Session:
             "complaints": {f"{kind} {topic}".strip(): n for (kind, topic), n in self.peer.complaints.counts.items()},
             "topics": [
                 *(
-                    topic_status(t.topic, "in", t.type, t.encoding, t.meter, {})
+                    topic_status(t.topic, "in", t.type, t.encoding, t.meter, t.lost)
                     for t in (*self.inputs.values(), *self._input_channels.values())
                 ),
                 *(

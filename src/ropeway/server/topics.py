@@ -11,6 +11,7 @@ from ropeway.bridge.meter import Meter
 from ropeway.bridge.pipeline import Drop, RateLimit
 from ropeway.errors import MessageTooBig, TypesError
 from ropeway.graph.base import SEQ_NONE, Sample, new_origin
+from ropeway.link.outbox import Lost
 from ropeway.qos import QoS
 from ropeway.server.throttle import Throttle
 from ropeway.wire import codec as wire_codec
@@ -54,6 +55,7 @@ class TopicIn:
         self.number: int | None = None
         self.encoding = compression or "none"  # of the last message
         self._codec: MessageCodec | None = None
+        self.lost: Counter[Lost] = Counter()
         self._early: deque[Sample] = deque()
         self._early_bytes = 0
         self._origin = new_origin()
@@ -114,6 +116,7 @@ class TopicIn:
         self._early_bytes += len(sample.payload)
         while self._early_bytes > _EARLY_LIMIT_BYTES and len(self._early) > 1:
             self._early_bytes -= len(self._early.popleft().payload)
+            self.lost[Lost.OVERFLOW] += 1
 
     def report(self) -> None:
         """Tell a gateway how its topic arrives."""
