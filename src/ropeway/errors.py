@@ -17,9 +17,16 @@
     │   └── MessageTooBig         above the limit of this connection
     ├── GraphError                a kind of network
     │   ├── GraphUnavailable      it cannot be opened, or has gone away
-    │   └── InvalidName           not a topic, service, action or node name
+    │   ├── InvalidName           not a topic, service, action or node name
+    │   └── CallError             a service call or an action goal without an answer
+    │       ├── NotServed         nobody serves it
+    │       ├── CallTimeout       no answer in time
+    │       ├── ProviderLost      who served it, or the link to it, has gone in mid-call
+    │       ├── CallFailed        the provider says why it did not do it
+    │       └── GoalRejected      the action server does not take this goal
     ├── LinkError                 a connection between two gateways
     │   └── ConnectFailed         nobody answered, or the answer was a refusal
+    ├── AccessDenied              a role, a glob or a limit of the server does not allow it
     └── BagUnreadable             a recording that is missing, damaged or of an unknown kind
 
 An error carries what a program needs as attributes and says in its text what a person can do next.
@@ -28,10 +35,15 @@ An error carries what a program needs as attributes and says in its text what a 
 from __future__ import annotations
 
 __all__ = [
+    "AccessDenied",
     "BagUnreadable",
+    "CallError",
+    "CallFailed",
+    "CallTimeout",
     "ConfigError",
     "ConnectFailed",
     "DecodeError",
+    "GoalRejected",
     "GraphError",
     "GraphUnavailable",
     "InvalidDefinition",
@@ -41,6 +53,8 @@ __all__ = [
     "InvalidTypeName",
     "LinkError",
     "MessageTooBig",
+    "NotServed",
+    "ProviderLost",
     "RopewayError",
     "TypeConflict",
     "TypesError",
@@ -172,6 +186,50 @@ class InvalidName(GraphError):
         super().__init__(f"{name!r} is not a valid name: {reason}")
 
 
+class CallError(GraphError):
+    """A service call or an action goal without an answer. ``name`` is the service or action."""
+
+    def __init__(self, name: str, text: str) -> None:
+        self.name = name
+        super().__init__(text)
+
+
+class NotServed(CallError):
+    """Nobody serves it. The texts are those of rosbridge. ``kind`` is ``service`` or ``action``."""
+
+    def __init__(self, name: str, kind: str = "service") -> None:
+        self.kind = kind
+        super().__init__(name, f"Service {name} does not exist" if kind == "service" else "No action server available")
+
+
+class CallTimeout(CallError):
+    """No answer in time. The text for a service is that of rosbridge."""
+
+    def __init__(self, name: str, timeout_s: float, kind: str = "service") -> None:
+        self.timeout_s, self.kind = timeout_s, kind
+        text = "Timeout exceeded while waiting for service response"
+        super().__init__(name, text if kind == "service" else f"{name} gave no answer within {timeout_s:g} s")
+
+
+class ProviderLost(CallError):
+    """Who served it, or the link to it, has gone in mid-call; it may have been carried out or not."""
+
+    def __init__(self, name: str, reason: str) -> None:
+        self.reason = reason
+        super().__init__(name, f"{name} was not answered: {reason}")
+
+
+class CallFailed(CallError):
+    """The provider says why it did not do it; ``str(error)`` is what it said."""
+
+
+class GoalRejected(CallError):
+    """The action server does not take this goal. The text is that of rosbridge."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, "Action goal was rejected")
+
+
 class LinkError(RopewayError):
     """A connection between two gateways."""
 
@@ -182,6 +240,17 @@ class ConnectFailed(LinkError):
     def __init__(self, address: str, reason: str, *, retryable: bool = True) -> None:
         self.address, self.reason, self.retryable = address, reason, retryable
         super().__init__(f"{address}: {reason}")
+
+
+class AccessDenied(RopewayError):
+    """A rule of the server does not allow what a client asks for.
+
+    ``verb`` is one of ``ropeway.server.access.VERBS``, ``name`` the topic, service or action, ``rule`` what denied it.
+    """
+
+    def __init__(self, verb: str, name: str, rule: str) -> None:
+        self.verb, self.name, self.rule = verb, name, rule
+        super().__init__(f"{verb.replace('_', ' ')} {name}: not allowed: {rule}")
 
 
 class BagUnreadable(RopewayError):

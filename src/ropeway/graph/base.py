@@ -28,6 +28,16 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Protocol, runtime_checkable
 
 from ropeway.errors import InvalidName
+from ropeway.graph.calls import (
+    ActionClient,
+    ActionHandlers,
+    ActionInfo,
+    ActionServer,
+    Client,
+    Service,
+    ServiceHandler,
+    ServiceInfo,
+)
 from ropeway.qos import QoS
 
 __all__ = [
@@ -290,8 +300,30 @@ class Graph(Protocol):
     ) -> Subscription:
         """Read ``topic``; ``callback`` gets batches, oldest first."""
 
+    async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> Client:
+        """Call ``service`` (of type ``pkg/srv/Name``); it need not be served yet."""
+
+    async def create_service(
+        self, service: str, type: str, handler: ServiceHandler, *, delivery: Delivery = NO_HINTS
+    ) -> Service:
+        """Serve ``service``."""
+
+    async def create_action_client(self, action: str, type: str, *, delivery: Delivery = NO_HINTS) -> ActionClient:
+        """Use ``action`` (of type ``pkg/action/Name``); it need not be served yet."""
+
+    async def create_action_server(
+        self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
+    ) -> ActionServer:
+        """Serve ``action``."""
+
     def topics(self) -> dict[str, TopicInfo]:
         """What is discovered now, by name."""
+
+    def services(self) -> dict[str, ServiceInfo]:
+        """The services that are discovered now, by name; ours too, as ``local``."""
+
+    def actions(self) -> dict[str, ActionInfo]:
+        """The actions that are discovered now, by name; ours too, as ``local``."""
 
     def nodes(self) -> dict[str, NodeInfo]:
         """The nodes that are discovered now, by full name."""
