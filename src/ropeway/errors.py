@@ -25,7 +25,8 @@
     │       ├── CallFailed        the provider says why it did not do it
     │       └── GoalRejected      the action server does not take this goal
     ├── LinkError                 a connection between two gateways
-    │   └── ConnectFailed         nobody answered, or the answer was a refusal
+    │   ├── ConnectFailed         nobody answered, or the answer was a refusal
+    │   └── OutboxFull            more calls and answers wait for the link than it may hold
     ├── AccessDenied              a role, a glob or a limit of the server does not allow it
     └── BagUnreadable             a recording that is missing, damaged or of an unknown kind
 
@@ -54,6 +55,7 @@ __all__ = [
     "LinkError",
     "MessageTooBig",
     "NotServed",
+    "OutboxFull",
     "ProviderLost",
     "RopewayError",
     "TypeConflict",
@@ -240,6 +242,16 @@ class ConnectFailed(LinkError):
     def __init__(self, address: str, reason: str, *, retryable: bool = True) -> None:
         self.address, self.reason, self.retryable = address, reason, retryable
         super().__init__(f"{address}: {reason}")
+
+
+class OutboxFull(LinkError):
+    """More calls and answers wait for the link than it may hold: it is slow, or its peer does not read."""
+
+    def __init__(self, address: str, waiting_bytes: int, limit_bytes: int) -> None:
+        self.address, self.waiting_bytes, self.limit_bytes = address, waiting_bytes, limit_bytes
+        super().__init__(
+            f"{address}: {waiting_bytes} bytes of calls and answers wait for the link, which may hold {limit_bytes}"
+        )
 
 
 class AccessDenied(RopewayError):

@@ -9,40 +9,34 @@ those who come late. That is how two robots that dial in to one gateway hear eac
 from __future__ import annotations
 
 import asyncio
-import logging
-import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator
 from dataclasses import replace
+from typing import TypeVar
 
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import (
     NO_HINTS,
-    SEQ_NONE,
     Changes,
     Delivery,
     EndpointInfo,
     Graph,
     GraphEvent,
     NodeInfo,
-    Publisher,
-    Sample,
     SampleCallback,
-    Subscription,
     TopicInfo,
     Undelivered,
-    new_origin,
     resolve_name,
 )
-from ropeway.graph.history import History
+from ropeway.graph.calls import ActionHandlers, ActionInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.hub_actions import ViewActionClient, ViewActionServer
+from ropeway.graph.hub_calls import HubCalls, ViewClient, ViewService
+from ropeway.graph.hub_topics import ViewPublisher, ViewSubscription
 from ropeway.graph.seen import Seen
-from ropeway.graph.standby import Standby
-from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.qos import QoS
 from ropeway.tasks import end
 
 __all__ = ["Hub", "View"]
-
-log = logging.getLogger("ropeway.graph.hub")
 
 
 class Hub:
@@ -61,6 +55,7 @@ class Hub:
         self.duplicates: Counter[str] = Counter()
         self.retired: dict[str, Seen] = {}  # what publishers gave that were transient local and have closed
         self._seen: dict[str, tuple[Seen, Seen]] = {}
+        self.calls = HubCalls(graph, gateway_id)
 
     async def open(self) -> None:
         """Look out for other gateways from now on."""
@@ -71,12 +66,17 @@ class Hub:
         """Look out no longer."""
         await end(self._lookout)
         self._lookout = None
+        await self.calls.close()
 
     async def _look_out(self) -> None:
         async for event in self.graph.changes():
             if event.kind == "publisher":
                 for publisher in list(self.publishers.get(event.name, ())):
                     await publisher.standby.look()
+            elif event.kind == "service":
+                await self.calls.services.settle(event.name)
+            elif event.kind == "action":
+                await self.calls.actions.settle(event.name)
 
     def seen(self, topic: str) -> tuple[Seen, Seen]:
         """What was had of a topic: what the network gave us, and what we gave the network."""
@@ -106,214 +106,6 @@ class Hub:
         return view
 
 
-class ViewPublisher:
-    """A topic published through a view."""
-
-    def __init__(self, view: View, inner: Publisher) -> None:
-        self.topic, self.type, self.qos = inner.topic, inner.type, inner.qos
-        self.view = view
-        self._inner = inner
-        self._received, self._published = view.hub.seen(self.topic)
-        hub = view.hub
-        self.standby = Standby(hub.graph, hub.gateway_id, self.topic, self.type, self._received, self._published)
-        self._gid = new_origin()
-        self._seq = 0
-        self._history = History(self.qos)
-        self.given = Seen() if self.qos.transient_local else None
-        self._readers: list[ViewSubscription] = []
-        self._demand: list[Callable[[int], None]] = []
-        self._closed = False
-        inner_demand = getattr(inner, "on_demand", None)
-        if inner_demand is not None:
-            inner.on_demand(lambda _: self._tell())
-
-    def publish(self, sample: Sample) -> None:
-        """Send to the network and to the other views."""
-        if sample.seq == SEQ_NONE:
-            self._seq = max(time.time_ns(), self._seq + 1)
-            stamp_ns = sample.stamp_ns or self._seq
-            sample = Sample(sample.payload, self.type, stamp_ns, self._gid, self._seq, sent_ns=sample.sent_ns)
-        if (self._published.has(sample) or self._received.has(sample)) and not self._takes_over(sample):
-            self.view.hub.duplicates[self.topic] += 1
-            return
-        self._published.add(sample)
-        if self.given is not None:
-            self.given.add(sample)
-        if self._closed:
-            return
-        if sample.relayed and self.standby.listens:  # in a ring it may be from here, and we hear it in a moment
-            self.standby.hold(sample, self._give)
-        elif self.standby.defers:
-            self.standby.hold(sample, self._inner.publish)
-            self._share(sample)
-        else:
-            self._give(sample)
-
-    def _give(self, sample: Sample) -> None:
-        self._inner.publish(sample)
-        self._share(sample)
-
-    def _share(self, sample: Sample) -> None:
-        """Let our own readers have it, also those to come."""
-        if self.qos.transient_local:
-            self._history.add(sample)
-        for reader in self._readers:
-            reader.deliver([sample])
-
-    def _takes_over(self, sample: Sample) -> bool:
-        """True for a latched message of a publisher that this one follows: it gives it once more to late joiners."""
-        if self.given is None or self.given.has(sample):
-            return False
-        hub = self.view.hub
-        before = hub.retired.get(self.topic)
-        if before is not None and before.has(sample):
-            return True
-        others = (p for p in hub.publishers.get(self.topic, ()) if p.view is self.view)
-        return any(other.given is not None and other.given.has(sample) for other in others)
-
-    @property
-    def subscribers(self) -> int | None:
-        """Readers on the network and in other views."""
-        network = self._inner.subscribers
-        if network is None:
-            return None if not self._readers else len(self._readers)
-        return network + len(self._readers)
-
-    def on_demand(self, callback: Callable[[int], None]) -> None:
-        """Call with the number of readers, now and at each change."""
-        self._demand.append(callback)
-        count = self.subscribers
-        if count is not None:
-            callback(count)
-
-    def match(self, reader: ViewSubscription) -> None:
-        """Join a subscription of another view, or part from it."""
-        fits = (
-            not self._closed
-            and not reader.closed
-            and reader.type == self.type
-            and (reader.view is not self.view or self.view.echo)
-        )
-        if fits == (reader in self._readers):
-            return
-        if fits:
-            self._readers.append(reader)
-            if self.qos.transient_local and reader.wants_history:
-                reader.deliver(self._history.replay())
-        else:
-            self._readers.remove(reader)
-        self._tell()
-
-    def _tell(self) -> None:
-        count = self.subscribers
-        if count is not None:
-            for callback in self._demand:
-                callback(count)
-
-    async def close(self) -> None:
-        """Withdraw the topic."""
-        if self._closed:
-            return
-        self._closed = True
-        listed = self.view.hub.publishers.get(self.topic, [])
-        if self in listed:
-            listed.remove(self)
-        for reader in list(self._readers):
-            self.match(reader)
-            reader.readopt()
-        self.view.hub.announce(self.view, "publisher", self.topic, self.type, False)
-        if self.given is not None:
-            self.view.hub.retired.setdefault(self.topic, Seen()).update(self.given)
-        self.view.hub.forget(self.topic)
-        await self.standby.close()
-        await self._inner.close()
-
-
-class ViewSubscription:
-    """A topic read through a view."""
-
-    def __init__(self, view: View, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
-        self.topic, self.type, self.view = topic, type, view
-        self._asked = qos
-        self._callback = callback
-        self._received, self._published = view.hub.seen(topic)
-        self._inner: Subscription | None = None
-        self._qos = qos or DEFAULT
-        self._qos_callbacks: list[Callable[[QoS], None]] = []
-        self.closed = False
-
-    @property
-    def wants_history(self) -> bool:
-        """True where the reader asked for latched messages, or for whatever fits."""
-        return self._asked is None or self._asked.transient_local
-
-    @property
-    def qos(self) -> QoS:
-        """The profile in use."""
-        return self._qos
-
-    def on_qos(self, callback: Callable[[QoS], None]) -> None:
-        """Call with the profile, now and when the adopted one changes."""
-        self._qos_callbacks.append(callback)
-        callback(self._qos)
-
-    def attach(self, inner: Subscription) -> None:
-        """Follow the subscription on the graph."""
-        self._inner = inner
-        inner.on_qos(lambda _: self.readopt())
-
-    def readopt(self) -> None:
-        """Adopt what the network's and the other views' publishers offer."""
-        if self._asked is not None or self._inner is None or self.closed:
-            return
-        hub = self.view.hub
-        offered = [p.qos for p in hub.publishers.get(self.topic, ()) if p.view is not self.view or self.view.echo]
-        topic = hub.graph.topics().get(self.topic)
-        if topic is None or any(not p.local for p in topic.publishers) or not offered:
-            offered.append(self._inner.qos)
-        qos = common_qos(offered)
-        if qos != self._qos:
-            self._qos = qos
-            for callback in self._qos_callbacks:
-                callback(qos)
-
-    def arrived(self, batch: Sequence[Sample]) -> None:
-        """Messages came from the network: they are known from now on, should a link bring them back."""
-        fresh: list[Sample] = []
-        for sample in batch:
-            self._received.add(sample)
-            if sample.relayed and self._published.has(sample):
-                self.view.hub.duplicates[self.topic] += 1  # another gateway here published what we did
-            else:
-                fresh.append(sample)
-        self.deliver(fresh)
-
-    def deliver(self, batch: Sequence[Sample]) -> None:
-        """Hand messages to the callback; a failure is counted and logged."""
-        if self.closed or not batch:
-            return
-        try:
-            self._callback(batch)
-        except Exception:  # a callback is somebody else's code; the others must not suffer
-            self.view.drops[self.topic, Undelivered.CALLBACK] += len(batch)
-            log.exception("%s: a callback for %s failed", self.view.name, self.topic)
-
-    async def close(self) -> None:
-        """Stop reading."""
-        if self.closed:
-            return
-        self.closed = True
-        listed = self.view.hub.subscriptions.get(self.topic, [])
-        if self in listed:
-            listed.remove(self)
-        for publisher in self.view.hub.publishers.get(self.topic, ()):
-            publisher.match(self)
-        self.view.hub.announce(self.view, "subscription", self.topic, self.type, False)
-        self.view.hub.forget(self.topic)
-        if self._inner is not None:
-            await self._inner.close()
-
-
 class View:
     """One user's side of a shared graph; it is a ``Graph`` itself. ``close`` takes back what this user created."""
 
@@ -326,7 +118,7 @@ class View:
         self.drops: Counter[tuple[str, Undelivered]] = hub.graph.drops
         self.own_changes = Changes()
         self._closed = False
-        self._parts: list[ViewPublisher | ViewSubscription] = []
+        self._parts: list[_Part] = []
 
     async def open(self) -> None:
         """Nothing to do: the graph is open."""
@@ -379,18 +171,62 @@ class View:
         self.hub.announce(self, "subscription", subscription.topic, type, True)
         return subscription
 
+    async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> ViewClient:
+        """See ``Graph.create_client``; a view also reaches its own services."""
+        self._check()
+        client = ViewClient(self.hub.calls, resolve_name(service), type)
+        await client.attach(delivery)
+        self._keep(client)
+        return client
+
+    async def create_service(
+        self, service: str, type: str, handler: ServiceHandler, *, delivery: Delivery = NO_HINTS
+    ) -> ViewService:
+        """See ``Graph.create_service``. Where another holds the name, it waits for it (``taken_by``)."""
+        self._check()
+        made = ViewService(self.hub.calls, self.user, resolve_name(service), type, handler, delivery)
+        await self.hub.calls.services.add(made.entry)
+        self._keep(made)
+        self.hub.announce(self, "service", made.service, type, True)
+        made.on_closed = lambda: self.hub.announce(self, "service", made.service, type, False)
+        return made
+
+    async def create_action_client(self, action: str, type: str, *, delivery: Delivery = NO_HINTS) -> ViewActionClient:
+        """See ``Graph.create_action_client``; a view also reaches its own actions."""
+        self._check()
+        client = ViewActionClient(self.hub.calls, resolve_name(action), type)
+        await client.attach(delivery)
+        self._keep(client)
+        return client
+
+    async def create_action_server(
+        self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
+    ) -> ViewActionServer:
+        """See ``Graph.create_action_server``. Where another holds the name, it waits for it (``taken_by``)."""
+        self._check()
+        made = ViewActionServer(self.hub.calls, self.user, resolve_name(action), type, handlers, delivery)
+        await self.hub.calls.actions.add(made.entry)
+        self._keep(made)
+        self.hub.announce(self, "action", made.action, type, True)
+        made.on_closed = lambda: self.hub.announce(self, "action", made.action, type, False)
+        return made
+
     def _check(self) -> None:
         if self._closed:
             raise GraphUnavailable(self.name, f"{self.user} has closed its view")
 
-    def _keep(self, part: ViewPublisher | ViewSubscription) -> None:
-        self._parts = [p for p in self._parts if not (p.closed if isinstance(p, ViewSubscription) else p._closed)]
+    def _keep(self, part: _Part) -> None:
+        self._parts = [p for p in self._parts if not p.closed]
         self._parts.append(part)
 
     def topics(self) -> dict[str, TopicInfo]:
         """Everything on the graph; what other views created does not count as local."""
         topics = self.hub.graph.topics()
-        mine = {(p.topic, isinstance(p, ViewPublisher)) for p in self._parts}
+        mine = {
+            (p.topic, isinstance(p, ViewPublisher))
+            for p in self._parts
+            if isinstance(p, (ViewPublisher, ViewSubscription))
+        }
         out: dict[str, TopicInfo] = {}
         for name, info in topics.items():
             out[name] = replace(
@@ -409,6 +245,16 @@ class View:
     def _seen(endpoint: EndpointInfo, mine: bool) -> EndpointInfo:
         return replace(endpoint, local=mine) if endpoint.local else endpoint
 
+    def services(self) -> dict[str, ServiceInfo]:
+        """Every service on the graph; what other views offer does not count as local."""
+        mine = {p.service for p in self._parts if isinstance(p, ViewService)}
+        return {name: _shared(info, name in mine) for name, info in self.hub.graph.services().items()}
+
+    def actions(self) -> dict[str, ActionInfo]:
+        """Every action on the graph; what other views offer does not count as local."""
+        mine = {p.action for p in self._parts if isinstance(p, ViewActionServer)}
+        return {name: _shared(info, name in mine) for name, info in self.hub.graph.actions().items()}
+
     def nodes(self) -> dict[str, NodeInfo]:
         """Every node on the graph."""
         return self.hub.graph.nodes()
@@ -416,6 +262,16 @@ class View:
     def changes(self) -> AsyncIterator[GraphEvent]:
         """Events of the network and of the other views."""
         return _merged(self.hub.graph.changes(), self.own_changes.listen())
+
+
+_Part = ViewPublisher | ViewSubscription | ViewClient | ViewService | ViewActionClient | ViewActionServer
+_Info = TypeVar("_Info", ServiceInfo, ActionInfo)
+
+
+def _shared(info: _Info, mine: bool) -> _Info:
+    if mine or not any(p.local for p in info.servers):
+        return info
+    return replace(info, servers=tuple(replace(p, local=False) for p in info.servers))
 
 
 async def _merged(*sources: AsyncIterator[GraphEvent]) -> AsyncIterator[GraphEvent]:

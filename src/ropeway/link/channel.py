@@ -99,6 +99,20 @@ class Channel:
             self.used = self.chooser.choose(len(sample.payload), self.sent, lost[Lost.REPLACED] + lost[Lost.OVERFLOW])
         return self.used
 
+    def finished(self, sample: Outgoing, size_bytes: int) -> None:
+        """A message has gone, as so many bytes."""
+        self.sent += 1
+        self.sent_bytes += size_bytes
+
+    def failed(self, sample: Outgoing, error: BaseException) -> None:
+        """Count a message that cannot be encoded."""
+        self.queue.lost[Lost.ENCODE] += 1
+        self.sender.complaints.note("message", self.topic, error)
+
+    def fragments(self, sample: Outgoing) -> int | None:
+        """How many characters of a message's text go in one frame, ``None`` for all of them."""
+        return self.fragment_size
+
     @staticmethod
     def is_slow(sample: Outgoing, encoding: str) -> bool:
         """True for a message that a thread should encode."""

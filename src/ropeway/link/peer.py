@@ -2,16 +2,17 @@
 
 Both roles use it: the ``rosbridge`` graph has one ``Peer`` per connection it made, the server one per client.
 A peer that is another Ropeway gateway (subprotocol ``ropeway.1``) gets binary records, big messages in parts that
-urgent ones overtake; everybody else gets plain rosbridge frames.
+urgent ones overtake, calls and answers among them; everybody else gets plain rosbridge frames.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 from ropeway.errors import InvalidFrame, MessageTooBig, RopewayError, WireError
+from ropeway.link.calls import OP_CHANNELS, WAITING_LIMIT_BYTES, OpSender, Unsent
 from ropeway.link.channel import Channel, Outgoing
 from ropeway.link.complaints import Complaints
 from ropeway.link.sender import PlainSender, RecordSender, Sender
@@ -19,20 +20,35 @@ from ropeway.wire import codec as wire_codec
 from ropeway.wire import filters, ops
 from ropeway.wire.dialect import ROPEWAY, Dialect, by_subprotocol, detect
 from ropeway.wire.fragment import Defragmenter
-from ropeway.wire.frames import loads
+from ropeway.wire.frames import cbor_loads, loads
 from ropeway.wire.records import Arrival, RecordReader
 
 if TYPE_CHECKING:
     from ropeway.link.connection import Connection
     from ropeway.types import MessageCodec, TypeRegistry
 
-__all__ = ["CONTROL_OPS", "Channel", "Outgoing", "Peer", "PeerHandler"]
+__all__ = ["CONTROL_OPS", "Channel", "Outgoing", "Peer", "PeerHandler", "Unsent"]
 
 _CONTROL_LIMIT_BYTES: Final = 32 << 20  # answers that a peer does not read; more closes the connection
 
 CONTROL_OPS: Final = frozenset(
-    {"hello", "ping", "pong", "demand", "adopted", "watch", "graph", "definition", "refused", "stats"}
+    {
+        "hello",
+        "ping",
+        "pong",
+        "demand",
+        "adopted",
+        "watch",
+        "graph",
+        "definition",
+        "refused",
+        "stats",
+        "granted",
+        "accepted",
+        "cancelling",
+    }
 )
+_CALLS: Final = 1  # calls and answers in records
 
 
 class PeerHandler(Protocol):
@@ -70,6 +86,7 @@ class Peer:
         self.complaints = Complaints(connection.peer)
         kind = RecordSender if self.dialect is ROPEWAY else PlainSender
         self.sender: Sender = kind(connection, self.complaints, self.dialect)
+        self._ops = OpSender(self.sender)
         self.rtt_s: float | None = None
         self.clock_offset_ns: int | None = None  # the peer's clock minus ours, once it is measured
         self._offset_rtt = float("inf")
@@ -97,6 +114,58 @@ class Peer:
             return
         message = op if isinstance(op, Mapping) else op.to_dict()
         connection.send_text(ops.dumps(message))
+
+    def hello(self, gateway: str, name: str) -> None:
+        """Say who we are, to a Ropeway gateway."""
+        self.send({"op": "hello", "gateway": gateway, "name": name, "calls": _CALLS, "limit_bytes": self.limit_bytes})
+
+    def send_op(
+        self,
+        op: ops.Op | Mapping[str, Any],
+        *,
+        payload: bytes | None = None,
+        field: Literal["args", "values"] = "args",
+        codec: MessageCodec | None = None,
+        encoding: str = "auto",
+        priority: int | None = None,
+        fragment_size: int | None = None,
+        on_unsent: Unsent | None = None,
+    ) -> None:
+        """Send an operation of services and actions; what has one ``id`` arrives in the order in which it is sent.
+
+        ``payload`` is the CDR of the body, which takes the place of ``field``; ``None`` sends the operation as it is.
+        A plain peer gets JSON text, in fragments of ``fragment_size`` characters where that is given. A Ropeway
+        gateway gets the ``encoding`` that is asked for: ``auto`` is raw CDR, compressed on a slow link. ``codec`` may
+        be ``None`` for encodings that need none, and not otherwise. ``priority`` is a lane, 0 to 7; left out, what is
+        small goes in lane 1 and the rest in lane 4.
+
+        With the connection closed nothing happens. Raises ``DecodeError`` for a payload that is not of its type,
+        ``MessageTooBig`` for one that the peer would not take, ``OutboxFull`` if too much waits already; without a
+        payload, a connection of which too much waits is closed with 1008. A large payload is encoded later: if that
+        fails, ``on_unsent`` is called with the error.
+        """
+        if self.connection.closed:
+            return
+        message = dict(op) if isinstance(op, Mapping) else op.to_dict()
+        sender = self._ops
+        if self.dialect is ROPEWAY and not sender.records:  # a gateway that reads calls as text only
+            if payload is not None:
+                message[field] = wire_codec.encode_value(payload, codec)
+            self.send(message)
+            return
+        if payload is None and sender.waiting_bytes > WAITING_LIMIT_BYTES + _CONTROL_LIMIT_BYTES:
+            self.connection.close(1008, "answers are not read")
+            return
+        sender.send(
+            message,
+            payload=payload,
+            field=field,
+            codec=codec,
+            encoding=encoding,
+            priority=priority,
+            fragment_size=fragment_size,
+            on_unsent=on_unsent,
+        )
 
     def open_channel(
         self,
@@ -146,6 +215,10 @@ class Peer:
             return
         if not arrivals:
             return
+        if any(a.channel in OP_CHANNELS for a in arrivals):
+            arrivals = self._take_operations(arrivals)
+            if not arrivals:
+                return
         first = arrivals[0].channel
         if len(arrivals) == 1 or all(a.channel == first for a in arrivals):
             self.handler.arrived(first, arrivals)
@@ -155,6 +228,23 @@ class Peer:
             by_channel.setdefault(arrival.channel, []).append(arrival)
         for channel, batch in by_channel.items():
             self.handler.arrived(channel, batch)
+
+    def _take_operations(self, arrivals: Sequence[Arrival]) -> list[Arrival]:
+        """Take the operations among what arrived; give the rest."""
+        others: list[Arrival] = []
+        for arrival in arrivals:
+            if arrival.channel not in OP_CHANNELS:
+                others.append(arrival)
+                continue
+            try:
+                message = cbor_loads(arrival.body)
+                if not isinstance(message, dict):
+                    raise InvalidFrame("an operation is a map", len(arrival.body))
+            except InvalidFrame as error:
+                self.complaints.note("frame", "", error)
+            else:
+                self._object(message)
+        return others
 
     def _objects(self, data: bytes, *, text: bool) -> None:
         try:
@@ -173,6 +263,8 @@ class Peer:
             elif op == "pong":
                 self._pong(message)
             else:
+                if op == "hello":
+                    self._greeted(message)
                 self._control(str(op), message)
             return
         try:
@@ -190,6 +282,11 @@ class Peer:
                 self.handler.operation(parsed)
         except RopewayError as error:
             self.complaints.note(str(op), str(message.get("topic", ""))[:200], error)
+
+    def _greeted(self, message: Mapping[str, Any]) -> None:
+        limit = message.get("limit_bytes")
+        self._ops.limit_bytes = limit if type(limit) is int and limit > 0 else None
+        self._ops.records = self._ops.records or message.get("calls") == _CALLS
 
     def _control(self, op: str, message: Mapping[str, Any]) -> None:
         try:

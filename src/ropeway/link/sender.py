@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 from ropeway.errors import TypesError
 from ropeway.link.channel import Channel, Outgoing
-from ropeway.link.outbox import LANES, Lost, Outbox, Queue
+from ropeway.link.outbox import LANES, Outbox, Queue
 from ropeway.wire.codec import ENCODING_NUMBERS, NEEDS_CODEC, Frame
 from ropeway.wire.fragment import Fragmenter
 from ropeway.wire.records import HEADER_BYTES, RecordWriter
@@ -106,11 +106,6 @@ class Sender:
         assert isinstance(channel, Channel)
         return channel, sample, channel.pick(sample)
 
-    def not_encodable(self, channel: Channel, error: BaseException) -> None:
-        """Count a message that cannot be encoded."""
-        channel.queue.lost[Lost.ENCODE] += 1
-        self.complaints.note("message", channel.topic, error)
-
     def in_thread(self, make: Callable[[], object], then: Callable[[asyncio.Future[object]], None]) -> None:
         """Run ``make`` in a thread and ``then`` on the loop, unless the link closes first."""
         future = self._loop.run_in_executor(None, make)
@@ -160,36 +155,35 @@ class PlainSender(Sender):
                 self._make_in_thread(channel, sample, encoding)
                 return False
             try:
-                self._send(channel, channel.frame(sample, encoding))
+                self._send(channel, sample, channel.frame(sample, encoding))
             except TypesError as error:
-                self.not_encodable(channel, error)
+                channel.failed(sample, error)
             return True
         return False
 
     def _make_in_thread(self, channel: Channel, sample: Outgoing, encoding: str) -> None:
         self._busy = True
-        self.in_thread(lambda: channel.frame(sample, encoding), lambda finished: self._made(channel, finished))
+        self.in_thread(lambda: channel.frame(sample, encoding), lambda finished: self._made(channel, sample, finished))
 
-    def _made(self, channel: Channel, finished: asyncio.Future[object]) -> None:
+    def _made(self, channel: Channel, sample: Outgoing, finished: asyncio.Future[object]) -> None:
         self._busy = False
         error = finished.exception()
         if error is not None:
-            self.not_encodable(channel, error)
+            channel.failed(sample, error)
         elif not channel.closed:
             frame = finished.result()
             assert isinstance(frame, Frame)
-            self._send(channel, frame)
+            self._send(channel, sample, frame)
 
-    def _send(self, channel: Channel, frame: Frame) -> None:
+    def _send(self, channel: Channel, sample: Outgoing, frame: Frame) -> None:
         if not frame.text:
             self.connection.send_binary(frame.data)
-        elif channel.fragment_size is not None:
-            self._fragments.extend(self._fragmenter.split(frame.data, channel.fragment_size))
+        elif (fragment_size := channel.fragments(sample)) is not None:
+            self._fragments.extend(self._fragmenter.split(frame.data, fragment_size))
             self.connection.send_text(self._fragments.popleft())
         else:
             self.connection.send_text(frame.data)
-        channel.sent += 1
-        channel.sent_bytes += len(frame.data)
+        channel.finished(sample, len(frame.data))
 
 
 class _Cursor:
@@ -251,8 +245,7 @@ class RecordSender(Sender):
             size += self._append(out, cursor, room) + HEADER_BYTES
             if cursor.at >= len(cursor.body):
                 self._cursors[lane] = None
-                cursor.channel.sent += 1
-                cursor.channel.sent_bytes += len(cursor.body)
+                cursor.channel.finished(cursor.sample, len(cursor.body))
             else:
                 self._cursors[lane] = cursor
         return b"".join(out) if out else None
@@ -302,7 +295,7 @@ class RecordSender(Sender):
             try:
                 return _Cursor(channel, sample, encoding, channel.body(sample, encoding))
             except TypesError as error:
-                self.not_encodable(channel, error)
+                channel.failed(sample, error)
         return None
 
     def _encode_in_thread(self, cursor: _Cursor, lane: int) -> None:
@@ -312,7 +305,7 @@ class RecordSender(Sender):
             error = finished.exception()
             if error is not None:
                 self._cursors[lane] = None
-                self.not_encodable(cursor.channel, error)
+                cursor.channel.failed(cursor.sample, error)
             else:
                 body = finished.result()
                 assert isinstance(body, bytes)

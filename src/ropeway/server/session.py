@@ -77,7 +77,7 @@ class Session:
         self._definitions = 0
         self._gone = False
         if self.gateway:
-            self.peer.send({"op": "hello", "gateway": gateway_id, "name": name})
+            self.peer.hello(gateway_id, name)
             self.peer.ping()
 
     async def run(self) -> None:

@@ -224,7 +224,7 @@ class RosbridgeGraph:
         self.last_error = ""
         self._noted_types.clear()
         if peer.dialect is ROPEWAY:
-            peer.send({"op": "hello", "gateway": self._gateway_id, "name": self._node_name})
+            peer.hello(self._gateway_id, self._node_name)
             if self._watch:
                 peer.send({"op": "watch"})
         else:

@@ -1,0 +1,90 @@
+"""Joins one action on two graphs: goals that come on the target are carried out by who serves it on the source."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+
+from ropeway.bridge.offer import Offer
+from ropeway.errors import CallError, CallTimeout, GoalRejected
+from ropeway.graph.calls import (
+    DEFAULT_TIMEOUT_S,
+    ActionClient,
+    ActionHandlers,
+    ActionServer,
+    ClientGoal,
+    Goal,
+    GoalStatus,
+    Outcome,
+    ServerGoal,
+)
+
+__all__ = ["ActionBridge"]
+
+log = logging.getLogger("ropeway.bridge")
+
+
+class ActionBridge(Offer):
+    """One action of ``source`` offered on ``target``: exposed if ``target`` is the far side, reserved if it is ours.
+
+    A goal that takes longer than ``timeout_s`` is cancelled and aborted; ``None`` lets it take its time.
+    """
+
+    kind = "action"
+    _goals: dict[bytes, ClientGoal]
+
+    async def make_client(self) -> ActionClient:
+        """The action on the source."""
+        return await self.source.create_action_client(self.source_name, self.type, delivery=self.delivery)
+
+    async def make_server(self) -> ActionServer:
+        """The action on the target."""
+        self._goals = {}
+        handlers = ActionHandlers(self._execute, self._accept, self._cancel)
+        return await self.target.create_action_server(self.target_name, self.type, handlers, delivery=self.delivery)
+
+    async def _accept(self, goal: ServerGoal) -> bool:
+        if goal.id in self._goals:
+            return False
+        try:
+            self._goals[goal.id] = await self._client.send_goal(
+                Goal(goal.payload, goal.id, goal.via, goal.caller),
+                on_feedback=goal.feedback,
+                timeout_s=DEFAULT_TIMEOUT_S,
+            )
+        except CallError as error:
+            self.counts[type(error).__name__] += 1
+            if not isinstance(error, GoalRejected):
+                log.warning("a goal of %s was rejected: %s", self.target_name, error)
+            return False
+        return True
+
+    async def _execute(self, goal: ServerGoal) -> Outcome:
+        clock = asyncio.get_running_loop().time
+        began, how = clock(), "given up"
+        running = self._goals[goal.id]
+        self.under_way += 1
+        try:
+            outcome = await running.result(self.timeout_s)
+            how = outcome.status.name.lower()
+        except CallTimeout as error:
+            how = "timed out"
+            await self._give_up(running)
+            outcome = Outcome(GoalStatus.ABORTED, None, str(error))
+        except asyncio.CancelledError:  # nobody is left who wants it
+            await self._give_up(running)
+            raise
+        finally:
+            self.under_way -= 1
+            self._goals.pop(goal.id, None)
+            self.done(how, clock() - began)
+        return outcome
+
+    async def _cancel(self, goal: ServerGoal) -> bool:
+        running = self._goals.get(goal.id)
+        return running is not None and await running.cancel()
+
+    async def _give_up(self, running: ClientGoal) -> None:
+        with contextlib.suppress(CallError):
+            await running.cancel()

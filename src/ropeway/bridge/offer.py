@@ -1,0 +1,159 @@
+"""Offers on one graph what is served on another, while it is served there.
+
+What services and actions share: the name appears on the second graph when a provider is there on the first, and goes
+with it, so that those who wait for a service wait rightly. Where the first graph cannot tell who serves what, the
+name is offered while the graph is there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections import Counter
+from typing import Any, Final, Protocol
+
+from ropeway.errors import RopewayError
+from ropeway.graph.base import NO_HINTS, Delivery, Graph
+from ropeway.tasks import end
+
+__all__ = ["Offer"]
+
+log = logging.getLogger("ropeway.bridge")
+
+_LOOK_S: Final = 1.0  # graphs tell most changes at once; the state of a link without discovery is looked at so often
+_RETRY_S: Final = 2.0
+
+
+class _User(Protocol):
+    @property
+    def available(self) -> bool | None: ...
+
+    async def close(self) -> None: ...
+
+
+class _Server(Protocol):
+    async def close(self) -> None: ...
+
+
+class Offer:
+    """A name served on ``source`` as ``source_name``, offered on ``target`` as ``target_name``.
+
+    ``counts``: requests by how they ended (``answered``, or the name of the error). ``timeout_s``: how long one may
+    take.
+    """
+
+    kind = ""
+
+    def __init__(
+        self,
+        source: Graph,
+        target: Graph,
+        source_name: str,
+        target_name: str,
+        type: str,
+        *,
+        timeout_s: float | None,
+        delivery: Delivery = NO_HINTS,
+    ) -> None:
+        self.source, self.target = source, target
+        self.source_name, self.target_name, self.type = source_name, target_name, type
+        self.timeout_s, self.delivery = timeout_s, delivery
+        self.error = ""
+        self.taken_by = ""
+        self.counts: Counter[str] = Counter()
+        self.under_way = 0
+        self.took_s: float | None = None  # the last one, smoothed
+        self._client: Any = None
+        self._server: _Server | None = None
+        self._changed = asyncio.Event()
+        self._tasks: list[asyncio.Task[None]] = []
+
+    async def make_client(self) -> Any:
+        """The user of the name on the source."""
+        raise NotImplementedError
+
+    async def make_server(self) -> Any:
+        """The provider of the name on the target."""
+        raise NotImplementedError
+
+    async def start(self) -> None:
+        """Bring the bridge up; what fails now is tried again until it works."""
+        self._tasks = [
+            asyncio.create_task(self._watch(), name=f"watch {self.kind} {self.source_name}"),
+            asyncio.create_task(self._keep_right(), name=f"bridge {self.kind} {self.source_name}"),
+        ]
+        self._changed.set()
+
+    async def close(self) -> None:
+        """Withdraw the name, and use the other no more."""
+        await end(*self._tasks)
+        await self._withdraw()
+        client, self._client = self._client, None
+        if client is not None:
+            await client.close()
+
+    @property
+    def state(self) -> str:
+        """One word: ``active``, ``waiting`` (nobody serves it), ``taken`` (somebody else offers it) or ``failed``."""
+        if self.error:
+            return "failed"
+        if self.taken_by:
+            return "taken"
+        return "active" if self._server is not None else "waiting"
+
+    def done(self, how: str, took_s: float) -> None:
+        """A request has ended."""
+        self.counts[how] += 1
+        self.took_s = took_s if self.took_s is None else self.took_s + 0.2 * (took_s - self.took_s)
+
+    async def _watch(self) -> None:
+        async for event in self.source.changes():
+            if event.kind == self.kind and event.name == self.source_name:
+                self._changed.set()
+
+    async def _keep_right(self) -> None:
+        while True:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_RETRY_S if self.error else _LOOK_S):
+                    await self._changed.wait()
+            self._changed.clear()
+            try:
+                await self._set_right()
+            except RopewayError as error:
+                if str(error) != self.error:
+                    log.warning("%s %s to %s: %s", self.kind, self.source_name, self.target.name, error)
+                self.error = str(error)
+            else:
+                self.error = ""
+
+    async def _set_right(self) -> None:
+        if self._client is None:
+            self._client = await self.make_client()
+        wanted = self._client.available is not False
+        if wanted and self._server is None:
+            server = self._server = await self.make_server()
+            on_state = getattr(server, "on_state", None)
+            if on_state is not None:
+                on_state(self._taken)
+            log.info("%s %s of %s is offered on %s", self.kind, self.target_name, self.source.name, self.target.name)
+        elif not wanted and self._server is not None:
+            await self._withdraw()
+            log.info("%s %s is no longer offered on %s", self.kind, self.target_name, self.target.name)
+
+    def _taken(self, taken_by: str) -> None:
+        if taken_by and taken_by != self.taken_by:
+            log.warning(
+                "%s %s is already offered on %s by %s; this route takes over when that leaves",
+                self.kind,
+                self.target_name,
+                self.target.name,
+                taken_by,
+            )
+        self.taken_by = taken_by
+
+    async def _withdraw(self) -> None:
+        server, self._server = self._server, None
+        self.taken_by = ""
+        if server is not None:
+            await server.close()

@@ -1,0 +1,63 @@
+"""Joins one service on two graphs: calls that come on the target are answered by who serves it on the source."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Final
+
+from ropeway.bridge.offer import Offer
+from ropeway.errors import CallError
+from ropeway.graph.base import NO_HINTS, Delivery, Graph
+from ropeway.graph.calls import Client, Request, Service
+
+__all__ = ["CALL_TIMEOUT_S", "ServiceBridge"]
+
+CALL_TIMEOUT_S: Final = 60.0
+"""How long a call over a route may take unless configured: callers on DDS tell no limit of their own."""
+
+
+class ServiceBridge(Offer):
+    """One service of ``source`` offered on ``target``: exposed if ``target`` is the far side, reserved if it is ours."""
+
+    kind = "service"
+
+    def __init__(
+        self,
+        source: Graph,
+        target: Graph,
+        source_name: str,
+        target_name: str,
+        type: str,
+        *,
+        timeout_s: float | None = None,
+        delivery: Delivery = NO_HINTS,
+    ) -> None:
+        super().__init__(
+            source, target, source_name, target_name, type, timeout_s=timeout_s or CALL_TIMEOUT_S, delivery=delivery
+        )
+
+    async def make_client(self) -> Client:
+        """The service on the source."""
+        return await self.source.create_client(self.source_name, self.type, delivery=self.delivery)
+
+    async def make_server(self) -> Service:
+        """The service on the target."""
+        return await self.target.create_service(self.target_name, self.type, self._pass_on, delivery=self.delivery)
+
+    async def _pass_on(self, request: Request) -> bytes:
+        assert self.timeout_s is not None
+        timeout_s = self.timeout_s if request.timeout_s is None else min(self.timeout_s, request.timeout_s)
+        request.timeout_s = timeout_s
+        clock = asyncio.get_running_loop().time
+        began, how = clock(), "given up"
+        self.under_way += 1
+        try:
+            response: bytes = await self._client.call(request, timeout_s)
+            how = "answered"
+        except CallError as error:
+            how = type(error).__name__
+            raise
+        finally:
+            self.under_way -= 1
+            self.done(how, clock() - began)
+        return response

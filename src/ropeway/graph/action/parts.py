@@ -1,0 +1,166 @@
+"""What an action is made of: the names and types of its services and topics, and their payloads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from ropeway.errors import DecodeError, UnknownType, ValueMismatch
+from ropeway.graph.base import resolve_name
+from ropeway.graph.calls import ActionInfo, GoalStatus, ServiceInfo
+from ropeway.qos import LATCHED, QoS
+from ropeway.types import TypeRegistry
+
+__all__ = [
+    "CANCEL_TYPE",
+    "ERROR_GOAL_TERMINATED",
+    "ERROR_NONE",
+    "ERROR_REJECTED",
+    "ERROR_UNKNOWN_GOAL_ID",
+    "FEEDBACK_QOS",
+    "NO_GOAL",
+    "STATUS_QOS",
+    "STATUS_TYPE",
+    "ActionParts",
+    "action_of_service",
+    "actions_of",
+]
+
+CANCEL_TYPE: Final = "action_msgs/srv/CancelGoal"
+STATUS_TYPE: Final = "action_msgs/msg/GoalStatusArray"
+FEEDBACK_QOS: Final = QoS(depth=10)
+STATUS_QOS: Final = LATCHED
+NO_GOAL: Final = bytes(16)
+
+ERROR_NONE: Final = 0
+ERROR_REJECTED: Final = 1
+ERROR_UNKNOWN_GOAL_ID: Final = 2
+ERROR_GOAL_TERMINATED: Final = 3
+
+_HEADER_BYTES: Final = 4
+_ID_BYTES: Final = 16
+_SEND_GOAL: Final = "/_action/send_goal"
+_SECOND_NS: Final = 1_000_000_000
+
+
+class ActionParts:
+    """Names, types and payloads of one action.
+
+    Raises ``UnknownType`` if ``registry`` does not know the action, ``InvalidName``, ``InvalidTypeName``. A goal id
+    is 16 bytes, which keep the alignment of what follows; so goals and feedback are cut out of the messages that
+    carry them and set in, and never decoded.
+    """
+
+    def __init__(self, action: str, type: str, registry: TypeRegistry) -> None:
+        self.action = resolve_name(action)
+        self.type = registry.canonical(type, "action")
+        self.send_goal = self.action + _SEND_GOAL
+        self.cancel_goal = f"{self.action}/_action/cancel_goal"
+        self.get_result = f"{self.action}/_action/get_result"
+        self.feedback = f"{self.action}/_action/feedback"
+        self.status = f"{self.action}/_action/status"
+        self.send_goal_type = f"{self.type}_SendGoal"
+        self.get_result_type = f"{self.type}_GetResult"
+        self.feedback_type = f"{self.type}_FeedbackMessage"
+        try:
+            self._result = registry.codec(f"{self.type}_Result")
+            self._get_result_response = registry.codec(f"{self.type}_GetResult_Response")
+        except UnknownType as error:
+            if error.name.startswith(self.type):
+                raise UnknownType(self.type, needed_by=f"action {self.action}", nearest=error.nearest) from None
+            raise
+        self._accepted = registry.codec(f"{self.type}_SendGoal_Response")
+        self._cancel_request = registry.codec(f"{CANCEL_TYPE}_Request")
+        self._cancel_response = registry.codec(f"{CANCEL_TYPE}_Response")
+        self._statuses = registry.codec(STATUS_TYPE)
+
+    def join(self, id: bytes, payload: bytes) -> bytes:
+        """The CDR of ``…_SendGoal_Request`` or ``…_FeedbackMessage`` around a goal or a feedback."""
+        return payload[:_HEADER_BYTES] + id + payload[_HEADER_BYTES:]
+
+    def split(self, message: bytes) -> tuple[bytes, bytes]:
+        """The goal id and the CDR of the goal or feedback in such a message. Raises ``DecodeError``."""
+        body = _HEADER_BYTES + _ID_BYTES
+        if len(message) < body:
+            raise DecodeError(self.type, "CDR", f"{len(message)} bytes are too few for a goal id")
+        return bytes(message[_HEADER_BYTES:body]), bytes(message[:_HEADER_BYTES] + message[body:])
+
+    def accepted(self, accepted: bool, stamp_ns: int) -> bytes:
+        """The CDR of ``…_SendGoal_Response``."""
+        return self._accepted.encode({"accepted": accepted, "stamp": _time(stamp_ns)})
+
+    def is_accepted(self, response: bytes) -> bool:
+        """Whether a ``…_SendGoal_Response`` says yes. Raises ``DecodeError``."""
+        return bool(self._accepted.decode(response)["accepted"])
+
+    def result_request(self, id: bytes) -> bytes:
+        """The CDR of ``…_GetResult_Request``."""
+        return b"\0\1\0\0" + id
+
+    def result(self, status: GoalStatus, payload: bytes | None) -> bytes:
+        """The CDR of ``…_GetResult_Response``; no payload gives the default values. Raises ``DecodeError``."""
+        result = self._result.decode(payload) if payload is not None else {}
+        return self._get_result_response.encode({"status": int(status), "result": result})
+
+    def outcome(self, response: bytes) -> tuple[int, bytes]:
+        """The status and the CDR of the result in a ``…_GetResult_Response``. Raises ``DecodeError``."""
+        message = self._get_result_response.decode(response)
+        try:
+            return message["status"], self._result.encode(message["result"])
+        except ValueMismatch as error:
+            raise DecodeError(self.type, "CDR", error.reason) from None
+
+    def cancel_request(self, id: bytes = NO_GOAL, stamp_ns: int = 0) -> bytes:
+        """The CDR of ``CancelGoal_Request``."""
+        return self._cancel_request.encode({"goal_info": _info(id, stamp_ns)})
+
+    def cancel_wish(self, request: bytes) -> tuple[bytes, int]:
+        """The goal id and the time (ns) of a ``CancelGoal_Request``. Raises ``DecodeError``."""
+        info = self._cancel_request.decode(request)["goal_info"]
+        return bytes(info["goal_id"]["uuid"]), _nanoseconds(info["stamp"])
+
+    def cancelling(self, code: int, goals: list[tuple[bytes, int]]) -> bytes:
+        """The CDR of ``CancelGoal_Response``: the code, and id and acceptance time (ns) of the goals that end."""
+        return self._cancel_response.encode({"return_code": code, "goals_canceling": [_info(*goal) for goal in goals]})
+
+    def cancel_answer(self, response: bytes) -> tuple[int, list[bytes]]:
+        """The code and the ids of a ``CancelGoal_Response``. Raises ``DecodeError``."""
+        message = self._cancel_response.decode(response)
+        return message["return_code"], [bytes(info["goal_id"]["uuid"]) for info in message["goals_canceling"]]
+
+    def statuses(self, goals: list[tuple[bytes, int, GoalStatus]]) -> bytes:
+        """The CDR of ``GoalStatusArray``: id, acceptance time (ns) and status of each goal."""
+        listed = [{"goal_info": _info(id, stamp_ns), "status": int(status)} for id, stamp_ns, status in goals]
+        return self._statuses.encode({"status_list": listed})
+
+
+def _time(stamp_ns: int) -> dict[str, int]:
+    seconds, nanoseconds = divmod(stamp_ns, _SECOND_NS)
+    return {"sec": seconds, "nanosec": nanoseconds}
+
+
+def _nanoseconds(time: Mapping[str, Any]) -> int:
+    return int(time["sec"]) * _SECOND_NS + int(time["nanosec"])
+
+
+def _info(id: bytes, stamp_ns: int) -> dict[str, Any]:
+    return {"goal_id": {"uuid": id}, "stamp": _time(stamp_ns)}
+
+
+def action_of_service(service: str, type: str = "") -> tuple[str, str] | None:
+    """The action and its type whose goals the service ``service`` takes, ``None`` for other services."""
+    name = service.removesuffix(_SEND_GOAL)
+    if not name or name == service:
+        return None
+    return name, type.removesuffix("_SendGoal")
+
+
+def actions_of(services: Mapping[str, ServiceInfo]) -> dict[str, ActionInfo]:
+    """The actions that the listed services belong to, by name."""
+    found: dict[str, ActionInfo] = {}
+    for info in services.values():
+        action = action_of_service(info.name)
+        if action is not None:
+            types = tuple(type.removesuffix("_SendGoal") for type in info.types)
+            found[action[0]] = ActionInfo(action[0], types, info.servers, info.clients)
+    return found

@@ -1,0 +1,146 @@
+"""Calls and goals that stay inside this process: a handler is run for a caller, within a time, exactly once."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
+from typing import Final
+
+from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, ProviderLost, RopewayError
+from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
+from ropeway.tasks import end
+
+__all__ = ["LEFT", "DirectGoal", "Running", "answer"]
+
+log = logging.getLogger("ropeway.graph")
+
+LEFT: Final = "who offered it has withdrawn it"
+
+
+class Running:
+    """The calls that one provider is busy with; ``fail`` ends them all, whoever waits for them."""
+
+    def __init__(self) -> None:
+        self._tasks: set[asyncio.Task[bytes]] = set()
+        self.closed = False
+
+    def start(self, name: str, work: Awaitable[bytes]) -> asyncio.Task[bytes]:
+        """Run a handler as a task."""
+        task = asyncio.ensure_future(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    async def fail(self) -> None:
+        """The provider has gone."""
+        self.closed = True
+        await end(*(task for task in self._tasks if task is not asyncio.current_task()))
+
+
+async def answer(name: str, running: Running, work: Awaitable[bytes], timeout_s: float) -> bytes:
+    """What a handler answers.
+
+    Raises ``CallTimeout``, ``ProviderLost``, the handler's own ``CallError``, or ``CallFailed`` with another error's text.
+    """
+    task = running.start(name, work)
+    try:
+        done, _ = await asyncio.wait({task}, timeout=timeout_s)
+    finally:
+        if not task.done():
+            await end(task)
+    if not done:
+        raise CallTimeout(name, timeout_s)
+    if task.cancelled():
+        raise ProviderLost(name, LEFT)
+    error = task.exception()
+    if error is None:
+        return task.result()
+    if isinstance(error, CallError):
+        raise error
+    if not isinstance(error, RopewayError):
+        log.error("the handler of %s failed", name, exc_info=error)
+    raise CallFailed(name, str(error) or type(error).__name__) from error
+
+
+class DirectGoal:
+    """A goal that a handler in this process carries out; it is the caller's ``ClientGoal``."""
+
+    def __init__(self, action: str, handlers: ActionHandlers, goal: Goal, on_feedback: Callable[[bytes], None]) -> None:
+        self.id = goal.id
+        self._action, self._handlers = action, handlers
+        self._on_feedback = on_feedback
+        self._goal = ServerGoal(goal.payload, goal.id, self._feedback, goal.via, goal.caller)
+        self._work: asyncio.Task[Outcome] | None = None
+        self._outcome: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
+
+    async def start(self, timeout_s: float) -> None:
+        """Have it accepted, and begin. Raises ``GoalRejected`` or ``CallTimeout``."""
+        if self._handlers.accept is not None:
+            try:
+                async with asyncio.timeout(timeout_s):
+                    accepted = await self._handlers.accept(self._goal)
+            except TimeoutError:
+                raise CallTimeout(self._action, timeout_s, "action") from None
+            if not accepted:
+                raise GoalRejected(self._action)
+        if self._outcome.done():
+            raise ProviderLost(self._action, LEFT)
+        self._work = asyncio.create_task(self._carry_out(), name=f"goal of {self._action}")
+
+    async def _carry_out(self) -> Outcome:
+        try:
+            outcome = await self._handlers.execute(self._goal)
+        except asyncio.CancelledError:
+            self._finish(Outcome(GoalStatus.ABORTED, None, LEFT))
+            raise
+        except Exception as error:  # a handler is somebody else's code; its failure is the goal's
+            if not isinstance(error, RopewayError):
+                log.exception("the handler of %s failed", self._action)
+            outcome = Outcome(GoalStatus.ABORTED, None, str(error) or type(error).__name__)
+        self._finish(outcome)
+        return outcome
+
+    def _feedback(self, payload: bytes) -> None:
+        if not self._outcome.done():
+            self._on_feedback(payload)
+
+    def _finish(self, outcome: Outcome) -> None:
+        if not self._outcome.done():
+            self._outcome.set_result(outcome)
+
+    @property
+    def done(self) -> bool:
+        """True once it has ended."""
+        return self._outcome.done()
+
+    def on_done(self, callback: Callable[[], None]) -> None:
+        """Call when it has ended."""
+        self._outcome.add_done_callback(lambda _: callback())
+
+    async def result(self, timeout_s: float | None = None) -> Outcome:
+        """See ``ClientGoal``."""
+        done, _ = await asyncio.wait({self._outcome}, timeout=timeout_s)
+        if not done:
+            assert timeout_s is not None
+            raise CallTimeout(self._action, timeout_s, "action")
+        return self._outcome.result()
+
+    async def cancel(self, timeout_s: float = 5.0) -> bool:
+        """See ``ClientGoal``."""
+        if self._outcome.done():
+            return False
+        if self._handlers.cancel is not None:
+            try:
+                async with asyncio.timeout(timeout_s):
+                    if not await self._handlers.cancel(self._goal):
+                        return False
+            except TimeoutError:
+                raise CallTimeout(self._action, timeout_s, "action") from None
+        self._goal.cancelled.set()
+        return True
+
+    async def abort(self, text: str = LEFT) -> None:
+        """The provider has gone."""
+        self._finish(Outcome(GoalStatus.ABORTED, None, text))
+        await end(self._work)

@@ -1,0 +1,293 @@
+"""Services of several users of one graph: who serves a name serves it to the network and to all views."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable
+from typing import TYPE_CHECKING, Any, Final
+
+from ropeway.errors import CallFailed, GraphUnavailable, NotServed, ProviderLost
+from ropeway.graph.base import Delivery
+from ropeway.graph.calls import (
+    DEFAULT_TIMEOUT_S,
+    ActionClient,
+    Client,
+    Request,
+    Service,
+    ServiceHandler,
+)
+from ropeway.graph.direct import Running, answer
+from ropeway.graph.holders import Entry, Holders
+from ropeway.tasks import end
+
+if TYPE_CHECKING:
+    from ropeway.graph.base import Graph
+    from ropeway.graph.hub_actions import ViewActionServer
+
+__all__ = ["NOBODY_S", "HubCalls", "ViewClient", "ViewService", "either"]
+
+log = logging.getLogger("ropeway.graph.hub")
+
+NOBODY_S: Final = 1.0  # who calls a service that nobody serves learns it so soon, as from rosbridge
+_LINGER_S: Final = 30.0  # a client of the graph is kept for the next call, which then need not wait for a match
+_REMEMBERED: Final = 1024  # calls that were answered, so that the same call does not run twice
+_REMEMBERED_BYTES: Final = 1 << 16  # longer answers are not kept
+
+
+class _Shared:
+    """A client of the graph that views share."""
+
+    def __init__(self, inner: Client | ActionClient) -> None:
+        self.inner = inner
+        self.users = 0
+        self.closing: asyncio.TimerHandle | None = None
+
+
+class HubCalls:
+    """What the views of one hub share for services and actions."""
+
+    def __init__(self, graph: Graph, gateway_id: str) -> None:
+        self.graph, self.gateway_id = graph, gateway_id
+        self.services: Holders[ViewService] = Holders("service", graph.name, gateway_id, lambda: graph.services())
+        self.actions: Holders[ViewActionServer] = Holders("action", graph.name, gateway_id, lambda: graph.actions())
+        self._clients: dict[tuple[str, str, str], _Shared] = {}
+        self._making: dict[tuple[str, str, str], asyncio.Lock] = {}
+        self._closers: set[asyncio.Task[None]] = set()
+        self._calls: OrderedDict[bytes, asyncio.Task[bytes]] = OrderedDict()
+        self.repeated = 0
+
+    async def close(self) -> None:
+        """Close the clients that linger."""
+        for shared in self._clients.values():
+            if shared.closing is not None:
+                shared.closing.cancel()
+        clients, self._clients = list(self._clients.values()), {}
+        for shared in clients:
+            await shared.inner.close()
+        await end(*self._closers)
+
+    # ── clients of the graph ───────────────────────────────────────────────────────────────────────────────────
+
+    async def acquire(self, kind: str, name: str, type: str, delivery: Delivery) -> Any:
+        """The shared client of a service or an action."""
+        key = (kind, name, type)
+        async with self._making.setdefault(key, asyncio.Lock()):
+            shared = self._clients.get(key)
+            if shared is None:
+                make = self.graph.create_client if kind == "service" else self.graph.create_action_client
+                shared = self._clients[key] = _Shared(await make(name, type, delivery=delivery))
+            shared.users += 1
+            if shared.closing is not None:
+                shared.closing.cancel()
+                shared.closing = None
+        return shared.inner
+
+    def release(self, kind: str, name: str, type: str) -> None:
+        """A view needs the client no more; it lingers for the next."""
+        key = (kind, name, type)
+        shared = self._clients.get(key)
+        if shared is None:
+            return
+        shared.users -= 1
+        if not shared.users:
+            shared.closing = asyncio.get_running_loop().call_later(_LINGER_S, self._expire, key)
+
+    def _expire(self, key: tuple[str, str, str]) -> None:
+        shared = self._clients.pop(key, None)
+        self._making.pop(key, None)
+        if shared is not None:
+            task = asyncio.create_task(shared.inner.close(), name=f"close client {key[1]}")
+            self._closers.add(task)
+            task.add_done_callback(self._closers.discard)
+
+    # ── calls ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def check_circle(self, name: str, via: tuple[str, ...]) -> None:
+        """Raises ``CallFailed`` for a call that has been here before."""
+        if self.gateway_id and self.gateway_id in via:
+            raise CallFailed(name, f"the call of {name} went in a circle, through the gateways {', '.join(via)}")
+
+    def remember(self, request: Request, task: asyncio.Task[bytes]) -> None:
+        """The call is under way: the same call is not made again."""
+        calls = self._calls
+        calls[request.id] = task
+        while len(calls) > _REMEMBERED and next(iter(calls.values())).done():
+            calls.popitem(last=False)
+
+    def settle(self, request: Request, task: asyncio.Task[bytes]) -> None:
+        """The call has ended. What was not carried out may be tried again; a long answer is not kept."""
+        error = None if task.cancelled() else task.exception()
+        if isinstance(error, (NotServed, GraphUnavailable)):
+            self._calls.pop(request.id, None)
+        elif error is None and not task.cancelled() and len(task.result()) > _REMEMBERED_BYTES:
+            self._calls[request.id] = asyncio.ensure_future(_answered_before())
+
+    async def again(self, name: str, task: asyncio.Task[bytes]) -> bytes:
+        """The answer of a call that was made before."""
+        self.repeated += 1
+        await asyncio.wait({task})
+        if task.cancelled():
+            raise ProviderLost(name, "the call was given up")
+        return task.result()
+
+    def known(self, request: Request) -> asyncio.Task[bytes] | None:
+        """The same call, where it was made before."""
+        return self._calls.get(request.id)
+
+
+async def _answered_before() -> bytes:
+    raise CallFailed("", "this call was answered before")
+
+
+class ViewService:
+    """A service that a view offers."""
+
+    def __init__(
+        self, calls: HubCalls, user: str, service: str, type: str, handler: ServiceHandler, delivery: Delivery
+    ) -> None:
+        self.service, self.type = service, type
+        self._calls, self._handler, self._delivery = calls, handler, delivery
+        self._running = Running()
+        self.entry: Entry[ViewService] = Entry(service, user, self, self._create)
+        self.on_closed: Callable[[], None] | None = None
+
+    async def _create(self) -> Service:
+        return await self._calls.graph.create_service(self.service, self.type, self._handle, delivery=self._delivery)
+
+    async def _handle(self, request: Request) -> bytes:
+        return await self._handler(request)
+
+    @property
+    def closed(self) -> bool:
+        """True after ``close``."""
+        return self.entry.closed
+
+    @property
+    def taken_by(self) -> str:
+        """Who else holds the name, ``""`` while this one serves it."""
+        return self.entry.taken_by
+
+    def on_state(self, callback: Callable[[str], None]) -> None:
+        """Call with ``taken_by``, now and at each change."""
+        self.entry.on_state(callback)
+
+    async def answer(self, request: Request, timeout_s: float) -> bytes:
+        """Answer a call from inside this process."""
+        return await answer(self.service, self._running, self._handle(request), timeout_s)
+
+    async def close(self) -> None:
+        """Serve no more; calls under way fail, and who waits for the name takes over."""
+        if self.closed:
+            return
+        await self._calls.services.remove(self.entry)
+        await self._running.fail()
+        if self.on_closed is not None:
+            self.on_closed()
+
+
+class ViewClient:
+    """A service that a view calls: at the view that serves it, or on the graph."""
+
+    def __init__(self, calls: HubCalls, service: str, type: str) -> None:
+        self.service, self.type = service, type
+        self.closed = False
+        self._calls = calls
+        self._inner: Client | None = None
+        self._under_way: set[asyncio.Task[bytes]] = set()
+
+    async def attach(self, delivery: Delivery) -> None:
+        """Get the client of the graph."""
+        self._inner = await self._calls.acquire("service", self.service, self.type, delivery)
+
+    def _provider(self) -> ViewService | None:
+        entry = self._calls.services.holder(self.service)
+        return entry.provider if entry is not None else None
+
+    @property
+    def available(self) -> bool | None:
+        """True if a view or somebody on the network serves it."""
+        if self._provider() is not None:
+            return True
+        return self._inner.available if self._inner is not None else False
+
+    async def wait_available(self, timeout_s: float) -> bool:
+        """See ``Client``."""
+        assert self._inner is not None
+        return await either(
+            self._inner.wait_available(timeout_s), lambda: self._provider() is not None, self._calls.services, timeout_s
+        )
+
+    async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
+        """See ``Client``."""
+        if self.closed:
+            raise GraphUnavailable(self._calls.graph.name, f"the client of {self.service} is closed")
+        self._calls.check_circle(self.service, request.via)
+        calls = self._calls
+        known = calls.known(request)
+        if known is not None:
+            return await calls.again(self.service, known)
+        task = asyncio.ensure_future(self._call(request, timeout_s))
+        calls.remember(request, task)
+        self._under_way.add(task)
+        try:
+            await asyncio.wait({task})
+        finally:
+            self._under_way.discard(task)
+            if not task.done():
+                await end(task)
+            calls.settle(request, task)
+        if task.cancelled():
+            raise GraphUnavailable(calls.graph.name, f"the client of {self.service} was closed in mid-call")
+        return task.result()
+
+    async def _call(self, request: Request, timeout_s: float) -> bytes:
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + timeout_s
+        if self._inner is not None and self.available is False:
+            await self.wait_available(min(NOBODY_S, timeout_s))
+        left = max(deadline - loop.time(), 0.001)
+        provider = self._provider()
+        if provider is not None:
+            if provider.type != self.type:
+                raise CallFailed(self.service, f"{self.service} is of type {provider.type}, not {self.type}")
+            request.timeout_s = request.timeout_s or timeout_s
+            return await provider.answer(request, left)
+        if self._inner is None:
+            raise NotServed(self.service)
+        return await self._inner.call(request, left)
+
+    async def close(self) -> None:
+        """Call no more."""
+        if self.closed:
+            return
+        self.closed = True
+        await end(*self._under_way)
+        if self._inner is not None:
+            self._inner = None
+            self._calls.release("service", self.service, self.type)
+
+
+async def either(inner: Awaitable[bool], here: Callable[[], bool], holders: Holders[Any], timeout_s: float) -> bool:
+    """True as soon as a view serves it or the graph knows somebody who does."""
+    network = asyncio.ensure_future(inner)
+    deadline = asyncio.get_running_loop().time() + timeout_s
+    try:
+        while True:
+            changed = asyncio.ensure_future(holders.changed.wait())
+            try:
+                if here():
+                    return True
+                left = deadline - asyncio.get_running_loop().time()
+                await asyncio.wait({network, changed}, timeout=max(left, 0), return_when=asyncio.FIRST_COMPLETED)
+                if here():
+                    return True
+                if network.done():
+                    return bool(network.result())
+                if left <= 0:
+                    return False
+            finally:
+                await end(changed)
+    finally:
+        await end(network)
