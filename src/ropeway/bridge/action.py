@@ -8,6 +8,7 @@ import logging
 
 from ropeway.bridge.offer import Offer
 from ropeway.errors import CallError, CallTimeout, GoalRejected
+from ropeway.graph.base import NO_HINTS, Delivery, Graph
 from ropeway.graph.calls import (
     DEFAULT_TIMEOUT_S,
     ActionClient,
@@ -26,13 +27,26 @@ log = logging.getLogger("ropeway.bridge")
 
 
 class ActionBridge(Offer):
-    """One action of ``source`` offered on ``target``: exposed if ``target`` is the far side, reserved if it is ours.
+    """One action of ``source`` offered on ``target``: exposed if that is the far side, reserved if it is ours.
 
     A goal that takes longer than ``timeout_s`` is cancelled and aborted; ``None`` lets it take its time.
     """
 
     kind = "action"
-    _goals: dict[bytes, ClientGoal]
+
+    def __init__(
+        self,
+        source: Graph,
+        target: Graph,
+        source_name: str,
+        target_name: str,
+        type: str,
+        *,
+        timeout_s: float | None = None,
+        delivery: Delivery = NO_HINTS,
+    ) -> None:
+        super().__init__(source, target, source_name, target_name, type, timeout_s=timeout_s, delivery=delivery)
+        self._goals: dict[bytes, ClientGoal] = {}
 
     async def make_client(self) -> ActionClient:
         """The action on the source."""
@@ -40,7 +54,6 @@ class ActionBridge(Offer):
 
     async def make_server(self) -> ActionServer:
         """The action on the target."""
-        self._goals = {}
         handlers = ActionHandlers(self._execute, self._accept, self._cancel)
         return await self.target.create_action_server(self.target_name, self.type, handlers, delivery=self.delivery)
 
@@ -84,6 +97,11 @@ class ActionBridge(Offer):
     async def _cancel(self, goal: ServerGoal) -> bool:
         running = self._goals.get(goal.id)
         return running is not None and await running.cancel()
+
+    async def withdrawn(self) -> None:
+        """Goals that were accepted and not begun."""
+        for running in list(self._goals.values()):
+            await self._give_up(running)
 
     async def _give_up(self, running: ClientGoal) -> None:
         with contextlib.suppress(CallError):

@@ -157,3 +157,7 @@ class Offer:
         self.taken_by = ""
         if server is not None:
             await server.close()
+            await self.withdrawn()
+
+    async def withdrawn(self) -> None:
+        """The name was withdrawn from the target."""

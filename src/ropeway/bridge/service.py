@@ -17,7 +17,7 @@ CALL_TIMEOUT_S: Final = 60.0
 
 
 class ServiceBridge(Offer):
-    """One service of ``source`` offered on ``target``: exposed if ``target`` is the far side, reserved if it is ours."""
+    """One service of ``source`` offered on ``target``: exposed if that is the far side, reserved if it is ours."""
 
     kind = "service"
 

@@ -18,7 +18,7 @@ from pydantic import BaseModel
 from ropeway.errors import ConfigError
 from ropeway.gateway.check import check, route_key
 from ropeway.gateway.document import read_file
-from ropeway.gateway.model import OPERATIONS, GatewayConfig, Item, RemoteConfig, TopicItem
+from ropeway.gateway.model import OPERATIONS, ActionItem, GatewayConfig, Item, RemoteConfig, ServiceItem, TopicItem
 from ropeway.graph.base import Delivery
 from ropeway.qos import QoS
 
@@ -43,6 +43,7 @@ class Route:
     path: str
     key: str
     graph: str
+    timeout_s: float | None = None  # of a call or a goal
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +79,7 @@ class Config:
             path=f"remotes[{index}].{operation}[{number}]",
             key=route_key(operation, remote.address, graph, name, remote_name, item.type),
             graph=graph,
+            timeout_s=item.timeout_s if isinstance(item, (ServiceItem, ActionItem)) else None,
         )
 
     def slice(self, remotes: Iterable[int], *, listen: bool = True) -> Config:

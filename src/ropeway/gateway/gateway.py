@@ -8,6 +8,8 @@ import os
 from contextlib import AsyncExitStack
 from typing import Any, Final
 
+from ropeway.bridge.action import ActionBridge
+from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
 from ropeway.gateway.allocator import keep_freed_memory
 from ropeway.gateway.config import Config, Route
@@ -27,13 +29,17 @@ log = logging.getLogger("ropeway.gateway")
 
 _METERS_S: Final = 1.0
 
+_NEED_DISCOVERY: Final = ("subscribe", "reserve-service", "reserve-action")  # what is there matters
+
+Bridge = TopicBridge | ServiceBridge | ActionBridge
+
 
 class Remote:
     """One remote: its link and the bridges over it."""
 
     def __init__(self, config: RemoteConfig, graph: RosbridgeGraph) -> None:
         self.config, self.graph = config, graph
-        self.bridges: list[tuple[Route, TopicBridge]] = []
+        self.bridges: list[tuple[Route, Bridge]] = []
 
     def status(self) -> dict[str, Any]:
         """The link, for people and programs."""
@@ -143,7 +149,7 @@ class Gateway:
                 gateway_id=self.gateway_id,
                 name=self.config.gateway.name,
                 wait=False,
-                watch=any(r.operation == "subscribe" for r in mine),
+                watch=any(r.operation in _NEED_DISCOVERY for r in mine),
                 ask_rosapi=False,
             )
             await graph.open()
@@ -157,38 +163,44 @@ class Gateway:
                     view = views[route.graph] = self.hubs[route.graph].view(remote_config.address)
                     stack.push_async_callback(view.close)
                 bridge = self._bridge(route, view, graph)
-                if bridge is None:
-                    log.warning("%s: %s is not served yet", route.path, route.operation)
-                    continue
                 await bridge.start()
                 stack.push_async_callback(bridge.close)
                 remote.bridges.append((route, bridge))
 
     @staticmethod
-    def _bridge(route: Route, local: View, remote: RosbridgeGraph) -> TopicBridge | None:
-        if route.operation in ("publish", "trans-publish"):
+    def _bridge(route: Route, local: View, remote: RosbridgeGraph) -> Bridge:
+        near, far = (local, route.name), (remote, route.remote_name)
+        inward = route.operation in ("subscribe", "reserve-service", "reserve-action")
+        (source, source_name), (target, target_name) = (far, near) if inward else (near, far)
+        if route.kind == "topic":
             return TopicBridge(
-                local, remote, route.name, route.remote_name, route.type, qos=route.qos, delivery=route.delivery
-            )
-        if route.operation == "subscribe":
-            return TopicBridge(
-                remote,
-                local,
-                route.remote_name,
-                route.name,
+                source,
+                target,
+                source_name,
+                target_name,
                 route.type,
                 qos=route.qos,
                 delivery=route.delivery,
-                limit=False,
+                limit=not inward,
             )
-        return None
+        kind = ServiceBridge if route.kind == "service" else ActionBridge
+        return kind(
+            source,
+            target,
+            source_name,
+            target_name,
+            route.type,
+            timeout_s=route.timeout_s,
+            delivery=route.delivery,
+        )
 
     async def _update_meters(self) -> None:
         while True:
             await asyncio.sleep(_METERS_S)
             for remote in self.remotes:
                 for _, bridge in remote.bridges:
-                    bridge.meter.update()
+                    if isinstance(bridge, TopicBridge):
+                        bridge.meter.update()
 
     def status(self) -> dict[str, Any]:
         """Everything as it stands, as JSON."""
@@ -222,8 +234,30 @@ class Gateway:
         await self._failed
 
 
-def route_status(route: Route, bridge: TopicBridge, graph: RosbridgeGraph) -> dict[str, Any]:
+def route_status(route: Route, bridge: Bridge, graph: RosbridgeGraph) -> dict[str, Any]:
     """One row of the table of routes."""
+    common = {
+        "path": route.path,
+        "operation": route.operation,
+        "name": route.name,
+        "remote_name": route.remote_name,
+        "address": route.remote.address,
+        "type": route.type,
+        "state": bridge.state if graph.state is LinkState.CONNECTED else graph.state.value,
+    }
+    if isinstance(bridge, TopicBridge):
+        return common | _topic_status(route, bridge)
+    return common | {
+        "error": bridge.error or (f"offered by {bridge.taken_by}" if bridge.taken_by else ""),
+        "encoding": route.delivery.encoding,
+        "requests": sum(bridge.counts.values()),
+        "under_way": bridge.under_way,
+        "ended": dict(bridge.counts),
+        "took_ms": None if bridge.took_s is None else round(1e3 * bridge.took_s, 3),
+    }
+
+
+def _topic_status(route: Route, bridge: TopicBridge) -> dict[str, Any]:
     meter = bridge.meter
     drops: dict[str, int] = {reason.value: n for reason, n in bridge.drops.items() if n}
     delay, encoding = meter.delay_s, route.delivery.encoding
@@ -236,15 +270,7 @@ def route_status(route: Route, bridge: TopicBridge, graph: RosbridgeGraph) -> di
             drops[reason.value] = n
     if delay is None:
         delay = getattr(publisher, "remote_delay_s", None)
-    state = bridge.state if graph.state is LinkState.CONNECTED else graph.state.value
     return {
-        "path": route.path,
-        "operation": route.operation,
-        "name": route.name,
-        "remote_name": route.remote_name,
-        "address": route.remote.address,
-        "type": route.type,
-        "state": state,
         "error": bridge.error or getattr(publisher, "refused", ""),
         "encoding": encoding,
         "messages": meter.messages,

@@ -263,6 +263,8 @@ class RenamedTopicItem(TopicItem):
 class ServiceItem(Item):
     """A service to expose or to reserve."""
 
+    timeout_s: Seconds | None = Field(None, description="how long a call may take (seconds); left out: 60")
+
     name: Name = Field(
         validation_alias=AliasChoices("name", "service"),
         description="the name on the local graph; relative to local_namespace",
@@ -275,6 +277,10 @@ class ServiceItem(Item):
 
 class ActionItem(Item):
     """An action to expose or to reserve."""
+
+    timeout_s: Seconds | None = Field(
+        None, description="a goal that takes longer (seconds) is cancelled and aborted; left out: no limit"
+    )
 
     name: Name = Field(
         validation_alias=AliasChoices("name", "action"),

@@ -41,7 +41,7 @@ class Running:
 async def answer(name: str, running: Running, work: Awaitable[bytes], timeout_s: float) -> bytes:
     """What a handler answers.
 
-    Raises ``CallTimeout``, ``ProviderLost``, the handler's own ``CallError``, or ``CallFailed`` with another error's text.
+    Raises ``CallTimeout``, ``ProviderLost``, the handler's own ``CallError``, or ``CallFailed`` with what else it raised.
     """
     task = running.start(name, work)
     try:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from ropeway.types.rosbridge import ROSBRIDGE_INTERFACES
+
 __all__ = ["DEFAULTS", "INTERFACES"]
 
 DEFAULTS: Final[dict[str, dict[str, object]]] = {
@@ -80,6 +82,7 @@ INTERFACES: Final[dict[str, str]] = {
         "KeyValue[] extra_information\n"
     ),
     "visualization_msgs/srv/GetInteractiveMarkers": "---\nuint64 sequence_number\nInteractiveMarker[] markers\n",
+    **ROSBRIDGE_INTERFACES,
 }
 
 _NUMBERS: Final = ("Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8", "UInt16", "UInt32", "UInt64")

@@ -6,8 +6,8 @@ import asyncio
 import contextlib
 import logging
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Sequence
-from typing import Final
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from typing import Any, Final
 
 from ropeway.errors import (
     CallError,
@@ -179,10 +179,12 @@ class ComposedActionClient:
                 raise NotServed(self.action, "action")
             self._check()
             left_s = max(deadline - loop.time(), 0.001)
-            sending = asyncio.create_task(self._negotiate(goal, sent, left_s), name=f"send goal to {self.action}")
-            self._sending.add(sending)
-            sending.add_done_callback(self._sending.discard)
+            sending = self._start(self._negotiate(goal, sent, left_s))
             await asyncio.wait({sending}, timeout=left_s)
+        except asyncio.CancelledError:
+            if sending is not None and sent.follower is not None:
+                self._start(self._give_up(sent))
+            raise
         finally:
             if sending is None:
                 self._goals.pop(goal.id, None)
@@ -212,10 +214,20 @@ class ComposedActionClient:
         if not sent.abandoned:
             sent.follower = asyncio.create_task(self._follow(sent), name=f"result of {self.action}")
             return
-        self._goals.pop(goal.id, None)
+        await self._give_up(sent)
+
+    async def _give_up(self, sent: ComposedGoal) -> None:
+        """Cancel a goal whose sender has left."""
+        self._goals.pop(sent.id, None)
         log.warning("%s: a goal was accepted after its sender had left; it is cancelled", self.action)
         with contextlib.suppress(CallError):
-            await self.cancel(goal.id, DEFAULT_TIMEOUT_S)
+            await self.cancel(sent.id, DEFAULT_TIMEOUT_S)
+
+    def _start(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        task = asyncio.create_task(work, name=f"goal for {self.action}")
+        self._sending.add(task)
+        task.add_done_callback(self._sending.discard)
+        return task
 
     async def _follow(self, sent: ComposedGoal) -> None:
         """Ask for the result, once, and wait for it."""
@@ -243,7 +255,7 @@ class ComposedActionClient:
             raise self._named(error, timeout_s) from None
         return code == ERROR_NONE and id in ending
 
-    def _named[E: BaseException](self, error: E, timeout_s: float) -> E | CallError:
+    def _named(self, error: BaseException, timeout_s: float) -> BaseException:
         """A failure of one of the services, as one of the action."""
         match error:
             case NotServed():

@@ -30,6 +30,7 @@ from ropeway.graph.base import (
 from ropeway.graph.rosbridge.mirror import Mirror
 from ropeway.graph.rosbridge.parts import EchoFilter, RemotePublisher, RemoteSubscription
 from ropeway.graph.rosbridge.plain import PlainServer
+from ropeway.link.calls import OP_CHANNELS
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.peer import Peer
 from ropeway.link.websocket import connect
@@ -343,7 +344,7 @@ class RosbridgeGraph:
     def next_number(self) -> int:
         """A channel number that is free."""
         while True:
-            number = next(self._numbers) % 65536
+            number = next(self._numbers) % OP_CHANNELS.start
             if number and number not in self._publishers and number not in self._subscriptions:
                 return number
 
