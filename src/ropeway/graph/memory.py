@@ -7,36 +7,34 @@ history and adoption are those of ROS 2.
 from __future__ import annotations
 
 import asyncio
-import logging
-import time
-from collections import Counter, deque
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections import Counter
+from collections.abc import AsyncIterator
 from typing import Final
 
 from ropeway.errors import GraphUnavailable, TypeConflict
+from ropeway.graph.action import ComposedActionClient, ComposedActionServer, action_of_service, actions_of
 from ropeway.graph.base import (
     NO_HINTS,
-    SEQ_NONE,
     Changes,
     Delivery,
     EndpointInfo,
     GraphEvent,
     NodeInfo,
-    Sample,
     SampleCallback,
     TopicInfo,
     Undelivered,
-    new_origin,
     resolve_name,
 )
-from ropeway.graph.history import History
-from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.memory_calls import MemoryClient, MemoryService
+from ropeway.graph.memory_topics import MemoryPublisher, MemorySubscription
+from ropeway.qos import DEFAULT, QoS
+from ropeway.types import TypeRegistry
+from ropeway.types.definition import canonical_name
 
 __all__ = ["MemoryGraph", "MemoryPublisher", "MemorySubscription"]
 
-log = logging.getLogger("ropeway.graph.memory")
-
-_BACKLOG_LIMIT_BYTES: Final = 256 << 20  # a callback that is this far behind loses the oldest
+_ACTION_PART: Final = "/_action/"
 
 
 class _Network:
@@ -46,186 +44,33 @@ class _Network:
         self.graphs: list[MemoryGraph] = []
         self.publishers: list[MemoryPublisher] = []
         self.subscriptions: list[MemorySubscription] = []
+        self.services: list[MemoryService] = []
+        self.clients: list[MemoryClient] = []
 
 
 _networks: dict[str, _Network] = {}
 
 
-class MemoryPublisher:
-    """A topic published on a ``MemoryGraph``."""
-
-    def __init__(self, graph: MemoryGraph, topic: str, type: str, qos: QoS) -> None:
-        self.topic, self.type, self.qos = topic, type, qos
-        self.gid = new_origin()
-        self._graph = graph
-        self._seq = 0
-        self._history = History(qos)
-        self._readers: list[MemorySubscription] = []
-        self._demand: list[Callable[[int], None]] = []
-        self.closed = False
-
-    def publish(self, sample: Sample) -> None:
-        """Send to every matched subscription."""
-        if self.closed:
-            self._graph.drops[self.topic, Undelivered.CLOSED] += 1
-            return
-        if sample.seq == SEQ_NONE:
-            self._seq += 1
-            sample = Sample(sample.payload, self.type, sample.stamp_ns or time.time_ns(), self.gid, self._seq)
-        if self.qos.transient_local:
-            self._history.add(sample)
-        for reader in self._readers:
-            reader.put(sample)
-
-    @property
-    def subscribers(self) -> int:
-        """How many subscriptions of other participants read it now."""
-        return len(self._readers)
-
-    def on_demand(self, callback: Callable[[int], None]) -> None:
-        """Call with the number of subscribers, now and at each change."""
-        self._demand.append(callback)
-        callback(len(self._readers))
-
-    def matches(self, reader: MemorySubscription) -> bool:
-        """The matching rules of ROS 2: same topic and type, and the request not stronger than the offer."""
-        ask, offer = reader.qos, self.qos
-        return (
-            reader.topic == self.topic
-            and reader.type == self.type
-            and reader.graph is not self._graph
-            and (offer.reliable or not ask.reliable)
-            and (offer.transient_local or not ask.transient_local)
-        )
-
-    def match(self, reader: MemorySubscription) -> None:
-        """Join a subscription, or part from it where it matches no longer."""
-        fits = not self.closed and not reader.closed and self.matches(reader)
-        if fits == (reader in self._readers):
-            return
-        if fits:
-            self._readers.append(reader)
-            if reader.qos.transient_local:
-                for sample in self._history.replay():
-                    reader.put_once(sample)
-        else:
-            self._readers.remove(reader)
-        for callback in self._demand:
-            callback(len(self._readers))
-
-    async def close(self) -> None:
-        """Withdraw the topic."""
-        if self.closed:
-            return
-        self.closed = True
-        network = self._graph.network
-        network.publishers.remove(self)
-        for reader in list(self._readers):
-            self.match(reader)
-        self._graph.announce("publisher", self.topic, self.type, False)
-
-
-class MemorySubscription:
-    """A topic read from a ``MemoryGraph``."""
-
-    def __init__(self, graph: MemoryGraph, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
-        self.topic, self.type, self.graph = topic, type, graph
-        self.gid = new_origin()
-        self._adopt = qos is None
-        self._qos = qos or DEFAULT
-        self._callback = callback
-        self._waiting: deque[Sample] = deque()
-        self._waiting_bytes = 0
-        self._scheduled = False
-        self._replayed: set[tuple[bytes, int]] = set()
-        self._qos_callbacks: list[Callable[[QoS], None]] = []
-        self.closed = False
-
-    @property
-    def qos(self) -> QoS:
-        """The profile in use."""
-        return self._qos
-
-    def on_qos(self, callback: Callable[[QoS], None]) -> None:
-        """Call with the profile, now and when the adopted one changes."""
-        self._qos_callbacks.append(callback)
-        callback(self._qos)
-
-    def readopt(self) -> None:
-        """Follow the publishers' profiles, where the subscription was made to."""
-        if not self._adopt:
-            return
-        offered = [p.qos for p in self.graph.network.publishers if p.topic == self.topic and p.type == self.type]
-        qos = common_qos(offered, self._qos)
-        if qos == self._qos:
-            return
-        self._qos = qos
-        for callback in self._qos_callbacks:
-            callback(qos)
-
-    def put_once(self, sample: Sample) -> None:
-        """Queue a message of a publisher's history, unless this subscription had it already."""
-        key = (sample.origin, sample.seq)
-        if key not in self._replayed:
-            self._replayed.add(key)
-            self.put(sample)
-
-    def put(self, sample: Sample) -> None:
-        """Queue a message for the callback."""
-        if self._qos.transient_local:
-            self._replayed.add((sample.origin, sample.seq))
-            if len(self._replayed) > 65536:
-                self._replayed.clear()
-        self._waiting.append(sample)
-        self._waiting_bytes += len(sample.payload)
-        while self._waiting_bytes > _BACKLOG_LIMIT_BYTES and len(self._waiting) > 1:
-            self._waiting_bytes -= len(self._waiting.popleft().payload)
-            self.graph.drops[self.topic, Undelivered.BACKLOG] += 1
-        if not self._scheduled:
-            self._scheduled = True
-            self.graph.loop.call_soon(self._deliver)
-
-    def _deliver(self) -> None:
-        self._scheduled = False
-        batch: Sequence[Sample] = list(self._waiting)
-        self._waiting.clear()
-        self._waiting_bytes = 0
-        if self.closed or not batch:
-            return
-        try:
-            self._callback(batch)
-        except Exception:
-            self.graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
-            log.exception("%s: a callback for %s failed", self.graph.name, self.topic)
-
-    async def close(self) -> None:
-        """Stop reading."""
-        if self.closed:
-            return
-        self.closed = True
-        network = self.graph.network
-        network.subscriptions.remove(self)
-        for publisher in network.publishers:
-            publisher.match(self)
-        self.graph.announce("subscription", self.topic, self.type, False)
-
-
 class MemoryGraph:
     """A participant of the in-process network ``network``.
 
-    ``node`` is the node name it shows to others.
+    ``node`` is the node name it shows to others. ``registry`` knows the types of actions; left out, those of ROS 2.
     """
 
     kind = "memory"
 
-    def __init__(self, network: str = "default", *, node: str = "/ropeway") -> None:
+    def __init__(
+        self, network: str = "default", *, node: str = "/ropeway", registry: TypeRegistry | None = None
+    ) -> None:
         self.name = f"memory:{network}"
         self.node = resolve_name(node)
         self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self._network_name = network
         self._changes = Changes()
         self._open = False
-        self._parts: list[MemoryPublisher | MemorySubscription] = []
+        self._parts: list[MemoryPublisher | MemorySubscription | MemoryService | MemoryClient] = []
+        self._actions: list[ComposedActionClient | ComposedActionServer] = []
+        self._registry = registry
         self.loop: asyncio.AbstractEventLoop
 
     @property
@@ -246,9 +91,10 @@ class MemoryGraph:
         """Leave the network with everything that was created here."""
         if not self._open:
             return
-        for part in list(self._parts):
+        for part in [*self._actions, *self._parts]:
             await part.close()
         self._parts.clear()
+        self._actions.clear()
         self._open = False
         self.network.graphs.remove(self)
         self._changes.close()
@@ -285,8 +131,75 @@ class MemoryGraph:
         self.announce("subscription", subscription.topic, type, True)
         return subscription
 
+    async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> MemoryClient:
+        """Call ``service`` of another participant; ``delivery`` has no meaning inside one process."""
+        self._check(service, type)
+        client = MemoryClient(self, resolve_name(service), canonical_name(type, "srv"))
+        self._keep(client)
+        self.network.clients.append(client)
+        return client
+
+    async def create_service(
+        self, service: str, type: str, handler: ServiceHandler, *, delivery: Delivery = NO_HINTS
+    ) -> MemoryService:
+        """Serve ``service``; who served the name before goes first. ``delivery`` has no meaning inside one process."""
+        self._check(service, type)
+        served = MemoryService(self, resolve_name(service), canonical_name(type, "srv"), handler)
+        self._keep(served)
+        self.network.services.append(served)
+        self.announce_service(served, True)
+        return served
+
+    async def create_action_client(
+        self, action: str, type: str, *, delivery: Delivery = NO_HINTS
+    ) -> ComposedActionClient:
+        """Use ``action`` of another participant; ``delivery`` has no meaning inside one process."""
+        self._check(action, type)
+        client = ComposedActionClient(self, action, type, self.registry)
+        await client.open()
+        self._actions = [*(part for part in self._actions if not part.closed), client]
+        return client
+
+    async def create_action_server(
+        self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
+    ) -> ComposedActionServer:
+        """Serve ``action``; ``delivery`` has no meaning inside one process."""
+        self._check(action, type)
+        server = ComposedActionServer(self, action, type, handlers, self.registry)
+        await server.open()
+        self._actions = [*(part for part in self._actions if not part.closed), server]
+        return server
+
+    @property
+    def registry(self) -> TypeRegistry:
+        """The types that actions are made of."""
+        if self._registry is None:
+            self._registry = TypeRegistry()
+        return self._registry
+
+    def services(self) -> dict[str, ServiceInfo]:
+        """Every service of the network, served or called."""
+        found: dict[str, tuple[list[MemoryService], list[MemoryClient]]] = {}
+        for service in self.network.services:
+            found.setdefault(service.service, ([], []))[0].append(service)
+        for client in self.network.clients:
+            found.setdefault(client.service, ([], []))[1].append(client)
+        return {
+            name: ServiceInfo(
+                name,
+                tuple(dict.fromkeys([*(part.type for part in servers), *(part.type for part in clients)])),
+                tuple(self._provider(part) for part in servers),
+                tuple(self._provider(part) for part in clients),
+            )
+            for name, (servers, clients) in sorted(found.items())
+        }
+
+    def actions(self) -> dict[str, ActionInfo]:
+        """Every action of the network, served or used."""
+        return actions_of(self.services())
+
     def topics(self) -> dict[str, TopicInfo]:
-        """Every topic of the network."""
+        """Every topic of the network; those that actions are made of stand under ``actions``."""
         found: dict[str, tuple[list[EndpointInfo], list[EndpointInfo]]] = {}
         for publisher in self.network.publishers:
             found.setdefault(publisher.topic, ([], []))[0].append(self._endpoint("publisher", publisher))
@@ -295,15 +208,18 @@ class MemoryGraph:
         return {
             name: TopicInfo(name, tuple(dict.fromkeys(e.type for e in pubs + subs)), tuple(pubs), tuple(subs))
             for name, (pubs, subs) in sorted(found.items())
+            if _ACTION_PART not in name
         }
 
     def nodes(self) -> dict[str, NodeInfo]:
         """Every participant, as a node."""
         out: dict[str, NodeInfo] = {}
         for graph in self.network.graphs:
-            pubs = tuple((p.topic, p.type) for p in self.network.publishers if p._graph is graph)
+            pubs = tuple((p.topic, p.type) for p in self.network.publishers if p.graph is graph)
             subs = tuple((s.topic, s.type) for s in self.network.subscriptions if s.graph is graph)
-            out[graph.node] = NodeInfo(graph.node, pubs, subs, local=graph is self)
+            served = tuple((s.service, s.type) for s in self.network.services if s.graph is graph)
+            called = tuple((c.service, c.type) for c in self.network.clients if c.graph is graph)
+            out[graph.node] = NodeInfo(graph.node, pubs, subs, served, called, local=graph is self)
         return out
 
     def changes(self) -> AsyncIterator[GraphEvent]:
@@ -312,12 +228,29 @@ class MemoryGraph:
 
     def announce(self, kind: str, name: str, type: str, discovered: bool) -> None:
         """Tell the other participants of a change here."""
-        for graph in self.network.graphs:
-            if graph is not self:
-                graph._changes.emit(GraphEvent(discovered, kind, name, type, self.node, graph.name))
+        self._tell(kind, name, type, discovered)
         if not discovered:
             self._rematch(name)
             self._parts = [p for p in self._parts if not p.closed]
+
+    def announce_service(self, service: MemoryService, discovered: bool) -> None:
+        """Tell the other participants of a service that came or goes here, and of the action it belongs to."""
+        for client in self.network.clients:
+            client.look()
+        self._tell("service", service.service, service.type, discovered)
+        action = action_of_service(service.service, service.type)
+        if action is not None:
+            self._tell("action", *action, discovered)
+
+    def _tell(self, kind: str, name: str, type: str, discovered: bool) -> None:
+        if kind in ("publisher", "subscription") and _ACTION_PART in name:
+            return
+        for graph in self.network.graphs:
+            if graph is not self:
+                graph._changes.emit(GraphEvent(discovered, kind, name, type, self.node, graph.name))
+
+    def _keep(self, part: MemoryService | MemoryClient) -> None:
+        self._parts = [*(p for p in self._parts if not p.closed), part]
 
     def _rematch(self, topic: str) -> None:
         network = self.network
@@ -334,6 +267,9 @@ class MemoryGraph:
         if not type:
             raise TypeConflict(topic, "a type", "none")
 
+    def _provider(self, part: MemoryService | MemoryClient) -> ProviderInfo:
+        return ProviderInfo(part.graph.node, local=part.graph is self, gid=part.gid)
+
     def _endpoint(self, kind: str, part: MemoryPublisher | MemorySubscription) -> EndpointInfo:
-        owner = part._graph if isinstance(part, MemoryPublisher) else part.graph
-        return EndpointInfo(kind, part.topic, part.type, part.qos, gid=part.gid, node=owner.node, local=owner is self)
+        node, local = part.graph.node, part.graph is self
+        return EndpointInfo(kind, part.topic, part.type, part.qos, gid=part.gid, node=node, local=local)

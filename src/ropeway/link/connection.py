@@ -11,16 +11,17 @@ import contextlib
 import logging
 import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
 from picows import WSCloseCode, WSFrame, WSListener, WSMsgType, WSTransport
 
 from ropeway.link.flow import Flow
+from ropeway.link.http import Request
 from ropeway.link.window import tcp_info
 
-__all__ = ["Connection", "Handshake", "Limits"]
+__all__ = ["Connection", "Limits", "peer_address"]
 
 log = logging.getLogger("ropeway.link")
 
@@ -45,22 +46,13 @@ class Limits:
     open_timeout_s: float = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class Handshake:
-    """What the client asked for when it connected."""
-
-    path: str
-    query: str
-    headers: Mapping[str, str]
-    subprotocols: tuple[str, ...]
-
-
 class Connection(WSListener):
     """A WebSocket connection.
 
     Set ``on_text``, ``on_binary``, ``on_writable`` and ``on_closed`` before the first await after it was made.
     ``peer`` is the address of the other side, ``subprotocol`` what both agreed on; ``server`` and ``dated`` tell what
-    the answer of a server gave as its name, and whether it gave a date.
+    the answer of a server gave as its name, and whether it gave a date. On the server's side ``handshake`` is the
+    request that the client began with, and ``grant`` what whoever admitted it wants to remember.
     """
 
     def __init__(self, limits: Limits, *, peer: str = "") -> None:
@@ -78,7 +70,8 @@ class Connection(WSListener):
         self.on_closed: Callable[[int, str], None] = _ignore_close
         self.bytes_in = self.bytes_out = self.frames_in = self.frames_out = 0
         self.secure = False
-        self.handshake: Handshake | None = None
+        self.handshake: Request | None = None
+        self.grant: object = None
         self._open = False
         self._transport: WSTransport | None = None
         self._socket: Any = None
@@ -186,7 +179,7 @@ class Connection(WSListener):
             self._socket.setsockopt(socket.IPPROTO_TCP, _TCP_RTO_MAX_MS, _RETRANSMIT_MS)
         self.secure = underlying.get_extra_info("sslcontext") is not None
         if not self.peer:
-            self.peer = _address(underlying.get_extra_info("peername"))
+            self.peer = peer_address(underlying.get_extra_info("peername"))
         if transport.response is not None:
             headers = transport.response.headers  # the client's side
             self.subprotocol = headers.get("Sec-WebSocket-Protocol", "")
@@ -330,7 +323,8 @@ def _number(code: Any) -> int:
     return int(getattr(code, "value", code))
 
 
-def _address(name: Any) -> str:
+def peer_address(name: Any) -> str:
+    """The name of a socket's other end as people write it: ``10.1.2.3:4711``, ``[::1]:4711``."""
     if isinstance(name, tuple) and len(name) >= 2:
         return f"[{name[0]}]:{name[1]}" if ":" in str(name[0]) else f"{name[0]}:{name[1]}"
     return str(name or "unknown")

@@ -16,8 +16,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from picows import WSUpgradeRequest, WSUpgradeResponse, WSUpgradeResponseWithListener
-from picows.picows import WSProtocol
+from picows import WSAutoPingStrategy, WSUpgradeRequest, WSUpgradeResponse, WSUpgradeResponseWithListener
+from picows.picows import WSProtocol  # type: ignore[attr-defined]  # in no stub, but api.py of picows makes it so
 
 from ropeway.errors import InvalidFrame
 from ropeway.link.connection import Connection, Limits, peer_address
@@ -144,10 +144,7 @@ class Front(asyncio.BufferedProtocol):
             return
         body = request.method != "HEAD"
         try:
-            if request.upgrades:
-                made = self._websocket(request)
-            else:
-                made = self._port.http(request)
+            made = self._websocket(request) if request.upgrades else self._port.http(request)
         except Exception:
             log.exception("%s: the answer to %s %s failed", request.peer, request.method, request.path)
             made = reply(500, {"error": "internal error"})
@@ -185,7 +182,7 @@ class Front(asyncio.BufferedProtocol):
         assert transport is not None
         self._forget()
         self._answered = True
-        buffered = isinstance(protocol, WSProtocol | asyncio.BufferedProtocol)
+        buffered = isinstance(protocol, asyncio.BufferedProtocol)
         if not buffered:
             transport.pause_reading()  # or the event loop would go on reading as it does for a buffered one
         transport.set_protocol(protocol)
@@ -232,7 +229,7 @@ def _picows(upgrade: Callable[[WSUpgradeRequest], Any], limits: Limits, logger: 
         False,  # enable_auto_ping
         20.0,  # auto_ping_idle_timeout
         20.0,  # auto_ping_reply_timeout
-        0,  # auto_ping_strategy
+        WSAutoPingStrategy.PING_WHEN_IDLE,
         False,  # enable_auto_pong
         limits.max_message_bytes,
         None,  # extra_headers, of a client

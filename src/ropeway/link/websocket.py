@@ -9,13 +9,14 @@ import socket
 import ssl
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
-from urllib.parse import urlsplit
 
 import picows
 
 from ropeway.errors import ConnectFailed
 from ropeway.link.complaints import Complaints
-from ropeway.link.connection import Connection, Handshake, Limits
+from ropeway.link.connection import Connection, Limits
+from ropeway.link.front import Admission, Admit, Front, Http, Port
+from ropeway.link.http import Request, Response, reply
 
 __all__ = ["Server", "connect", "listen"]
 
@@ -89,15 +90,18 @@ async def connect(
 class Server:
     """A listening socket; made by ``listen``."""
 
-    def __init__(self, server: asyncio.AbstractServer, address: str) -> None:
+    def __init__(self, server: asyncio.AbstractServer, address: str, pending: dict[Front, None]) -> None:
         self._server = server
+        self._pending = pending
         self.address = address
         sockets = getattr(server, "sockets", ())
         self.port: int = sockets[0].getsockname()[1] if sockets else 0
 
     async def close(self) -> None:
-        """Stop listening; connections that stand go on."""
+        """Stop listening; WebSocket connections that stand go on."""
         self._server.close()
+        for front in list(self._pending):
+            front.abort()
 
 
 async def listen(
@@ -110,52 +114,44 @@ async def listen(
     ssl_context: ssl.SSLContext | None = None,
     path: str = "/",
     reuse_port: bool = False,
+    admit: Admit | None = None,
+    http: Http | None = None,
 ) -> Server:
     """Listen for WebSocket clients on ``host:port``; ``port`` 0 takes a free one.
 
     Of the subprotocols that a client offers the first of ours is chosen; a client that offers none gets none.
-    Raises ``ConnectFailed`` if the address cannot be bound.
+    ``admit`` decides instead, for a request to become a WebSocket on ``path``; ``http`` answers all other requests
+    (without it, with 404). Raises ``ConnectFailed`` if the address cannot be bound.
     """
 
-    def upgrade(request: picows.WSUpgradeRequest) -> Any:
-        target = urlsplit(request.path.decode("latin-1"))
-        if target.path.rstrip("/") != path.rstrip("/"):
-            return None
-        offered = tuple(
-            part.strip() for value in request.headers.getall("Sec-WebSocket-Protocol", []) for part in value.split(",")
-        )
-        chosen = next((name for name in subprotocols if name in offered), "")
-        connection = Connection(limits)
-        connection.subprotocol = chosen
-        connection.handshake = Handshake(target.path, target.query, request.headers, offered)
-        connection.on_connected = lambda: on_connection(connection)
-        extra = {"Sec-WebSocket-Protocol": chosen} if chosen else None
-        return picows.WSUpgradeResponseWithListener(
-            picows.WSUpgradeResponse.create_101_response(extra_headers=extra), connection
-        )
+    def choose(request: Request) -> Admission:
+        return Admission(next((name for name in subprotocols if name in request.subprotocols), ""))
 
+    def admit_here(request: Request) -> Admission | Response:
+        if request.path.rstrip("/") != path.rstrip("/"):
+            return _nothing_here(request)
+        return (admit or choose)(request)
+
+    pending: dict[Front, None] = {}
+    shared = Port(limits, admit_here, http or _nothing_here, on_connection, pending, _picows_log)
     address = f"{'wss' if ssl_context else 'ws'}://{f'[{host}]' if ':' in host else host}:{port}"
+    secure: dict[str, Any] = {}
     if ssl_context is not None:
         _take_failed_handshakes(Complaints(address))
+        secure = {"ssl": ssl_context, "ssl_handshake_timeout": limits.open_timeout_s, "ssl_shutdown_timeout": 1.0}
     try:
-        server = await picows.ws_create_server(
-            upgrade,
-            host,
-            port,
-            ssl=ssl_context,
-            reuse_port=reuse_port or None,
-            reuse_address=True,
-            max_frame_size=limits.max_message_bytes,
-            websocket_handshake_timeout=limits.open_timeout_s,
-            logger_name=_picows_log,
-            disconnect_on_exception=False,
-            enable_auto_pong=False,
+        server = await asyncio.get_running_loop().create_server(
+            lambda: Front(shared), host, port, reuse_port=reuse_port or None, reuse_address=True, **secure
         )
     except OSError as error:
         raise ConnectFailed(
             address, f"cannot listen: {error.strerror or error}; is another gateway running?", retryable=False
         ) from None
-    return Server(server, address)
+    return Server(server, address, pending)
+
+
+def _nothing_here(request: Request) -> Response:
+    return reply(404, {"error": f"there is nothing at {request.path}"})
 
 
 def _take_failed_handshakes(complaints: Complaints) -> None:

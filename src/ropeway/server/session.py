@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
+from urllib.parse import parse_qs
 
-from ropeway.errors import GraphError, InvalidOperation, RopewayError, TypeConflict, TypesError
-from ropeway.graph.base import resolve_name
+from ropeway.errors import InvalidOperation, RopewayError, WireError
+from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.link.peer import Peer
-from ropeway.qos import QoS
-from ropeway.server.topics import TopicIn, TopicOut, topic_status
+from ropeway.server.action_ops import ActionOps
+from ropeway.server.service_ops import ServiceOps
+from ropeway.server.topic_ops import Retire, TopicOps
+from ropeway.server.topics import TopicIn, TopicOut
 from ropeway.server.watch import Watch
 from ropeway.wire import ops
-from ropeway.wire.dialect import ROPEWAY, ROSGW
+from ropeway.wire.dialect import ROPEWAY
 from ropeway.wire.records import Arrival
 
 if TYPE_CHECKING:
@@ -26,23 +27,49 @@ if TYPE_CHECKING:
     from ropeway.link.connection import Connection
     from ropeway.types import TypeRegistry
 
-__all__ = ["Session"]
+__all__ = ["Access", "Rosapi", "Session"]
 
 log = logging.getLogger("ropeway.server")
 
 _PAUSE_AT: Final = 256  # operations that wait; above, the socket is not read
 _RESUME_AT: Final = 32
 _PAUSE_BYTES: Final = 64 << 20  # received while operations wait
-_NO_ID: Final = "\0none"
-_TOPICS_LIMIT: Final = 4096  # of one client, in both directions
-_IDS_LIMIT: Final = 1024  # of one topic of one client
+_DEFINITIONS_LIMIT: Final = 4096
 _DEFINITION_LIMIT: Final = 1 << 20  # characters
-_DEPTH_LIMIT: Final = 100_000
-_RAW: Final = ("cbor-raw", "rawzip")
+_STATUS_LIMIT_BYTES: Final = 1 << 20  # notices are not sent to a client that does not read so much
+
+
+class Access(Protocol):
+    """Who may do what; see ``ropeway.server.access``."""
+
+    def check(self, verb: str, name: str) -> None:
+        """Raises ``AccessDenied``."""
+
+
+class Rosapi(Protocol):
+    """Answers the services of rosapi; see ``ropeway.server.rosapi``."""
+
+    async def call(self, name: str, args: Any, session: Session) -> Any:
+        """The ``values`` of the response, as JSON has them. Raises ``RopewayError``."""
+
+
+class _Everybody:
+    """Allows everything."""
+
+    def check(self, verb: str, name: str) -> None:
+        return
 
 
 class Session:
-    """What one client does here. Withdrawn as a whole when the client leaves."""
+    """What one client does here. Withdrawn as a whole when the client leaves.
+
+    A client that connects with ``?status=1`` in its URL is told what it did wrong, in ``status`` operations
+    (``{"op":"status","level":"error","msg":…}``, with the id of the operation where it had one). Others are not:
+    rosbridge for ROS 2 has no such operation, and some client libraries stumble over it.
+
+    ``call_timeout_s``: how long a call waits whose client gives no ``timeout``, 0 and below for as long as may be.
+    ``cancel_goals``: whether the goals of a client that leaves are cancelled.
+    """
 
     def __init__(
         self,
@@ -54,31 +81,47 @@ class Session:
         name: str,
         unregister_timeout_s: float,
         on_advertised: Callable[[str], Awaitable[None]],
+        call_timeout_s: float = DEFAULT_TIMEOUT_S,
+        cancel_goals: bool = True,
+        access: Access | None = None,
+        rosapi: Rosapi | None = None,
     ) -> None:
         self.registry = registry
+        self.gateway_id = gateway_id
+        self.access: Access = access or _Everybody()
+        self.rosapi = rosapi
         self.peer = Peer(connection, registry, self)
+        self.peer.on_invalid = self.invalid
         self.gateway = self.peer.dialect is ROPEWAY
         self.view = hub.view(connection.peer, echo=not self.gateway)
         self.clock = time.time_ns
         self.remote: dict[str, str] = {}
-        self.inputs: dict[str, TopicIn] = {}
-        self.outputs: dict[str, TopicOut] = {}
-        self._input_channels: dict[int, TopicIn] = {}
-        self._outputs_by_channel: dict[int, TopicOut] = {}
-        self._numbers = 0
-        self._waiting: deque[ops.Op | _Retire] = deque()
+        self.topics = TopicOps(self, unregister_timeout_s=unregister_timeout_s, on_advertised=on_advertised)
+        self.services = ServiceOps(self, call_timeout_s=call_timeout_s)
+        self.actions = ActionOps(self, cancel_goals=cancel_goals)
+        self._waiting: deque[ops.Op | Retire] = deque()
         self._wake = asyncio.Event()
-        self._unregister_timeout_s = unregister_timeout_s
-        self._on_advertised = on_advertised
-        self._lingering: dict[str, asyncio.TimerHandle] = {}
         self._paused = False
         self._idle_bytes = 0  # what had been received before operations had to wait
         self._watch: Watch | None = None
         self._definitions = 0
         self._gone = False
+        self._tells_status = _wants_status(connection.handshake.query if connection.handshake else "")
         if self.gateway:
             self.peer.hello(gateway_id, name)
             self.peer.ping()
+
+    @property
+    def inputs(self) -> dict[str, TopicIn]:
+        """The topics that a plain client publishes."""
+        return self.topics.inputs
+
+    @property
+    def outputs(self) -> dict[str, TopicOut]:
+        """The topics that a plain client reads."""
+        return self.topics.outputs
+
+    # ── lifecycle ──────────────────────────────────────────────────────────────────────────────────────────────
 
     async def run(self) -> None:
         """Carry out the client's operations until it leaves, then take back what it created."""
@@ -95,6 +138,7 @@ class Session:
                         self.peer.connection.resume_reading()
                     await asyncio.sleep(0)  # others have their turn, however much this client asks for
         finally:
+            self._gone = True
             await self._leave()
             if not self.lingers:
                 await self.withdraw()
@@ -104,42 +148,42 @@ class Session:
         self._waiting.clear()
         if self._watch is not None:
             await self._watch.close()
-        for handle in self._lingering.values():
-            handle.cancel()
-        for output in list(self.outputs.values()) + list(self._outputs_by_channel.values()):
-            await output.close()
-        for channel in self._input_channels.values():
-            await channel.close()
+        await self.services.leave()
+        await self.actions.leave()
+        await self.topics.leave()
 
     @property
     def lingers(self) -> bool:
         """True if the client, which has left, published topics that may still be wanted."""
-        return bool(self.inputs) and self._unregister_timeout_s > 0
+        return self.topics.lingers
 
     async def withdraw(self, name: str | None = None) -> None:
         """The client has left for good: take back its topics, or with ``name`` this one."""
-        for topic in [t for t in self.inputs.values() if name is None or t.name == name]:
-            self.inputs.pop(topic.topic, None)
-            await topic.close()
-        if not self.inputs:
+        await self.topics.withdraw(name)
+        if not self.topics.inputs:
             await self.view.close()
 
     # ── what the peer says ─────────────────────────────────────────────────────────────────────────────────────
 
     def operation(self, op: ops.Op) -> None:
-        """An operation came; publishing on a known topic is done at once, all else waits for its turn."""
-        if isinstance(op, ops.Publish) and not self._waiting:
-            known = self.inputs.get(op.topic)
-            if known is not None and known.publisher is not None and known.ids:
-                known.published(op)
-                return
+        """An operation came. What takes no time is done at once, unless something waits; all else has its turn."""
         if not self._waiting:
+            try:
+                if self._at_once(op):
+                    return
+            except (RopewayError, ValueError) as error:
+                self._failed(op, error)
+                return
             self._idle_bytes = self.peer.connection.bytes_in
-        self._waiting.append(op)
-        self._wake.set()
+        self.push(op)
         if not self._paused and (len(self._waiting) > _PAUSE_AT or self._heavy):
             self._paused = True
             self.peer.connection.pause_reading()
+
+    def push(self, op: ops.Op | Retire) -> None:
+        """Let an operation wait for its turn."""
+        self._waiting.append(op)
+        self._wake.set()
 
     @property
     def _heavy(self) -> bool:
@@ -152,35 +196,57 @@ class Session:
             self.remote = {k: message[k] for k in ("gateway", "name") if isinstance(message.get(k), str)}
         elif op == "watch" and self._watch is None:
             self._watch = Watch(self.view, self.peer.send)
+        elif op == "accepted" or op == "cancelling":
+            self.actions.control(message)
+
+    def invalid(self, message: Mapping[str, Any], error: WireError) -> None:
+        """Something came that is no operation. Where an answer is awaited, this is it."""
+        op = message.get("op")
+        if op == "call_service":
+            self.services.invalid_call(message, error)
+        elif op == "service_response":
+            self.services.invalid_response(message, error)
+        elif op == "send_action_goal":
+            self.actions.invalid_goal(message, error)
+        elif op == "action_result":
+            self.actions.invalid_result(message, error)
+        name = message.get("topic", message.get("service", message.get("action", "")))
+        self.complain("operation", str(name)[:200], error, error.id if isinstance(error, InvalidOperation) else None)
 
     def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
         """Messages came on a channel."""
-        topic = self._input_channels.get(channel)
-        if topic is not None:
-            topic.arrived(arrivals)
-            return
-        for op in self._waiting:  # its advertise waits for its turn: the topic takes early messages
-            if isinstance(op, ops.Advertise) and (op.ropeway or {}).get("channel") == channel:
-                with contextlib.suppress(TypesError):
-                    topic = self._input_channels[channel] = TopicIn(
-                        self, op.topic, self.registry.canonical(op.type), op.compression
-                    )
-                    topic.number = channel
-                    topic.arrived(arrivals)
-                return
-        self.peer.complaints.note("unknown topic", f"channel {channel}", "it was not advertised")
+        self.topics.arrived(channel, arrivals, self._waiting)
 
     def lost(self, code: int, reason: str) -> None:
         """The connection is gone."""
         self._gone = True
         self._wake.set()
 
+    @property
+    def gone(self) -> bool:
+        """True once the client has left: nothing new begins."""
+        return self._gone
+
+    # ── what is said of it ─────────────────────────────────────────────────────────────────────────────────────
+
+    def complain(self, kind: str, name: str, error: object, id: object = ops.ABSENT) -> None:
+        """Count and log something that the client did wrong, and tell it, if it wants to know."""
+        self.peer.complaints.note(kind, name, error)
+        self._tell("error", f"{kind}: {error}" if kind else str(error), id)
+
+    def inform(self, text: str, id: object = ops.ABSENT) -> None:
+        """Log something that the client may want to know, and tell it, if it does."""
+        log.info("%s: %s", self.peer.connection.peer, text)
+        self._tell("info", text, id)
+
+    def _tell(self, level: str, text: str, id: object) -> None:
+        connection = self.peer.connection
+        if self._tells_status and connection.unsent_bytes < _STATUS_LIMIT_BYTES:
+            self.peer.send(ops.Status(level=level, msg=text, id=id))
+
     def tick(self) -> None:
         """Bring the meters up to date, and tell a gateway how its topics arrive; called about once a second."""
-        for topic in (*self.inputs.values(), *self._input_channels.values()):
-            topic.report()
-        for output in (*self.outputs.values(), *self._outputs_by_channel.values()):
-            output.meter.update()
+        self.topics.tick()
         if self.gateway:
             self.peer.ping()
 
@@ -194,282 +260,87 @@ class Session:
             "bytes_in": connection.bytes_in,
             "bytes_out": connection.bytes_out,
             "complaints": {f"{kind} {topic}".strip(): n for (kind, topic), n in self.peer.complaints.counts.items()},
-            "topics": [
-                *(
-                    topic_status(t.topic, "in", t.type, t.encoding, t.meter, t.lost)
-                    for t in (*self.inputs.values(), *self._input_channels.values())
-                ),
-                *(
-                    topic_status(
-                        t.topic,
-                        "out",
-                        t.type,
-                        t.channel.used if t.channel is not None else "",
-                        t.meter,
-                        {**t.drops, **(t.channel.queue.lost if t.channel is not None else {})},
-                    )
-                    for t in (*self.outputs.values(), *self._outputs_by_channel.values())
-                ),
-            ],
+            "topics": list(self.topics.status()),
+            "services": list(self.services.status()),
+            "actions": list(self.actions.status()),
         }
 
     # ── operations ─────────────────────────────────────────────────────────────────────────────────────────────
 
-    async def _carry_out(self, op: ops.Op | _Retire) -> None:
+    def _at_once(self, op: ops.Op | Retire) -> bool:
+        """Carry out an operation that needs no waiting; false for others. What answers a request answers failures."""
+        match op:
+            case ops.Publish():
+                return self.topics.published(op)
+            case ops.CallService():
+                self.services.call(op)
+            case ops.ServiceResponse():
+                self.services.response(op)
+            case ops.SendActionGoal():
+                self.actions.send(op)
+            case ops.CancelActionGoal():
+                self.actions.cancel(op)
+            case ops.ActionFeedback():
+                self.actions.feedback(op)
+            case ops.ActionResult():
+                self.actions.result(op)
+            case _:
+                return False
+        return True
+
+    async def _carry_out(self, op: ops.Op | Retire) -> None:
         try:
+            if self._at_once(op):
+                return
             match op:
                 case ops.Advertise():
-                    await self._advertise(op)
+                    await self.topics.advertise(op)
                 case ops.Unadvertise():
-                    await self._unadvertise(op)
-                case _Retire():
-                    await self._retire(op.topic)
+                    await self.topics.unadvertise(op)
+                case Retire():
+                    await self.topics.retire(op.topic)
                 case ops.Publish():
-                    await self._publish(op)
+                    await self.topics.publish(op)
                 case ops.Subscribe():
-                    await self._subscribe(op)
+                    await self.topics.subscribe(op)
                 case ops.Unsubscribe():
-                    await self._unsubscribe(op)
-                case ops.CallService():
-                    name = op.name if op.name.startswith("/") else f"/{op.name}"
-                    text = f"Service {name} does not exist"
-                    self.peer.send(ops.ServiceResponse(service=op.service, values=text, result=False, id=op.id))
+                    await self.topics.unsubscribe(op)
+                case ops.AdvertiseService():
+                    await self.services.advertise(op)
+                case ops.UnadvertiseService():
+                    await self.services.unadvertise(op)
+                case ops.AdvertiseAction():
+                    await self.actions.advertise(op)
+                case ops.UnadvertiseAction():
+                    await self.actions.unadvertise(op)
                 case _:
-                    self.peer.complaints.note("operation", "", f"{op.op} is not served here")
+                    raise InvalidOperation("", f"Unknown operation: {op.op}.  Allowed operations: {list(ops.ALLOWED)}")
         except (RopewayError, ValueError) as error:
-            topic = getattr(op, "topic", "")
-            self.peer.complaints.note(op.op, topic, error)
-            channel = (getattr(op, "ropeway", None) or {}).get("channel")
-            if self.gateway and isinstance(channel, int):
-                self.peer.send({"op": "refused", "channel": channel, "reason": str(error)})
+            self._failed(op, error)
 
-    async def _advertise(self, op: ops.Advertise) -> None:
-        number = self._channel(op.ropeway)
-        try:
-            await self._make_input(op, number)
-        except (RopewayError, ValueError):
-            if number is not None and (early := self._input_channels.get(number)) and early.publisher is None:
-                del self._input_channels[number]
-            raise
-
-    async def _make_input(self, op: ops.Advertise, number: int | None) -> None:
-        type = self.registry.canonical(op.type)
-        self._learn(type, op.ropeway or {})
-        name = resolve_name(op.topic)
-        known = self.inputs.get(op.topic) if number is None else self._input_channels.get(number)
-        if known is not None and known.publisher is not None and known.topic == op.topic:
-            if known.type != type:
-                raise TypeConflict(op.topic, known.type, type)
-            _add(known.ids, op.id)
-            self._stop_linger(op.topic)
+    def _failed(self, op: ops.Op | Retire, error: RopewayError | ValueError) -> None:
+        kind = next((k for k in ("topic", "service", "action") if hasattr(op, k)), "")
+        name = getattr(op, kind, "")
+        self.complain(op.op, name, error, getattr(op, "id", ops.ABSENT))
+        if not self.gateway:
             return
-        if known is not None and known.publisher is not None:
-            raise InvalidOperation("advertise", f"channel {number} is that of {known.topic}")
-        self._check_type(name, type)
-        if number is None and op.compression not in _RAW:
-            self.registry.codec(type)  # what nobody can read is no topic
-        qos = self._publisher_qos(op)
-        self._check_count()
-        early = known is not None and (known.topic, known.type) == (op.topic, type)
-        topic = known if known is not None and early else TopicIn(self, op.topic, type, op.compression)
-        topic.number = number
-        publisher = await self.view.create_publisher(name, type, qos)
-        topic.name = publisher.topic
-        _add(topic.ids, op.id)
-        if number is None:
-            self.inputs[op.topic] = topic
-        else:
-            self._input_channels[number] = topic
-        topic.ready(publisher)
-        await self._on_advertised(publisher.topic)
+        channel = (getattr(op, "ropeway", None) or {}).get("channel")
+        if isinstance(channel, int):
+            self.peer.send({"op": "refused", "channel": channel, "reason": str(error)})
+        elif isinstance(op, (ops.AdvertiseService, ops.AdvertiseAction)):
+            self.peer.send({"op": "refused", kind: name, "reason": str(error)})
 
-    def _channel(self, extra: Mapping[str, Any] | None) -> int | None:
-        """The channel number that a gateway gave a topic."""
-        number = (extra or {}).get("channel")
-        if not self.gateway or number is None:
-            return None
-        if isinstance(number, bool) or not isinstance(number, int) or not 0 < number < 65536:
-            raise InvalidOperation("", f"a channel is a number from 1 to 65535, not {str(number)[:20]}")
-        return number
-
-    def _check_count(self) -> None:
-        inputs = len(self.inputs) + len(self._input_channels)
-        if inputs + len(self.outputs) + len(self._outputs_by_channel) >= _TOPICS_LIMIT:
-            raise InvalidOperation("", f"a client may have {_TOPICS_LIMIT} topics at most")
-
-    def _stop_linger(self, topic: str) -> None:
-        handle = self._lingering.pop(topic, None)
-        if handle is not None:
-            handle.cancel()
-
-    def _publisher_qos(self, op: ops.Advertise | ops.Publish) -> QoS:
-        if op.qos is not None:
-            return QoS.parse(op.qos)
-        if self.peer.dialect is ROSGW or self.gateway:
-            return QoS()
-        depth = min(op.queue_size or 100, _DEPTH_LIMIT)
-        if op.latch:
-            return QoS(durability="transient_local", depth=1)
-        return QoS(durability="transient_local", depth=depth, lifespan_s=1.0)
-
-    def _check_type(self, name: str, type: str) -> None:
-        types = self.view.types(name)
-        if types and type not in types:
-            raise TypeConflict(name, types[0], type)
-
-    def _learn(self, type: str, extra: Mapping[str, Any]) -> None:
-        text = extra.get("definition")
+    def learn(self, type: str, extra: Mapping[str, Any] | None) -> None:
+        """Take the definition of a type that a gateway sent along. Raises ``RopewayError`` for one that is no good."""
+        text = (extra or {}).get("definition")
         if not self.gateway or not isinstance(text, str) or self.registry.has(type):
             return
         self._definitions += 1
-        if self._definitions > _TOPICS_LIMIT or len(text) > _DEFINITION_LIMIT:
+        if self._definitions > _DEFINITIONS_LIMIT or len(text) > _DEFINITION_LIMIT:
             raise InvalidOperation("", f"the definition of {type} is one too many, or too long")
         self.registry.add_full_text(type, text)
 
-    async def _unadvertise(self, op: ops.Unadvertise) -> None:
-        if self.gateway:
-            for number, topic in list(self._input_channels.items()):
-                if topic.topic == op.topic and _key(op.id) in topic.ids:
-                    del self._input_channels[number]
-                    self.peer.forget_inbound(number)
-                    await topic.close()
-            return
-        known = self.inputs.get(op.topic)
-        if known is None:
-            return
-        if ops.present(op.id):
-            known.ids.discard(_key(op.id))
-        else:
-            known.ids.clear()
-        if not known.ids:
-            loop = asyncio.get_running_loop()
-            self._stop_linger(op.topic)
-            self._lingering[op.topic] = loop.call_later(self._unregister_timeout_s, self._expire, op.topic)
 
-    def _expire(self, name: str) -> None:
-        self._lingering.pop(name, None)
-        self._waiting.append(_Retire(name))
-        self._wake.set()
-
-    async def _retire(self, name: str) -> None:
-        topic = self.inputs.get(name)
-        if topic is not None and not topic.ids and name not in self._lingering:
-            del self.inputs[name]
-            await topic.close()
-
-    async def _publish(self, op: ops.Publish) -> None:
-        topic = self.inputs.get(op.topic)
-        if topic is None or not topic.ids:
-            type = topic.type if topic is not None else op.type or self._inferred(op.topic)
-            await self._advertise(
-                ops.Advertise(
-                    id=op.id,
-                    topic=op.topic,
-                    type=type,
-                    latch=bool(op.latch),
-                    queue_size=op.queue_size or 100,
-                    qos=op.qos,
-                    compression=op.compression,
-                )
-            )
-            topic = self.inputs[op.topic]
-        topic.published(op)
-
-    def _inferred(self, topic: str) -> str:
-        types = self.view.types(resolve_name(topic))
-        if not types:
-            raise UnknownTopicError(topic)
-        return types[0]
-
-    async def _subscribe(self, op: ops.Subscribe) -> None:
-        name = resolve_name(op.topic)
-        type = self.registry.canonical(op.type) if op.type else self._inferred(op.topic)
-        self._learn(type, op.ropeway or {})
-        self._check_type(name, type)
-        qos = QoS.parse(op.qos) if op.qos is not None else None
-        number = self._channel(op.ropeway)
-        if number is not None:
-            output = self._outputs_by_channel.get(number)
-            if output is not None:
-                await self._drop_output(output)
-            self._check_count()
-            output = self._outputs_by_channel[number] = TopicOut(self, op.topic, type, number)
-        else:
-            output = self.outputs.get(op.topic)
-            if output is None:
-                self._check_count()
-                self._numbers += 1
-                output = self.outputs[op.topic] = TopicOut(self, op.topic, type, self._numbers)
-            elif output.type != type:
-                raise TypeConflict(op.topic, output.type, type)
-        key = _key(op.id)
-        before = output.requests.get(key)
-        if before is None and len(output.requests) >= _IDS_LIMIT:
-            raise InvalidOperation("", f"a topic may have {_IDS_LIMIT} ids at most")
-        output.requests[key] = op
-        try:
-            output.settle()
-            if output.subscription is None:
-                output.subscription = await self.view.create_subscription(name, type, qos, output.deliver)
-                output.subscription.on_qos(output.follow)
-        except (RopewayError, ValueError):
-            if output.subscription is None:
-                await self._drop_output(output)
-            elif before is not None:
-                output.requests[key] = before
-            else:
-                del output.requests[key]
-            raise
-
-    async def _drop_output(self, output: TopicOut) -> None:
-        if self.outputs.get(output.topic) is output:
-            del self.outputs[output.topic]
-        if self._outputs_by_channel.get(output.number) is output:
-            del self._outputs_by_channel[output.number]
-        await output.close()
-
-    async def _unsubscribe(self, op: ops.Unsubscribe) -> None:
-        if self.gateway:
-            for output in list(self._outputs_by_channel.values()):
-                if output.topic == op.topic and _key(op.id) in output.requests:
-                    await self._drop_output(output)
-            return
-        shared = self.outputs.get(op.topic)
-        if shared is None:
-            return
-        if ops.present(op.id):
-            shared.requests.pop(_key(op.id), None)
-        else:
-            shared.requests.clear()
-        if shared.requests:
-            shared.settle()
-        else:
-            await self._drop_output(shared)
-
-
-class UnknownTopicError(GraphError):
-    """A topic whose type nobody has told."""
-
-    def __init__(self, topic: str) -> None:
-        self.topic = topic
-        super().__init__(
-            f"Cannot infer topic type for topic {topic} as it is not yet advertised; give its type in the request"
-        )
-
-
-@dataclass(frozen=True)
-class _Retire:
-    """The time that a withdrawn topic was kept for its client is over."""
-
-    topic: str
-    op: str = "unadvertise"
-
-
-def _add(ids: set[str], id: object) -> None:
-    if len(ids) >= _IDS_LIMIT:
-        raise InvalidOperation("", f"a topic may have {_IDS_LIMIT} ids at most")
-    ids.add(_key(id))
-
-
-def _key(id: object) -> str:
-    return repr(id) if ops.present(id) else _NO_ID
+def _wants_status(query: str) -> bool:
+    values = parse_qs(query, keep_blank_values=True).get("status", ["0"])
+    return values[-1].lower() not in ("0", "", "false", "no", "none")

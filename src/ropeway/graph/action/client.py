@@ -219,6 +219,7 @@ class ComposedActionClient:
     async def _give_up(self, sent: ComposedGoal) -> None:
         """Cancel a goal whose sender has left."""
         self._goals.pop(sent.id, None)
+        await end(sent.follower)
         log.warning("%s: a goal was accepted after its sender had left; it is cancelled", self.action)
         with contextlib.suppress(CallError):
             await self.cancel(sent.id, DEFAULT_TIMEOUT_S)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ropeway.graph.dds.nodes import NodeEntities
 from ropeway.qos import QoS
 
-__all__ = ["Discovered", "EndpointRecord", "Gone", "Joined", "NodesRecord"]
+__all__ = ["Discovered", "EndpointRecord", "Gone", "Joined", "NodesRecord", "Peer"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +24,8 @@ class EndpointRecord:
     type_hash: str
     gateway: str
     local: bool
+    since_ns: int = 0
+    helper: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,21 @@ class NodesRecord:
     nodes: tuple[NodeEntities, ...]
     gid_bytes: int
     local: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Peer:
+    """The far end of a match.
+
+    ``pair`` is what the two endpoints of one service or client have in common, ``""`` where they do not tell; ``depth``
+    is how many samples it keeps, 0 where that is not known. ``ours`` marks Ropeway's, ``helper`` those of a ``Helper``.
+    """
+
+    guid: bytes
+    pair: str = ""
+    depth: int = 0
+    ours: bool = False
+    helper: bool = False
 
 
 Discovered = EndpointRecord | Gone | Joined | NodesRecord

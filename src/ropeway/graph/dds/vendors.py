@@ -1,0 +1,45 @@
+"""Which far ends speak our mapping of requests and replies, and who helps with the others.
+
+ROS 2 has one mapping per middleware: rmw_cyclonedds puts a header in front of each request and reply (``rpc``),
+rmw_fastrtps and rmw_connextdds correlate by inline QoS, which the library does not show. Topics are the same for all,
+so both kinds are discovered and matched alike; what a GUID begins with tells them apart.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Protocol
+
+from ropeway.graph.calls import Client, Service, ServiceHandler
+
+__all__ = ["HELPER_MARK", "Helper", "speaks_header", "vendor_name"]
+
+HELPER_MARK: Final = "helper"
+"""The key in the USER_DATA of endpoints that a ``Helper`` makes: they are neither listed, nor called, nor answered."""
+
+_CYCLONE: Final = b"\x01\x10"
+_NAMES: Final = {b"\x01\x10": "Cyclone DDS", b"\x01\x0f": "Fast DDS", b"\x01\x01": "RTI Connext"}
+
+
+def speaks_header(guid: bytes) -> bool:
+    """True for an endpoint whose requests and replies begin with our header."""
+    return guid.startswith(_CYCLONE)
+
+
+def vendor_name(guid: bytes) -> str:
+    """What to call the middleware of an endpoint in a message for people."""
+    return _NAMES.get(guid[:2], f"DDS vendor {guid[:2].hex('.')}")
+
+
+class Helper(Protocol):
+    """Calls and serves nodes of a middleware with another mapping, such as Fast DDS; ``DdsGraph.helper`` is one.
+
+    Its endpoints carry ``HELPER_MARK`` in their USER_DATA (``helper=1;``). A ``DdsClient`` hands it the calls for which
+    only such servers are matched; a ``DdsService`` has it serve the same name for such clients, through a handler
+    that raises no ``CallError``: what failed is answered with the default response there, too.
+    """
+
+    async def create_client(self, service: str, type: str) -> Client:
+        """A client; ``service`` and ``type`` are full names. Made at the first call that needs it."""
+
+    async def create_service(self, service: str, type: str, handler: ServiceHandler) -> Service:
+        """A service; made together with each ``DdsService``."""

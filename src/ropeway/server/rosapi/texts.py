@@ -1,0 +1,220 @@
+"""The definition texts that web clients get of every topic, none of which they cannot read.
+
+Lichtblick asks for the texts of all topics every three seconds and drops the whole list if one of them does not
+parse. Its parser is stricter than ROS: names of fields are in small letters, a type in another package has two parts,
+an ``int64`` is written in digits. So each text is looked through first. What does not pass is written anew from the
+definition; where that cannot help, the text says so in a comment, which every client reads as a message without
+fields.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from ropeway.errors import TypesError, UnknownType
+from ropeway.types.definition import HEADER, TIMES, Constant, Definition, Field, short_name
+
+if TYPE_CHECKING:
+    from ropeway.types import TypeRegistry
+
+__all__ = ["Texts", "is_readable"]
+
+_RULE: Final = "=" * 80
+_RETRY_S: Final = 10.0  # a definition that is missing may be learned from a peer
+
+_LINE: Final = re.compile(
+    r"(?P<base>[A-Za-z0-9_/]+)(?P<bound><=\d+)?(?:\[(?:<=)?\d*\])?[ \t]+(?P<name>[A-Za-z0-9_]+)"
+    r"(?P<rest>.*)\Z"
+)
+_FIELD: Final = re.compile(r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*\Z")
+_CONSTANT: Final = re.compile(r"[A-Z][A-Z0-9]*(?:_[A-Z0-9]+)*\Z")
+_QUOTED: Final = r"""(?:'(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*")"""
+_INTEGER: Final = r"[-+]?[0-9]+"
+_VALUES: Final = {
+    "string": rf"""(?:{_QUOTED}|[^\s'"#\\\[][^#\\]*)""",
+    "bool": "(?:[Tt]rue|[Ff]alse|0|1)",
+    "float": r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?",
+    "int64": _INTEGER,
+    "int": rf"(?:{_INTEGER}|0[xX][0-9A-Fa-f]+)",
+}
+_ITEMS: Final = {**_VALUES, "string": _QUOTED}
+_COMMENT: Final = r"\s*(?:#.*)?\Z"
+_ASSIGNED: Final = {kind: re.compile(rf"\s*=\s*{value}{_COMMENT}") for kind, value in _VALUES.items()}
+_DEFAULT: Final = {
+    kind: re.compile(rf"\s+(?:{value}|\[\s*(?:{_ITEMS[kind]}(?:\s*,\s*{_ITEMS[kind]})*)?\s*\]){_COMMENT}")
+    for kind, value in _VALUES.items()
+}
+_NOTHING: Final = re.compile(_COMMENT)
+
+
+class _Made(NamedTuple):
+    """A text, and what tells that it still holds."""
+
+    text: str
+    source: str  # the registry's full text, "" for a failure
+    missing: str = ""
+    until_s: float = 0.0
+
+
+class Texts:
+    """Full definition texts by type, made once."""
+
+    def __init__(self, registry: TypeRegistry, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._registry, self._clock = registry, clock
+        self._made: dict[str, _Made] = {}
+
+    def of(self, type: str) -> str:
+        """The text of a message and all it is made of; where there is none, a comment that says why."""
+        made = self._made.get(type)
+        if made is None or not self._holds(type, made):
+            made = self._made[type] = self._make(type)
+        return made.text
+
+    def _holds(self, type: str, made: _Made) -> bool:
+        if made.source:
+            return self._registry.full_text(type) is made.source  # the registry keeps it until a type changes
+        return self._clock() < made.until_s and not (made.missing and self._registry.has(made.missing))
+
+    def _make(self, type: str) -> _Made:
+        try:
+            source = self._registry.full_text(type)
+            if not source:  # a message without fields
+                return _Made("", "", until_s=self._clock() + _RETRY_S)
+            return _Made(_readable(type, source, self._registry), source)
+        except TypesError as error:
+            missing = error.name if isinstance(error, UnknownType) else ""
+            return _Made(_failure(type, error), "", missing, self._clock() + _RETRY_S)
+
+
+def _failure(type: str, reason: object) -> str:
+    """What rosbridge sends in place of a text, in one line."""
+    return f"# failed to get full definition text for {_one_line(type)}: {_one_line(str(reason))}"
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _readable(type: str, source: str, registry: TypeRegistry) -> str:
+    """``source``, or the same types written anew, or a comment. Raises ``TypesError``."""
+    root = registry.definition(type)
+    parts = [registry.definition(name) for name in registry.dependencies(type)]
+    listed = [short_name(part.name) for part in parts]
+    if root.wire_fields and all(
+        is_readable(part, listed, root=part is root, text=registry.text(part.name)) for part in (root, *parts)
+    ):
+        return source
+    pieces = [_written(root, root=True)]
+    for part in parts:
+        pieces.append(f"{_RULE}\nMSG: {short_name(part.name)}\n{_written(part)}")
+    odd = [part for part in (root, *parts) if not is_readable(part, listed, root=part is root, text=_written(part))]
+    if odd:
+        return _failure(type, f"the fields of {odd[0].name} have names that clients of rosbridge do not read")
+    return "".join(pieces)
+
+
+def _written(definition: Definition, *, root: bool = False) -> str:
+    """The definition in the plainest form. Of constants alone a root is not made: they are told as comments."""
+    fields = definition.wire_fields
+    constants = tuple(_plain(constant) for constant in definition.constants)
+    text = replace(definition, fields=tuple(_shown(f) for f in fields), constants=constants, source="").text()
+    if root and not fields:
+        return "".join(f"# {line}\n" for line in text.splitlines())
+    return text
+
+
+def _shown(field: Field) -> Field:
+    """The field; a default that no literal can say is left out, since readers do not need it."""
+    plain = _is_plain(field.default) or (isinstance(field.default, list) and all(map(_is_plain, field.default)))
+    return field if plain else replace(field, default=None)
+
+
+def _is_plain(value: object) -> bool:
+    return not isinstance(value, float) or value - value == 0
+
+
+def _plain(constant: Constant) -> Constant:
+    """The constant with its value as every parser reads it."""
+    value = constant.value
+    if isinstance(value, str):
+        text = '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    elif isinstance(value, bool):
+        text = "true" if value else "false"
+    else:
+        text = str(value)
+    return replace(constant, text=text)
+
+
+def is_readable(definition: Definition, listed: Sequence[str], *, root: bool, text: str) -> bool:
+    """True if the parser of Lichtblick reads ``text``, and as ``definition`` means it.
+
+    ``listed`` are the types (``pkg/Name``) whose definitions follow the ``root``.
+    """
+    fields = iter(definition.fields)
+    constants = iter(definition.constants)
+    for raw in text.splitlines():
+        line = raw.strip()
+        if not line or line.startswith("#"):
+            continue
+        found = _LINE.match(line)
+        if found is None or line.startswith("=="):
+            return False
+        rest = found["rest"]
+        if rest.lstrip().startswith("="):
+            constant = next(constants, None)
+            if constant is None or not _reads_constant(constant, found["name"], rest):
+                return False
+        else:
+            field = next(fields, None)
+            if field is None or not _reads_field(field, found["name"], rest):
+                return False
+            if field.type.is_message and not _finds(found["base"], field.type.base, definition.name, listed, root):
+                return False
+    return next(fields, None) is None and next(constants, None) is None
+
+
+def _reads_constant(constant: Constant, name: str, rest: str) -> bool:
+    if not _CONSTANT.match(name) or (constant.type in ("char", "byte") and str(constant.value).startswith("-")):
+        return False
+    return bool(_ASSIGNED[_kind(constant.type)].match(rest))
+
+
+def _reads_field(field: Field, name: str, rest: str) -> bool:
+    if not _FIELD.match(name):
+        return False
+    if field.default is None:
+        return bool(_NOTHING.match(rest))
+    return bool(_DEFAULT[_kind(field.type.base)].match(rest)) and _fits(field)
+
+
+def _fits(field: Field) -> bool:
+    values = field.default if isinstance(field.default, Iterable) and not isinstance(field.default, str) else ()
+    return field.type.base != "char" or not any(isinstance(v, int) and v < 0 for v in (field.default, *values))
+
+
+def _finds(written: str, meant: str, within: str, listed: Sequence[str], root: bool) -> bool:
+    """True if the name of a type leads to the type that it means."""
+    short = short_name(meant)
+    if meant in TIMES and written in ("time", "duration", short, meant):
+        return True
+    if short not in listed:
+        return False
+    if "/" in written:
+        return written == short
+    if written == "Header":
+        return meant == HEADER
+    if root:
+        return [name for name in listed if name.endswith(f"/{written}")] == [short]
+    return f"{within.split('/')[0]}/{written}" == short
+
+
+def _kind(base: str) -> str:
+    if base in ("string", "wstring"):
+        return "string"
+    if base.startswith("float"):
+        return "float"
+    return {"bool": "bool", "int64": "int64", "uint64": "int64"}.get(base, "int")
