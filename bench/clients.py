@@ -58,6 +58,8 @@ async def _idle_client() -> Connection:
             break
         except ConnectFailed:
             await asyncio.sleep(0.1)
+    else:
+        raise SystemExit("the gateway does not answer")
     client.send_text(json.dumps({"op": "subscribe", "topic": "/quiet", "type": "std_msgs/msg/String"}))
     return client
 

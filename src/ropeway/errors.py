@@ -95,17 +95,18 @@ class InvalidTypeName(TypesError):
 
 
 class UnknownType(TypesError):
-    """A type without a known definition."""
+    """A type without a known definition. ``hint`` says what to do where that is not what most graphs need."""
 
-    def __init__(self, name: str, *, needed_by: str = "", nearest: str = "") -> None:
+    def __init__(self, name: str, *, needed_by: str = "", nearest: str = "", hint: str = "") -> None:
         self.name, self.needed_by, self.nearest = name, needed_by, nearest
         by = f" (needed by {needed_by})" if needed_by else ""
-        hint = (
-            f"; did you mean {nearest}?"
-            if nearest
-            else '. Name its directory or file under "types" in the configuration, or source the workspace that has it.'
-        )
-        super().__init__(f"the definition of {name} is not known{by}{hint}")
+        if hint:
+            advice = f": {hint}"
+        elif nearest:
+            advice = f"; did you mean {nearest}?"
+        else:
+            advice = '. Name its directory or file under "types" in the configuration, or source its workspace.'
+        super().__init__(f"the definition of {name} is not known{by}{advice}")
 
 
 class InvalidDefinition(TypesError):

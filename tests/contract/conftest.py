@@ -6,6 +6,7 @@ import asyncio
 import itertools
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AsyncExitStack
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -15,7 +16,6 @@ from ropeway.graph.dds import DdsGraph
 from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
 from ropeway.graph.rosbridge import RosbridgeGraph
-from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
 from tests.isolation import isolated_dds
 
@@ -28,6 +28,29 @@ class Pair:
     def __init__(self, near: Graph, far: Graph, stack: AsyncExitStack) -> None:
         self.near, self.far = near, far
         self.stack = stack
+        self.can = Abilities()
+
+
+@dataclass(frozen=True)
+class Abilities:
+    """What the network of a kind can say.
+
+    ``errors``: a service tells why it failed (else the response with default values comes). ``rejects``: a client
+    learns that its goal was rejected when it sends it (else with the outcome). ``refuses_cancel``: a client learns that
+    its goal goes on (else the request counts as agreed to).
+    """
+
+    errors: bool = True
+    rejects: bool = True
+    refuses_cancel: bool = True
+
+
+ABILITIES = {
+    "dds": Abilities(errors=False),
+    "ros2": Abilities(errors=False),
+    "rosbridge": Abilities(rejects=False, refuses_cancel=False),
+}
+"""Kinds that cannot say everything, the others can."""
 
 
 class Inbox:
@@ -91,6 +114,8 @@ async def open_dds(stack: AsyncExitStack) -> Pair:
 
 async def open_rosbridge(stack: AsyncExitStack, *, plain: bool = False) -> Pair:
     """Two clients of one server, on a network of its own."""
+    from ropeway.server import RosbridgeServer
+
     graph = MemoryGraph(f"contract-{next(_numbers)}")
     await graph.open()
     stack.push_async_callback(graph.close)
@@ -126,4 +151,6 @@ def dds_isolation() -> Iterator[None]:
 async def pair(request: pytest.FixtureRequest) -> AsyncIterator[Pair]:
     """Two opened participants of one network, for every kind of graph."""
     async with AsyncExitStack() as stack:
-        yield await KINDS[request.param](stack)
+        pair = await KINDS[request.param](stack)
+        pair.can = ABILITIES.get(request.param, pair.can)
+        yield pair

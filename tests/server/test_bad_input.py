@@ -190,9 +190,9 @@ async def test_limits_of_one_client(place: Place) -> None:
 
 async def test_too_many_topics(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     """A client may have so many topics and no more; what it has goes on."""
-    from ropeway.server import session
+    from ropeway.server import topic_ops
 
-    monkeypatch.setattr(session, "_TOPICS_LIMIT", 10)
+    monkeypatch.setattr(topic_ops, "_TOPICS_LIMIT", 10)
     client = await place.client()
     for i in range(8):
         client.send(listen(f"/t{i}"))
@@ -247,7 +247,7 @@ async def test_odd_numbers_of_a_gateway(place: Place, number: object) -> None:
         if not got.text:
             break
     assert b'{"data":"x"}' in got.data
-    assert set(place.session._outputs_by_channel) == {3, 4}
+    assert set(place.session.topics.output_channels) == {3, 4}
 
 
 async def test_channels_of_a_gateway(place: Place) -> None:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+from collections import deque
+from collections.abc import Callable
+from typing import Final
 
 from ropeway.bridge.offer import Offer
 from ropeway.errors import CallError, CallTimeout, GoalRejected
@@ -24,6 +27,30 @@ from ropeway.graph.calls import (
 __all__ = ["ActionBridge"]
 
 log = logging.getLogger("ropeway.bridge")
+
+
+_EARLY: Final = 256  # feedback that waits until its goal has begun; the oldest goes first
+
+
+class _News:
+    """Feedback of a goal: what comes before the goal has begun on the other side waits for that."""
+
+    def __init__(self, give: Callable[[bytes], None]) -> None:
+        self._give = give
+        self._early: deque[bytes] | None = deque(maxlen=_EARLY)
+
+    def put(self, payload: bytes) -> None:
+        """Pass feedback on."""
+        if self._early is None:
+            self._give(payload)
+        else:
+            self._early.append(payload)
+
+    def flow(self) -> None:
+        """The goal has begun."""
+        early, self._early = self._early or (), None
+        for payload in early:
+            self._give(payload)
 
 
 class ActionBridge(Offer):
@@ -46,7 +73,7 @@ class ActionBridge(Offer):
         delivery: Delivery = NO_HINTS,
     ) -> None:
         super().__init__(source, target, source_name, target_name, type, timeout_s=timeout_s, delivery=delivery)
-        self._goals: dict[bytes, ClientGoal] = {}
+        self._goals: dict[bytes, tuple[ClientGoal, _News]] = {}
 
     async def make_client(self) -> ActionClient:
         """The action on the source."""
@@ -60,23 +87,24 @@ class ActionBridge(Offer):
     async def _accept(self, goal: ServerGoal) -> bool:
         if goal.id in self._goals:
             return False
+        news = _News(goal.feedback)
         try:
-            self._goals[goal.id] = await self._client.send_goal(
-                Goal(goal.payload, goal.id, goal.via, goal.caller),
-                on_feedback=goal.feedback,
-                timeout_s=DEFAULT_TIMEOUT_S,
+            running = await self._client.send_goal(
+                Goal(goal.payload, goal.id, goal.via, goal.caller), on_feedback=news.put, timeout_s=DEFAULT_TIMEOUT_S
             )
         except CallError as error:
             self.counts[type(error).__name__] += 1
             if not isinstance(error, GoalRejected):
                 log.warning("a goal of %s was rejected: %s", self.target_name, error)
             return False
+        self._goals[goal.id] = (running, news)
         return True
 
     async def _execute(self, goal: ServerGoal) -> Outcome:
         clock = asyncio.get_running_loop().time
         began, how = clock(), "given up"
-        running = self._goals[goal.id]
+        running, news = self._goals[goal.id]
+        news.flow()
         self.under_way += 1
         try:
             outcome = await running.result(self.timeout_s)
@@ -95,12 +123,12 @@ class ActionBridge(Offer):
         return outcome
 
     async def _cancel(self, goal: ServerGoal) -> bool:
-        running = self._goals.get(goal.id)
+        running, _ = self._goals.get(goal.id, (None, None))
         return running is not None and await running.cancel()
 
     async def withdrawn(self) -> None:
         """Goals that were accepted and not begun."""
-        for running in list(self._goals.values()):
+        for running, _ in list(self._goals.values()):
             await self._give_up(running)
 
     async def _give_up(self, running: ClientGoal) -> None:

@@ -334,14 +334,19 @@ class Graph(Protocol):
 
 @dataclass
 class Changes:
-    """Fans discovery events out to every ``changes()`` iterator; each has a bounded queue that keeps the newest."""
+    """Fans discovery events out to every ``changes()`` iterator; each has a bounded queue that keeps the newest.
+
+    ``emitted`` counts the events, so that what was made of an earlier state is known to be old.
+    """
 
     limit: int = 4096
+    emitted: int = 0
     _queues: list[tuple[deque[GraphEvent], asyncio.Event]] = field(default_factory=list)
     closed: bool = False
 
     def emit(self, event: GraphEvent) -> None:
         """Give the event to all who listen."""
+        self.emitted += 1
         for queue, wake in self._queues:
             queue.append(event)
             wake.set()

@@ -40,7 +40,7 @@ def make_graph(
     if scheme == "memory":
         from ropeway.graph.memory import MemoryGraph
 
-        return MemoryGraph(parts.path or "default", node=f"/{name}")
+        return MemoryGraph(parts.path or "default", node=f"/{name}", registry=registry)
     raise GraphUnavailable(url, "is no graph; write dds:0, dds:5?interface=lo, ws://host:9090 or wss://host")
 
 

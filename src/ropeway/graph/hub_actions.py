@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
-from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, GraphUnavailable
+from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, GraphUnavailable, NotServed
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import (
     DEFAULT_TIMEOUT_S,
@@ -136,8 +136,8 @@ class ViewActionClient:
         self._calls.check_circle(self.action, goal.via)
         loop = asyncio.get_running_loop()
         deadline = loop.time() + timeout_s
-        if self.available is False:
-            await self.wait_available(min(NOBODY_S, timeout_s))
+        if self.available is False and not await self.wait_available(min(NOBODY_S, timeout_s)):
+            raise NotServed(self.action, "action")
         left = max(deadline - loop.time(), 0.001)
         provider = self._provider()
         if provider is not None:

@@ -245,8 +245,12 @@ class ViewClient:
     async def _call(self, request: Request, timeout_s: float) -> bytes:
         loop = asyncio.get_running_loop()
         deadline = loop.time() + timeout_s
-        if self._inner is not None and self.available is False:
-            await self.wait_available(min(NOBODY_S, timeout_s))
+        if (
+            self._inner is not None
+            and self.available is False
+            and not await self.wait_available(min(NOBODY_S, timeout_s))
+        ):
+            raise NotServed(self.service)
         left = max(deadline - loop.time(), 0.001)
         provider = self._provider()
         if provider is not None:

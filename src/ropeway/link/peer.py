@@ -8,7 +8,7 @@ urgent ones overtake, calls and answers among them; everybody else gets plain ro
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 from ropeway.errors import InvalidFrame, MessageTooBig, RopewayError, WireError
@@ -87,6 +87,7 @@ class Peer:
         kind = RecordSender if self.dialect is ROPEWAY else PlainSender
         self.sender: Sender = kind(connection, self.complaints, self.dialect)
         self._ops = OpSender(self.sender)
+        self.on_invalid: Callable[[Mapping[str, Any], WireError], None] = self._invalid  # what is no operation
         self.rtt_s: float | None = None
         self.clock_offset_ns: int | None = None  # the peer's clock minus ours, once it is measured
         self._offset_rtt = float("inf")
@@ -270,7 +271,7 @@ class Peer:
         try:
             parsed = ops.parse(message)
         except WireError as error:
-            self.complaints.note("operation", str(message.get("topic", ""))[:200], error)
+            self.on_invalid(message, error)
             return
         self.dialect = self.sender.dialect = detect(self.dialect, parsed)
         try:
@@ -282,6 +283,9 @@ class Peer:
                 self.handler.operation(parsed)
         except RopewayError as error:
             self.complaints.note(str(op), str(message.get("topic", ""))[:200], error)
+
+    def _invalid(self, message: Mapping[str, Any], error: WireError) -> None:
+        self.complaints.note("operation", str(message.get("topic", ""))[:200], error)
 
     def _greeted(self, message: Mapping[str, Any]) -> None:
         limit = message.get("limit_bytes")

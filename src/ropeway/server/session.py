@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol
-from urllib.parse import parse_qs
 
 from ropeway.errors import InvalidOperation, RopewayError, WireError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
@@ -106,7 +105,8 @@ class Session:
         self._watch: Watch | None = None
         self._definitions = 0
         self._gone = False
-        self._tells_status = _wants_status(connection.handshake.query if connection.handshake else "")
+        handshake = connection.handshake
+        self._tells_status = handshake is not None and _wants_status(handshake.query)
         if self.gateway:
             self.peer.hello(gateway_id, name)
             self.peer.ping()
@@ -314,7 +314,9 @@ class Session:
                 case ops.UnadvertiseAction():
                     await self.actions.unadvertise(op)
                 case _:
-                    raise InvalidOperation("", f"Unknown operation: {op.op}.  Allowed operations: {list(ops.ALLOWED)}")
+                    self.complain(
+                        "operation", "", f"{op.op} is not served here", op.id if hasattr(op, "id") else ops.ABSENT
+                    )
         except (RopewayError, ValueError) as error:
             self._failed(op, error)
 
@@ -341,6 +343,5 @@ class Session:
         self.registry.add_full_text(type, text)
 
 
-def _wants_status(query: str) -> bool:
-    values = parse_qs(query, keep_blank_values=True).get("status", ["0"])
-    return values[-1].lower() not in ("0", "", "false", "no", "none")
+def _wants_status(query: Mapping[str, list[str]]) -> bool:
+    return query.get("status", ["0"])[-1].lower() not in ("0", "", "false", "no", "none")

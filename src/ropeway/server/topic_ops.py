@@ -89,7 +89,7 @@ class TopicOps:
         for output in self._all_outputs():
             channel = output.channel
             used = channel.used if channel is not None else ""
-            drops = {**output.drops, **(channel.queue.lost if channel is not None else {})}
+            drops: dict[Any, int] = {**output.drops, **(channel.queue.lost if channel is not None else {})}
             yield topic_status(output.topic, "out", output.type, used, output.meter, drops)
 
     def _all_inputs(self) -> list[TopicIn]:
@@ -292,9 +292,7 @@ class TopicOps:
             await old.close()  # first, so that nothing comes twice; what comes meanwhile is kept, too
         else:
             output.qos = qos
-        output.subscription = await self.session.view.create_subscription(
-            name, output.type, output.qos, output.deliver
-        )
+        output.subscription = await self.session.view.create_subscription(name, output.type, output.qos, output.deliver)
         output.subscription.on_qos(output.follow)
 
     async def unsubscribe(self, op: ops.Unsubscribe) -> None:
@@ -361,9 +359,8 @@ class TopicOps:
         return number
 
     def _check_count(self) -> None:
-        count = sum(
-            map(len, (self.inputs, self.outputs, self.input_channels, self.output_channels, self._unborn)),
-        )
+        inputs = len(self.inputs) + len(self.input_channels)
+        count = inputs + len(self.outputs) + len(self.output_channels) + len(self._unborn)
         if count >= _TOPICS_LIMIT:
             raise InvalidOperation("", f"a client may have {_TOPICS_LIMIT} topics at most")
 

@@ -141,6 +141,7 @@ class TopicOut:
     def __init__(self, session: Session, topic: str, type: str, number: int) -> None:
         self.session, self.topic, self.type, self.number = session, topic, type, number
         self.requests: dict[str, ops.Subscribe] = {}
+        self.qos: QoS | None = None  # as the client asked for
         self.subscription: Subscription | None = None
         self.channel: Channel | None = None
         self.drops: Counter[Drop] = Counter()

@@ -92,13 +92,15 @@ def read_qos(handle: int, *, tells_history: bool = True) -> QoS:
     )
 
 
-def user_data(*, type_hash: str = "", gateway_id: str = "", extra: str = "") -> bytes:
-    """USER_DATA of an endpoint: ``extra`` as it is, ROS's type hash, and the mark of our gateway."""
+def user_data(*, type_hash: str = "", gateway_id: str = "", extra: str = "", since_ns: int = 0) -> bytes:
+    """USER_DATA of an endpoint: ``extra`` as it is, ROS's type hash, the mark of our gateway, and since when it is."""
     marks = [extra]
     if type_hash:
         marks.append(f"typehash={type_hash};")
     if gateway_id:
         marks.append(f"ropeway={gateway_id};")
+    if since_ns:
+        marks.append(f"since={since_ns};")
     return "".join(marks).encode()
 
 

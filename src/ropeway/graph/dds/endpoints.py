@@ -26,6 +26,7 @@ from ropeway.graph.dds.raw import (
 
 if TYPE_CHECKING:
     from ropeway.graph.dds.byteorder import ByteOrder
+    from ropeway.graph.dds.matching import Matches
     from ropeway.graph.dds.participant import Participant
 
 __all__ = ["RawReader", "RawWriter", "WriterIdentity"]
@@ -71,10 +72,14 @@ class RawReader:
         deliver: Callable[[list[Sample]], None],
         dropped: Callable[[list[tuple[Undelivered, int]]], None],
         order: ByteOrder | None,
+        *,
+        all_gateways: bool = False,
     ) -> None:
         self.topic, self.type, self.entity = topic, type, entity
         self.guid = b""
         self.closed = False
+        self.matches: Matches | None = None
+        self._all_gateways = all_gateways
         self._participant = participant
         self._pump = participant.pump
         self._clock = participant.clock
@@ -100,13 +105,14 @@ class RawReader:
             return
         stamp = self._clock()
         identities, pending, unref = self._identities, self._pending, lib.serdata_unref
+        everyone = self._all_gateways
         size = 0
         for serdata, (_, valid, source_stamp, _, handle) in zip(
             self._refs[:count], INFO.iter_unpack(self._raw[: count * INFO.size]), strict=True
         ):
             if valid:
                 identity = identities.get(handle) or self._participant.identify(self.entity, handle)
-                if identity.wanted:
+                if identity.wanted or everyone:
                     length = _u32_at(serdata + SERDATA_SIZE).value + _HEADER_BYTES
                     size += length
                     pending.append((serdata, length, stamp, source_stamp, identity))
@@ -194,6 +200,7 @@ class RawWriter:
         self.guid = b""
         self.closed = False
         self.key = 0
+        self.matches: Matches | None = None
         self._sertype = sertype
         self._courier = participant.courier
         self._depth = depth
@@ -229,6 +236,33 @@ class RawWriter:
         elif not self._unflushed:
             self._unflushed = True
             self._loop.call_soon(self._flush)
+
+    async def send(self, payload: bytes) -> Undelivered | None:
+        """Send like ``write``, and tell what became of it: ``None``, or why it was not sent."""
+        if self.closed:
+            return Undelivered.CLOSED
+        if len(payload) < _COURIER_BYTES and self._in_count == self._out_count:
+            reason = self._send(payload, 0)
+            if reason is None and not self._unflushed:
+                self._unflushed = True
+                self._loop.call_soon(self._flush)
+            return reason
+        if self._in_bytes - self._out_bytes > _PENDING_LIMIT_BYTES:
+            return Undelivered.WRITE
+        done: asyncio.Future[Undelivered | None] = self._loop.create_future()
+        self._in_count += 1
+        self._in_bytes += len(payload)
+
+        def errand() -> None:
+            reason = self._send(payload, 0)
+            lib.write_flush(self.entity)
+            self._out_bytes += len(payload)
+            self._out_count += 1
+            with contextlib.suppress(RuntimeError):  # the loop closed first
+                self._loop.call_soon_threadsafe(_resolve, done, reason)
+
+        self._courier.submit(errand)
+        return await done
 
     def _flush(self) -> None:
         self._unflushed = False
@@ -290,6 +324,11 @@ class RawWriter:
         if reason is not None:
             with contextlib.suppress(RuntimeError):  # the loop closed first
                 loop.call_soon_threadsafe(self._refused, reason)
+
+
+def _resolve(done: asyncio.Future[Undelivered | None], reason: Undelivered | None) -> None:
+    if not done.done():
+        done.set_result(reason)
 
 
 def _without_padding(payload: bytes) -> bytes:

@@ -10,7 +10,8 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from typing import Final, Protocol, TypeVar
 
-from ropeway.errors import GraphUnavailable, InvalidName
+from ropeway.errors import GraphUnavailable, InvalidName, InvalidTypeName
+from ropeway.graph.action import ComposedActionClient, ComposedActionServer
 from ropeway.graph.base import (
     NO_HINTS,
     Changes,
@@ -22,19 +23,24 @@ from ropeway.graph.base import (
     Undelivered,
     resolve_name,
 )
+from ropeway.graph.calls import ActionHandlers, ActionInfo, ServiceHandler, ServiceInfo
 from ropeway.graph.dds.byteorder import ByteOrder, Codec
+from ropeway.graph.dds.client import DdsClient
 from ropeway.graph.dds.discovery import Discovery
 from ropeway.graph.dds.domain import MAX_DOMAIN
 from ropeway.graph.dds.endpoint_qos import user_data
-from ropeway.graph.dds.endpoints import RawWriter
-from ropeway.graph.dds.names import dds_topic, dds_type
+from ropeway.graph.dds.endpoints import RawReader, RawWriter
+from ropeway.graph.dds.names import dds_service_topics, dds_topic, dds_type
 from ropeway.graph.dds.participant import Participant
 from ropeway.graph.dds.profile import make_profile
 from ropeway.graph.dds.publisher import DdsPublisher
-from ropeway.graph.dds.raw import DdsError
+from ropeway.graph.dds.raw import DdsError, handle_of
 from ropeway.graph.dds.records import Discovered
+from ropeway.graph.dds.service import DdsService
 from ropeway.graph.dds.subscription import DdsSubscription, SharedReader, settled
+from ropeway.graph.dds.vendors import Helper
 from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.types import MessageCodec, TypeRegistry
 from ropeway.types.definition import canonical_name
 
 __all__ = ["DdsGraph", "Types"]
@@ -43,6 +49,9 @@ log = logging.getLogger("ropeway.graph.dds")
 
 # Other vendors do not tell the depth of a writer; what is adopted keeps at least this many.
 _MIN_ADOPTED_DEPTH: Final = 10
+# Volatile, as ROS 2 has it; and nothing is replaced by something newer.
+_CALLS_QOS: Final = QoS(history="keep_all")
+_BIG_ENDIAN: Final = b"\0\0"
 
 T = TypeVar("T")
 
@@ -66,7 +75,8 @@ class DdsGraph:
     ``interface`` is the name or address of a network interface (``None``: Cyclone DDS chooses; ``lo`` stays on this
     machine). ``gateway_id`` marks our publishers, so that other processes of the same gateway ignore them and other
     gateways know them. ``registry`` gives type hashes, and finds big-endian messages, where it knows the type.
-    ``foreign`` lists topics that are not of ROS, too. ``clock`` gives nanoseconds for ``Sample.stamp_ns``.
+    ``foreign`` lists topics that are not of ROS, too. ``clock`` gives nanoseconds for ``Sample.stamp_ns``. Services are
+    those of rmw_cyclonedds; with a ``helper`` those of other middlewares, too.
     """
 
     kind = "dds"
@@ -82,6 +92,7 @@ class DdsGraph:
         registry: Types | None = None,
         clock: Callable[[], int] = time.time_ns,
         foreign: bool = False,
+        helper: Helper | None = None,
     ) -> None:
         self.name = f"dds:{domain}"
         if not 0 <= domain <= MAX_DOMAIN:
@@ -93,6 +104,7 @@ class DdsGraph:
         self.domain = domain
         self.node = resolve_name(name, namespace)
         self.drops: Counter[tuple[str, Undelivered]] = Counter()
+        self.helper = helper
         self._interface = interface
         self._gateway_id = gateway_id
         self._registry = registry
@@ -104,6 +116,10 @@ class DdsGraph:
         self._publishers: dict[DdsPublisher, None] = {}
         self._subscriptions: dict[DdsSubscription, None] = {}
         self._shared: dict[tuple[str, str, QoS], SharedReader] = {}
+        self._callers: dict[DdsClient | DdsService, None] = {}
+        self._actions: list[ComposedActionClient | ComposedActionServer] = []
+        self._made_registry: TypeRegistry | None = None
+        self._pairs = 0
         self._lock = asyncio.Lock()
 
     async def open(self) -> None:
@@ -141,7 +157,10 @@ class DdsGraph:
             participant = self._participant
             if participant is None:
                 return
-            parts: list[DdsPublisher | DdsSubscription] = [*self._publishers, *self._subscriptions]
+            await asyncio.gather(*(action.close() for action in self._actions))
+            self._actions.clear()
+            parts: list[DdsPublisher | DdsSubscription | DdsClient | DdsService]
+            parts = [*self._callers, *self._publishers, *self._subscriptions]
             await asyncio.gather(*(part.close() for part in parts), participant.withdraw())
             self._participant = None
             await participant.close()
@@ -183,6 +202,43 @@ class DdsGraph:
         subscription.follow(self._adopted(subscription))
         self._subscriptions[subscription] = None
         return subscription
+
+    async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> DdsClient:
+        """Call ``service``."""
+        participant = self._opened()
+        client = DdsClient(self, resolve_name(service), _service_type(type))
+        (asks, request), (answers, response) = _service_topics(client.service, client.type)
+        extra, since_ns = self._new_pair("clientid"), time.time_ns()
+        mark = user_data(
+            extra=extra, type_hash=self._hash(f"{client.type}_Response"), gateway_id=self._gateway_id, since_ns=since_ns
+        )
+        reader = self._try(
+            lambda: participant.create_reader(
+                (answers, response),
+                client.type,
+                _CALLS_QOS,
+                mark,
+                client.on_replies,
+                client.on_dropped,
+                matches=client.on_writers,
+                all_gateways=True,
+            )
+        )
+        mark = user_data(
+            extra=extra, type_hash=self._hash(f"{client.type}_Request"), gateway_id=self._gateway_id, since_ns=since_ns
+        )
+        try:
+            writer = self._try(
+                lambda: participant.create_writer(
+                    (asks, request), _CALLS_QOS, mark, client.on_refused, matches=client.on_readers
+                )
+            )
+        except GraphUnavailable:
+            await participant.delete(reader)
+            raise
+        client.bind(writer, reader, handle_of(writer.entity))
+        self._callers[client] = None
+        return client
 
     def topics(self) -> dict[str, TopicInfo]:
         """Every topic of ROS in the domain, ours too."""

@@ -20,13 +20,15 @@ from ropeway.graph.dds.byteorder import ByteOrder
 from ropeway.graph.dds.courier import Courier
 from ropeway.graph.dds.endpoint_qos import parse_user_data, read_qos, reader_qos, user_data, writer_qos
 from ropeway.graph.dds.endpoints import RawReader, RawWriter, WriterIdentity, matched
+from ropeway.graph.dds.matching import Matches, since_of
 from ropeway.graph.dds.names import DISCOVERY_TOPIC, DISCOVERY_TYPE, DISCOVERY_TYPE_HASH
 from ropeway.graph.dds.nodes import GID_BYTES, OLD_GID_BYTES, NodeEntities, ParticipantEntities, encode, parse
 from ropeway.graph.dds.profile import Profile
 from ropeway.graph.dds.pump import Pump, run_in_thread
 from ropeway.graph.dds.raw import ALIVE, INFO, Endpoint, ParticipantData, SampleInfo, check, lib
-from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, Joined, NodesRecord
+from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, Joined, NodesRecord, Peer
 from ropeway.graph.dds.selftest import verify
+from ropeway.graph.dds.vendors import HELPER_MARK, speaks_header
 from ropeway.qos import QoS
 
 __all__ = ["Participant"]
@@ -36,7 +38,6 @@ log = logging.getLogger("ropeway.graph.dds")
 _BUILTIN_BATCH: Final = 64
 _REMEMBERED_WRITERS: Final = 1024  # that have left, so that their last samples still have a name
 _GUID_PREFIX_BYTES: Final = 12
-_CYCLONE: Final = b"\x01\x10"  # its vendor id, which its GUIDs begin with; the only one to announce the history
 _ANNOUNCE_QOS: Final = QoS(durability="transient_local", depth=1)
 _LISTEN_QOS: Final = QoS(durability="transient_local", history="keep_all")
 
@@ -126,17 +127,25 @@ class Participant:
         deliver: Callable[[list[Sample]], None],
         dropped: Callable[[list[tuple[Undelivered, int]]], None],
         order: ByteOrder | None = None,
+        matches: Callable[[list[tuple[Peer, ...]]], None] | None = None,
+        all_gateways: bool = False,
     ) -> RawReader:
-        """A reader of ``topic`` (DDS topic and DDS type); its samples carry ``type``. Raises ``DdsError``."""
+        """A reader of ``topic`` (DDS topic and DDS type); its samples carry ``type``. Raises ``DdsError``.
+
+        ``matches`` gets the writers on the loop at each change. With ``all_gateways`` it reads from other processes of
+        our own gateway, too.
+        """
         with self._using(topic) as (topic_entity, _), reader_qos(qos, user_data) as handle:
             entity = check(lib.create_reader(self._entity, topic_entity, handle, None), f"create reader {topic[0]}")
         # What several publishers kept may be more than one of them keeps.
         depth = None if qos.history == "keep_all" or qos.transient_local else max(qos.depth, 1)
-        reader = RawReader(self, topic, type, entity, depth, deliver, dropped, order)
+        reader = RawReader(self, topic, type, entity, depth, deliver, dropped, order, all_gateways=all_gateways)
         reader.guid = raw.guid_of(entity)
         condition = check(lib.create_readcondition(entity, raw.ANY_STATE), "create_readcondition")
         self._readers[reader] = None
         reader.key = self.pump.attach(condition, reader.on_data)
+        if matches is not None:
+            reader.matches = Matches(self.pump, entity, matches, writer=False)
         self._announce_soon()
         return reader
 
@@ -147,8 +156,12 @@ class Participant:
         user_data: bytes,
         refused: Callable[[Undelivered], None],
         demand: Callable[[int], None] | None = None,
+        matches: Callable[[list[tuple[Peer, ...]]], None] | None = None,
     ) -> RawWriter:
-        """A writer on ``topic``; ``demand`` gets the number of others' readers on the loop. Raises ``DdsError``."""
+        """A writer on ``topic``; ``demand`` gets the number of others' readers on the loop. Raises ``DdsError``.
+
+        ``matches``, which goes without ``demand``, gets the readers on the loop at each change.
+        """
         with self._using(topic) as (topic_entity, sertype), writer_qos(qos, user_data) as handle:
             entity = check(lib.create_writer(self._entity, topic_entity, handle, None), f"create writer {topic[0]}")
         depth = None if qos.history == "keep_all" else max(qos.depth, 1)
@@ -164,6 +177,8 @@ class Participant:
                     tell(counts[-1])
 
             writer.key = self.pump.attach(entity, lambda: self._on_matched(writer, on_counts))
+        elif matches is not None:
+            writer.matches = Matches(self.pump, entity, matches, writer=True)
         self._announce_soon()
         return writer
 
@@ -177,6 +192,9 @@ class Participant:
         else:
             del self._writers[part]
         self.pump.detach(part.key)
+        if part.matches is not None:
+            part.matches.closed = True
+            self.pump.detach(part.matches.key)
         self._announce_soon()
         if self.pump.stopped:
             return
@@ -337,10 +355,12 @@ class Participant:
             participant=participant,
             dds_topic=(data.topic or b"").decode("utf-8", "replace"),
             dds_type=(data.type or b"").decode("utf-8", "replace"),
-            qos=read_qos(data.qos, tells_history=guid.startswith(_CYCLONE)),
+            qos=read_qos(data.qos, tells_history=speaks_header(guid)),
             type_hash=marks.get("typehash", ""),
             gateway=marks.get("ropeway", ""),
             local=participant == self.guid,
+            since_ns=since_of(marks),
+            helper=HELPER_MARK in marks,
         )
 
     def _gone(self, kind: str, handle: int, address: int) -> Gone:

@@ -27,6 +27,7 @@ from ropeway.errors import GraphUnavailable
 __all__ = [
     "ALIVE",
     "ANY_STATE",
+    "BAD_PARAMETER",
     "BUILTIN_PARTICIPANT",
     "BUILTIN_PUBLICATION",
     "BUILTIN_SUBSCRIPTION",
@@ -38,6 +39,7 @@ __all__ = [
     "SERDATA_HEADER",
     "SERDATA_SIZE",
     "SERDATA_TIMESTAMP",
+    "SUBSCRIPTION_MATCHED",
     "TIMEOUT",
     "WHEEL_VERSION",
     "DdsError",
@@ -59,6 +61,7 @@ WHEEL_VERSION: Final = "11.0.1"
 
 INFINITY: Final = 2**63 - 1
 TIMEOUT: Final = -10
+BAD_PARAMETER: Final = -3
 PRECONDITION_NOT_MET: Final = -4
 ANY_STATE: Final = 127
 ALIVE: Final = 16  # instance state
@@ -69,6 +72,7 @@ BUILTIN_PUBLICATION: Final = _PSEUDO + 3
 BUILTIN_SUBSCRIPTION: Final = _PSEUDO + 4
 
 PUBLICATION_MATCHED: Final = 1 << 11
+SUBSCRIPTION_MATCHED: Final = 1 << 12
 
 SERDATA_DATA: Final = 2  # a sample, not only its key
 # struct dds_serdata_default of the pinned version; selftest compares each with what the library does.
@@ -187,6 +191,8 @@ _PROTOTYPES: Final[dict[str, tuple[bool, Any, tuple[Any, ...]]]] = {
     "dds_take_status": (True, _i32, (_i32, _out(_u32), _u32)),
     "dds_wait_for_acks": (True, _i32, (_i32, _i64)),
     "dds_get_guid": (True, _i32, (_i32, _vp)),
+    "dds_entity_pin": (True, _i32, (_i32, _out(_vp))),
+    "dds_entity_unpin": (True, None, (_vp,)),
     "dds_get_instance_handle": (True, _i32, (_i32, _out(_u64))),
     "dds_get_entity_sertype": (True, _i32, (_i32, _out(_vp))),
     "dds_get_matched_subscriptions": (True, _i32, (_i32, _vp, _size)),
@@ -255,6 +261,8 @@ class Lib:
     take_status: Function
     wait_for_acks: Function
     get_guid: Function
+    entity_pin: Function
+    entity_unpin: Function
     get_instance_handle: Function
     get_entity_sertype: Function
     get_matched_subscriptions: Function

@@ -12,9 +12,10 @@ from __future__ import annotations
 import struct
 from typing import Final, NamedTuple
 
-__all__ = ["HEADER_BYTES", "Header", "Message", "join", "split"]
+__all__ = ["HEADER_BYTES", "MAX_SEQ", "Header", "Message", "join", "split"]
 
 HEADER_BYTES: Final = 16
+MAX_SEQ: Final = 2**32 - 1
 
 _CDR: Final = 4
 _BODY: Final = _CDR + HEADER_BYTES
@@ -22,7 +23,6 @@ _LITTLE: Final = struct.Struct("<Qq")
 _BIG: Final = struct.Struct(">Qq")
 _LITTLE_CDR: Final = b"\0\1"
 _BIG_CDR: Final = b"\0\0"
-_MAX_SEQ: Final = 2**32 - 1
 
 
 class Header(NamedTuple):
@@ -51,9 +51,9 @@ def split(message: bytes) -> Message | None:
     order = message[:2]
     if order == _LITTLE_CDR:
         header = Header._make(_LITTLE.unpack_from(message, _CDR))
-        if not 0 < header.seq <= _MAX_SEQ:
+        if not 0 < header.seq <= MAX_SEQ:
             swapped = Header._make(_BIG.unpack_from(message, _CDR))
-            if 0 < swapped.seq <= _MAX_SEQ:
+            if 0 < swapped.seq <= MAX_SEQ:
                 header, order = swapped, _BIG_CDR
     elif order == _BIG_CDR:
         header = Header._make(_BIG.unpack_from(message, _CDR))

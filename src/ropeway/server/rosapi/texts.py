@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["Texts", "is_readable"]
 
 _RULE: Final = "=" * 80
+_MOST: Final = 4096
 _RETRY_S: Final = 10.0  # a definition that is missing may be learned from a peer
 
 _LINE: Final = re.compile(
@@ -41,11 +42,11 @@ _VALUES: Final = {
     "int64": _INTEGER,
     "int": rf"(?:{_INTEGER}|0[xX][0-9A-Fa-f]+)",
 }
-_ITEMS: Final = {**_VALUES, "string": _QUOTED}
+_ITEMS: Final = {**_VALUES, "string": r"""(?:'[^'\\#]*'|"[^"\\#]*")"""}
 _COMMENT: Final = r"\s*(?:#.*)?\Z"
 _ASSIGNED: Final = {kind: re.compile(rf"\s*=\s*{value}{_COMMENT}") for kind, value in _VALUES.items()}
 _DEFAULT: Final = {
-    kind: re.compile(rf"\s+(?:{value}|\[\s*(?:{_ITEMS[kind]}(?:\s*,\s*{_ITEMS[kind]})*)?\s*\]){_COMMENT}")
+    kind: re.compile(rf"\s+(?:{value}|\[\s*{_ITEMS[kind]}(?:\s*,\s*{_ITEMS[kind]})*\s*\]){_COMMENT}")
     for kind, value in _VALUES.items()
 }
 _NOTHING: Final = re.compile(_COMMENT)
@@ -71,6 +72,8 @@ class Texts:
         """The text of a message and all it is made of; where there is none, a comment that says why."""
         made = self._made.get(type)
         if made is None or not self._holds(type, made):
+            if len(self._made) >= _MOST:
+                self._made.clear()
             made = self._made[type] = self._make(type)
         return made.text
 
@@ -81,6 +84,8 @@ class Texts:
 
     def _make(self, type: str) -> _Made:
         try:
+            if not self._registry.has(type):
+                raise UnknownType(type)
             source = self._registry.full_text(type)
             if not source:  # a message without fields
                 return _Made("", "", until_s=self._clock() + _RETRY_S)
@@ -104,58 +109,45 @@ def _readable(type: str, source: str, registry: TypeRegistry) -> str:
     root = registry.definition(type)
     parts = [registry.definition(name) for name in registry.dependencies(type)]
     listed = [short_name(part.name) for part in parts]
-    if root.wire_fields and all(
+    if (root.wire_fields or not root.constants) and all(
         is_readable(part, listed, root=part is root, text=registry.text(part.name)) for part in (root, *parts)
     ):
         return source
-    pieces = [_written(root, root=True)]
-    for part in parts:
-        pieces.append(f"{_RULE}\nMSG: {short_name(part.name)}\n{_written(part)}")
     odd = [part for part in (root, *parts) if not is_readable(part, listed, root=part is root, text=_written(part))]
     if odd:
-        return _failure(type, f"the fields of {odd[0].name} have names that clients of rosbridge do not read")
-    return "".join(pieces)
+        return _failure(type, f"clients of rosbridge cannot read the names of the fields of {odd[0].name}")
+    first = _written(root)
+    if not root.wire_fields:  # constants alone are no message to them
+        first = "".join(f"# {line}\n" for line in first.splitlines())
+    return first + "".join(f"{_RULE}\nMSG: {short_name(part.name)}\n{_written(part)}" for part in parts)
 
 
-def _written(definition: Definition, *, root: bool = False) -> str:
-    """The definition in the plainest form. Of constants alone a root is not made: they are told as comments."""
-    fields = definition.wire_fields
-    constants = tuple(_plain(constant) for constant in definition.constants)
-    text = replace(definition, fields=tuple(_shown(f) for f in fields), constants=constants, source="").text()
-    if root and not fields:
-        return "".join(f"# {line}\n" for line in text.splitlines())
-    return text
-
-
-def _shown(field: Field) -> Field:
-    """The field; a default that no literal can say is left out, since readers do not need it."""
-    plain = _is_plain(field.default) or (isinstance(field.default, list) and all(map(_is_plain, field.default)))
-    return field if plain else replace(field, default=None)
-
-
-def _is_plain(value: object) -> bool:
-    return not isinstance(value, float) or value - value == 0
+def _written(definition: Definition) -> str:
+    """The definition in the plainest form, without what only programs on the network need."""
+    fields = tuple(replace(field, default=None) for field in definition.wire_fields)
+    constants = tuple(_plain(c) for c in definition.constants)
+    return replace(
+        definition,
+        fields=fields,
+        constants=tuple(c for c in constants if _reads_constant(c, c.name, f"={c.text}")),
+        source="",
+    ).text()
 
 
 def _plain(constant: Constant) -> Constant:
     """The constant with its value as every parser reads it."""
     value = constant.value
-    if isinstance(value, str):
-        text = '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    elif isinstance(value, bool):
-        text = "true" if value else "false"
-    else:
-        text = str(value)
-    return replace(constant, text=text)
+    quoted = isinstance(value, str) and '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return replace(constant, text=quoted or str(value))
 
 
 def is_readable(definition: Definition, listed: Sequence[str], *, root: bool, text: str) -> bool:
     """True if the parser of Lichtblick reads ``text``, and as ``definition`` means it.
 
-    ``listed`` are the types (``pkg/Name``) whose definitions follow the ``root``.
+    ``listed`` are the types (``pkg/Name``) whose definitions follow the ``root``. Constants may be missing.
     """
-    fields = iter(definition.fields)
-    constants = iter(definition.constants)
+    fields = iter(definition.wire_fields)
+    constants = {constant.name: constant for constant in definition.constants}
     for raw in text.splitlines():
         line = raw.strip()
         if not line or line.startswith("#"):
@@ -165,16 +157,16 @@ def is_readable(definition: Definition, listed: Sequence[str], *, root: bool, te
             return False
         rest = found["rest"]
         if rest.lstrip().startswith("="):
-            constant = next(constants, None)
+            constant = constants.get(found["name"])
             if constant is None or not _reads_constant(constant, found["name"], rest):
                 return False
         else:
             field = next(fields, None)
-            if field is None or not _reads_field(field, found["name"], rest):
+            if field is None or field.name != found["name"] or not _reads_field(field, rest):
                 return False
             if field.type.is_message and not _finds(found["base"], field.type.base, definition.name, listed, root):
                 return False
-    return next(fields, None) is None and next(constants, None) is None
+    return next(fields, None) is None
 
 
 def _reads_constant(constant: Constant, name: str, rest: str) -> bool:
@@ -183,8 +175,8 @@ def _reads_constant(constant: Constant, name: str, rest: str) -> bool:
     return bool(_ASSIGNED[_kind(constant.type)].match(rest))
 
 
-def _reads_field(field: Field, name: str, rest: str) -> bool:
-    if not _FIELD.match(name):
+def _reads_field(field: Field, rest: str) -> bool:
+    if not _FIELD.match(field.name):
         return False
     if field.default is None:
         return bool(_NOTHING.match(rest))

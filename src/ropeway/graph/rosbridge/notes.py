@@ -1,0 +1,106 @@
+"""What goes with calls and goals over a link: who and which they are, and why one failed.
+
+Both roles use it. Everybody gets a text that says what went wrong; Ropeway gateways get a word besides.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+from ropeway.errors import (
+    AccessDenied,
+    CallError,
+    CallFailed,
+    CallTimeout,
+    GoalRejected,
+    NotServed,
+    ProviderLost,
+)
+from ropeway.graph.calls import Goal, Request, new_id
+
+__all__ = ["CallNote", "call_note", "failure", "read_note", "received"]
+
+_WORDS: Final[dict[type[BaseException], str]] = {
+    NotServed: "not_served",
+    CallTimeout: "timeout",
+    ProviderLost: "lost",
+    GoalRejected: "rejected",
+    AccessDenied: "denied",
+}
+_NOT_SERVED: Final = re.compile(r"Service \S+ does not exist|No action server available")
+_TIMEOUT: Final = "Timeout exceeded while waiting for service response"
+_REJECTED: Final = "Action goal was rejected"
+_TEXT_LIMIT: Final = 4096  # characters of what a peer says went wrong
+_NAME_LIMIT: Final = 200  # characters of an id or a name
+_VIA_LIMIT: Final = 64  # gateways
+
+
+class CallNote(NamedTuple):
+    """Which call or goal it is: see ``Request``."""
+
+    id: bytes
+    via: tuple[str, ...]
+    caller: str
+    encoding: str
+
+
+def call_note(request: Request | Goal, gateway_id: str, encoding: str = "auto") -> dict[str, Any]:
+    """The ``ropeway`` object of a call or goal that this gateway passes on."""
+    note: dict[str, Any] = {"call": request.id.hex(), "via": [*request.via, gateway_id] if gateway_id else request.via}
+    if request.caller:
+        note["caller"] = request.caller
+    if encoding != "auto":
+        note["encoding"] = encoding
+    return note
+
+
+def read_note(note: Mapping[str, Any] | None) -> CallNote:
+    """What a ``ropeway`` object tells; what is missing or odd has its default, the id a new one."""
+    note = note or {}
+    try:
+        id = bytes.fromhex(str(note.get("call", "")))
+    except ValueError:
+        id = b""
+    via = note.get("via")
+    via = tuple(v[:_NAME_LIMIT] for v in via if isinstance(v, str)) if isinstance(via, (list, tuple)) else ()
+    caller, encoding = note.get("caller"), note.get("encoding")
+    return CallNote(
+        id if len(id) == 16 else new_id(),
+        via[:_VIA_LIMIT],
+        caller[:_NAME_LIMIT] if isinstance(caller, str) else "",
+        encoding if isinstance(encoding, str) else "auto",
+    )
+
+
+def failure(error: BaseException) -> tuple[str, str]:
+    """The word and the text that tell of an error."""
+    return _WORDS.get(type(error), "failed"), str(error) or type(error).__name__
+
+
+def received(name: str, values: Any, note: Mapping[str, Any] | None, *, kind: str, timeout_s: float) -> CallError:
+    """The error that a failed response or result tells of; ``kind`` is ``service`` or ``action``."""
+    text = values[:_TEXT_LIMIT] if isinstance(values, str) else ""
+    text = text or f"{name} failed, and does not say why"
+    word = (note or {}).get("error")
+    if not isinstance(word, str):
+        word = _guess(text)
+    if word == "not_served":
+        return NotServed(name, kind)
+    if word == "timeout":
+        return CallTimeout(name, timeout_s, kind)
+    if word == "rejected":
+        return GoalRejected(name)
+    if word == "lost":
+        _, mark, reason = text.partition(" was not answered: ")
+        return ProviderLost(name, reason if mark else text)
+    return CallFailed(name, text)
+
+
+def _guess(text: str) -> str:
+    if text == _TIMEOUT:
+        return "timeout"
+    if text == _REJECTED:
+        return "rejected"
+    return "not_served" if _NOT_SERVED.fullmatch(text) else "failed"

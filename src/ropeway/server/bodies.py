@@ -1,0 +1,77 @@
+"""The bodies of requests and answers, and the texts and codes of failures, between a client and the graph."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+from ropeway.errors import DecodeError, TypesError, ValueMismatch
+from ropeway.graph.rosbridge.failures import failure
+from ropeway.wire import codec as wire_codec
+from ropeway.wire.dialect import ROSBRIDGE
+
+if TYPE_CHECKING:
+    from ropeway.server.session import Session
+    from ropeway.types import MessageCodec
+
+__all__ = ["codec_of", "decode_body", "failure_note", "passage", "text_of"]
+
+_ID: Final = re.compile(r"[0-9a-f]{32}")
+_VIA_LIMIT: Final = 64
+
+
+def codec_of(session: Session, type: str) -> MessageCodec | None:
+    """The codec of a type; ``None`` where a gateway can do without. Raises ``TypesError``."""
+    try:
+        return session.registry.codec(type)
+    except TypesError:
+        if session.gateway:
+            return None
+        raise
+
+
+def decode_body(session: Session, value: Any, compression: str | None, type: str) -> bytes:
+    """The CDR of ``args`` or ``values`` that a client sent. Raises ``TypesError`` or ``MessageTooBig``.
+
+    What says nothing (left out, ``null``, an empty text) is a message of default values, as rosbridge has it.
+    """
+    codec = codec_of(session, type)
+    limit_bytes = session.peer.limit_bytes
+    if session.peer.dialect is ROSBRIDGE:
+        compression = None  # its clients name one for the answer, and rosbridge ignores it
+    if codec is None:
+        if not isinstance(value, (bytes, bytearray, memoryview)):
+            raise DecodeError(type, compression or "none", "the definition of its type is not known")
+        return wire_codec.decode_publish_msg(value, compression, None, limit_bytes=limit_bytes)
+    if not value and isinstance(value, (str, int, float)):
+        value = None
+    if isinstance(value, (str, int, float)):
+        raise ValueMismatch(type, "", f"Expected a JSON object for type {codec.type} but received a {value.__class__}")
+    return wire_codec.decode_value(value, compression, codec, limit_bytes=limit_bytes)
+
+
+def text_of(error: Exception) -> str:
+    """What a client is told: rosbridge's text where it has one."""
+    return error.reason if isinstance(error, ValueMismatch) else str(error)
+
+
+def failure_note(session: Session, error: Exception) -> dict[str, Any] | None:
+    """What a gateway is told besides the text."""
+    return {"error": failure(error)[0]} if session.gateway else None
+
+
+def passage(session: Session, extra: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The ``id``, ``via`` and ``caller`` of a request of a gateway; for other clients only who calls."""
+    peer = session.peer.connection.peer
+    if not session.gateway or extra is None:
+        return {"caller": peer}
+    out: dict[str, Any] = {"caller": session.remote.get("name") or peer}
+    id, via, caller = extra.get("call"), extra.get("via"), extra.get("caller")
+    if isinstance(id, str) and _ID.fullmatch(id):
+        out["id"] = bytes.fromhex(id)
+    if isinstance(via, list):
+        out["via"] = tuple(str(gateway)[:200] for gateway in via[:_VIA_LIMIT])
+    if isinstance(caller, str) and caller:
+        out["caller"] = caller[:200]
+    return out

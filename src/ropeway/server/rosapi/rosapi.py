@@ -1,0 +1,257 @@
+"""``Rosapi``: what the node rosapi of rosbridge answers, answered by the server itself."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+from ropeway.errors import CallFailed, NotServed, TypesError, ValueMismatch
+from ropeway.server.rosapi.globs import Globs
+from ropeway.server.rosapi.params import Params
+from ropeway.server.rosapi.picture import Picture
+from ropeway.server.rosapi.texts import Texts
+from ropeway.types.rosbridge import ROSBRIDGE_INTERFACES
+
+if TYPE_CHECKING:
+    from ropeway.graph.hub import Hub
+    from ropeway.types import TypeRegistry
+
+__all__ = ["SERVICES", "Rosapi"]
+
+_ROS_VERSION: Final = 2
+
+Values = dict[str, Any]
+_Answer = Callable[[Mapping[str, Any]], "Values | Awaitable[Values]"]
+
+_NAMED: Final = {"action_servers": "GetActionServers", "get_ros_version": "GetROSVersion"}
+_LISTED: Final = (
+    "topics",
+    "interfaces",
+    "topics_for_type",
+    "topics_and_raw_types",
+    "services",
+    "services_for_type",
+    "nodes",
+    "node_details",
+    "action_servers",
+    "action_type",
+    "topic_type",
+    "service_type",
+    "publishers",
+    "subscribers",
+    "service_providers",
+    "service_node",
+    "message_details",
+    "service_request_details",
+    "service_response_details",
+    "action_goal_details",
+    "action_result_details",
+    "action_feedback_details",
+    "set_param",
+    "get_param",
+    "has_param",
+    "delete_param",
+    "get_param_names",
+    "get_time",
+    "get_ros_version",
+)
+
+SERVICES: Final[dict[str, str]] = {
+    name: f"rosapi_msgs/srv/{_NAMED.get(name) or name.title().replace('_', '')}" for name in _LISTED
+}
+"""The services by their last part, with their types."""
+
+_PARTS: Final = {
+    "service_request_details": ("srv", "_Request"),
+    "service_response_details": ("srv", "_Response"),
+    "action_goal_details": ("action", "_Goal"),
+    "action_result_details": ("action", "_Result"),
+    "action_feedback_details": ("action", "_Feedback"),
+}
+_ROS1_TIMES: Final = ("time", "duration")
+
+
+class Rosapi:
+    """Answers ``/rosapi/topics`` and its kin about the graph of ``hub``, for all clients of a server.
+
+    ``params_timeout_s`` bounds what is asked of other nodes, ``globs`` limit what is shown. ``namespace`` is where the
+    services stand: ``/robot1`` makes them ``/robot1/rosapi/topics``. Nothing is created on the network for them, but
+    they are listed among the services as those of the original are.
+    """
+
+    def __init__(
+        self,
+        hub: Hub,
+        registry: TypeRegistry,
+        *,
+        params_timeout_s: float = 5.0,
+        globs: Globs | None = None,
+        namespace: str = "/",
+        clock: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._registry, self._clock = registry, clock
+        self._prefix = f"{namespace.rstrip('/')}/rosapi/"
+        self._view = hub.view("rosapi")
+        self._texts = Texts(registry)
+        own = {self._prefix + name: type for name, type in SERVICES.items()}
+        shown = globs or Globs()
+        self._picture = Picture(hub.graph, shown, own, lambda: self._view.own_changes.emitted)
+        self._params = Params(self._view, registry, shown, params_timeout_s)
+        self._answers: dict[str, _Answer] = {
+            name: getattr(self, f"_{name}", None) or self._details(name) for name in SERVICES
+        }
+
+    def serves(self, name: str) -> bool:
+        """True for the name of a service that is answered here: ``/rosapi/topics``, or ``rosapi/topics``."""
+        return self._last_part(name) in self._answers
+
+    async def call(self, name: str, args: object = None) -> Values:
+        """The values of the response, in the order of its fields.
+
+        ``args`` is the object or the list that came with the call. Raises ``NotServed`` for a name that is not one of
+        rosapi, ``CallFailed`` for arguments that do not fit the request.
+        """
+        service = self._last_part(name)
+        answer = self._answers.get(service)
+        if answer is None:
+            raise NotServed(name if name.startswith("/") else f"/{name}")
+        found = answer(self._request(name, SERVICES[service], args))
+        return found if isinstance(found, dict) else await found
+
+    async def close(self) -> None:
+        """Let go of the graph; calls under way fail."""
+        await self._view.close()
+
+    def _last_part(self, name: str) -> str:
+        full = name if name.startswith("/") else f"/{name}"
+        return full.removeprefix(self._prefix) if full.startswith(self._prefix) else ""
+
+    def _request(self, name: str, type: str, args: object) -> Mapping[str, Any]:
+        """The request with every field; ``args`` in a list are taken in the order of the fields."""
+        codec = self._registry.codec(f"{type}_Request")
+        given = dict(zip(codec.fields, args, strict=False)) if isinstance(args, (list, tuple)) else args
+        try:
+            return codec.decode(codec.from_json(given if isinstance(given, Mapping) else {}))
+        except ValueMismatch as error:
+            raise CallFailed(name, error.reason) from None
+
+    # ── topics ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _topics(self, _: Mapping[str, Any]) -> Values:
+        topics = self._picture.topics()
+        return {"topics": list(topics), "types": list(topics.values())}
+
+    def _topics_for_type(self, request: Mapping[str, Any]) -> Values:
+        wanted = request["type"]
+        return {"topics": [name for name, type in self._picture.topics().items() if type == wanted]}
+
+    def _topics_and_raw_types(self, _: Mapping[str, Any]) -> Values:
+        topics = self._picture.topics()
+        types = list(topics.values())
+        return {"topics": list(topics), "types": types, "typedefs_full_text": [self._texts.of(type) for type in types]}
+
+    def _topic_type(self, request: Mapping[str, Any]) -> Values:
+        return {"type": self._picture.topic_type(request["topic"])}
+
+    def _publishers(self, request: Mapping[str, Any]) -> Values:
+        return {"publishers": self._picture.publishers(request["topic"])}
+
+    def _subscribers(self, request: Mapping[str, Any]) -> Values:
+        return {"subscribers": self._picture.subscribers(request["topic"])}
+
+    # ── services, actions, nodes ───────────────────────────────────────────────────────────────────────────────
+
+    def _services(self, _: Mapping[str, Any]) -> Values:
+        return {"services": list(self._picture.services())}
+
+    def _services_for_type(self, request: Mapping[str, Any]) -> Values:
+        wanted = request["type"]
+        return {"services": [name for name, type in self._picture.services().items() if type == wanted]}
+
+    def _service_type(self, request: Mapping[str, Any]) -> Values:
+        return {"type": self._picture.service_type(request["service"])}
+
+    def _service_providers(self, request: Mapping[str, Any]) -> Values:
+        return {"providers": self._picture.providers(request["service"])}
+
+    def _service_node(self, request: Mapping[str, Any]) -> Values:
+        return {"node": self._picture.service_node(request["service"])}
+
+    def _action_servers(self, _: Mapping[str, Any]) -> Values:
+        return {"action_servers": self._picture.action_servers()}
+
+    def _action_type(self, request: Mapping[str, Any]) -> Values:
+        return {"type": self._picture.action_type(request["action"])}
+
+    def _nodes(self, _: Mapping[str, Any]) -> Values:
+        return {"nodes": list(self._picture.nodes())}
+
+    def _node_details(self, request: Mapping[str, Any]) -> Values:
+        return self._picture.node_details(request["node"])
+
+    # ── definitions ────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _interfaces(self, _: Mapping[str, Any]) -> Values:
+        return {"interfaces": self._registry.names()}
+
+    def _message_details(self, request: Mapping[str, Any]) -> Values:
+        if request["type"] in _ROS1_TIMES:
+            return {"typedefs": [_ros1_time(request["type"])]}
+        return self._typedefs(request["type"], "msg", "")
+
+    def _details(self, service: str) -> _Answer:
+        kind, end = _PARTS[service]
+        return lambda request: self._typedefs(request["type"], kind, end)
+
+    def _typedefs(self, type: str, kind: str, end: str) -> Values:
+        """The definitions of a message or of one part of a service or action; none where it is not known."""
+        try:
+            full = self._registry.canonical(type, kind)
+            known = self._registry.has(full) and (not end or full.split("/")[1] == kind)
+            return {"typedefs": self._registry.typedefs(full + end) if known else []}
+        except TypesError:
+            return {"typedefs": []}
+
+    # ── parameters ─────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _set_param(self, request: Mapping[str, Any]) -> Awaitable[Values]:
+        return self._params.set(request["name"], request["value"])
+
+    def _get_param(self, request: Mapping[str, Any]) -> Awaitable[Values]:
+        return self._params.get(request["name"], request["default_value"])
+
+    async def _has_param(self, request: Mapping[str, Any]) -> Values:
+        return {"exists": await self._params.has(request["name"])}
+
+    def _delete_param(self, request: Mapping[str, Any]) -> Awaitable[Values]:
+        return self._params.delete(request["name"])
+
+    async def _get_param_names(self, _: Mapping[str, Any]) -> Values:
+        return {"names": await self._params.names()}
+
+    # ── time and version ───────────────────────────────────────────────────────────────────────────────────────
+
+    def _get_time(self, _: Mapping[str, Any]) -> Values:
+        """The time, with the names of ROS 1 beside those of ROS 2: roslibpy reads them."""
+        sec, nanosec = divmod(self._clock(), 1_000_000_000)
+        return {"time": {"sec": sec, "nanosec": nanosec, "secs": sec, "nsecs": nanosec}}
+
+    def _get_ros_version(self, _: Mapping[str, Any]) -> Values:
+        return {"version": _ROS_VERSION, "distro": os.environ.get("ROS_DISTRO") or self._registry.distro}
+
+
+def _ros1_time(name: str) -> Values:
+    return {
+        "type": name,
+        "fieldnames": ["secs", "nsecs"],
+        "fieldtypes": ["int32", "int32"],
+        "fieldarraylen": [-1, -1],
+        "examples": ["0", "0"],
+        "constnames": [],
+        "constvalues": [],
+    }
+
+
+assert set(SERVICES.values()) == {name for name in ROSBRIDGE_INTERFACES if name.startswith("rosapi_msgs/srv/")}

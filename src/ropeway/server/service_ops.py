@@ -1,0 +1,352 @@
+"""What a client does with services: it calls those of the graph, and serves its own to it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from ropeway.errors import (
+    CallError,
+    CallFailed,
+    CallTimeout,
+    InvalidOperation,
+    InvalidTypeName,
+    NotServed,
+    ProviderLost,
+    RopewayError,
+    TypeConflict,
+    TypesError,
+    WireError,
+)
+from ropeway.graph.base import Delivery, resolve_name
+from ropeway.graph.calls import Request
+from ropeway.graph.rosbridge.failures import received
+from ropeway.server.bodies import codec_of, decode_body, failure_note, passage, text_of
+from ropeway.tasks import end
+from ropeway.wire import ops
+
+if TYPE_CHECKING:
+    from ropeway.graph.hub_calls import ViewService
+    from ropeway.server.session import Session
+
+__all__ = ["LONGEST_S", "ServiceOps", "tell_state"]
+
+log = logging.getLogger("ropeway.server")
+
+LONGEST_S: Final = 3600.0
+"""What "for ever" means here: no client keeps a call open longer."""
+
+_CALLS_LIMIT: Final = 1024  # under way, of one client
+_PENDING_LIMIT: Final = 1024  # under way, of one service of a client
+_SERVICES_LIMIT: Final = 1024  # of one client
+
+
+class ServiceOps:
+    """The calls and the services of one client."""
+
+    def __init__(self, session: Session, *, call_timeout_s: float) -> None:
+        self.session = session
+        self.call_timeout_s = call_timeout_s
+        self.called = 0
+        self.offered: dict[str, OfferedService] = {}  # by the name that the client gave
+        self._calls: set[asyncio.Task[None]] = set()
+
+    async def leave(self) -> None:
+        """The client has left: its calls are given up, its services withdrawn."""
+        await end(*self._calls)
+        for service in list(self.offered.values()):
+            await service.close("its provider has left")
+        self.offered.clear()
+
+    def status(self) -> Iterator[dict[str, Any]]:
+        """One row per service that the client serves."""
+        for service in self.offered.values():
+            yield {
+                "name": service.service,
+                "type": service.type,
+                "calls": service.count,
+                "pending": len(service.pending),
+                "taken_by": service.taken_by,
+            }
+
+    # ── calling ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def call(self, op: ops.CallService) -> None:
+        """The client calls a service; it is answered exactly once, unless it leaves."""
+        self.called += 1
+        if len(self._calls) >= _CALLS_LIMIT:
+            self._refuse(op, CallFailed(op.name, f"too many calls: {_CALLS_LIMIT} of this client are under way"))
+            return
+        task = asyncio.create_task(self._answer(op), name=f"call of {op.service[:200]}")
+        self._calls.add(task)
+        task.add_done_callback(partial(self._ended, op))
+
+    def _ended(self, op: ops.CallService, task: asyncio.Task[None]) -> None:
+        self._calls.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.error("%s: a call of %s failed", self.session.peer.connection.peer, op.service, exc_info=error)
+            self._refuse(op, CallFailed(op.name, "internal error"))
+
+    async def _answer(self, op: ops.CallService) -> None:
+        session = self.session
+        try:
+            name = resolve_name(op.name)
+            session.access.check("call_service", name)
+            if session.rosapi is not None and name.startswith("/rosapi/"):
+                values = await session.rosapi.call(name, op.args, session)
+                reply = ops.ServiceResponse(service=op.service, values=values, result=True, id=op.id)
+                session.peer.send_op(reply, fragment_size=op.fragment_size)
+            else:
+                await self._call(op, name)
+        except (RopewayError, ValueError) as error:
+            self._refuse(op, error)
+
+    async def _call(self, op: ops.CallService, name: str) -> None:
+        session = self.session
+        extra = op.ropeway or {}
+        type = self._type(op, name)
+        session.learn(type, extra)
+        codec = codec_of(session, type + "_Response")
+        payload = decode_body(session, op.args, op.compression, type + "_Request")
+        timeout_s = self._timeout_s(op.timeout)
+        request = Request(payload, timeout_s=timeout_s, **passage(session, extra))
+        client = await session.view.create_client(name, type)
+        try:
+            response = await client.call(request, timeout_s)
+        finally:
+            await client.close()
+        session.peer.send_op(
+            ops.ServiceResponse(service=op.service, values=None, result=True, id=op.id),
+            payload=response,
+            field="values",
+            codec=codec,
+            encoding=str(extra.get("encoding") or "auto"),
+            fragment_size=op.fragment_size,
+            on_unsent=partial(self._refuse, op),
+        )
+
+    def _type(self, op: ops.CallService, name: str) -> str:
+        """The type of a service: as it is served, else as the client says, if it says something sensible."""
+        session = self.session
+        try:
+            given = session.registry.canonical(op.type, "srv") if op.type else ""
+        except InvalidTypeName:
+            given = ""
+        info = session.view.services().get(name)
+        types = info.types if info is not None else ()
+        if session.gateway and given:
+            if types and given not in types:
+                raise TypeConflict(name, types[0], given)
+            return given
+        if types:
+            return types[0]
+        if given and session.registry.has(given) and given.split("/")[1] == "srv":
+            return given
+        raise NotServed(name)
+
+    def _timeout_s(self, asked: float | None) -> float:
+        timeout_s = self.call_timeout_s if asked is None else asked
+        return min(timeout_s, LONGEST_S) if timeout_s > 0 else LONGEST_S
+
+    def _refuse(self, op: ops.CallService, error: Exception) -> None:
+        """Answer a call that failed."""
+        note = failure_note(self.session, error)
+        values = text_of(error)
+        reply = ops.ServiceResponse(service=op.service, values=values, result=False, id=op.id, ropeway=note)
+        self.session.peer.send_op(reply)
+
+    def invalid_call(self, message: Mapping[str, Any], error: WireError) -> None:
+        """A call came that cannot be understood; it is answered if it says what it is about."""
+        service = message.get("service")
+        id = error.id if isinstance(error, InvalidOperation) else ops.ABSENT
+        if isinstance(service, str) or ops.present(id):
+            op = ops.CallService(service=service if isinstance(service, str) else "", args=None, id=id)
+            self._refuse(op, error)
+
+    # ── serving ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def advertise(self, op: ops.AdvertiseService) -> None:
+        """The client serves a service."""
+        session = self.session
+        name = resolve_name(op.service)
+        session.access.check("advertise_service", name)
+        type = session.registry.canonical(op.type, "srv")
+        if type.split("/")[1] != "srv":
+            raise InvalidTypeName(op.type)
+        session.learn(type, op.ropeway)
+        for part in ("_Request", "_Response"):
+            codec_of(session, type + part)  # what the client cannot read, it cannot serve
+        known = self.offered.get(op.service)
+        if known is None and len(self.offered) >= _SERVICES_LIMIT:
+            raise InvalidOperation("", f"a client may have {_SERVICES_LIMIT} services at most")
+        if known is not None:
+            log.warning("%s: Duplicate service advertised. Overwriting %s.", session.peer.connection.peer, op.service)
+            if known.type == type:  # the name stays taken meanwhile
+                known.restart(op)
+                return
+            del self.offered[op.service]
+            await known.close("it was advertised again with another type")
+        service = self.offered[op.service] = OfferedService(session, op, name, type)
+        try:
+            await service.open()
+        except (RopewayError, ValueError):
+            del self.offered[op.service]
+            raise
+
+    async def unadvertise(self, op: ops.UnadvertiseService) -> None:
+        """The client serves a service no more."""
+        service = self.offered.pop(op.service, None)
+        if service is None:
+            raise InvalidOperation(
+                "", f"Service {op.service} has not been advertised via rosbridge, can't unadvertise."
+            )
+        await service.close("its provider has withdrawn it")
+
+    def response(self, op: ops.ServiceResponse) -> None:
+        """The client answers a call."""
+        service = self._offered(op.service)
+        if not ops.present(op.id):
+            raise InvalidOperation("", f"Received service response without an id for service {op.service}")
+        service.answered(op)
+
+    def _offered(self, service: str) -> OfferedService:
+        found = self.offered.get(service)
+        if found is None:
+            name = resolve_name(service)
+            found = next((s for s in self.offered.values() if s.name == name), None)
+        if found is None:
+            raise InvalidOperation("", f"Service {service} has not been advertised via rosbridge.")
+        return found
+
+    def invalid_response(self, message: Mapping[str, Any], error: WireError) -> None:
+        """An answer came that cannot be understood: who waits for it need not wait longer."""
+        id = message.get("id")
+        for service in self.offered.values():
+            if isinstance(id, str) and id in service.pending:
+                service.fail(id, CallFailed(service.name, text_of(error)))
+
+
+class OfferedService:
+    """A service that the client serves; ``service`` is its name as the client gave it, ``name`` that on the graph."""
+
+    def __init__(self, session: Session, op: ops.AdvertiseService, name: str, type: str) -> None:
+        self.session, self.service, self.name, self.type = session, op.service, name, type
+        self.pending: dict[str, asyncio.Future[bytes]] = {}
+        self.count = 0
+        self.taken_by = ""
+        self._compression = op.compression
+        self._inner: ViewService | None = None
+
+    async def open(self) -> None:
+        """Serve it on the graph, or wait until whoever does leaves. Raises what the graph raises."""
+        delivery = Delivery(encoding=self._compression or "auto")
+        self._inner = await self.session.view.create_service(self.name, self.type, self._handle, delivery=delivery)
+        self._inner.on_state(self._state)
+
+    def _state(self, taken_by: str) -> None:
+        tell_state(self.session, "service", self.service, self.taken_by, taken_by)
+        self.taken_by = taken_by
+
+    def restart(self, op: ops.AdvertiseService) -> None:
+        """The client advertised it once more: what it was asked before is not answered any more."""
+        self.fail_all("its provider began anew")
+        self._compression = op.compression
+        self.count = 0
+
+    async def _handle(self, request: Request) -> bytes:
+        session = self.session
+        if session.gone:
+            raise ProviderLost(self.name, "its provider has left")
+        if len(self.pending) >= _PENDING_LIMIT:
+            raise CallFailed(self.name, f"too many calls: {_PENDING_LIMIT} of {self.name} are under way")
+        self.count += 1
+        id = f"service_request:{self.service}:{self.count}"
+        answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+        self.pending[id] = answer
+        timeout_s = min(request.timeout_s or LONGEST_S, LONGEST_S)
+        op = ops.CallService(id=id, service=self.service, args=None)
+        if session.gateway:
+            op.timeout = timeout_s
+            op.ropeway = {
+                "call": request.id.hex(),
+                "via": [*request.via, session.gateway_id],
+                "caller": request.caller,
+            }
+        try:
+            session.peer.send_op(
+                op,
+                payload=request.payload,
+                field="args",
+                codec=codec_of(session, self.type + "_Request"),
+                encoding=self._compression or "auto",
+                on_unsent=lambda error: self.fail(id, CallFailed(self.name, str(error))),
+            )
+            async with asyncio.timeout(timeout_s):
+                return await answer
+        except TimeoutError:
+            raise CallTimeout(self.name, timeout_s) from None
+        finally:
+            if self.pending.get(id) is answer:
+                del self.pending[id]
+
+    def answered(self, op: ops.ServiceResponse) -> None:
+        """An answer came. Raises ``InvalidOperation`` for one that nobody waits for, ``TypesError`` for a bad one."""
+        answer = self.pending.get(op.id) if isinstance(op.id, str) else None
+        if answer is None or answer.done():
+            raise InvalidOperation("", f"Received service response for unrecognized id: {str(op.id)[:200]}")
+        if not op.result or isinstance(op.values, str):
+            self.fail(op.id, received(self.name, op.values, op.ropeway, kind="service", timeout_s=0.0))
+            return
+        try:
+            if op.values is None and codec_fields(self.session, self.type):
+                raise InvalidOperation("", "Expected a values field but none was found.")
+            payload = decode_body(self.session, op.values, op.compression, self.type + "_Response")
+        except (TypesError, WireError) as error:
+            self.fail(op.id, CallFailed(self.name, text_of(error)))
+            raise
+        answer.set_result(payload)
+
+    def fail(self, id: str, error: CallError) -> None:
+        """Fail one call."""
+        answer = self.pending.get(id)
+        if answer is not None and not answer.done():
+            answer.set_exception(error)
+
+    def fail_all(self, reason: str) -> None:
+        """Fail all calls under way."""
+        for id in list(self.pending):
+            self.fail(id, ProviderLost(self.name, reason))
+        self.pending.clear()
+
+    async def close(self, reason: str) -> None:
+        """Serve it no more; calls under way fail at once."""
+        self.fail_all(reason)
+        await asyncio.sleep(0)  # who called is told why, before the graph says that nobody is there
+        if self._inner is not None:
+            await self._inner.close()
+
+
+def codec_fields(session: Session, type: str) -> bool:
+    """True for a service whose response has fields."""
+    codec = codec_of(session, type + "_Response")
+    return codec is None or bool(codec.fields)
+
+
+def tell_state(session: Session, kind: str, name: str, before: str, taken_by: str) -> None:
+    """Say that somebody else serves a name of the client, or that the client does now."""
+    if taken_by:
+        session.complain(
+            f"advertise_{kind}",
+            name,
+            f"{kind.capitalize()} {name} is already offered by {taken_by}; this one takes over when it leaves",
+        )
+        if session.gateway:
+            reason = f"{kind} {name} is already offered by {taken_by}"
+            session.peer.send({"op": "refused", kind: name, "reason": reason})
+    elif before:
+        session.inform(f"{kind.capitalize()} {name} is now offered by this client")
+        if session.gateway:
+            session.peer.send({"op": "granted", kind: name})
