@@ -105,7 +105,8 @@ class UnknownType(TypesError):
         elif nearest:
             advice = f"; did you mean {nearest}?"
         else:
-            advice = '. Name its directory or file under "types" in the configuration, or source its workspace.'
+            advice = '. Name its directory or file under "types" in the configuration, '
+            advice += "or source the workspace that has it."
         super().__init__(f"the definition of {name} is not known{by}{advice}")
 
 

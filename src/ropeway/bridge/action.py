@@ -35,22 +35,22 @@ _EARLY: Final = 256  # feedback that waits until its goal has begun; the oldest 
 class _News:
     """Feedback of a goal: what comes before the goal has begun on the other side waits for that."""
 
-    def __init__(self, give: Callable[[bytes], None]) -> None:
-        self._give = give
-        self._early: deque[bytes] | None = deque(maxlen=_EARLY)
+    def __init__(self) -> None:
+        self._give: Callable[[bytes], None] | None = None
+        self._early: deque[bytes] = deque(maxlen=_EARLY)
 
     def put(self, payload: bytes) -> None:
         """Pass feedback on."""
-        if self._early is None:
-            self._give(payload)
-        else:
+        if self._give is None:
             self._early.append(payload)
-
-    def flow(self) -> None:
-        """The goal has begun."""
-        early, self._early = self._early or (), None
-        for payload in early:
+        else:
             self._give(payload)
+
+    def flow(self, give: Callable[[bytes], None]) -> None:
+        """The goal has begun; ``give`` takes its feedback."""
+        self._give = give
+        while self._early:
+            give(self._early.popleft())
 
 
 class ActionBridge(Offer):
@@ -87,7 +87,7 @@ class ActionBridge(Offer):
     async def _accept(self, goal: ServerGoal) -> bool:
         if goal.id in self._goals:
             return False
-        news = _News(goal.feedback)
+        news = _News()
         try:
             running = await self._client.send_goal(
                 Goal(goal.payload, goal.id, goal.via, goal.caller), on_feedback=news.put, timeout_s=DEFAULT_TIMEOUT_S
@@ -104,7 +104,7 @@ class ActionBridge(Offer):
         clock = asyncio.get_running_loop().time
         began, how = clock(), "given up"
         running, news = self._goals[goal.id]
-        news.flow()
+        news.flow(goal.feedback)
         self.under_way += 1
         try:
             outcome = await running.result(self.timeout_s)
