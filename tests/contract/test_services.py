@@ -277,8 +277,8 @@ async def test_returning_provider(pair: Pair) -> None:
         await until(lambda: not client.available)
 
 
-async def test_not_own(pair: Pair) -> None:
-    """A service that its own participant serves is not needed to close the graph in good order."""
+async def test_graph_closes(pair: Pair) -> None:
+    """A graph that closes fails its calls under way."""
     gate = Gate()
     await pair.far.create_service("/add", ADD, gate)
     client = await pair.near.create_client("/add", ADD)

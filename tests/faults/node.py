@@ -2,7 +2,8 @@
 
 The only argument is a JSON object: ``name``, ``graph`` (of memory unless told), ``listen`` (URLs), ``remotes`` as in a
 configuration, ``publish`` (topic to rate in Hz) and ``read`` (topics) of the robot, ``ahead_s`` by which the clock is
-wrong, ``size`` of the messages.
+wrong, ``size`` of the messages; ``serve`` makes the robot serve ``/slow`` (a service that never answers) and ``/move``
+(an action that ends when it is cancelled), ``use`` makes it call the one and send a goal to the other, over and over.
 Prints what happens as JSON lines: ``{"t": <time.monotonic()>, ...}``.
 """
 
@@ -25,12 +26,15 @@ if order.get("ahead_s"):
     time.time_ns = lambda: _true_time_ns() + int(order["ahead_s"] * 1e9)
     time.time = lambda: _true_time() + order["ahead_s"]
 
+from ropeway.errors import CallError, GraphUnavailable  # noqa: E402
 from ropeway.gateway import config  # noqa: E402  # with the clock as it is to be
 from ropeway.gateway.gateway import Gateway  # noqa: E402
 from ropeway.graph.base import SEQ_NONE, Graph, Sample  # noqa: E402
+from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal  # noqa: E402
 from ropeway.graph.factory import open_graph  # noqa: E402
 from ropeway.qos import QoS  # noqa: E402
 from tests.contract.test_topics import STRING, text  # noqa: E402
+from tests.faults.node_types import ACTION, SERVICE  # noqa: E402
 
 
 def tell(**event: Any) -> None:
@@ -56,6 +60,50 @@ def hears(topic: str) -> Any:
     return heard
 
 
+async def serve(robot: Graph) -> None:
+    """Serve what takes its time, and tell how it goes."""
+
+    async def slow(request: Request) -> bytes:
+        tell(call="began")
+        await asyncio.Event().wait()
+        return b""
+
+    async def move(goal: ServerGoal) -> Outcome:
+        tell(goal="began")
+        try:
+            await goal.cancelled.wait()
+        finally:
+            tell(goal="cancelled")
+        return Outcome(GoalStatus.CANCELED, b"\0\1\0\0\0\0\0\0")
+
+    await robot.create_service("/slow", SERVICE, slow)
+    await robot.create_action_server("/move", ACTION, ActionHandlers(move))
+
+
+async def call(robot: Graph) -> None:
+    """Call, and tell how it ends."""
+    client = await robot.create_client("/slow", SERVICE)
+    while True:
+        if await client.wait_available(1):
+            try:
+                await client.call(Request(b"\0\1\0\0"), 60)
+            except (CallError, GraphUnavailable) as error:
+                tell(failed=type(error).__name__, text=str(error))
+
+
+async def send(robot: Graph) -> None:
+    """Send goals, and tell how they end."""
+    client = await robot.create_action_client("/move", ACTION)
+    while True:
+        if await client.wait_available(1):
+            try:
+                goal = await client.send_goal(Goal(b"\0\1\0\0\3\0\0\0"))
+                outcome = await goal.result()
+                tell(ended=outcome.status.name, text=outcome.text)
+            except (CallError, GraphUnavailable) as error:
+                tell(rejected=str(error))
+
+
 async def main() -> None:
     """Run until standard input ends."""
     name = order["name"]
@@ -68,6 +116,10 @@ async def main() -> None:
         for topic in order.get("read", ()):
             await robot.create_subscription(topic, STRING, QoS(depth=100), hears(topic))
         talking = [asyncio.create_task(talk(robot, t, hz)) for t, hz in order.get("publish", {}).items()]
+        if order.get("serve"):
+            await serve(robot)
+        if order.get("use"):
+            talking += [asyncio.create_task(call(robot)), asyncio.create_task(send(robot))]
         for remote in gateway.remotes:
             remote.graph.on_state(lambda state: tell(state=state.value))
         tell(ready=ports)

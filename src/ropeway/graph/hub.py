@@ -241,6 +241,16 @@ class View:
         info = self.hub.graph.topics().get(topic)
         return info.types if info is not None else ()
 
+    def service_types(self, service: str) -> tuple[str, ...]:
+        """The types that one service has now."""
+        info = self.hub.graph.services().get(service)
+        return info.types if info is not None else ()
+
+    def action_types(self, action: str) -> tuple[str, ...]:
+        """The types that one action has now."""
+        info = self.hub.graph.actions().get(action)
+        return info.types if info is not None else ()
+
     @staticmethod
     def _seen(endpoint: EndpointInfo, mine: bool) -> EndpointInfo:
         return replace(endpoint, local=mine) if endpoint.local else endpoint

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import CallFailed, GoalRejected, InvalidOperation, RopewayError, TypesError, WireError
 from ropeway.graph.base import Delivery
-from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ActionHandlers, GoalStatus, Outcome, ServerGoal
-from ropeway.graph.rosbridge.failures import received
+from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
+from ropeway.graph.rosbridge.notes import call_note, received
 from ropeway.server.bodies import codec_of, decode_body, text_of
 from ropeway.server.service_ops import tell_state
 from ropeway.tasks import end
@@ -124,11 +124,9 @@ class TakenGoal:
             id=self.id, action=action.action, action_type=action.given_type, args=None, feedback=True
         )
         if session.gateway:
-            op.ropeway = {
-                "call": self.goal.id.hex(),
-                "via": [*self.goal.via, session.gateway_id],
-                "caller": self.goal.caller,
-            }
+            op.ropeway = call_note(
+                Goal(self.goal.payload, self.goal.id, self.goal.via, self.goal.caller), session.gateway_id
+            )
         try:
             session.peer.send_op(
                 op,

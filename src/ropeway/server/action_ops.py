@@ -112,9 +112,11 @@ class ActionOps:
     def cancel(self, op: ops.CancelActionGoal) -> None:
         """The client asks for the end of a goal, or without an id of all its goals of the action."""
         name = resolve_name(op.name)
-        for goal in list(self.goals):
-            if goal.name == name and (not ops.present(op.id) or goal.op.id == op.id):
-                self._start(goal.cancel(answer=self.session.gateway), f"cancel goal of {name}")
+        found = [g for g in self.goals if g.name == name and (not ops.present(op.id) or g.op.id == op.id)]
+        for goal in found:
+            self._start(goal.cancel(answer=self.session.gateway), f"cancel goal of {name}")
+        if not found and self.session.gateway:
+            self.session.peer.send_op({"op": "cancelling", "id": op.id, "agreed": False})
 
     # ── serving actions ────────────────────────────────────────────────────────────────────────────────────────
 
@@ -189,7 +191,7 @@ class ActionOps:
                 if message.get("op") == "accepted":
                     goal.accepted()
                 else:
-                    goal.cancelling(message.get("agreed") is not False)
+                    goal.cancelling(message.get("agreed") is True)
 
 
 class SentGoal:
@@ -220,9 +222,9 @@ class SentGoal:
         if type.split("/")[1] != "action":
             raise InvalidTypeName(op.action_type)
         session.learn(type, extra)
-        info = session.view.actions().get(name)
-        if info is not None and info.types and type not in info.types:
-            raise TypeConflict(name, info.types[0], type)
+        types = session.view.action_types(name)
+        if types and type not in types:
+            raise TypeConflict(name, types[0], type)
         payload = decode_body(session, op.args, op.compression, type + "_Goal")
         codecs = [codec_of(session, type + part) for part in ("_Result", "_Feedback")]
         encoding = str(extra.get("encoding") or "auto")

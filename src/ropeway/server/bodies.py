@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from ropeway.errors import DecodeError, TypesError, ValueMismatch
-from ropeway.graph.rosbridge.failures import failure
+from ropeway.graph.rosbridge.notes import failure, read_note
 from ropeway.wire import codec as wire_codec
 from ropeway.wire.dialect import ROSBRIDGE
 
@@ -16,9 +15,6 @@ if TYPE_CHECKING:
     from ropeway.types import MessageCodec
 
 __all__ = ["codec_of", "decode_body", "failure_note", "passage", "text_of"]
-
-_ID: Final = re.compile(r"[0-9a-f]{32}")
-_VIA_LIMIT: Final = 64
 
 
 def codec_of(session: Session, type: str) -> MessageCodec | None:
@@ -61,17 +57,10 @@ def failure_note(session: Session, error: Exception) -> dict[str, Any] | None:
     return {"error": failure(error)[0]} if session.gateway else None
 
 
-def passage(session: Session, extra: Mapping[str, Any] | None) -> dict[str, Any]:
+def passage(session: Session, note: Mapping[str, Any] | None) -> dict[str, Any]:
     """The ``id``, ``via`` and ``caller`` of a request of a gateway; for other clients only who calls."""
     peer = session.peer.connection.peer
-    if not session.gateway or extra is None:
+    if not session.gateway:
         return {"caller": peer}
-    out: dict[str, Any] = {"caller": session.remote.get("name") or peer}
-    id, via, caller = extra.get("call"), extra.get("via"), extra.get("caller")
-    if isinstance(id, str) and _ID.fullmatch(id):
-        out["id"] = bytes.fromhex(id)
-    if isinstance(via, list):
-        out["via"] = tuple(str(gateway)[:200] for gateway in via[:_VIA_LIMIT])
-    if isinstance(caller, str) and caller:
-        out["caller"] = caller[:200]
-    return out
+    told = read_note(note)
+    return {"id": told.id, "via": told.via, "caller": told.caller or session.remote.get("name") or peer}

@@ -8,9 +8,12 @@ import ssl
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from ropeway.errors import ConnectFailed
+from ropeway.errors import ConnectFailed, RopewayError
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.websocket import Server, listen
+from ropeway.server.presence import Presence, ip_address
+from ropeway.server.rosapi import Globs, Rosapi
+from ropeway.server.rosout import Rosout
 from ropeway.server.session import Session
 from ropeway.tasks import end
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
@@ -31,7 +34,9 @@ class RosbridgeServer:
     """Serves the graph of ``hub`` to rosbridge clients and gateways.
 
     ``unregister_timeout_s``: how long a topic stays advertised after its last client withdrew it or left (rosbridge's
-    default is 10 s), so that what it said last is heard.
+    default is 10 s), so that what it said last is heard. ``rosapi_globs`` limits what rosapi shows, and
+    ``params_timeout_s`` bounds what it asks of nodes. ``publish_clients`` publishes ``/client_count`` and
+    ``/connected_clients``, ``publish_rosout`` our own warnings and errors on ``/rosout``, from the first ``listen`` on.
     """
 
     def __init__(
@@ -43,6 +48,10 @@ class RosbridgeServer:
         name: str = "ropeway",
         limits: Limits | None = None,
         unregister_timeout_s: float = 10.0,
+        rosapi_globs: Globs | None = None,
+        params_timeout_s: float = 5.0,
+        publish_clients: bool = True,
+        publish_rosout: bool = True,
     ) -> None:
         self.hub, self.registry = hub, registry
         self.gateway_id, self.name = gateway_id, name
@@ -51,6 +60,11 @@ class RosbridgeServer:
         self.sessions: dict[Session, asyncio.Task[None]] = {}
         self.lingering: dict[Session, asyncio.Task[None]] = {}
         self.listeners: list[Server] = []
+        self.rosapi = Rosapi(hub, registry, params_timeout_s=params_timeout_s, globs=rosapi_globs)
+        self.presence: Presence | None = None
+        self.rosout: Rosout | None = None
+        self._publish_clients, self._publish_rosout = publish_clients, publish_rosout
+        self._view = hub.view("server")
         self._ticker: asyncio.Task[None] | None = None
 
     async def listen(self, url: str, *, ssl_context: ssl.SSLContext | None = None, reuse_port: bool = False) -> Server:
@@ -62,6 +76,7 @@ class RosbridgeServer:
         if parts.scheme == "wss" and ssl_context is None:
             raise ConnectFailed(url, "wss needs a certificate and a key", retryable=False)
         port = 9090 if parts.port is None else parts.port
+        await self._appear()
         server = await listen(
             parts.hostname or "127.0.0.1",
             port,
@@ -78,6 +93,20 @@ class RosbridgeServer:
         log.info("listening on %s://%s:%d", parts.scheme, parts.hostname, server.port)
         return server
 
+    async def _appear(self) -> None:
+        """Publish what rosbridge publishes about itself; a graph that does not take it is served without."""
+        try:
+            if self._publish_clients and self.presence is None:
+                presence = Presence(self._view, self.registry)
+                await presence.open()
+                self.presence = presence
+            if self._publish_rosout and self.rosout is None:
+                rosout = Rosout(self._view, self.registry)
+                await rosout.open()
+                self.rosout = rosout
+        except RopewayError as error:
+            log.warning("%s does not take what the server tells about itself: %s", self.hub.graph.name, error)
+
     def _connected(self, connection: Connection) -> None:
         if connection.subprotocol != ROPEWAY_SUBPROTOCOL:
             connection.silence_s = _CLIENT_SILENCE_S
@@ -89,9 +118,12 @@ class RosbridgeServer:
             name=self.name,
             unregister_timeout_s=self.unregister_timeout_s,
             on_advertised=self._advertised,
+            rosapi=self.rosapi,
         )
         task = asyncio.create_task(session.run(), name=f"session {connection.peer}")
         self.sessions[session] = task
+        if self.presence is not None:
+            self.presence.joined(session, ip_address(connection.peer))
         log.info(
             "%s: client connected (%s), %d in total", connection.peer, session.peer.dialect.name, len(self.sessions)
         )
@@ -99,6 +131,8 @@ class RosbridgeServer:
 
     def _ended(self, session: Session, task: asyncio.Task[None]) -> None:
         self.sessions.pop(session, None)
+        if self.presence is not None:
+            self.presence.left(session)
         peer = session.peer.connection.peer
         if not task.cancelled() and (error := task.exception()) is not None:
             log.error("%s: the session failed: %s", peer, error, exc_info=error)
@@ -146,3 +180,10 @@ class RosbridgeServer:
         await end(*self.lingering.values())
         for connection in connections:
             await connection.wait_closed()  # within a second, see ``Connection.close``
+        await self.rosapi.close()
+        if self.rosout is not None:
+            await self.rosout.finish()
+        if self.presence is not None:
+            await self.presence.close()
+        self.presence = self.rosout = None
+        await self._view.close()

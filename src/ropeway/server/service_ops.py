@@ -23,7 +23,7 @@ from ropeway.errors import (
 )
 from ropeway.graph.base import Delivery, resolve_name
 from ropeway.graph.calls import Request
-from ropeway.graph.rosbridge.failures import received
+from ropeway.graph.rosbridge.notes import call_note, received
 from ropeway.server.bodies import codec_of, decode_body, failure_note, passage, text_of
 from ropeway.tasks import end
 from ropeway.wire import ops
@@ -95,7 +95,7 @@ class ServiceOps:
         try:
             name = resolve_name(op.name)
             session.access.check("call_service", name)
-            if session.rosapi is not None and name.startswith("/rosapi/"):
+            if session.rosapi is not None and session.rosapi.serves(name):
                 values = await session.rosapi.call(name, op.args, session)
                 reply = ops.ServiceResponse(service=op.service, values=values, result=True, id=op.id)
                 session.peer.send_op(reply, fragment_size=op.fragment_size)
@@ -135,8 +135,7 @@ class ServiceOps:
             given = session.registry.canonical(op.type, "srv") if op.type else ""
         except InvalidTypeName:
             given = ""
-        info = session.view.services().get(name)
-        types = info.types if info is not None else ()
+        types = session.view.service_types(name)
         if session.gateway and given:
             if types and given not in types:
                 raise TypeConflict(name, types[0], given)
@@ -270,11 +269,7 @@ class OfferedService:
         op = ops.CallService(id=id, service=self.service, args=None)
         if session.gateway:
             op.timeout = timeout_s
-            op.ropeway = {
-                "call": request.id.hex(),
-                "via": [*request.via, session.gateway_id],
-                "caller": request.caller,
-            }
+            op.ropeway = call_note(request, session.gateway_id)
         try:
             session.peer.send_op(
                 op,

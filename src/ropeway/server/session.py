@@ -48,6 +48,9 @@ class Access(Protocol):
 class Rosapi(Protocol):
     """Answers the services of rosapi; see ``ropeway.server.rosapi``."""
 
+    def serves(self, name: str) -> bool:
+        """True for the name of a service that it answers."""
+
     async def call(self, name: str, args: Any, session: Session) -> Any:
         """The ``values`` of the response, as JSON has them. Raises ``RopewayError``."""
 

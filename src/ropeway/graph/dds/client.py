@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from ropeway.errors import CallError, CallFailed, CallTimeout, GraphUnavailable, NotServed, ProviderLost, TypesError
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Client, Request
-from ropeway.graph.dds.endpoints import RawReader, RawWriter
+from ropeway.graph.dds.ends import Ends
 from ropeway.graph.dds.matching import paired
 from ropeway.graph.dds.records import Peer
 from ropeway.graph.dds.rpc import MAX_SEQ, Header, join, split
@@ -52,7 +52,7 @@ class _Call:
             self.outcome.set_result(outcome)
 
 
-class DdsClient:
+class DdsClient(Ends):
     """Calls ``service``: any number of calls at a time on one pair of endpoints.
 
     A request goes out when a server is matched in both directions and has had time to match us. Servers of another
@@ -60,30 +60,17 @@ class DdsClient:
     """
 
     def __init__(self, graph: DdsGraph, service: str, type: str) -> None:
-        self.service, self.type = service, type
-        self.closed = False
-        self._graph = graph
-        self._loop = asyncio.get_running_loop()
-        self._writer: RawWriter
-        self._reader: RawReader
-        self._id = 0
+        super().__init__(graph, service, type)
         self._seq = 0
         self._calls: dict[int, _Call] = {}
         self._waiting = 0
-        self._window = Window(deferred=service.endswith(_DEFERRED))
-        self._readers: tuple[Peer, ...] = ()
-        self._writers: tuple[Peer, ...] = ()
+        self._window = Window(deferred=self.service.endswith(_DEFERRED))
         self._servers: dict[bytes, float] = {}  # ours to call, and when each was matched
         self._all_ours = False
         self._others: tuple[Peer, ...] = ()
-        self._changed = asyncio.Event()
         self._losing: asyncio.Task[None] | None = None
         self._helped: Client | None = None
         self._helping = asyncio.Lock()
-
-    def bind(self, writer: RawWriter, reader: RawReader, id: int) -> None:
-        """Ask with ``writer``, hear with ``reader``; requests carry ``id``."""
-        self._writer, self._reader, self._id = writer, reader, id
 
     # Calling ----------------------------------------------------------------------------------------------------
 
@@ -206,17 +193,7 @@ class DdsClient:
 
     # From DDS ---------------------------------------------------------------------------------------------------
 
-    def on_readers(self, batch: list[tuple[Peer, ...]]) -> None:
-        """Who reads our requests, on the loop."""
-        self._readers = batch[-1]
-        self._match()
-
-    def on_writers(self, batch: list[tuple[Peer, ...]]) -> None:
-        """Whose replies we read, on the loop."""
-        self._writers = batch[-1]
-        self._match()
-
-    def on_replies(self, batch: Sequence[Sample]) -> None:
+    def on_samples(self, batch: Sequence[Sample]) -> None:
         """What servers answer, on the loop: our own answers and those of everybody else."""
         for sample in batch:
             if not speaks_header(sample.origin):
@@ -237,14 +214,8 @@ class DdsClient:
                 self._graph.drops[self.service, Undelivered.DECODE] += 1
                 call.finish(CallFailed(self.service, f"the answer cannot be read: {error}"))
 
-    def on_dropped(self, counts: list[tuple[Undelivered, int]]) -> None:
-        """Answers that the loop was too late for."""
-        for reason, count in counts:
-            self._graph.drops[self.service, reason] += count
-
-    def _match(self) -> None:
-        if self.closed:
-            return
+    def on_match(self) -> None:
+        """Other servers are there now."""
         found = paired(
             (reader for reader in self._readers if not reader.helper),
             (writer for writer in self._writers if not writer.helper),
@@ -257,8 +228,6 @@ class DdsClient:
         self._others = tuple(peer for guid, peer in found.items() if guid not in mine)
         if mine:
             self._window.resize(min(peer.depth for peer in mine.values()))
-        self._changed.set()
-        self._changed = asyncio.Event()
         if lost and self._losing is None:
             self._losing = self._loop.create_task(self._lose(), name=f"lost servers of {self.service}")
 
@@ -289,4 +258,4 @@ class DdsClient:
         async with self._helping:
             if self._helped is not None:
                 await self._helped.close()
-        await self._graph.remove(self, self._writer, self._reader)
+        await self._graph.remove(self)

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from ropeway.graph.base import EndpointInfo, GraphEvent, NodeInfo, TopicInfo
-from ropeway.graph.dds.names import Name, NameKind, action_of, demangle, is_hidden
+from ropeway.graph.calls import ActionInfo, ProviderInfo, ServiceInfo
+from ropeway.graph.dds.names import Name, NameKind, action_of, action_of_feedback, demangle, is_hidden
 from ropeway.graph.dds.nodes import NodeEntities
 from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, Joined, NodesRecord
 from ropeway.qos import QoS
@@ -38,6 +39,20 @@ class _Topic:
         return self.publishers if kind == "publisher" else self.subscriptions
 
 
+@dataclass(slots=True)
+class _Action:
+    """Endpoints of one action, by their participant and node: each of these serves or uses it once."""
+
+    types: dict[str, None] = field(default_factory=dict)
+    servers: dict[tuple[bytes, str], _Endpoint] = field(default_factory=dict)
+    clients: dict[tuple[bytes, str], _Endpoint] = field(default_factory=dict)
+
+    def add(self, type: str, endpoint: _Endpoint, *, serves: bool) -> None:
+        self.types[type] = None
+        key = (endpoint.record.participant, endpoint.node)
+        (self.servers if serves else self.clients).setdefault(key, endpoint)
+
+
 class Discovery:
     """What there is on the network.
 
@@ -60,6 +75,7 @@ class Discovery:
         self._emit, self._changed, self._tell_gid_bytes = emit, changed, gid_bytes
         self._endpoints: dict[tuple[str, int], _Endpoint] = {}
         self._topics: dict[str, _Topic] = {}
+        self._services: dict[str, _Topic] = {}  # by what carries the requests: who publishes them is a client
         self._participants: set[bytes] = set()
         self._early: dict[bytes, NodesRecord] = {}
         self._nodes: dict[bytes, NodesRecord] = {}
@@ -99,6 +115,37 @@ class Discovery:
     def topics(self) -> dict[str, TopicInfo]:
         """Every topic, with its endpoints."""
         return {name: self._topic_info(name, topic) for name, topic in sorted(self._topics.items())}
+
+    def services(self) -> dict[str, ServiceInfo]:
+        """Every service, with its servers and clients; those of actions, too."""
+        return {name: self._service_info(name, service) for name, service in sorted(self._services.items())}
+
+    def actions(self) -> dict[str, ActionInfo]:
+        """Every action: who takes and sends goals, and who else publishes or reads feedback."""
+        found: dict[str, _Action] = {}
+        for name, service in self._services.items():
+            for endpoint in (*service.subscriptions.values(), *service.publishers.values()):
+                action = action_of(name, endpoint.name.type)
+                if action is not None:
+                    found.setdefault(action[0], _Action()).add(action[1], endpoint, serves=_reads(endpoint))
+        for name, topic in self._topics.items():
+            for endpoint in (*topic.publishers.values(), *topic.subscriptions.values()):
+                action = action_of_feedback(name, endpoint.name.type)
+                if action is not None:
+                    found.setdefault(action[0], _Action()).add(action[1], endpoint, serves=not _reads(endpoint))
+        return {
+            name: ActionInfo(
+                name,
+                tuple(action.types),
+                tuple(self._provider_info(e) for e in action.servers.values()),
+                tuple(self._provider_info(e) for e in action.clients.values()),
+            )
+            for name, action in sorted(found.items())
+        }
+
+    def node_of(self, guid: bytes) -> str:
+        """The full name of the node that an endpoint belongs to, or ``""``."""
+        return self._node_of.get(guid, "")
 
     def nodes(self) -> dict[str, NodeInfo]:
         """Every node, with what it publishes, reads, serves and calls."""
@@ -146,6 +193,19 @@ class Discovery:
             local=record.local,
         )
 
+    def _service_info(self, name: str, service: _Topic) -> ServiceInfo:
+        servers, clients = service.subscriptions.values(), service.publishers.values()
+        types = tuple(dict.fromkeys(endpoint.name.type for endpoint in (*servers, *clients)))
+        return ServiceInfo(
+            name, types, tuple(map(self._provider_info, servers)), tuple(map(self._provider_info, clients))
+        )
+
+    def _provider_info(self, endpoint: _Endpoint) -> ProviderInfo:
+        record = endpoint.record
+        return ProviderInfo(
+            self._node_of.get(record.guid, ""), record.gateway, record.local, record.guid, record.since_ns
+        )
+
     def _is_own(self, record: EndpointRecord) -> bool:
         return record.local or (bool(self._gateway_id) and record.gateway == self._gateway_id)
 
@@ -164,7 +224,9 @@ class Discovery:
             self._topics.setdefault(name.name, _Topic()).of(record.kind)[record.handle] = endpoint
             if record.kind == "publisher":
                 topics.add(name.name)
-        if known is None and not record.local:
+        elif name.kind is NameKind.REQUEST and not record.helper:
+            self._services.setdefault(name.name, _Topic()).of(record.kind)[record.handle] = endpoint
+        if known is None and not record.local and not record.helper:
             self._nameless[record.guid] = endpoint
 
     def _remove(self, gone: Gone, topics: set[str]) -> None:
@@ -172,12 +234,13 @@ class Discovery:
         if endpoint is None:
             return
         name = endpoint.name
-        topic = self._topics.get(name.name) if name.kind in (NameKind.TOPIC, NameKind.FOREIGN) else None
+        table = self._services if name.kind is NameKind.REQUEST else self._topics
+        topic = table.get(name.name) if name.kind is not NameKind.REPLY else None
         if topic is not None:
             topic.of(gone.kind).pop(gone.handle, None)
             if not topic.publishers and not topic.subscriptions:
-                del self._topics[name.name]
-            if gone.kind == "publisher":
+                del table[name.name]
+            if gone.kind == "publisher" and table is self._topics:
                 topics.add(name.name)
         if self._nameless.pop(gone.guid, None) is not None:
             self._tell(endpoint, True)
@@ -201,7 +264,7 @@ class Discovery:
 
     def _tell(self, endpoint: _Endpoint, discovered: bool) -> None:
         record, name = endpoint.record, endpoint.name
-        if record.local:
+        if record.local or record.helper:
             return
         node = endpoint.node = self._node_of.get(record.guid) or endpoint.node
         if name.kind is NameKind.REQUEST:
@@ -242,6 +305,10 @@ class Discovery:
         for name in sorted(old - new):
             self._emit(GraphEvent(False, "node", name, graph=self._graph))
         self._tell_gid_bytes({r.gid_bytes for r in self._nodes.values() if not r.local})
+
+
+def _reads(endpoint: _Endpoint) -> bool:
+    return endpoint.record.kind == "subscription"
 
 
 def _guids(nodes: tuple[NodeEntities, ...]) -> Iterator[bytes]:

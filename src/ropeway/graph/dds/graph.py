@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from typing import Final, Protocol, TypeVar
 
-from ropeway.errors import GraphUnavailable, InvalidName, InvalidTypeName
+from ropeway.errors import GraphUnavailable, InvalidName
 from ropeway.graph.action import ComposedActionClient, ComposedActionServer
 from ropeway.graph.base import (
     NO_HINTS,
@@ -29,18 +29,19 @@ from ropeway.graph.dds.client import DdsClient
 from ropeway.graph.dds.discovery import Discovery
 from ropeway.graph.dds.domain import MAX_DOMAIN
 from ropeway.graph.dds.endpoint_qos import user_data
-from ropeway.graph.dds.endpoints import RawReader, RawWriter
-from ropeway.graph.dds.names import dds_service_topics, dds_topic, dds_type
+from ropeway.graph.dds.endpoints import RawWriter
+from ropeway.graph.dds.ends import Ends
+from ropeway.graph.dds.names import dds_topic, dds_type
 from ropeway.graph.dds.participant import Participant
 from ropeway.graph.dds.profile import make_profile
 from ropeway.graph.dds.publisher import DdsPublisher
-from ropeway.graph.dds.raw import DdsError, handle_of
+from ropeway.graph.dds.raw import DdsError
 from ropeway.graph.dds.records import Discovered
 from ropeway.graph.dds.service import DdsService
 from ropeway.graph.dds.subscription import DdsSubscription, SharedReader, settled
 from ropeway.graph.dds.vendors import Helper
 from ropeway.qos import DEFAULT, QoS, common_qos
-from ropeway.types import MessageCodec, TypeRegistry
+from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
 
 __all__ = ["DdsGraph", "Types"]
@@ -49,11 +50,10 @@ log = logging.getLogger("ropeway.graph.dds")
 
 # Other vendors do not tell the depth of a writer; what is adopted keeps at least this many.
 _MIN_ADOPTED_DEPTH: Final = 10
-# Volatile, as ROS 2 has it; and nothing is replaced by something newer.
-_CALLS_QOS: Final = QoS(history="keep_all")
-_BIG_ENDIAN: Final = b"\0\0"
+_LITTLE_ENDIAN: Final = 1
 
 T = TypeVar("T")
+Action = TypeVar("Action", ComposedActionClient, ComposedActionServer)
 
 
 class Types(Protocol):
@@ -105,8 +105,8 @@ class DdsGraph:
         self.node = resolve_name(name, namespace)
         self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self.helper = helper
+        self.gateway_id = gateway_id
         self._interface = interface
-        self._gateway_id = gateway_id
         self._registry = registry
         self._clock = clock
         self._foreign = foreign
@@ -116,10 +116,11 @@ class DdsGraph:
         self._publishers: dict[DdsPublisher, None] = {}
         self._subscriptions: dict[DdsSubscription, None] = {}
         self._shared: dict[tuple[str, str, QoS], SharedReader] = {}
-        self._callers: dict[DdsClient | DdsService, None] = {}
-        self._actions: list[ComposedActionClient | ComposedActionServer] = []
-        self._made_registry: TypeRegistry | None = None
+        self._clients: dict[DdsClient, None] = {}
+        self._services: dict[DdsService, None] = {}
         self._pairs = 0
+        self._actions: list[ComposedActionClient | ComposedActionServer] = []
+        self._own_registry: TypeRegistry | None = None
         self._lock = asyncio.Lock()
 
     async def open(self) -> None:
@@ -130,11 +131,11 @@ class DdsGraph:
             profile = make_profile(self.name, self._interface)
             self._changes = Changes()
             participant = Participant(
-                self.name, self.domain, profile, self.node, self._gateway_id, self._clock, self._on_discovered
+                self.name, self.domain, profile, self.node, self.gateway_id, self._clock, self._on_discovered
             )
             self._discovery = Discovery(
                 self.name,
-                self._gateway_id,
+                self.gateway_id,
                 self._changes.emit,
                 self._readopt,
                 participant.follow_gid_bytes,
@@ -160,7 +161,7 @@ class DdsGraph:
             await asyncio.gather(*(action.close() for action in self._actions))
             self._actions.clear()
             parts: list[DdsPublisher | DdsSubscription | DdsClient | DdsService]
-            parts = [*self._callers, *self._publishers, *self._subscriptions]
+            parts = [*self._clients, *self._services, *self._publishers, *self._subscriptions]
             await asyncio.gather(*(part.close() for part in parts), participant.withdraw())
             self._participant = None
             await participant.close()
@@ -178,7 +179,7 @@ class DdsGraph:
         topic, type = resolve_name(topic), canonical_name(type)
         profile = settled(qos or DEFAULT, DEFAULT)
         publisher = DdsPublisher(self, topic, type, profile)
-        mark = user_data(type_hash=self._hash(type), gateway_id=self._gateway_id)
+        mark = user_data(type_hash=self.type_hash(type), gateway_id=self.gateway_id)
         names = (dds_topic(topic), dds_type(type))
         publisher.bind(
             self._try(lambda: participant.create_writer(names, profile, mark, publisher.on_refused, publisher.on_count))
@@ -205,44 +206,50 @@ class DdsGraph:
 
     async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> DdsClient:
         """Call ``service``."""
-        participant = self._opened()
-        client = DdsClient(self, resolve_name(service), _service_type(type))
-        (asks, request), (answers, response) = _service_topics(client.service, client.type)
-        extra, since_ns = self._new_pair("clientid"), time.time_ns()
-        mark = user_data(
-            extra=extra, type_hash=self._hash(f"{client.type}_Response"), gateway_id=self._gateway_id, since_ns=since_ns
-        )
-        reader = self._try(
-            lambda: participant.create_reader(
-                (answers, response),
-                client.type,
-                _CALLS_QOS,
-                mark,
-                client.on_replies,
-                client.on_dropped,
-                matches=client.on_writers,
-                all_gateways=True,
-            )
-        )
-        mark = user_data(
-            extra=extra, type_hash=self._hash(f"{client.type}_Request"), gateway_id=self._gateway_id, since_ns=since_ns
-        )
-        try:
-            writer = self._try(
-                lambda: participant.create_writer(
-                    (asks, request), _CALLS_QOS, mark, client.on_refused, matches=client.on_readers
-                )
-            )
-        except GraphUnavailable:
-            await participant.delete(reader)
-            raise
-        client.bind(writer, reader, handle_of(writer.entity))
-        self._callers[client] = None
+        client = DdsClient(self, service, type)
+        await self._join(client)
+        self._clients[client] = None
         return client
+
+    async def create_service(
+        self, service: str, type: str, handler: ServiceHandler, *, delivery: Delivery = NO_HINTS
+    ) -> DdsService:
+        """Serve ``service``; for a failed request nodes get the default response, with its text where it has one."""
+        served = DdsService(self, service, type, handler)
+        await self._join(served)
+        self._services[served] = None
+        try:
+            await served.get_help()
+        except BaseException:
+            await served.close()
+            raise
+        return served
+
+    async def create_action_client(
+        self, action: str, type: str, *, delivery: Delivery = NO_HINTS
+    ) -> ComposedActionClient:
+        """Use ``action``. Raises ``UnknownType`` without its definition."""
+        self._opened()
+        return await self._start(ComposedActionClient(self, action, type, self.registry))
+
+    async def create_action_server(
+        self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
+    ) -> ComposedActionServer:
+        """Serve ``action``. Raises ``UnknownType`` without its definition."""
+        self._opened()
+        return await self._start(ComposedActionServer(self, action, type, handlers, self.registry))
 
     def topics(self) -> dict[str, TopicInfo]:
         """Every topic of ROS in the domain, ours too."""
         return self._discovery.topics() if self._discovery else {}
+
+    def services(self) -> dict[str, ServiceInfo]:
+        """Every service in the domain, ours too; those of other middlewares are listed like the rest."""
+        return self._discovery.services() if self._discovery else {}
+
+    def actions(self) -> dict[str, ActionInfo]:
+        """Every action in the domain, ours too."""
+        return self._discovery.actions() if self._discovery else {}
 
     def nodes(self) -> dict[str, NodeInfo]:
         """Every node of ROS in the domain, ours too."""
@@ -256,6 +263,15 @@ class DdsGraph:
     def settled(self) -> bool:
         """True once every participant that was discovered has told its nodes; Fast DDS may take some seconds."""
         return self._discovery is None or self._discovery.settled
+
+    @property
+    def registry(self) -> TypeRegistry:
+        """The definitions that actions, and responses to failed requests, are made with."""
+        if isinstance(self._registry, TypeRegistry):
+            return self._registry
+        if self._own_registry is None:
+            self._own_registry = TypeRegistry()
+        return self._own_registry
 
     @property
     def participant(self) -> Participant:
@@ -279,7 +295,7 @@ class DdsGraph:
         reader = None if qos.transient_local else self._shared.get(key)
         if reader is None:
             made = reader = SharedReader(self, subscription.topic, qos)
-            mark = user_data(type_hash=self._hash(subscription.type), gateway_id=self._gateway_id)
+            mark = user_data(type_hash=self.type_hash(subscription.type), gateway_id=self.gateway_id)
             names = (dds_topic(subscription.topic), dds_type(subscription.type))
             order = self._byte_order(subscription.topic, subscription.type)
             made.raw = self._try(
@@ -320,6 +336,28 @@ class DdsGraph:
         if writer is not None and self._participant is not None:
             await self._participant.delete(writer)
 
+    async def remove(self, part: DdsClient | DdsService) -> None:
+        """A client or service was closed."""
+        self._clients.pop(part, None) if isinstance(part, DdsClient) else self._services.pop(part, None)
+        if self._participant is not None:
+            await part.leave(self._participant)
+
+    def node_of(self, guid: bytes) -> str:
+        """The full name of the node that an endpoint belongs to, or ``""``."""
+        return self._discovery.node_of(guid) if self._discovery else ""
+
+    def type_hash(self, type: str) -> str:
+        """``RIHS01_…`` where the registry knows the type, or ``""``."""
+        registry = self._registry
+        return registry.hash(type) if registry is not None and registry.has(type) else ""
+
+    def little_endian(self, type: str, payload: bytes) -> bytes:
+        """CDR of ``type`` in our byte order. Raises ``DecodeError``, ``UnknownType``."""
+        if payload[1] == _LITTLE_ENDIAN:
+            return payload
+        codec = self.registry.codec(type)
+        return codec.encode(codec.decode(payload))
+
     # Discovery --------------------------------------------------------------------------------------------------
 
     def _on_discovered(self, batch: list[Discovered]) -> None:
@@ -353,9 +391,19 @@ class DdsGraph:
             raise GraphUnavailable(self.name, "is not open; call open() first")
         return self._participant
 
-    def _hash(self, type: str) -> str:
-        registry = self._registry
-        return registry.hash(type) if registry is not None and registry.has(type) else ""
+    async def _join(self, part: Ends) -> None:
+        participant = self._opened()
+        self._pairs += 1
+        pair = participant.guid[:12] + self._pairs.to_bytes(4, "big")
+        try:
+            await part.join(participant, pair.hex("."))
+        except DdsError as error:
+            raise GraphUnavailable(self.name, str(error)) from error
+
+    async def _start(self, action: Action) -> Action:
+        await action.open()
+        self._actions = [*(known for known in self._actions if not known.closed), action]
+        return action
 
     def _byte_order(self, topic: str, type: str) -> ByteOrder | None:
         registry = self._registry

@@ -22,7 +22,9 @@ _PARTICIPANT_BYTES: Final = 12  # of a GUID: what all endpoints of one participa
 class Matches:
     """The far ends of the writer or reader ``entity``; ``tell`` gets all of them at each change, the last counts."""
 
-    def __init__(self, pump: Pump, entity: int, tell: Callable[[list[tuple[Peer, ...]]], None], *, writer: bool) -> None:
+    def __init__(
+        self, pump: Pump, entity: int, tell: Callable[[list[tuple[Peer, ...]]], None], *, writer: bool
+    ) -> None:
         self.closed = False
         self._pump, self._entity, self._tell = pump, entity, tell
         self._status = raw.PUBLICATION_MATCHED if writer else raw.SUBSCRIPTION_MATCHED

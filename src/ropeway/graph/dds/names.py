@@ -21,6 +21,7 @@ __all__ = [
     "Name",
     "NameKind",
     "action_of",
+    "action_of_feedback",
     "dds_service_topics",
     "dds_topic",
     "dds_type",
@@ -104,7 +105,16 @@ def is_hidden(name: str) -> bool:
 
 def action_of(service: str, type: str = "") -> tuple[str, str] | None:
     """The action and its type that the service ``service`` sends goals to, or ``None`` for other services."""
-    name, found, part = service.partition(_ACTION)
-    if not found or part != "send_goal" or not name:
+    return _action(service, "send_goal", type, "_SendGoal")
+
+
+def action_of_feedback(topic: str, type: str = "") -> tuple[str, str] | None:
+    """The action and its type whose feedback the topic ``topic`` carries, or ``None`` for other topics."""
+    return _action(topic, "feedback", type, "_FeedbackMessage")
+
+
+def _action(name: str, part: str, type: str, suffix: str) -> tuple[str, str] | None:
+    action, found, rest = name.partition(_ACTION)
+    if not found or rest != part or not action:
         return None
-    return name, type.removesuffix("_SendGoal")
+    return action, type.removesuffix(suffix)

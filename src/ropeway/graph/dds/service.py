@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from ropeway.errors import CallError, TypesError
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import Request, Service, ServiceHandler
-from ropeway.graph.dds.endpoints import RawReader, RawWriter
+from ropeway.graph.dds.ends import Ends
 from ropeway.graph.dds.matching import paired
 from ropeway.graph.dds.records import Peer
 from ropeway.graph.dds.rpc import Header, join, split
@@ -38,39 +38,29 @@ _DEEP: Final = 100
 _TEXTS: Final = (("success", "message"), ("successful", "reason"))
 
 
-class DdsService:
+class DdsService(Ends):
     """Serves ``service`` with ``handler``, each request in a task of its own, and each request once.
 
     ROS 2 has no errors of services: a request that fails is answered with the default response, in which ``message``
     or ``reason`` says why where the type has them beside ``success`` or ``successful``.
     """
 
+    serves = True
+
     def __init__(self, graph: DdsGraph, service: str, type: str, handler: ServiceHandler) -> None:
-        self.service, self.type = service, type
-        self.closed = False
+        super().__init__(graph, service, type)
         self.ignored = 0  # requests of another mapping, which the graph's helper serves where there is one
-        self._graph = graph
         self._handler = handler
-        self._loop = asyncio.get_running_loop()
-        self._reader: RawReader
-        self._writer: RawWriter
         self._helped: Service | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._seen: dict[tuple[bytes, Header], None] = {}
-        self._writers: tuple[Peer, ...] = ()
-        self._readers: tuple[Peer, ...] = ()
         self._callers: dict[bytes, Peer] = {}
         self._shallow = False
-        self._changed = asyncio.Event()
         self._turns: deque[asyncio.Future[None]] = deque()
         self._turn: asyncio.TimerHandle | None = None
         self._burst = _BURST
         self._burst_at = 0.0
         self._overloaded = False
-
-    def bind(self, reader: RawReader, writer: RawWriter) -> None:
-        """Hear with ``reader``, answer with ``writer``."""
-        self._reader, self._writer = reader, writer
 
     async def get_help(self) -> None:
         """Have the graph's helper serve those of another mapping."""
@@ -79,7 +69,7 @@ class DdsService:
 
     # From DDS ---------------------------------------------------------------------------------------------------
 
-    def on_requests(self, batch: Sequence[Sample]) -> None:
+    def on_samples(self, batch: Sequence[Sample]) -> None:
         """What clients ask, on the loop."""
         if self.closed:
             return
@@ -94,26 +84,10 @@ class DdsService:
                 continue
             self._take(sample.origin, message.header, message.payload)
 
-    def on_dropped(self, counts: list[tuple[Undelivered, int]]) -> None:
-        """Requests that the loop was too late for."""
-        for reason, count in counts:
-            self._graph.drops[self.service, reason] += count
-
-    def on_writers(self, batch: list[tuple[Peer, ...]]) -> None:
-        """Whose requests we read, on the loop."""
-        self._writers = batch[-1]
-        self._match()
-
-    def on_readers(self, batch: list[tuple[Peer, ...]]) -> None:
-        """Who reads our replies, on the loop."""
-        self._readers = batch[-1]
+    def on_match(self) -> None:
+        """Other clients are there now."""
         self._shallow = any(0 < peer.depth < _DEEP for peer in self._readers)
-        self._match()
-
-    def _match(self) -> None:
         self._callers = paired(self._writers, self._readers)
-        self._changed.set()
-        self._changed = asyncio.Event()
 
     def _ignore(self, writer: bytes) -> None:
         self.ignored += 1
@@ -205,7 +179,7 @@ class DdsService:
         return self._failure(text)
 
     def _failure(self, text: str) -> bytes:
-        codec = self._graph.codec(f"{self.type}_Response")
+        codec = self._graph.registry.codec(f"{self.type}_Response")
         response = codec.default()
         for flag, message in _TEXTS:
             if response.get(flag) is False and response.get(message) == "":
@@ -257,7 +231,7 @@ class DdsService:
         await end(*self._tasks)
         if self._turn is not None:
             self._turn.cancel()
-        await self._graph.remove(self, self._writer, self._reader)
+        await self._graph.remove(self)
 
 
 def _call_id(writer: bytes, header: Header) -> bytes:

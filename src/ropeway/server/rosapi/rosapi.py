@@ -107,10 +107,10 @@ class Rosapi:
         """True for the name of a service that is answered here: ``/rosapi/topics``, or ``rosapi/topics``."""
         return self._last_part(name) in self._answers
 
-    async def call(self, name: str, args: object = None) -> Values:
+    async def call(self, name: str, args: Any = None, session: object = None) -> Values:
         """The values of the response, in the order of its fields.
 
-        ``args`` is the object or the list that came with the call. Raises ``NotServed`` for a name that is not one of
+        ``args`` is the object or the list that came with the call, ``session`` who calls: all are told the same. Raises ``NotServed`` for a name that is not one of
         rosapi, ``CallFailed`` for arguments that do not fit the request.
         """
         service = self._last_part(name)

@@ -162,7 +162,7 @@ def _note_origin(serdata: int, fragments: int) -> None:
     elif len(notes) >= _MAX_NOTES:
         faults["too many samples"] += 1
     else:
-        notes[serdata] = _Note(origin)
+        notes[serdata] = _Note(origin._replace(encoding=ct.string_at(start + payload_at, 2)))
 
 
 def _write_parameter(note: _Note) -> None:
@@ -238,9 +238,9 @@ def _writable(address: int, size: int) -> Iterator[None]:
     """Memory that the loader has made read-only, writable for the length of the ``with`` block."""
     start = address & -mmap.PAGESIZE
     length = address + size - start
-    protect: Callable[[int, int, int], int] = ct.CFUNCTYPE(ct.c_int, ct.c_void_p, ct.c_size_t, ct.c_int, use_errno=True)(
-        ("mprotect", ct.CDLL(None))
-    )
+    protect: Callable[[int, int, int], int] = ct.CFUNCTYPE(
+        ct.c_int, ct.c_void_p, ct.c_size_t, ct.c_int, use_errno=True
+    )(("mprotect", ct.CDLL(None)))
     if protect(start, length, mmap.PROT_READ | mmap.PROT_WRITE):
         raise HookError(f"the system does not let us change the table of functions ({os.strerror(ct.get_errno())})")
     try:

@@ -64,12 +64,14 @@ class Origin(NamedTuple):
     """Where a sample came from: vendor of the sender, writer and number, and the related identity where it has one.
 
     ``parameter`` is the id under which the related identity came (the standard one if both did), 0 without.
+    ``encoding`` is how the payload begins on the wire, which tells its byte order.
     """
 
     vendor: bytes
     identity: SampleIdentity
     related: SampleIdentity | None = None
     parameter: int = 0
+    encoding: bytes = b"\0\1"
 
 
 def is_reader(guid: bytes) -> bool:

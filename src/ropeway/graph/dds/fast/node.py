@@ -1,0 +1,414 @@
+"""The helper's participant and its endpoints: requests and replies in the mapping of Fast DDS.
+
+One thread waits for DDS and takes; another one carries out what the gateway asks. ``FastNode.lock`` is held by
+whichever of the two is at work, so nothing here is used by both at a time.
+"""
+
+from __future__ import annotations
+
+import ctypes as ct
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+from ropeway.graph.dds import domain, raw
+from ropeway.graph.dds.endpoint_qos import reader_qos, writer_qos
+from ropeway.graph.dds.endpoints import matched, with_padding_told, without_padding
+from ropeway.graph.dds.fast import hook
+from ropeway.graph.dds.fast.frames import MAX_BODY_BYTES, Frame, Op
+from ropeway.graph.dds.fast.hook import RelatedWriter
+from ropeway.graph.dds.fast.identity import (
+    FAST,
+    NOBODY,
+    PID_RELATED,
+    PREFIX_BYTES,
+    UNKNOWN_SEQ,
+    Origin,
+    SampleIdentity,
+    is_reader,
+)
+from ropeway.graph.dds.names import dds_service_topics, dds_type
+from ropeway.graph.dds.profile import Profile
+from ropeway.graph.dds.raw import INFINITY, INFO, SERDATA_HEADER, SampleInfo, check, lib
+from ropeway.qos import QoS
+
+__all__ = ["ClientEnd", "FastNode", "ServiceEnd"]
+
+_READ_QOS: Final = QoS(history="keep_all")
+_WRITE_QOS: Final = QoS(depth=512)  # what a reader that hangs can make us keep
+_BATCH: Final = 64
+_PENDING_LIMIT: Final = 4096
+_MATCH_S: Final = 1.0  # how long an answer waits until its reader is matched
+_TICK_NS: Final = 20_000_000  # between two looks at answers that wait
+_MAX_TRIGGERS: Final = 256
+_GUARD_KEY: Final = 0
+_KEYS: Final = 4  # per endpoint: its data, the matches of its reader and of its writer
+_STATUS: Final = raw.PUBLICATION_MATCHED | raw.SUBSCRIPTION_MATCHED
+_request_head = struct.Struct("<16sq")
+
+Emit = Callable[[Frame], None]
+
+
+class _End:
+    """A reader and a writer on the topics of one service."""
+
+    def __init__(self, node: FastNode, number: int, service: str, type: str, *, serves: bool) -> None:
+        self.number = number
+        self.node = node
+        self._refs = (ct.c_uint64 * _BATCH)()
+        self._infos = (SampleInfo * _BATCH)()
+        self._raw = memoryview(self._infos).cast("B")
+        self._writers: dict[int, bytes] = {}
+        request, reply = dds_service_topics(service)
+        ask, answer = (request, dds_type(type, "_Request")), (reply, dds_type(type, "_Response"))
+        self._entities: list[int] = []
+        try:
+            # The reader is told first: who gets a request of ours should know already who waits for the reply.
+            self._reader = self._make(ask if serves else answer, writes=False)
+            self.reader_guid = raw.guid_of(self._reader)
+            self._entity = self._make(answer if serves else ask, writes=True)
+            self.writer = RelatedWriter(self._entity)
+            node.attach(self, self._reader, self._entity)
+        except BaseException:
+            self.close()
+            raise
+
+    def _make(self, topic: tuple[str, str], *, writes: bool) -> int:
+        entity, sertype = raw.create_topic(self.node.participant, *topic)
+        self._entities.append(entity)
+        hook.install(sertype, topic[1])
+        if writes:
+            with writer_qos(_WRITE_QOS, self.node.mark) as qos:
+                made = check(lib.create_writer(self.node.participant, entity, qos, None), f"create writer {topic[0]}")
+        else:
+            with reader_qos(_READ_QOS, self.node.mark) as qos:
+                made = check(lib.create_reader(self.node.participant, entity, qos, None), f"create reader {topic[0]}")
+        self._entities.append(made)
+        return made
+
+    def close(self) -> None:
+        """Leave the network."""
+        for entity in reversed(self._entities):
+            lib.delete(entity)
+        self._entities.clear()
+
+    def on_data(self) -> None:
+        """Take what is there."""
+        while True:
+            count = check(lib.takecdr(self._reader, self._refs, _BATCH, self._infos, raw.ANY_STATE), "takecdr")
+            for serdata, (_, valid, _, _, handle) in zip(
+                self._refs[:count], INFO.iter_unpack(self._raw[: count * INFO.size]), strict=True
+            ):
+                try:
+                    if valid:
+                        self._take(serdata, handle)
+                finally:
+                    lib.serdata_unref(serdata)
+            if count < _BATCH:
+                return
+
+    def _take(self, serdata: int, handle: int) -> None:
+        origin = hook.origin_of(serdata)
+        if origin is None or origin.identity.guid != (self._writer_of(handle) or origin.identity.guid):
+            self.node.count("of unknown origin")
+            return
+        if not self.node.hears(origin.vendor):
+            return
+        size = lib.serdata_size(serdata)
+        if size > MAX_BODY_BYTES // 2:
+            self.node.count("too long")
+            return
+        payload = without_padding(ct.string_at(serdata + SERDATA_HEADER, size))
+        self.on_sample(origin, origin.encoding + payload[2:])
+
+    def _writer_of(self, handle: int) -> bytes:
+        """The GUID of a writer by what discovery says, to compare; ``b""`` where it has left already."""
+        guid = self._writers.get(handle)
+        if guid is None:
+            guid = _guid(lib.get_matched_publication_data(self._reader, handle))
+            if guid:
+                self._writers[handle] = guid
+        return guid
+
+    def on_sample(self, origin: Origin, payload: bytes) -> None:
+        """A request or a reply."""
+        raise NotImplementedError
+
+    def on_matches(self) -> None:
+        """Take note of who is there. Whoever has left is forgotten."""
+        for entity in (self._reader, self._entity):
+            status = ct.c_uint32()
+            check(lib.take_status(entity, ct.byref(status), _STATUS), "take_status")
+        handles = matched(lib.get_matched_publications, self._reader)
+        self._writers = {handle: guid for handle in handles if (guid := self._writer_of(handle))}
+
+    def readers(self) -> set[bytes]:
+        """Who reads what we write."""
+        handles = matched(lib.get_matched_subscriptions, self._entity)
+        return {_guid(lib.get_matched_subscription_data(self._entity, handle)) for handle in handles}
+
+    def _write(self, payload: bytes, parameter: int, related: SampleIdentity) -> int:
+        seq = self.writer.write(with_padding_told(payload), parameter, related, time.time_ns())
+        lib.write_flush(self._entity)
+        return seq
+
+
+class ClientEnd(_End):
+    """Calls a service. ``emit`` tells how many serve it, and what becomes of each call."""
+
+    def __init__(self, node: FastNode, number: int, service: str, type: str) -> None:
+        self._calls: dict[int, tuple[int, set[bytes]]] = {}
+        self._numbers: dict[int, int] = {}
+        self._servers: set[bytes] = set()
+        super().__init__(node, number, service, type, serves=False)
+
+    def call(self, number: int, payload: bytes) -> None:
+        """Send a request."""
+        if len(self._calls) >= _PENDING_LIMIT:
+            self._tell(Op.FAILED, number, "too many calls are under way")
+            return
+        try:
+            seq = self._write(payload, PID_RELATED, SampleIdentity(self.reader_guid, UNKNOWN_SEQ))
+        except raw.DdsError as error:
+            self._tell(Op.FAILED, number, f"the request cannot be sent: {error}")
+            return
+        self._calls[seq] = (number, set(self._servers))
+        self._numbers[number] = seq
+
+    def forget(self, number: int) -> None:
+        """Nobody waits for this call any more."""
+        self._calls.pop(self._numbers.pop(number, 0), None)
+
+    def on_sample(self, origin: Origin, payload: bytes) -> None:
+        related = origin.related
+        if related is None or related.guid not in (self.reader_guid, self.writer.guid):
+            return
+        found = self._calls.pop(related.seq, None)
+        if found is None:
+            self.node.count("late")
+            return
+        del self._numbers[found[0]]
+        self.node.emit(Frame(Op.RESPONSE, self.number, found[0], payload))
+
+    def on_matches(self) -> None:
+        super().on_matches()
+        writers = {guid[:PREFIX_BYTES] for guid in self._writers.values()}
+        readers = {guid[:PREFIX_BYTES] for guid in self.readers()}
+        servers = {prefix for prefix in writers & readers if self.node.hears(prefix[:2])}
+        if servers == self._servers:
+            return
+        gone, self._servers = self._servers - servers, servers
+        self.node.emit(Frame(Op.SERVERS, self.number, len(servers)))
+        if gone:
+            self.on_data()  # an answer may have come before its server left
+        for seq, (number, asked) in list(self._calls.items()):
+            asked -= gone
+            if gone and not asked:
+                del self._calls[seq], self._numbers[number]
+                self._tell(Op.LOST, number, "its server has left")
+
+    def _tell(self, op: Op, number: int, text: str) -> None:
+        self.node.emit(Frame(op, self.number, number, text.encode()))
+
+
+class ServiceEnd(_End):
+    """Serves a service. ``emit`` passes each request on, under a number that its answer is to carry."""
+
+    def __init__(self, node: FastNode, number: int, service: str, type: str) -> None:
+        self._requests: dict[int, tuple[int, SampleIdentity]] = {}
+        self._last = 0
+        self._readers: set[bytes] = set()
+        self._waiting: deque[tuple[float, int, SampleIdentity, bytes]] = deque()
+        super().__init__(node, number, service, type, serves=True)
+
+    def on_sample(self, origin: Origin, payload: bytes) -> None:
+        if len(self._requests) >= _PENDING_LIMIT:
+            self.node.count("too many at a time")
+            return
+        asks = origin.related.guid if origin.related is not None else NOBODY
+        identity = origin.identity if asks == NOBODY else SampleIdentity(asks, origin.identity.seq)
+        self._last += 1
+        self._requests[self._last] = (origin.parameter or PID_RELATED, identity)
+        head = _request_head.pack(*origin.identity)
+        self.node.emit(Frame(Op.REQUEST, self.number, self._last, head + payload))
+
+    def reply(self, number: int, payload: bytes) -> None:
+        """Answer a request, as soon as who asked can hear it."""
+        parameter, identity = self._requests.pop(number, (0, None))
+        if identity is None:
+            return
+        if not self._can_hear(identity.guid) or self._waiting:
+            self._waiting.append((time.monotonic() + _MATCH_S, parameter, identity, payload))
+            self.node.wake()
+        else:
+            self._send(parameter, identity, payload)
+
+    def forget(self, number: int) -> None:
+        """This request gets no answer."""
+        self._requests.pop(number, None)
+
+    def on_matches(self) -> None:
+        super().on_matches()
+        self._readers = self.readers()
+        self.tick()
+
+    @property
+    def waits(self) -> bool:
+        """True while answers wait for their readers."""
+        return bool(self._waiting)
+
+    def tick(self) -> None:
+        """Send the answers whose readers have come, and give up those whose readers do not."""
+        now = time.monotonic()
+        for _ in range(len(self._waiting)):
+            until, parameter, identity, payload = self._waiting.popleft()
+            if self._can_hear(identity.guid):
+                self._send(parameter, identity, payload)
+            elif now < until:
+                self._waiting.append((until, parameter, identity, payload))
+            else:
+                self.node.count("for nobody")
+
+    def _can_hear(self, guid: bytes) -> bool:
+        """True where ``guid`` reads our answers, or is a writer, whose reader is not known."""
+        return guid in self._readers or not is_reader(guid)
+
+    def _send(self, parameter: int, identity: SampleIdentity, payload: bytes) -> None:
+        try:
+            self._write(payload, parameter, identity)
+        except raw.DdsError:
+            self.node.count("not sent")
+
+
+class FastNode:
+    """A participant for endpoints of this kind, in domain ``number``.
+
+    ``mark`` is the USER_DATA of its endpoints. ``emit`` gets frames for the gateway, in whichever thread is at work.
+    ``everyone`` hears other vendors than Fast DDS, too. Raises ``DdsError``, ``GraphUnavailable``, ``HookError``.
+    """
+
+    def __init__(self, number: int, profile: Profile, mark: bytes, emit: Emit, *, everyone: bool = False) -> None:
+        self.lock = threading.Lock()
+        self.mark = mark
+        self.emit = emit
+        self._number, self._everyone = number, everyone
+        self._ends: dict[int, ClientEnd | ServiceEnd] = {}
+        self._drops: dict[str, int] = {}
+        self._stopping = False
+        domain.acquire("dds", number, profile)
+        try:
+            self.participant = check(lib.create_participant(number, None, None), "create participant")
+        except BaseException:
+            domain.release(number)
+            raise
+        try:
+            self.guid = raw.guid_of(self.participant)
+            self._waitset = check(lib.create_waitset(self.participant), "create_waitset")
+            self._guard = check(lib.create_guardcondition(self.participant), "create_guardcondition")
+            check(lib.waitset_attach(self._waitset, self._guard, _GUARD_KEY), "waitset_attach")
+            self._thread = threading.Thread(target=self._run, name="ropeway fast", daemon=True)
+            self._thread.start()
+        except BaseException:
+            lib.delete(self.participant)
+            domain.release(number)
+            raise
+
+    def close(self) -> None:
+        """Leave the domain with all endpoints."""
+        self._stopping = True
+        self.wake()
+        self._thread.join()
+        for end in self._ends.values():
+            end.close()
+        self._ends.clear()
+        lib.delete(self.participant)
+        domain.release(self._number)
+
+    def hears(self, vendor: bytes) -> bool:
+        """True for a vendor that speaks this mapping."""
+        return self._everyone or vendor == FAST
+
+    def count(self, reason: str) -> None:
+        """One more request or reply that got lost, and why."""
+        self._drops[reason] = self._drops.get(reason, 0) + 1
+
+    def tell_drops(self) -> None:
+        """Emit what was counted since the last time, and what the hook could not do."""
+        with self.lock:
+            drops, self._drops = self._drops, {}
+            for reason in list(hook.faults):
+                drops[reason] = drops.get(reason, 0) + hook.faults.pop(reason)
+            for reason, count in drops.items():
+                self.emit(Frame(Op.DROPPED, 0, count, reason.encode()))
+
+    # Endpoints --------------------------------------------------------------------------------------------------
+
+    def open(self, number: int, service: str, type: str, *, serves: bool) -> None:
+        """Make an endpoint and give it a number. Raises ``DdsError``, ``HookError``, ``InvalidTypeName``."""
+        with self.lock:
+            self._ends[number] = (ServiceEnd if serves else ClientEnd)(self, number, service, type)
+
+    def shut(self, number: int) -> None:
+        """Remove an endpoint."""
+        with self.lock:
+            end = self._ends.pop(number, None)
+            if end is not None:
+                end.close()
+
+    @contextmanager
+    def end(self, number: int) -> Iterator[ClientEnd | ServiceEnd | None]:
+        """An endpoint, with nobody else at work; ``None`` where there is none of this number."""
+        with self.lock:
+            yield self._ends.get(number)
+
+    def attach(self, end: _End, reader: int, writer: int) -> None:
+        """Wait for the data and the matches of an endpoint, too."""
+        condition = check(lib.create_readcondition(reader, raw.ANY_STATE), "create_readcondition")
+        check(lib.set_status_mask(reader, raw.SUBSCRIPTION_MATCHED), "set_status_mask")
+        check(lib.set_status_mask(writer, raw.PUBLICATION_MATCHED), "set_status_mask")
+        for offset, entity in enumerate((condition, reader, writer), start=1):
+            check(lib.waitset_attach(self._waitset, entity, end.number * _KEYS + offset), "waitset_attach")
+        self.wake()
+
+    def wake(self) -> None:
+        """Have the thread look round."""
+        check(lib.set_guardcondition(self._guard, True), "set_guardcondition")
+
+    def _run(self) -> None:
+        triggers = (ct.c_ssize_t * _MAX_TRIGGERS)()
+        was_set = ct.c_bool()
+        while not self._stopping:
+            timeout = (
+                _TICK_NS if any(isinstance(e, ServiceEnd) and e.waits for e in list(self._ends.values())) else INFINITY
+            )
+            # A timeout is given as a length of time, INFINITY as one without end.
+            count = check(lib.waitset_wait(self._waitset, triggers, _MAX_TRIGGERS, timeout), "waitset_wait")
+            for key in triggers[: min(count, _MAX_TRIGGERS)]:
+                if key == _GUARD_KEY:
+                    check(lib.take_guardcondition(self._guard, ct.byref(was_set)), "take_guardcondition")
+                    continue
+                number, offset = divmod(key, _KEYS)
+                with self.lock:
+                    end = self._ends.get(number)
+                    if end is not None and offset == 1:
+                        end.on_data()
+                    elif end is not None:
+                        end.on_matches()
+            with self.lock:
+                for end in self._ends.values():
+                    if isinstance(end, ServiceEnd) and end.waits:
+                        end.tick()
+
+
+def _guid(data: Any) -> bytes:
+    """The GUID in what discovery tells of an endpoint, which is freed; ``b""`` for nothing."""
+    if not data:
+        return b""
+    try:
+        return bytes(data.contents.key)
+    finally:
+        lib.builtintopic_free_endpoint(data)
