@@ -165,6 +165,12 @@ class RosbridgeServer:
 
     async def close(self) -> None:
         """Stop listening and end every session (1001, going away)."""
+        try:
+            await self._close_sessions()
+        finally:
+            await self._vanish()
+
+    async def _close_sessions(self) -> None:
         for listener in self.listeners:
             await listener.close()
         self.listeners.clear()
@@ -180,6 +186,9 @@ class RosbridgeServer:
         await end(*self.lingering.values())
         for connection in connections:
             await connection.wait_closed()  # within a second, see ``Connection.close``
+
+    async def _vanish(self) -> None:
+        """Tell nothing more about ourselves."""
         await self.rosapi.close()
         if self.rosout is not None:
             await self.rosout.finish()

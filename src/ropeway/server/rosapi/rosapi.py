@@ -110,8 +110,9 @@ class Rosapi:
     async def call(self, name: str, args: Any = None, session: object = None) -> Values:
         """The values of the response, in the order of its fields.
 
-        ``args`` is the object or the list that came with the call, ``session`` who calls: all are told the same. Raises ``NotServed`` for a name that is not one of
-        rosapi, ``CallFailed`` for arguments that do not fit the request.
+        ``args`` is the object or the list that came with the call, ``session`` who calls: all are told the same.
+        Raises ``NotServed`` for a name that is not one of rosapi, ``CallFailed`` for arguments that do not fit the
+        request.
         """
         service = self._last_part(name)
         answer = self._answers.get(service)
