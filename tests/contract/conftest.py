@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import importlib.util
 import itertools
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AsyncExitStack
@@ -15,11 +16,14 @@ from ropeway.graph.base import Graph, Sample
 from ropeway.graph.dds import DdsGraph
 from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
+from ropeway.graph.ros2 import Ros2Graph
 from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.types import TypeRegistry
+from tests.graph.ros2.network import isolated_ros2
 from tests.isolation import isolated_dds
 
 _numbers = itertools.count()
+_types = TypeRegistry()
 
 
 class Pair:
@@ -30,6 +34,13 @@ class Pair:
         self.stack = stack
         self.can = Abilities()
 
+    def exactly(self, payload: bytes, type: str) -> bytes:
+        """``payload``, with zeros for its padding where the network has its own way with it."""
+        if self.can.pad_alike:
+            return bytes(payload)
+        codec = _types.codec(type)
+        return codec.encode(codec.decode(payload))
+
 
 @dataclass(frozen=True)
 class Abilities:
@@ -37,18 +48,19 @@ class Abilities:
 
     ``errors``: a service tells why it failed (else the response with default values comes). ``rejects``: a client
     learns that its goal was rejected when it sends it (else with the outcome). ``refuses_cancel``: a client learns that
-    its goal goes on (else the request counts as agreed to).
+    its goal goes on (else the request counts as agreed to). ``pad_alike``: bytes that mean nothing arrive as they were
+    (else there may be some more at the end, and others between the fields).
     """
 
     errors: bool = True
     rejects: bool = True
     refuses_cancel: bool = True
+    pad_alike: bool = True
 
 
 ABILITIES = {
     "dds": Abilities(errors=False),
-    "ros2": Abilities(errors=False),
-    "rosbridge": Abilities(rejects=False, refuses_cancel=False),
+    "ros2": Abilities(errors=False, pad_alike=False),
 }
 """Kinds that cannot say everything, the others can."""
 
@@ -112,6 +124,16 @@ async def open_dds(stack: AsyncExitStack) -> Pair:
     return Pair(near, far, stack)
 
 
+async def open_ros2(stack: AsyncExitStack) -> Pair:
+    """Two nodes of one ROS 2 domain, on the loopback interface, over the middleware of the environment."""
+    with isolated_ros2() as domain:
+        near, far = Ros2Graph(domain, name="near"), Ros2Graph(domain, name="far")
+        for graph in (near, far):
+            await graph.open()
+            stack.push_async_callback(graph.close)
+    return Pair(near, far, stack)
+
+
 async def open_rosbridge(stack: AsyncExitStack, *, plain: bool = False) -> Pair:
     """Two clients of one server, on a network of its own."""
     from ropeway.server import RosbridgeServer
@@ -138,6 +160,8 @@ KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
     "dds": open_dds,
     "rosbridge": open_rosbridge,
 }
+if importlib.util.find_spec("rclpy") is not None:
+    KINDS["ros2"] = open_ros2
 
 
 @pytest.fixture(scope="session", autouse=True)

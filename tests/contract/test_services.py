@@ -119,7 +119,8 @@ async def test_big(pair: Pair) -> None:
         return answer(bytes(request.payload[8:-1]).decode()[::-1])
 
     client = await calling(pair, "/echo", echo, TEXT)
-    assert await client.call(Request(text(big)), 20) == answer(big[::-1])
+    response = await client.call(Request(text(big)), 20)
+    assert pair.exactly(response, f"{TEXT}_Response") == answer(big[::-1])
 
 
 async def test_out_of_order(pair: Pair) -> None:

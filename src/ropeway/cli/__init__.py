@@ -16,6 +16,10 @@ VERBS = {
     "run": "ropeway.cli.run",
     "config": "ropeway.cli.config",
     "topic": "ropeway.cli.topic",
+    "service": "ropeway.cli.service",
+    "action": "ropeway.cli.action",
+    "node": "ropeway.cli.node",
+    "param": "ropeway.cli.param",
     "play": "ropeway.cli.play",
     "demo": "ropeway.cli.demo",
 }

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, TypeVar
 
 import typer
 
 from ropeway.cli.console import fail
 from ropeway.errors import InvalidName
-from ropeway.graph.base import Graph, TopicInfo, resolve_name
+from ropeway.graph.base import Graph, NodeInfo, TopicInfo, resolve_name
+from ropeway.graph.calls import ActionInfo, ServiceInfo
 from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA, QoS
+from ropeway.tasks import end
 from ropeway.types import TypeRegistry
 
 __all__ = [
@@ -30,12 +31,20 @@ __all__ = [
     "Session",
     "SpinOption",
     "TypesOption",
+    "discover",
     "find_topic",
+    "full_name",
     "open_session",
     "qos_of",
     "settle",
+    "settle_actions",
+    "settle_nodes",
+    "settle_services",
     "topic_name",
 ]
+
+T = TypeVar("T")
+P = TypeVar("P", ServiceInfo, ActionInfo)
 
 _QUIET_S: Final = 0.3  # no news for so long: what is there has been discovered
 _PROFILES: Final[Mapping[str, QoS]] = {"default": DEFAULT, "sensor_data": SENSOR_DATA, "latched": LATCHED}
@@ -46,7 +55,7 @@ GraphOption = Annotated[
         "--graph",
         "-g",
         envvar="ROPEWAY_GRAPH",
-        help="The network: dds:0, ws://host:9090. Without it, DDS on ROS_DOMAIN_ID.",
+        help="The network: dds:0, ros2, auto, ws://host:9090. Without it, DDS on ROS_DOMAIN_ID.",
         show_default=False,
     ),
 ]
@@ -99,6 +108,11 @@ async def open_session(url: str = "", types: list[Path] | None = None) -> AsyncI
 
 def topic_name(name: str) -> str:
     """An absolute topic name, or the end with a sentence."""
+    return full_name(name)
+
+
+def full_name(name: str) -> str:
+    """The absolute name of a topic, service, action or node, or the end with a sentence."""
     try:
         return resolve_name(name)
     except InvalidName as error:
@@ -119,10 +133,13 @@ def qos_of(profile: str, depth: int | None, history: str, reliability: str, dura
         fail(str(error), 2)
 
 
-async def settle(
-    graph: Graph, spin_time_s: float, done: Callable[[dict[str, TopicInfo]], bool] | None = None
-) -> dict[str, TopicInfo]:
-    """The topics once ``done`` says so, or at the latest after ``spin_time_s``.
+async def discover(
+    graph: Graph,
+    spin_time_s: float,
+    look: Callable[[], dict[str, T]],
+    done: Callable[[dict[str, T]], bool] | None = None,
+) -> dict[str, T]:
+    """What ``look`` finds on the graph once ``done`` says so, or at the latest after ``spin_time_s``.
 
     Without ``done``, once something is there, nothing new came for a while, and the graph expects nothing more.
     """
@@ -137,23 +154,57 @@ async def settle(
     deadline = loop.time() + spin_time_s
     try:
         while True:
-            topics = {name: info for name, info in graph.topics().items() if not _only_own(info)}
-            if done is not None and done(topics):
-                return topics
+            found = look()
+            if done is not None and done(found):
+                return found
             left = deadline - loop.time()
             if left <= 0:
-                return topics
+                return found
             news.clear()
             try:
                 async with asyncio.timeout(min(left, _QUIET_S)):
                     await news.wait()
             except TimeoutError:
-                if done is None and topics and getattr(graph, "settled", True):
-                    return topics
+                if done is None and found and getattr(graph, "settled", True):
+                    return found
     finally:
-        listener.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await listener
+        await end(listener)
+
+
+async def settle(
+    graph: Graph, spin_time_s: float, done: Callable[[dict[str, TopicInfo]], bool] | None = None
+) -> dict[str, TopicInfo]:
+    """The topics that others publish or read; see ``discover``."""
+
+    def topics() -> dict[str, TopicInfo]:
+        return {name: info for name, info in graph.topics().items() if not _only_own(info)}
+
+    return await discover(graph, spin_time_s, topics, done)
+
+
+async def settle_services(
+    graph: Graph, spin_time_s: float, done: Callable[[dict[str, ServiceInfo]], bool] | None = None
+) -> dict[str, ServiceInfo]:
+    """The services that others serve or call; see ``discover``."""
+    return await discover(graph, spin_time_s, lambda: _of_others(graph.services()), done)
+
+
+async def settle_actions(
+    graph: Graph, spin_time_s: float, done: Callable[[dict[str, ActionInfo]], bool] | None = None
+) -> dict[str, ActionInfo]:
+    """The actions that others serve or use; see ``discover``."""
+    return await discover(graph, spin_time_s, lambda: _of_others(graph.actions()), done)
+
+
+async def settle_nodes(
+    graph: Graph, spin_time_s: float, done: Callable[[dict[str, NodeInfo]], bool] | None = None
+) -> dict[str, NodeInfo]:
+    """The nodes of others; see ``discover``."""
+
+    def nodes() -> dict[str, NodeInfo]:
+        return {name: info for name, info in graph.nodes().items() if not info.local}
+
+    return await discover(graph, spin_time_s, nodes, done)
 
 
 async def find_topic(graph: Graph, topic: str, spin_time_s: float, *, published: bool = False) -> TopicInfo | None:
@@ -163,6 +214,14 @@ async def find_topic(graph: Graph, topic: str, spin_time_s: float, *, published:
         return topic in topics and (not published or bool(topics[topic].publishers))
 
     return (await settle(graph, spin_time_s, found)).get(topic)
+
+
+def _of_others(infos: dict[str, P]) -> dict[str, P]:
+    return {
+        name: info
+        for name, info in infos.items()
+        if not (ends := info.servers + info.clients) or not all(end.local for end in ends)
+    }
 
 
 def _only_own(info: TopicInfo) -> bool:

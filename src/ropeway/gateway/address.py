@@ -23,10 +23,14 @@ LINKS: Final[Mapping[str, int]] = {"ws": DEFAULT_PORT, "wss": DEFAULT_PORT}
 
 GRAPHS: Final[Mapping[str, str]] = {
     "dds": r"dds:(?P<domain>\d{1,3})(\?[\w.%,:/=&+-]+)?",
+    "ros2": r"ros2(:(?P<domain>\d{1,3}))?",
+    "auto": r"auto",
     "memory": r"memory:[A-Za-z0-9_.-]+",
 }
 """The kinds of graph a gateway may stand on, and how each is written."""
 
+_WRITTEN: Final = {"dds": "dds:0", "ros2": "ros2 or ros2:0", "auto": "auto", "memory": "memory:name"}
+_DOMAINS: Final = {"dds": "DDS", "ros2": "ROS"}
 _MAX_DOMAIN: Final = 232  # the highest whose UDP ports exist
 _HOST: Final = re.compile(r"(?!-)[A-Za-z0-9_-]{1,63}(\.(?!-)[A-Za-z0-9_-]{1,63})*\.?")
 
@@ -58,9 +62,10 @@ def parse_graph(text: str) -> str:
         raise ValueError(f'expected a graph such as dds:0 (kinds: {", ".join(GRAPHS)}), got "{text}"{near}')
     match = re.fullmatch(GRAPHS[kind], text)
     if match is None:
-        raise ValueError(f'expected {kind}:{"0" if kind == "dds" else "name"}, got "{text}"')
-    if kind == "dds" and int(match["domain"]) > _MAX_DOMAIN:
-        raise ValueError(f'expected a DDS domain from 0 to {_MAX_DOMAIN}, got "{text}"')
+        raise ValueError(f'expected {_WRITTEN[kind]}, got "{text}"')
+    domain = match.groupdict().get("domain")
+    if domain is not None and int(domain) > _MAX_DOMAIN:
+        raise ValueError(f'expected a {_DOMAINS[kind]} domain from 0 to {_MAX_DOMAIN}, got "{text}"')
     return text
 
 

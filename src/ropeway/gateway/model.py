@@ -355,7 +355,9 @@ class GatewayConfig(_Model):
         default_factory=_hostname, description="how others see it; left out: from the host name"
     )
     graphs: Annotated[Many[Annotated[str, AfterValidator(parse_graph)]], AfterValidator(_not_empty)] = Field(
-        default_factory=_default_graphs, description="the local networks, as dds:<domain>; left out: ROS_DOMAIN_ID"
+        default_factory=_default_graphs,
+        description="the local networks: dds:<domain> (no ROS needed), ros2 or ros2:<domain> (through the sourced ROS 2, "
+        "any RMW), auto (ros2 where ROS 2 is sourced, else dds); left out: dds with ROS_DOMAIN_ID",
     )
     listen: Many[Annotated[str, AfterValidator(parse_listen)]] = Field(
         ("ws://127.0.0.1:9090",), description="where other gateways and rosbridge clients connect; [] for nowhere"

@@ -193,6 +193,7 @@ class Undelivered(enum.Enum):
     CALLBACK = "a callback failed"
     CLOSED = "the graph was closed"
     WRITE = "the network refused it"
+    LATE = "nobody waits for the answer any more"
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,13 +29,18 @@ class Running:
         """Run a handler as a task."""
         task = asyncio.ensure_future(work)
         self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(self._ended)
         return task
+
+    def _ended(self, task: asyncio.Task[bytes]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled():
+            task.exception()  # who called may not wait any more
 
     async def fail(self) -> None:
         """The provider has gone."""
         self.closed = True
-        await end(*(task for task in self._tasks if task is not asyncio.current_task()))
+        await end(*(t for t in self._tasks if t is not asyncio.current_task() and not t.done()))
 
 
 async def answer(name: str, running: Running, work: Awaitable[bytes], timeout_s: float) -> bytes:

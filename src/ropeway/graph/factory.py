@@ -1,4 +1,8 @@
-"""Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ws://host:9090``, ``memory:name``."""
+"""Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ws://host:9090``, ``memory:name``.
+
+``ros2`` goes through the installed rclpy, in the domain of ``ROS_DOMAIN_ID`` unless it names one. ``auto`` is ``ros2``
+where rclpy can be imported, because ROS 2 is sourced, and else ``dds`` in the same domain.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +25,10 @@ def make_graph(
 
     ``options`` go to graphs of the ``ws`` kind (``ssl_context``, ``limits``, ``wait``, ``watch``, ``headers``).
     """
+    if url == "auto":
+        url = _auto()
+    if url == "ros2":
+        url = f"ros2:{_domain(url)}"
     parts = urlsplit(url)
     scheme = parts.scheme
     query = dict(parse_qsl(parts.query))
@@ -33,6 +41,14 @@ def make_graph(
         interface = query.pop("interface", None)
         _no_more(url, query)
         return DdsGraph(int(domain), name=name, interface=interface, gateway_id=gateway_id, registry=registry)
+    if scheme == "ros2":
+        from ropeway.graph.ros2 import Ros2Graph
+
+        domain = parts.path or parts.netloc
+        if not domain.isdigit() or int(domain) > 232:
+            raise GraphUnavailable(url, f"{domain!r} is not a ROS domain; write ros2, or ros2:0 to ros2:232")
+        _no_more(url, query)
+        return Ros2Graph(int(domain), name=name, gateway_id=gateway_id, registry=registry)
     if scheme in ("ws", "wss"):
         from ropeway.graph.rosbridge import RosbridgeGraph
 
@@ -41,7 +57,9 @@ def make_graph(
         from ropeway.graph.memory import MemoryGraph
 
         return MemoryGraph(parts.path or "default", node=f"/{name}", registry=registry)
-    raise GraphUnavailable(url, "is no graph; write dds:0, dds:5?interface=lo, ws://host:9090 or wss://host")
+    raise GraphUnavailable(
+        url, "is no graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, ws://host:9090 or wss://host"
+    )
 
 
 async def open_graph(
@@ -53,6 +71,22 @@ async def open_graph(
     return graph
 
 
+def _auto() -> str:
+    from ropeway.graph.ros2 import rclpy_fault
+
+    return f"{'dds' if rclpy_fault() else 'ros2'}:{_domain('auto')}"
+
+
+def _domain(url: str) -> int:
+    from ropeway.graph.ros2.environment import domain_of_environment
+
+    try:
+        return domain_of_environment()
+    except ValueError as error:
+        raise GraphUnavailable(url, str(error)) from error
+
+
 def _no_more(url: str, query: dict[str, str]) -> None:
     if query:
-        raise GraphUnavailable(url, f"{next(iter(query))!r} is no option of this kind of graph; known is interface")
+        known = "; known is interface" if url.startswith("dds") else ""
+        raise GraphUnavailable(url, f"{next(iter(query))!r} is no option of this kind of graph{known}")

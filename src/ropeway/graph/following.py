@@ -25,6 +25,7 @@ log = logging.getLogger("ropeway.graph")
 _OVERLAP_S: Final = 1.0
 _OVERLAP_TRIES: Final = 5
 _SEEN_LIMIT: Final = 1024
+_MISSING: Final = b"missing"
 
 R = TypeVar("R")
 T = TypeVar("T")
@@ -99,7 +100,7 @@ class Following(Generic[R]):
         self._qos = DEFAULT if qos is None else settled(qos, DEFAULT)
         self._callback = callback
         self._readers: list[SharedReader[R]] = []  # the last is the one in use, the others overlap with it
-        self._seen: dict[tuple[bytes, int], None] = {}
+        self._seen: dict[int, bytes | None] = {}  # as in ``ropeway.graph.seen``
         self._overlap: asyncio.TimerHandle | None = None
         self._tries = 0
         self._closing: set[asyncio.Task[None]] = set()
@@ -167,10 +168,10 @@ class Following(Generic[R]):
         fresh = []
         for sample in batch:
             if sample.seq != SEQ_NONE:
-                key = (sample.origin, sample.seq)
-                if key in seen:
+                known = seen.get(sample.seq, _MISSING)
+                if known is not _MISSING and (known is None or sample.relayed or known == sample.origin):
                     continue
-                seen[key] = None
+                seen[sample.seq] = None if sample.relayed else sample.origin
             fresh.append(sample)
         excess = len(seen) - max(_SEEN_LIMIT, 2 * self._qos.depth)
         if excess > 0:

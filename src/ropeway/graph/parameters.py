@@ -153,7 +153,7 @@ def parse_value(text: str) -> ParameterValue:
 
 def nodes_with_parameters(services: Mapping[str, ServiceInfo]) -> list[str]:
     """The names of the nodes that have parameter services, sorted, from what ``Graph.services`` lists."""
-    found = [name for name, info in services.items() if _LIST_TYPE in info.types and info.servers]
+    found = [name for name, info in services.items() if info.servers and (_LIST_TYPE in info.types or not info.types)]
     return sorted(name.removesuffix(f"/{_LIST}") for name in found if name.endswith(f"/{_LIST}"))
 
 

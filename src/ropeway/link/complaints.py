@@ -8,6 +8,8 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Final
 
+from ropeway.wire.operations import ABSENT
+
 __all__ = ["Complaints"]
 
 log = logging.getLogger("ropeway.link")
@@ -28,17 +30,22 @@ class Complaints:
     def __init__(self, peer: str, clock: Callable[[], float] = time.monotonic) -> None:
         self.peer = peer
         self.counts: Counter[tuple[str, str]] = Counter()
+        self.on_note: Callable[[str, str, object], None] = _nobody
         self._clock = clock
         self._said: dict[str, float] = {}  # by kind: when the log told of it
         self._unsaid: Counter[str] = Counter()
 
-    def note(self, kind: str, topic: str, text: object) -> None:
-        """Count one fault, and say so in the log if none of its kind was told within the last minute."""
+    def note(self, kind: str, topic: str, text: object, *, id: object = ABSENT) -> None:
+        """Count one fault, and say so in the log if none of its kind was told within the last minute.
+
+        ``on_note`` is called for each, with the kind, the text and the ``id`` of the operation that was at fault.
+        """
         topic = _shown(topic, _TOPIC_LIMIT)
         key = (kind, topic)
         if key not in self.counts and len(self.counts) >= _KINDS_LIMIT:
             key = (kind, "(other)")
         self.counts[key] += 1
+        self.on_note(kind, _shown(str(text), _TEXT_LIMIT), id)
         now = self._clock()
         if now - self._said.get(kind, float("-inf")) < _QUIET_S:
             self._unsaid[kind] += 1
@@ -53,6 +60,10 @@ class Complaints:
     def total(self) -> int:
         """How many faults there were."""
         return sum(self.counts.values())
+
+
+def _nobody(kind: str, text: str, id: object) -> None:
+    """Nobody wants to know."""
 
 
 def _shown(text: str, limit: int) -> str:

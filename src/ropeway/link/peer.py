@@ -86,6 +86,7 @@ class Peer:
         self.complaints = Complaints(connection.peer)
         kind = RecordSender if self.dialect is ROPEWAY else PlainSender
         self.sender: Sender = kind(connection, self.complaints, self.dialect)
+        self.greeted = False  # a Ropeway gateway that has said hello
         self._ops = OpSender(self.sender)
         self.on_invalid: Callable[[Mapping[str, Any], WireError], None] = self._invalid  # what is no operation
         self.rtt_s: float | None = None
@@ -288,6 +289,7 @@ class Peer:
         self.complaints.note("operation", str(message.get("topic", ""))[:200], error)
 
     def _greeted(self, message: Mapping[str, Any]) -> None:
+        self.greeted = True
         limit = message.get("limit_bytes")
         self._ops.limit_bytes = limit if type(limit) is int and limit > 0 else None
         self._ops.records = self._ops.records or message.get("calls") == _CALLS

@@ -10,6 +10,7 @@ import ssl
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
+import aiofastnet
 import picows
 
 from ropeway.errors import ConnectFailed
@@ -32,6 +33,7 @@ class _PicowsLog(logging.LoggerAdapter[logging.Logger]):
 logging.getLogger("ropeway.link.picows").setLevel(logging.ERROR)
 _picows_log = _PicowsLog(logging.getLogger("ropeway.link.picows"), {})
 
+_BACKLOG: Final = 1024  # clients that come back all at once after a cut
 _OTHER_HOST: Final = (62, 64)  # OpenSSL: X509_V_ERR_HOSTNAME_MISMATCH, X509_V_ERR_IP_ADDRESS_MISMATCH
 _EXPIRED: Final = 10
 
@@ -138,10 +140,17 @@ async def listen(
     secure: dict[str, Any] = {}
     if ssl_context is not None:
         _take_failed_handshakes(Complaints(address))
-        secure = {"ssl": ssl_context, "ssl_handshake_timeout": limits.open_timeout_s, "ssl_shutdown_timeout": 1.0}
+        secure = {"ssl": ssl_context, "ssl_handshake_timeout": limits.open_timeout_s}
     try:
-        server = await asyncio.get_running_loop().create_server(
-            lambda: Front(shared), host, port, reuse_port=reuse_port or None, reuse_address=True, **secure
+        server = await aiofastnet.create_server(
+            asyncio.get_running_loop(),
+            lambda: Front(shared),
+            host,
+            port,
+            backlog=_BACKLOG,
+            reuse_port=reuse_port or None,
+            reuse_address=True,
+            **secure,
         )
     except OSError as error:
         raise ConnectFailed(

@@ -209,6 +209,11 @@ class TakenGoal:
         known = op.status in (GoalStatus.SUCCEEDED, GoalStatus.CANCELED)
         self.end(Outcome(GoalStatus(op.status) if known else GoalStatus.ABORTED, payload))
 
+    @property
+    def has_ended(self) -> bool:
+        """True once its outcome is known."""
+        return self._outcome.done()
+
     def end(self, outcome: Outcome) -> None:
         """It has ended."""
         if not self._outcome.done():

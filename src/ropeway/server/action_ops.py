@@ -171,7 +171,7 @@ class ActionOps:
         if action is None:
             raise InvalidOperation("", f"Action {op.action} has not been advertised via rosbridge.")
         goal = action.pending.get(op.id) if isinstance(op.id, str) else None
-        if goal is None:
+        if goal is None or goal.has_ended:
             what = op.op.replace("_", " ")
             raise InvalidOperation("", f"Received {what} for unrecognized id: {str(op.id)[:200]}")
         return goal

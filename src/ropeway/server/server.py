@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import ssl
-from typing import TYPE_CHECKING
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from ropeway.errors import ConnectFailed, RopewayError
+from ropeway.graph.calls import DEFAULT_TIMEOUT_S
+from ropeway.link.complaints import Complaints
 from ropeway.link.connection import Connection, Limits
+from ropeway.link.front import Admission
+from ropeway.link.http import Request, Response, reply
 from ropeway.link.websocket import Server, listen
+from ropeway.server.access import EVERYTHING, Access, Role
+from ropeway.server.door import Door, subprotocol
+from ropeway.server.http import Pages
 from ropeway.server.presence import Presence, ip_address
 from ropeway.server.rosapi import Globs, Rosapi
 from ropeway.server.rosout import Rosout
@@ -52,6 +63,10 @@ class RosbridgeServer:
         params_timeout_s: float = 5.0,
         publish_clients: bool = True,
         publish_rosout: bool = True,
+        door: Door | None = None,
+        reasons: Callable[[], Sequence[str]] = tuple,
+        call_timeout_s: float = DEFAULT_TIMEOUT_S,
+        silence_s: float | None = _CLIENT_SILENCE_S,
     ) -> None:
         self.hub, self.registry = hub, registry
         self.gateway_id, self.name = gateway_id, name
@@ -60,7 +75,13 @@ class RosbridgeServer:
         self.sessions: dict[Session, asyncio.Task[None]] = {}
         self.lingering: dict[Session, asyncio.Task[None]] = {}
         self.listeners: list[Server] = []
-        self.rosapi = Rosapi(hub, registry, params_timeout_s=params_timeout_s, globs=rosapi_globs)
+        self.door = door or Door()
+        self.denied: Counter[str] = Counter()  # by rule, of all clients
+        self.refused: Counter[str] = Counter()  # who was not let in, by status and reason
+        self.call_timeout_s, self.silence_s = call_timeout_s, silence_s
+        self.rosapi = Rosapi(hub, registry, params_timeout_s=params_timeout_s, globs=rosapi_globs or self.door.globs)
+        self._pages = Pages(reasons, lambda origin: self.door.knows_origin(origin))
+        self._complaints = Complaints("server")
         self.presence: Presence | None = None
         self.rosout: Rosout | None = None
         self._publish_clients, self._publish_rosout = publish_clients, publish_rosout
@@ -82,10 +103,11 @@ class RosbridgeServer:
             port,
             self._connected,
             limits=self.limits,
-            subprotocols=(ROPEWAY_SUBPROTOCOL,),
             ssl_context=ssl_context,
             path=parts.path or "/",
             reuse_port=reuse_port,
+            admit=self._admit,
+            http=self._pages,
         )
         self.listeners.append(server)
         if self._ticker is None:
@@ -107,9 +129,48 @@ class RosbridgeServer:
         except RopewayError as error:
             log.warning("%s does not take what the server tells about itself: %s", self.hub.graph.name, error)
 
+    def _admit(self, request: Request) -> Admission | Response:
+        role = self.door.role_of(request)
+        if isinstance(role, Role):
+            full = self._full(role)
+            if not full:
+                limits = self.limits
+                if role.max_message_bytes is not None:
+                    size = min(role.max_message_bytes, limits.max_message_bytes)
+                    limits = replace(limits, max_message_bytes=size)
+                return Admission(subprotocol(request), limits, role)
+            role = reply(503, {"error": full}, Retry_After="10")
+        reason = f"{role.status} {json.loads(role.body)['error']}"
+        self.refused[reason] += 1
+        self._complaints.note("handshake", "", f"{request.peer} is refused: {reason}")
+        return role
+
+    def _full(self, role: Role) -> str:
+        """Why there is no place for one more of this role; ``""`` where there is."""
+        most = self.door.max_clients
+        if most is not None and len(self.sessions) >= most:
+            return f"there are {most} clients, and no more may come"
+        if role.max_clients is not None:
+            there = sum(session.access.role.name == role.name for session in self.sessions)
+            if there >= role.max_clients:
+                return f"there are {role.max_clients} clients of this role, and no more may come"
+        return ""
+
+    def replace_door(self, door: Door) -> None:
+        """Tokens, roles and rules are others now; whoever would no longer come in with the same role is closed (1008).
+
+        Globs of rosapi stay as they were.
+        """
+        self.door = door
+        for session in self.sessions:
+            connection = session.peer.connection
+            if connection.handshake is None or door.role_of(connection.handshake) != session.access.role:
+                connection.close(1008, "what this client may do has changed; connect again")
+
     def _connected(self, connection: Connection) -> None:
         if connection.subprotocol != ROPEWAY_SUBPROTOCOL:
-            connection.silence_s = _CLIENT_SILENCE_S
+            connection.silence_s = self.silence_s
+        role = connection.grant if isinstance(connection.grant, Role) else EVERYTHING
         session = Session(
             connection,
             self.hub,
@@ -118,6 +179,8 @@ class RosbridgeServer:
             name=self.name,
             unregister_timeout_s=self.unregister_timeout_s,
             on_advertised=self._advertised,
+            call_timeout_s=self.call_timeout_s,
+            access=Access(role, self.door.globs, client=connection.peer, tally=self.denied),
             rosapi=self.rosapi,
         )
         task = asyncio.create_task(session.run(), name=f"session {connection.peer}")
@@ -162,6 +225,10 @@ class RosbridgeServer:
             await asyncio.sleep(1.0)
             for session in list(self.sessions):
                 session.tick()
+
+    def status(self) -> dict[str, Any]:
+        """Who was refused and what was denied, as JSON."""
+        return {"refused": dict(self.refused), "denied": dict(self.denied)}
 
     async def close(self) -> None:
         """Stop listening and end every session (1001, going away)."""

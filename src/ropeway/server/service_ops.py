@@ -107,7 +107,7 @@ class ServiceOps:
     async def _call(self, op: ops.CallService, name: str) -> None:
         session = self.session
         extra = op.ropeway or {}
-        type = self._type(op, name)
+        type, known = self._type(op, name)
         session.learn(type, extra)
         codec = codec_of(session, type + "_Response")
         payload = decode_body(session, op.args, op.compression, type + "_Request")
@@ -115,6 +115,8 @@ class ServiceOps:
         request = Request(payload, timeout_s=timeout_s, **passage(session, extra))
         client = await session.view.create_client(name, type)
         try:
+            if not known and client.available is False:
+                raise NotServed(name)  # at once, as rosbridge does, which does not know the type then
             response = await client.call(request, timeout_s)
         finally:
             await client.close()
@@ -128,8 +130,11 @@ class ServiceOps:
             on_unsent=partial(self._refuse, op),
         )
 
-    def _type(self, op: ops.CallService, name: str) -> str:
-        """The type of a service: as it is served, else as the client says, if it says something sensible."""
+    def _type(self, op: ops.CallService, name: str) -> tuple[str, bool]:
+        """The type of a service, and whether to wait for it.
+
+        It is as it is served, else as the client says, if it says something sensible. A gateway knows what it wants.
+        """
         session = self.session
         try:
             given = session.registry.canonical(op.type, "srv") if op.type else ""
@@ -139,11 +144,11 @@ class ServiceOps:
         if session.gateway and given:
             if types and given not in types:
                 raise TypeConflict(name, types[0], given)
-            return given
+            return given, True
         if types:
-            return types[0]
+            return types[0], True
         if given and session.registry.has(given) and given.split("/")[1] == "srv":
-            return given
+            return given, False
         raise NotServed(name)
 
     def _timeout_s(self, asked: float | None) -> float:
@@ -288,11 +293,15 @@ class OfferedService:
                 del self.pending[id]
 
     def answered(self, op: ops.ServiceResponse) -> None:
-        """An answer came. Raises ``InvalidOperation`` for one that nobody waits for, ``TypesError`` for a bad one."""
+        """An answer came: a response, or a text (or nothing, with a false ``result``) that fails the call.
+
+        A false ``result`` with a response counts for nothing, as with rosbridge: what a ROS 2 service has to say stands
+        in its response. Raises ``InvalidOperation`` for an answer that nobody waits for, ``TypesError`` for a bad one.
+        """
         answer = self.pending.get(op.id) if isinstance(op.id, str) else None
         if answer is None or answer.done():
             raise InvalidOperation("", f"Received service response for unrecognized id: {str(op.id)[:200]}")
-        if not op.result or isinstance(op.values, str):
+        if isinstance(op.values, str) or (not op.result and op.values is None):
             self.fail(op.id, received(self.name, op.values, op.ropeway, kind="service", timeout_s=0.0))
             return
         try:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from ropeway.errors import InvalidOperation, RopewayError, WireError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.link.peer import Peer
+from ropeway.server.access import Access
 from ropeway.server.action_ops import ActionOps
 from ropeway.server.service_ops import ServiceOps
 from ropeway.server.topic_ops import Retire, TopicOps
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from ropeway.link.connection import Connection
     from ropeway.types import TypeRegistry
 
-__all__ = ["Access", "Rosapi", "Session"]
+__all__ = ["Rosapi", "Session"]
 
 log = logging.getLogger("ropeway.server")
 
@@ -38,13 +39,6 @@ _DEFINITION_LIMIT: Final = 1 << 20  # characters
 _STATUS_LIMIT_BYTES: Final = 1 << 20  # notices are not sent to a client that does not read so much
 
 
-class Access(Protocol):
-    """Who may do what; see ``ropeway.server.access``."""
-
-    def check(self, verb: str, name: str) -> None:
-        """Raises ``AccessDenied``."""
-
-
 class Rosapi(Protocol):
     """Answers the services of rosapi; see ``ropeway.server.rosapi``."""
 
@@ -53,13 +47,6 @@ class Rosapi(Protocol):
 
     async def call(self, name: str, args: Any, session: Session) -> Any:
         """The ``values`` of the response, as JSON has them. Raises ``RopewayError``."""
-
-
-class _Everybody:
-    """Allows everything."""
-
-    def check(self, verb: str, name: str) -> None:
-        return
 
 
 class Session:
@@ -90,7 +77,7 @@ class Session:
     ) -> None:
         self.registry = registry
         self.gateway_id = gateway_id
-        self.access: Access = access or _Everybody()
+        self.access = access or Access(client=connection.peer)
         self.rosapi = rosapi
         self.peer = Peer(connection, registry, self)
         self.peer.on_invalid = self.invalid
@@ -110,6 +97,8 @@ class Session:
         self._gone = False
         handshake = connection.handshake
         self._tells_status = handshake is not None and _wants_status(handshake.query)
+        if self._tells_status:
+            self.peer.complaints.on_note = lambda kind, text, id: self._send_status("error", f"{kind}: {text}", id)
         if self.gateway:
             self.peer.hello(gateway_id, name)
             self.peer.ping()
@@ -214,7 +203,9 @@ class Session:
         elif op == "action_result":
             self.actions.invalid_result(message, error)
         name = message.get("topic", message.get("service", message.get("action", "")))
-        self.complain("operation", str(name)[:200], error, error.id if isinstance(error, InvalidOperation) else None)
+        self.complain(
+            "operation", str(name)[:200], error, error.id if isinstance(error, InvalidOperation) else ops.ABSENT
+        )
 
     def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
         """Messages came on a channel."""
@@ -234,17 +225,16 @@ class Session:
 
     def complain(self, kind: str, name: str, error: object, id: object = ops.ABSENT) -> None:
         """Count and log something that the client did wrong, and tell it, if it wants to know."""
-        self.peer.complaints.note(kind, name, error)
-        self._tell("error", f"{kind}: {error}" if kind else str(error), id)
+        self.peer.complaints.note(kind, name, error, id=id)
 
     def inform(self, text: str, id: object = ops.ABSENT) -> None:
         """Log something that the client may want to know, and tell it, if it does."""
         log.info("%s: %s", self.peer.connection.peer, text)
-        self._tell("info", text, id)
+        if self._tells_status:
+            self._send_status("info", text, id)
 
-    def _tell(self, level: str, text: str, id: object) -> None:
-        connection = self.peer.connection
-        if self._tells_status and connection.unsent_bytes < _STATUS_LIMIT_BYTES:
+    def _send_status(self, level: str, text: str, id: object) -> None:
+        if self.peer.connection.unsent_bytes < _STATUS_LIMIT_BYTES:
             self.peer.send(ops.Status(level=level, msg=text, id=id))
 
     def tick(self) -> None:

@@ -271,8 +271,7 @@ class TopicOps:
         output.requests[key] = op
         try:
             output.settle()
-            if before is None:
-                await self._read(output, name, qos)
+            await self._read(output, name, qos)
         except (RopewayError, ValueError):
             if output.subscription is None:
                 await self._drop_output(output)
@@ -283,7 +282,7 @@ class TopicOps:
             raise
 
     async def _read(self, output: TopicOut, name: str, qos: QoS | None) -> None:
-        """Read for one more id; one that comes later has what is kept for late readers again, as from rosbridge."""
+        """Read the topic; who asks once more has what is kept for late readers once more, as from rosbridge."""
         old = output.subscription
         if old is not None:
             if not old.qos.transient_local:

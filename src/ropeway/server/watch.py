@@ -22,7 +22,7 @@ class Watch:
 
     def __init__(self, graph: Graph, send: Callable[[Mapping[str, Any]], None]) -> None:
         self._graph, self._send = graph, send
-        self._known: dict[str, dict[str, Any]] = {"topics": {}, "nodes": {}}
+        self._known: dict[str, dict[str, Any]] = {"topics": {}, "nodes": {}, "services": {}, "actions": {}}
         self._changes = graph.changes()
         self._task = asyncio.create_task(self._run(), name="watch graph")
 
@@ -33,7 +33,8 @@ class Watch:
             self._tell()
 
     def _tell(self, *, everything: bool = False) -> None:
-        now = describe(self._graph.topics(), self._graph.nodes())
+        graph = self._graph
+        now = describe(graph.topics(), graph.nodes(), graph.services(), graph.actions())
         message: dict[str, Any] = {"op": "graph"}
         for key, values in now.items():
             known = self._known[key]

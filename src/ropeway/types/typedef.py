@@ -27,7 +27,7 @@ def typedefs(names: Iterable[str], definition: Callable[[str], Definition]) -> l
                 "fieldarraylen": [_length(field) for field in fields],
                 "examples": [_example(field) for field in fields],
                 "constnames": [constant.name for constant in known.constants],
-                "constvalues": [str(constant.value) for constant in known.constants],
+                "constvalues": [_text(constant.type, constant.value) for constant in known.constants],
             }
         )
     return found
@@ -50,7 +50,12 @@ def _example(field: Field) -> str:
     if field.type.is_message:
         return "{}"
     if field.default is not None:
-        return str(field.default)
+        return _text(field.type.base, field.default)
     if field.type.base in ("string", "wstring"):
         return ""
     return {"bool": "False", "float32": "0.0", "float64": "0.0", "byte": "b'\\x00'"}.get(field.type.base, "0")
+
+
+def _text(type: str, value: object) -> str:
+    """A value as Python has it where rosbridge runs: a byte is ``bytes`` there."""
+    return str(bytes([value])) if type == "byte" and isinstance(value, int) else str(value)

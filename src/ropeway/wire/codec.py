@@ -319,7 +319,9 @@ def _has_fields(codec: MessageCodec | None, msg: Mapping[Any, Any]) -> bool:
     return codec is not None and set(codec.fields) == set(msg)
 
 
-def decode_value(value: Any, compression: str | None, codec: MessageCodec, *, limit_bytes: int = LIMIT_BYTES) -> bytes:
+def decode_value(
+    value: Any, compression: str | None, codec: MessageCodec | None, *, limit_bytes: int = LIMIT_BYTES
+) -> bytes:
     """The payload of the ``args`` or ``values`` of an operation that came.
 
     As ``decode_publish_msg``; besides, a list gives the fields in order, superfluous ones ignored, and nothing
@@ -328,7 +330,7 @@ def decode_value(value: Any, compression: str | None, codec: MessageCodec, *, li
     if value is None:
         value = {}
     elif isinstance(value, (list, tuple)):
-        value = dict(zip(codec.fields, value, strict=False))
+        value = dict(zip(_need(codec, compression or "none").fields, value, strict=False))
     return decode_publish_msg(value, compression, codec, limit_bytes=limit_bytes)
 
 

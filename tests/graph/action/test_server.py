@@ -314,9 +314,10 @@ async def test_close_answers(scene: Scene) -> None:
 
 async def test_close_ends_handlers(scene: Scene) -> None:
     """Handlers under way are ended when the server closes."""
-    ended = asyncio.Event()
+    began, ended = asyncio.Event(), asyncio.Event()
 
     async def execute(goal: ServerGoal) -> Outcome:
+        began.set()
         try:
             await asyncio.Event().wait()
         finally:
@@ -325,7 +326,7 @@ async def test_close_ends_handlers(scene: Scene) -> None:
 
     served = await scene.serve(execute=execute)
     await scene.send(new_id())
-    await asyncio.sleep(0)
+    await began.wait()
     await served.close()
     assert ended.is_set()
 

@@ -7,6 +7,7 @@ import asyncio
 import pytest
 
 from ropeway.graph.base import GraphEvent
+from ropeway.graph.calls import ProviderInfo, ServiceInfo
 from ropeway.graph.dds import discovery as module
 from ropeway.graph.dds.discovery import Discovery
 from ropeway.graph.dds.nodes import NodeEntities
@@ -168,4 +169,63 @@ async def test_offered() -> None:
     assert [q.depth for q in t.table.offered("/t", STRING)] == [1, 2]
     assert t.table.offered("/none", STRING) == []
     assert t.table.topics()["/t"].types == (STRING, "p/msg/Other")
+    t.table.close()
+
+
+DDS_ADD, ADD = "pkg::srv::dds_::Add_Request_", "pkg/srv/Add"
+
+
+def server(handle: int, topic: str = "rq/addRequest", type: str = DDS_ADD, **other: object) -> EndpointRecord:
+    """A record of what takes requests."""
+    return endpoint(handle, topic, type, "subscription", **other)
+
+
+async def test_services() -> None:
+    """A service is listed with who serves and who calls it while there is anybody."""
+    t = Table()
+    served, called = server(1, gateway="gw", since_ns=7), endpoint(2, "rq/addRequest", DDS_ADD, local=True)
+    reply = endpoint(3, "rr/addReply", "pkg::srv::dds_::Add_Response_")
+    t.table.apply([Joined(P1), nodes(P1, NodeEntities("/n", (served.guid,))), served, called, reply])
+    assert t.table.services() == {
+        "/add": ServiceInfo(
+            "/add",
+            (ADD,),
+            (ProviderInfo("/n", "gw", gid=served.guid, since_ns=7),),
+            (ProviderInfo(local=True, gid=called.guid),),
+        )
+    }
+    assert t.table.node_of(served.guid) == "/n"
+    t.table.apply([Gone("subscription", 1, served.guid)])
+    assert t.table.services()["/add"].servers == ()
+    t.table.apply([Gone("publisher", 2, called.guid), Gone("publisher", 3, reply.guid)])
+    assert t.table.services() == {}
+    assert t.changed == []
+    assert t.told[-2:] == [f"node /n offers service /add ({ADD})", f"node /n no longer offers service /add ({ADD})"]
+
+
+async def test_helpers_are_not_listed() -> None:
+    """The endpoints that a helper makes beside ours are neither listed nor told of."""
+    t = Table()
+    t.table.apply([server(1, helper=True), endpoint(2, "rq/addRequest", DDS_ADD, helper=True)])
+    t.table.apply([Gone("subscription", 1, b""), Gone("publisher", 2, b"")])
+    assert (t.table.services(), t.told) == ({}, [])
+    t.table.close()
+
+
+async def test_actions() -> None:
+    """An action is what takes goals, or else who publishes feedback; its parts are no topics of their own."""
+    t = Table()
+    goals = server(1, "rq/x/_action/send_goalRequest", "pkg::action::dds_::Go_SendGoal_Request_")
+    feedback = endpoint(2, "rt/x/_action/feedback", "pkg::action::dds_::Go_FeedbackMessage_")
+    user = endpoint(3, "rt/x/_action/feedback", "pkg::action::dds_::Go_FeedbackMessage_", "subscription", guid=P2)
+    other = endpoint(4, "rt/y/_action/feedback", "pkg::action::dds_::Go_FeedbackMessage_")
+    t.table.apply([Joined(P1), nodes(P1, NodeEntities("/n", (goals.guid,), (feedback.guid,)))])
+    t.table.apply([goals, feedback, user, other, endpoint(5, "rt/x/_action/status")])
+    actions = t.table.actions()
+    assert [(info.name, info.type) for info in actions.values()] == [("/x", "pkg/action/Go"), ("/y", "pkg/action/Go")]
+    assert actions["/x"].servers == (ProviderInfo("/n", gid=goals.guid),)
+    assert actions["/x"].clients == (ProviderInfo(gid=P2),)
+    assert actions["/y"].servers == (ProviderInfo(gid=other.guid),)
+    assert t.table.topics() == {}
+    assert t.told[1:] == ["node /n offers action /x (pkg/action/Go)"]
     t.table.close()

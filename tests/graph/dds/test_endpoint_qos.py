@@ -72,6 +72,7 @@ def test_marks() -> None:
     mark = user_data(type_hash="RIHS01_ab", gateway_id="gw", extra="serviceid=01.2;")
     assert mark == b"serviceid=01.2;typehash=RIHS01_ab;ropeway=gw;"
     assert user_data() == b""
+    assert user_data(gateway_id="gw", since_ns=12) == b"ropeway=gw;since=12;"
     with writer_qos(QoS(), mark) as handle:
         assert parse_user_data(handle) == {"serviceid": "01.2", "typehash": "RIHS01_ab", "ropeway": "gw"}
 

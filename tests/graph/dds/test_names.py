@@ -11,12 +11,14 @@ from ropeway.graph.dds.names import (
     Name,
     NameKind,
     action_of,
+    action_of_feedback,
     dds_service_topics,
     dds_topic,
     dds_type,
     demangle,
     demangle_type,
     is_hidden,
+    is_of_action,
 )
 
 
@@ -83,6 +85,11 @@ def test_actions() -> None:
     assert action_of("/fly/_action/send_goal", "p/action/Fly_SendGoal") == ("/fly", "p/action/Fly")
     assert action_of("/fly/_action/get_result", "p/action/Fly_GetResult") is None
     assert action_of("/add", "p/srv/Add") is None
+    assert action_of_feedback("/fly/_action/feedback", "p/action/Fly_FeedbackMessage") == ("/fly", "p/action/Fly")
+    assert action_of_feedback("/fly/_action/status", "action_msgs/msg/GoalStatusArray") is None
+    assert action_of_feedback("/_action/feedback", "x") is None
+    assert is_of_action("/fly/_action/status")
+    assert not is_of_action("/fly/action")
     assert is_hidden("/fly/_action/status")
     assert not is_hidden("/fly_status")
 

@@ -195,7 +195,7 @@ class ComposedActionClient:
         if sending.cancelled():
             raise GraphUnavailable(self._graph.name, f"the client of {self.action} was closed in mid-call")
         sending.result()
-        sent.release()
+        loop.call_soon(sent.release)  # when the sender knows its goal
         return sent
 
     async def _negotiate(self, goal: Goal, sent: ComposedGoal, timeout_s: float) -> None:

@@ -9,7 +9,7 @@ from typing import Final
 
 from ropeway.graph.base import EndpointInfo, GraphEvent, NodeInfo, TopicInfo
 from ropeway.graph.calls import ActionInfo, ProviderInfo, ServiceInfo
-from ropeway.graph.dds.names import Name, NameKind, action_of, action_of_feedback, demangle, is_hidden
+from ropeway.graph.dds.names import Name, NameKind, action_of, action_of_feedback, demangle, is_hidden, is_of_action
 from ropeway.graph.dds.nodes import NodeEntities
 from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, Joined, NodesRecord
 from ropeway.qos import QoS
@@ -47,9 +47,9 @@ class _Action:
     servers: dict[tuple[bytes, str], _Endpoint] = field(default_factory=dict)
     clients: dict[tuple[bytes, str], _Endpoint] = field(default_factory=dict)
 
-    def add(self, type: str, endpoint: _Endpoint, *, serves: bool) -> None:
+    def add(self, type: str, endpoint: _Endpoint, node: str, *, serves: bool) -> None:
         self.types[type] = None
-        key = (endpoint.record.participant, endpoint.node)
+        key = (endpoint.record.participant, node)
         (self.servers if serves else self.clients).setdefault(key, endpoint)
 
 
@@ -113,8 +113,12 @@ class Discovery:
     # Queries ----------------------------------------------------------------------------------------------------
 
     def topics(self) -> dict[str, TopicInfo]:
-        """Every topic, with its endpoints."""
-        return {name: self._topic_info(name, topic) for name, topic in sorted(self._topics.items())}
+        """Every topic, with its endpoints; those that actions are made of stand under ``actions``."""
+        return {
+            name: self._topic_info(name, topic)
+            for name, topic in sorted(self._topics.items())
+            if not is_of_action(name)
+        }
 
     def services(self) -> dict[str, ServiceInfo]:
         """Every service, with its servers and clients; those of actions, too."""
@@ -123,16 +127,17 @@ class Discovery:
     def actions(self) -> dict[str, ActionInfo]:
         """Every action: who takes and sends goals, and who else publishes or reads feedback."""
         found: dict[str, _Action] = {}
-        for name, service in self._services.items():
-            for endpoint in (*service.subscriptions.values(), *service.publishers.values()):
-                action = action_of(name, endpoint.name.type)
-                if action is not None:
-                    found.setdefault(action[0], _Action()).add(action[1], endpoint, serves=_reads(endpoint))
-        for name, topic in self._topics.items():
-            for endpoint in (*topic.publishers.values(), *topic.subscriptions.values()):
-                action = action_of_feedback(name, endpoint.name.type)
-                if action is not None:
-                    found.setdefault(action[0], _Action()).add(action[1], endpoint, serves=not _reads(endpoint))
+        for endpoint in self._endpoints.values():
+            name, reads = endpoint.name, endpoint.record.kind == "subscription"
+            if endpoint.record.helper or not is_of_action(name.name):
+                continue
+            if name.kind is NameKind.REQUEST:
+                action, serves = action_of(name.name, name.type), reads
+            else:
+                action, serves = action_of_feedback(name.name, name.type), not reads
+            if action is not None and name.kind in (NameKind.REQUEST, NameKind.TOPIC):
+                node = self.node_of(endpoint.record.guid)
+                found.setdefault(action[0], _Action()).add(action[1], endpoint, node, serves=serves)
         return {
             name: ActionInfo(
                 name,
@@ -305,10 +310,6 @@ class Discovery:
         for name in sorted(old - new):
             self._emit(GraphEvent(False, "node", name, graph=self._graph))
         self._tell_gid_bytes({r.gid_bytes for r in self._nodes.values() if not r.local})
-
-
-def _reads(endpoint: _Endpoint) -> bool:
-    return endpoint.record.kind == "subscription"
 
 
 def _guids(nodes: tuple[NodeEntities, ...]) -> Iterator[bytes]:

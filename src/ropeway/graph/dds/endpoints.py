@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ropeway.graph.dds.matching import Matches
     from ropeway.graph.dds.participant import Participant
 
-__all__ = ["RawReader", "RawWriter", "WriterIdentity"]
+__all__ = ["RawReader", "RawWriter", "WriterIdentity", "matched", "with_padding_told", "without_padding"]
 
 _BATCH: Final = 64  # samples per take
 _HEADER_BYTES: Final = 4
@@ -139,7 +139,7 @@ class RawReader:
                 lib.serdata_to_ser(serdata, 0, length, _address_of(payload))
             unref(serdata)
             if payload[_OPTIONS_AT]:
-                payload = _without_padding(payload)
+                payload = without_padding(payload)
             handed += length
             size -= length
             samples -= 1
@@ -271,7 +271,7 @@ class RawWriter:
 
     def _send(self, payload: bytes, source_stamp_ns: int) -> Undelivered | None:
         if len(payload) & 3:
-            payload = _with_padding_told(payload)
+            payload = with_padding_told(payload)
         length = len(payload)
         vector = self._vector
         vector.base, vector.len = payload, length
@@ -331,7 +331,7 @@ def _resolve(done: asyncio.Future[Undelivered | None], reason: Undelivered | Non
         done.set_result(reason)
 
 
-def _without_padding(payload: bytes) -> bytes:
+def without_padding(payload: bytes) -> bytes:
     """The message as it was written: its header's options tell how many bytes the network adds to fill up four."""
     end = len(payload)
     if end % 4 == 0:  # within a process nothing is added
@@ -339,7 +339,7 @@ def _without_padding(payload: bytes) -> bytes:
     return b"".join((payload[:2], _NO_OPTIONS, payload[_HEADER_BYTES:end]))
 
 
-def _with_padding_told(payload: bytes) -> bytes:
+def with_padding_told(payload: bytes) -> bytes:
     """``payload`` with options that tell how many bytes DDS will add to fill up four."""
     if len(payload) < _HEADER_BYTES:
         return payload

@@ -28,6 +28,7 @@ __all__ = [
     "demangle",
     "demangle_type",
     "is_hidden",
+    "is_of_action",
 ]
 
 DISCOVERY_TOPIC: Final = "ros_discovery_info"
@@ -101,6 +102,11 @@ def demangle(topic: str, type: str = "") -> Name:
 def is_hidden(name: str) -> bool:
     """True for names that ROS tools do not list: a part begins with an underscore, as in an action's topics."""
     return "/_" in name
+
+
+def is_of_action(name: str) -> bool:
+    """True for the names of topics and services that actions are made of."""
+    return _ACTION in name
 
 
 def action_of(service: str, type: str = "") -> tuple[str, str] | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
-from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -14,6 +13,7 @@ from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import Request, Service, ServiceHandler
 from ropeway.graph.dds.ends import Ends
 from ropeway.graph.dds.matching import paired
+from ropeway.graph.dds.pace import Pace
 from ropeway.graph.dds.records import Peer
 from ropeway.graph.dds.rpc import Header, join, split
 from ropeway.graph.dds.vendors import speaks_header, vendor_name
@@ -31,10 +31,7 @@ _SEEN_LIMIT: Final = 8192  # requests that are known as such; more than can be u
 _MATCH_S: Final = 1.0  # how long an answer waits for its reader
 _SEND_S: Final = 5.0  # how long an answer waits for room on the network
 _RETRY_S: Final = 0.005
-# Nodes of ROS 2 keep ten answers, everybody's, until they get round to taking theirs.
-_BURST: Final = 5
-_PACE_S: Final = 0.0005
-_DEEP: Final = 100
+_QUIET_S: Final = 60.0
 _TEXTS: Final = (("success", "message"), ("successful", "reason"))
 
 
@@ -55,12 +52,8 @@ class DdsService(Ends):
         self._tasks: set[asyncio.Task[None]] = set()
         self._seen: dict[tuple[bytes, Header], None] = {}
         self._callers: dict[bytes, Peer] = {}
-        self._shallow = False
-        self._turns: deque[asyncio.Future[None]] = deque()
-        self._turn: asyncio.TimerHandle | None = None
-        self._burst = _BURST
-        self._burst_at = 0.0
-        self._overloaded = False
+        self._paces: dict[bytes, Pace] = {}
+        self._warned: dict[str, float] = {}
 
     async def get_help(self) -> None:
         """Have the graph's helper serve those of another mapping."""
@@ -86,8 +79,8 @@ class DdsService(Ends):
 
     def on_match(self) -> None:
         """Other clients are there now."""
-        self._shallow = any(0 < peer.depth < _DEEP for peer in self._readers)
         self._callers = paired(self._writers, self._readers)
+        self._paces = {guid: pace for guid, pace in self._paces.items() if guid in self._callers or not pace.idle}
 
     def _ignore(self, writer: bytes) -> None:
         self.ignored += 1
@@ -108,42 +101,51 @@ class DdsService(Ends):
             return
         if len(self._tasks) >= _RUNNING_LIMIT:
             self._graph.drops[self.service, Undelivered.BACKLOG] += 1
-            if not self._overloaded:
-                self._overloaded = True
-                log.warning(
-                    "%s: %s: %d requests are under way; more are dropped until some are answered",
-                    self._graph.name,
-                    self.service,
-                    _RUNNING_LIMIT,
-                )
+            self._warn("%s requests are under way; more are dropped", _RUNNING_LIMIT)
             return
         self._seen[key] = None
         if len(self._seen) > _SEEN_LIMIT:
             del self._seen[next(iter(self._seen))]
-        task = self._loop.create_task(self._serve(writer, header, payload), name=f"serve {self.service}")
+        pace = self._paces.get(writer)
+        if pace is None:
+            pace = self._paces[writer] = Pace()
+        pace.came()
+        task = self._loop.create_task(self._serve(writer, header, payload, pace), name=f"serve {self.service}")
         self._tasks.add(task)
-        task.add_done_callback(self._done)
+        task.add_done_callback(self._tasks.discard)
 
-    def _done(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
-        if self._overloaded and len(self._tasks) < _RUNNING_LIMIT // 2:
-            self._overloaded = False
+    def _warn(self, text: str, value: object) -> None:
+        """Say so in the log, each kind of trouble once a minute; the counts are in ``drops``."""
+        now = self._loop.time()
+        if now - self._warned.get(text, float("-inf")) < _QUIET_S:
+            level = logging.DEBUG
+        else:
+            level, self._warned[text] = logging.WARNING, now
+        log.log(level, "%s: %s: %s", self._graph.name, self.service, text % value)
 
     # Serving ----------------------------------------------------------------------------------------------------
 
-    async def _serve(self, writer: bytes, header: Header, payload: bytes) -> None:
+    async def _serve(self, writer: bytes, header: Header, payload: bytes, pace: Pace) -> None:
+        try:
+            await self._serve_at(pace, writer, header, payload)
+        finally:
+            pace.went()
+            if pace.idle and writer not in self._callers:
+                self._paces.pop(writer, None)
+
+    async def _serve_at(self, pace: Pace, writer: bytes, header: Header, payload: bytes) -> None:
         try:
             payload = self._graph.little_endian(f"{self.type}_Request", payload)
         except TypesError as error:
             self._graph.drops[self.service, Undelivered.DECODE] += 1
-            log.warning("%s: %s: a request cannot be read: %s", self._graph.name, self.service, error)
+            self._warn("a request cannot be read: %s", error)
             return
         request = Request(payload, id=_call_id(writer, header), caller=self._graph.node_of(writer))
         try:
             response = await self.answer(request)
         except TypesError as error:
             self._graph.drops[self.service, Undelivered.ENCODE] += 1
-            log.warning("%s: %s: no answer to %s: %s", self._graph.name, self.service, request.caller, error)
+            self._warn("a request fails and cannot be answered: %s", error)
             return
         try:
             async with asyncio.timeout(_MATCH_S):
@@ -152,9 +154,10 @@ class DdsService(Ends):
         except TimeoutError:
             if any(peer.guid == writer for peer in self._writers):
                 self._graph.drops[self.service, Undelivered.WRITE] += 1
-                log.warning("%s: %s: the client that asked reads no answers", self._graph.name, self.service)
+                self._warn("a client that asks reads no answers: %s", writer.hex())
             return  # who has left needs none
-        await self._wait_turn()
+        if not self._callers[writer].ours:
+            await pace.turn()
         await self._reply(join(header, response))
 
     async def answer(self, request: Request) -> bytes:
@@ -166,12 +169,12 @@ class DdsService(Ends):
             response = bytes(await self._handler(request))
             if len(response) >= 4:
                 return response
-            text = f"the response has {len(response)} bytes"
+            text = f"a response of {len(response)} bytes is no CDR"
             self._graph.drops[self.service, Undelivered.ENCODE] += 1
-            log.warning("%s: %s: %s", self._graph.name, self.service, text)
+            self._warn("answered with an empty response: %s", text)
         except CallError as error:
             text = str(error)
-            log.warning("%s: %s: answered with an empty response: %s", self._graph.name, self.service, text)
+            self._warn("answered with an empty response: %s", text)
         except Exception as error:
             text = str(error) or type(error).__name__
             self._graph.drops[self.service, Undelivered.CALLBACK] += 1
@@ -191,35 +194,9 @@ class DdsService(Ends):
         while (reason := await self._writer.send(message)) is not None:
             if reason is not Undelivered.WRITE or self._loop.time() >= until:
                 self._graph.drops[self.service, reason] += 1
-                log.warning("%s: %s: an answer was not sent: %s", self._graph.name, self.service, reason.value)
+                self._warn("an answer was not sent: %s", reason.value)
                 return
             await asyncio.sleep(_RETRY_S)
-
-    async def _wait_turn(self) -> None:
-        """Answers to readers that keep few of them go out in small bursts."""
-        if not self._shallow:
-            return
-        now = self._loop.time()
-        self._burst = min(_BURST, self._burst + int((now - self._burst_at) / _PACE_S))
-        if self._burst > 0 and not self._turns:
-            self._burst -= 1
-            self._burst_at = now
-            return
-        turn: asyncio.Future[None] = self._loop.create_future()
-        self._turns.append(turn)
-        if self._turn is None:
-            self._turn = self._loop.call_later(_BURST * _PACE_S, self._next_turns)
-        await turn
-
-    def _next_turns(self) -> None:
-        self._turn = None
-        self._burst, self._burst_at = 0, self._loop.time()
-        for _ in range(min(_BURST, len(self._turns))):
-            turn = self._turns.popleft()
-            if not turn.done():
-                turn.set_result(None)
-        if self._turns:
-            self._turn = self._loop.call_later(_BURST * _PACE_S, self._next_turns)
 
     async def close(self) -> None:
         """See ``Service``: those who wait learn it from our leaving."""
@@ -229,8 +206,6 @@ class DdsService(Ends):
         if self._helped is not None:
             await self._helped.close()
         await end(*self._tasks)
-        if self._turn is not None:
-            self._turn.cancel()
         await self._graph.remove(self)
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib
+from collections.abc import Callable
 from typing import Any, Final
 
 from ropeway.errors import UnknownType
 from ropeway.types.definition import canonical_name
 
-__all__ = ["message_class", "service_class"]
+__all__ = ["loaded", "message_class", "service_class"]
 
 # Parts of an action, and what rosidl calls them in its class.
 _ACTION_SERVICES: Final = {"_SendGoal": "SendGoalService", "_GetResult": "GetResultService"}
@@ -26,6 +28,24 @@ def message_class(type: str) -> Any:
 def service_class(type: str) -> Any:
     """The class of ``pkg/srv/Name``, or of a service of an action. Raises as ``message_class``."""
     return _find(canonical_name(type, "srv"), _ACTION_SERVICES)
+
+
+async def loaded(find: Callable[[str], Any], type: str) -> Any:
+    """``find(type)`` with its C library loaded, in a thread: the first time takes some tens of milliseconds.
+
+    Raises what ``find`` raises, and ``UnknownType`` where the library cannot be loaded.
+    """
+    return await asyncio.to_thread(_load, find, type)
+
+
+def _load(find: Callable[[str], Any], type: str) -> Any:
+    found = find(type)
+    if getattr(found.__class__, "_TYPE_SUPPORT", None) is None:
+        try:
+            found.__class__.__import_type_support__()
+        except (ImportError, AttributeError, RuntimeError) as error:
+            raise UnknownType(type, hint=f"the installed package does not load: {error}") from error
+    return found
 
 
 def _find(type: str, action_parts: dict[str, str]) -> Any:

@@ -7,12 +7,14 @@ from typing import Any, Final
 
 from ropeway.qos import QoS
 
-__all__ = ["from_rclpy", "reader_profile", "writer_profile"]
+__all__ = ["from_rclpy", "reader_profile", "service_profile", "writer_profile"]
 
 # History of a reader that asks for transient local: what several publishers kept arrives in one burst.
 _REPLAY_DEPTH: Final = 256
 # History of a reader that asks for all: the thread that empties it applies the bound in bytes.
 _KEEP_ALL_DEPTH: Final = 1000
+# Requests and responses that may wait for the thread that takes them; rclpy's own ten are few for many calls at once.
+_SERVICE_DEPTH: Final = 256
 _FOREVER_NS: Final = 2**62
 
 
@@ -29,6 +31,11 @@ def reader_profile(qos: QoS) -> Any:
     elif qos.transient_local:
         depth = max(depth, _REPLAY_DEPTH)
     return _profile(replace(qos, history="keep_last", depth=depth, lifespan_s=None))
+
+
+def service_profile() -> Any:
+    """The ``QoSProfile`` of a client or service."""
+    return _profile(QoS(depth=_SERVICE_DEPTH))
 
 
 def from_rclpy(profile: Any) -> QoS:

@@ -33,7 +33,7 @@ class _Allocator(ct.Structure):
 
 
 class _Bytes(ct.Structure):
-    """rcutils_uint8_array_t"""
+    """The struct rcutils_uint8_array_t."""
 
     _fields_ = (
         ("buffer", ct.c_void_p),
@@ -48,7 +48,7 @@ class _Gid(ct.Structure):
 
 
 class _Info(ct.Structure):
-    """rmw_message_info_t, with room for what newer versions may add."""
+    """The struct rmw_message_info_t, with room for what newer versions may add."""
 
     _fields_ = (
         ("source_ns", ct.c_int64),

@@ -54,6 +54,21 @@ class Lane:
         if wake:
             self._senders.serve(self)
 
+    async def finish(self, errand: Callable[[], None]) -> None:
+        """Run ``errand`` after those before it and wait for it, or until a reader holds things up for too long."""
+        loop = asyncio.get_running_loop()
+        done: asyncio.Future[None] = loop.create_future()
+
+        def last() -> None:
+            try:
+                errand()
+            finally:
+                with contextlib.suppress(RuntimeError):  # the loop closed first
+                    loop.call_soon_threadsafe(_resolve, done)
+
+        self.put(last)
+        await asyncio.wait({done}, timeout=_STOP_S)
+
     def run(self) -> bool:
         """Run some errands, in a thread; true if more are left."""
         for _ in range(_IN_A_ROW):
@@ -128,6 +143,8 @@ class Senders:
                 return
             try:
                 more = lane.run()
+                while more and self._stopping:
+                    more = lane.run()
             except Exception:
                 log.exception("%s: sending failed", self._name)
                 more = True

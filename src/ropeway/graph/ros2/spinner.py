@@ -1,9 +1,9 @@
 """The thread that waits for ROS 2 and hands over to the event loop.
 
-It sleeps in a wait set of rclpy. What is ready has its handler run there; handlers ``push`` batches for functions of the
-loop, and however many batches are pushed, at most one wake-up of the loop is under way. What waits for the loop is
-bounded in messages and bytes: beyond the bound, subscriptions are left out of the wait set, so that the middleware
-applies their profiles, until the loop has caught up.
+It sleeps in a wait set of rclpy. What is ready has its handler run there; handlers ``push`` batches for functions of
+the loop, and however many batches are pushed, at most one wake-up of the loop is under way. What waits for the loop
+is bounded in messages and bytes: beyond the bound, subscriptions are left out of the wait set, so that the
+middleware applies their profiles, until the loop has caught up.
 """
 
 from __future__ import annotations

@@ -41,17 +41,23 @@ class RemoteGoal:
     """A goal that was sent; its users get it when it is accepted."""
 
     def __init__(
-        self, client: RemoteActionClient, goal: Goal, wire_id: str, on_feedback: Callable[[bytes], None] | None
+        self,
+        client: RemoteActionClient,
+        goal: Goal,
+        on_feedback: Callable[[bytes], None] | None,
+        *,
+        peer: Peer,
+        timeout_s: float,
     ) -> None:
         loop = asyncio.get_running_loop()
         self.id = goal.id
-        self.wire_id = wire_id
+        self.wire_id = f"send_action_goal:{client.action}:{client.calls.next()}"
         self.accepted: asyncio.Future[None] = loop.create_future()
         self._client = client
         self._on_feedback = on_feedback
         self._outcome: asyncio.Future[Outcome] = loop.create_future()
         self._cancelling: asyncio.Future[bool] | None = None
-        self.peer: Peer | None = None
+        self._peer, self._timeout_s = peer, timeout_s
 
     @property
     def done(self) -> bool:
@@ -77,8 +83,7 @@ class RemoteGoal:
         on_feedback, client = self._on_feedback, self._client
         if on_feedback is None or self.done:
             return
-        peer = self.peer
-        assert peer is not None
+        peer = self._peer
         try:
             codec = client.calls.codec(f"{client.type}_Feedback")
             payload = decode_value(op.values, op.compression, codec, limit_bytes=peer.limit_bytes)
@@ -97,7 +102,7 @@ class RemoteGoal:
         client = self._client
         status = GoalStatus(op.status) if op.status in (4, 5, 6) else GoalStatus.ABORTED
         if not op.result:
-            error = received(client.action, op.values, op.ropeway, kind="action", timeout_s=client.waited_s)
+            error = received(client.action, op.values, op.ropeway, kind="action", timeout_s=self._timeout_s)
             if not self.accepted.done() and op.status not in (4, 5, 6):
                 self.refuse(error)
                 return
@@ -106,11 +111,9 @@ class RemoteGoal:
             self.finish(Outcome(status, None, op.values if isinstance(op.values, str) else str(error)))
             return
         self.accept()
-        peer = self.peer
-        assert peer is not None
         try:
             codec = client.calls.codec(f"{client.type}_Result")
-            payload = decode_value(op.values, op.compression, codec, limit_bytes=peer.limit_bytes)
+            payload = decode_value(op.values, op.compression, codec, limit_bytes=self._peer.limit_bytes)
         except (TypesError, WireError) as error:
             self.finish(Outcome(GoalStatus.ABORTED, None, f"the result cannot be read: {error}"))
         else:
@@ -147,11 +150,11 @@ class RemoteGoal:
 
     async def cancel(self, timeout_s: float = DEFAULT_TIMEOUT_S) -> bool:
         """See ``ClientGoal``. A plain server does not say whether it agrees: true once it was asked."""
-        peer = self.peer
-        if self.done or peer is None or not peer.dialect.cancels:
+        dialect = self._peer.dialect
+        if self.done or not dialect.cancels:
             return False
         self.ask_cancel()
-        if peer.dialect is not ROPEWAY:
+        if dialect is not ROPEWAY:
             return True
         if self._cancelling is None or self._cancelling.done():
             self._cancelling = asyncio.get_running_loop().create_future()
@@ -162,8 +165,8 @@ class RemoteGoal:
 
     def ask_cancel(self) -> None:
         """Ask for its end."""
-        if self.peer is not None and self.peer.dialect.cancels:
-            self.peer.send_op(ops.CancelActionGoal(id=self.wire_id, action=self._client.action))
+        if self._peer.dialect.cancels:
+            self._peer.send_op(ops.CancelActionGoal(id=self.wire_id, action=self._client.action))
 
 
 class RemoteActionClient:
@@ -174,7 +177,6 @@ class RemoteActionClient:
         self.type, self.delivery = type, delivery
         self.calls = calls
         self.closed = False
-        self.waited_s = DEFAULT_TIMEOUT_S  # by who sent the last goal
         self._goals: set[RemoteGoal] = set()
         self._sending: set[asyncio.Task[RemoteGoal]] = set()
 
@@ -215,11 +217,10 @@ class RemoteActionClient:
     async def _send(self, goal: Goal, on_feedback: Callable[[bytes], None] | None, timeout_s: float) -> RemoteGoal:
         began = asyncio.get_running_loop().time()
         deadline = began + timeout_s
-        self.waited_s = timeout_s
         while True:
             peer = await self.calls.link(deadline)
             try:
-                return await self._ask(peer, goal, on_feedback, deadline)
+                return await self._ask(peer, goal, on_feedback, deadline, timeout_s)
             except NotServed:
                 if not await self.calls.may_try_again(self, began, deadline):
                     raise
@@ -229,11 +230,15 @@ class RemoteActionClient:
                 raise CallTimeout(self.action, timeout_s, "action") from None
 
     async def _ask(
-        self, peer: Peer, goal: Goal, on_feedback: Callable[[bytes], None] | None, deadline: float
+        self,
+        peer: Peer,
+        goal: Goal,
+        on_feedback: Callable[[bytes], None] | None,
+        deadline: float,
+        timeout_s: float,
     ) -> RemoteGoal:
         calls = self.calls
-        made = RemoteGoal(self, goal, f"send_action_goal:{self.action}:{calls.next()}", on_feedback)
-        made.peer = peer
+        made = RemoteGoal(self, goal, on_feedback, peer=peer, timeout_s=timeout_s)
         gateway = peer.dialect is ROPEWAY
         calls.goals[made.wire_id] = made
         try:

@@ -13,8 +13,9 @@ from ropeway.wire import ops
 from ropeway.wire.dialect import ROPEWAY
 
 if TYPE_CHECKING:
-    from ropeway.graph.rosbridge.actions import RemoteActionClient, RemoteActionServer, RemoteGoal
+    from ropeway.graph.rosbridge.actions import RemoteActionClient, RemoteGoal
     from ropeway.graph.rosbridge.graph import RosbridgeGraph
+    from ropeway.graph.rosbridge.servers import RemoteActionServer
     from ropeway.graph.rosbridge.services import RemoteClient, RemoteService
     from ropeway.link.peer import Peer
     from ropeway.types import MessageCodec
@@ -69,17 +70,15 @@ class Calls:
 
     async def link(self, deadline: float) -> Peer:
         """The peer, as soon as it can be called. Raises ``GraphUnavailable`` at the deadline (time of the loop)."""
-        if self.peer is not None:
-            return self.peer
         try:
             async with asyncio.timeout_at(deadline):
-                while self.peer is None:
+                while (peer := self.peer) is None:
                     await self._changed.wait()
         except TimeoutError:
             raise GraphUnavailable(
                 self.graph.name, f"the link is down ({self.graph.last_error or 'it is being made again'})"
             ) from None
-        return self.peer
+        return peer
 
     def available(self, kind: str, name: str) -> bool | None:
         """Whether the far graph shows that somebody serves a name; ``kind`` is ``service`` or ``action``."""

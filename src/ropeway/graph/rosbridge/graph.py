@@ -27,9 +27,14 @@ from ropeway.graph.base import (
     Undelivered,
     resolve_name,
 )
+from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.rosbridge.actions import RemoteActionClient
+from ropeway.graph.rosbridge.calls import Calls
 from ropeway.graph.rosbridge.mirror import Mirror
 from ropeway.graph.rosbridge.parts import EchoFilter, RemotePublisher, RemoteSubscription
 from ropeway.graph.rosbridge.plain import PlainServer
+from ropeway.graph.rosbridge.servers import RemoteActionServer
+from ropeway.graph.rosbridge.services import RemoteClient, RemoteService
 from ropeway.link.calls import OP_CHANNELS
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.peer import Peer
@@ -54,6 +59,7 @@ _PATIENT_TURN: Final = 4  # every so many tries take their time, for links that 
 _LAZY_RETRY_S: Final = 10.0
 _CLOCK_S: Final = 1.0
 _ROSAPI_S: Final = 3.0
+_US: Final = ProviderInfo(local=True)
 
 
 class LinkState(enum.Enum):
@@ -71,9 +77,9 @@ class RosbridgeGraph:
 
     With ``wait`` true ``open`` returns when connected, or raises ``ConnectFailed``; with false it returns at once
     and the connection is made in the background. Either way a lost connection is made again, for ever, and every
-    publisher and subscription is announced again. ``watch`` asks the far side for its topics and nodes: a gateway
-    tells them, a plain server is asked through rosapi (unless ``ask_rosapi`` is false). ``plain`` speaks rosbridge
-    even to a gateway.
+    publisher, subscription, service and action is announced again. ``watch`` asks the far side what it has: a
+    gateway tells, a plain server is asked through rosapi (unless ``ask_rosapi`` is false). ``plain`` speaks
+    rosbridge even to a gateway.
     """
 
     kind = "rosbridge"
@@ -105,22 +111,23 @@ class RosbridgeGraph:
         self._limits = limits or Limits()
         self._ssl = ssl_context
         self._headers = headers
-        self._gateway_id, self._node_name = gateway_id, name
+        self.gateway_id, self._node_name = gateway_id, name
         self._wait, self._watch, self._plain = wait, watch, plain
         self._ask_rosapi = ask_rosapi
         self._numbers = itertools.count(1)
         self._publishers: dict[int, RemotePublisher] = {}
         self._subscriptions: dict[int, RemoteSubscription] = {}
         self._changes = Changes()
-        self._mirror = Mirror(url, self._changes)
+        self.calls = Calls(self)
+        self.mirror = Mirror(url, self._changes, self.calls.changed)
         self._state_callbacks: list[Callable[[LinkState], None]] = []
         self._noted_types: set[str] = set()
         self._task: asyncio.Task[None] | None = None
-        self._calls: dict[str, asyncio.Future[ops.ServiceResponse]] = {}
         self._attempt: asyncio.Future[None] | None = None
         self.plain_server = PlainServer(url, self.registry)
         self._traffic = (0, 0)
         self._rtt_s = 0.0
+        self._wants_calls = False  # somebody asked what is served there
         self._leaving = False
 
     # ── opening, the connection, closing ───────────────────────────────────────────────────────────────────────
@@ -137,7 +144,7 @@ class RosbridgeGraph:
             async with asyncio.timeout(self._limits.open_timeout_s + 1):
                 await asyncio.shield(self._attempt)
                 if self._watch:
-                    await self._mirror.filled.wait()
+                    await self.mirror.filled.wait()
         except TimeoutError:
             if self.peer is None:
                 await self.close()
@@ -153,6 +160,7 @@ class RosbridgeGraph:
         self._leaving = True
         for part in self._parts():
             await part.close()
+        await self.calls.close()
         self._set_state(LinkState.CLOSED)
         connection = self.peer.connection if self.peer is not None else None
         if connection is not None:
@@ -225,7 +233,7 @@ class RosbridgeGraph:
         self.last_error = ""
         self._noted_types.clear()
         if peer.dialect is ROPEWAY:
-            peer.hello(self._gateway_id, self._node_name)
+            peer.hello(self.gateway_id, self._node_name)
             if self._watch:
                 peer.send({"op": "watch"})
         else:
@@ -237,6 +245,13 @@ class RosbridgeGraph:
                 part.connected(peer)
             except RopewayError as error:  # one topic that cannot go to this peer must not hold up the others
                 self._was_refused(part, str(error))
+        for provider in self.calls.providers():
+            try:
+                provider.connected(peer)
+            except RopewayError as error:
+                provider.held.tell(str(error))
+        if peer.dialect is not ROPEWAY or peer.greeted:
+            self.calls.ready(peer)
         self._set_state(LinkState.CONNECTED)
         if self._attempt is not None and not self._attempt.done():
             self._attempt.set_result(None)
@@ -252,11 +267,8 @@ class RosbridgeGraph:
             self.plain_server.ended(peer, channels, time.monotonic() - began)
             for part in self._parts():
                 part.disconnected()
-            for call in self._calls.values():
-                if not call.done():
-                    call.set_exception(GraphUnavailable(self.name, "the connection was lost during the call"))
-            self._calls.clear()
-            self._mirror.clear()
+            self.calls.disconnected()
+            self.mirror.clear()
         if not self._leaving:
             log.warning("%s: disconnected (%d %s)", self.name, code, reason)
 
@@ -268,13 +280,15 @@ class RosbridgeGraph:
                 await asyncio.sleep(_CLOCK_S)
             elif self._watch and self._ask_rosapi:
                 try:
-                    await self._mirror.ask_rosapi(self.call_plain)
+                    await self.mirror.ask_rosapi(self.call_plain)
+                    if self._wants_calls:
+                        await self.mirror.ask_calls(self.call_plain)
                 except GraphUnavailable as error:
                     log.debug("%s: %s", self.name, error)
-                    self._mirror.filled.set()
+                    self.mirror.filled.set()
                 await asyncio.sleep(_ROSAPI_S)
             else:
-                self._mirror.filled.set()  # nobody will tell
+                self.mirror.filled.set()  # nobody will tell
                 return
 
     @property
@@ -322,13 +336,62 @@ class RosbridgeGraph:
             subscription.connected(self.peer)
         return subscription
 
+    async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> RemoteClient:
+        """See ``Graph.create_client``."""
+        self._check()
+        client = RemoteClient(self.calls, resolve_name(service), self.registry.canonical(type, "srv"), delivery)
+        self.calls.clients[client] = None
+        return client
+
+    async def create_service(
+        self, service: str, type: str, handler: ServiceHandler, *, delivery: Delivery = NO_HINTS
+    ) -> RemoteService:
+        """See ``Graph.create_service``; with the connection down it is announced when it is back."""
+        self._check()
+        full = self.registry.canonical(type, "srv")
+        made = RemoteService(self.calls, resolve_name(service), full, handler, delivery)
+        self.calls.add(made, self.calls.services)
+        return made
+
+    async def create_action_client(
+        self, action: str, type: str, *, delivery: Delivery = NO_HINTS
+    ) -> RemoteActionClient:
+        """See ``Graph.create_action_client``."""
+        self._check()
+        full = self.registry.canonical(type, "action")
+        client = RemoteActionClient(self.calls, resolve_name(action), full, delivery)
+        self.calls.clients[client] = None
+        return client
+
+    async def create_action_server(
+        self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
+    ) -> RemoteActionServer:
+        """See ``Graph.create_action_server``; with the connection down it is announced when it is back."""
+        self._check()
+        full = self.registry.canonical(type, "action")
+        made = RemoteActionServer(self.calls, resolve_name(action), full, handlers, delivery)
+        self.calls.add(made, self.calls.servers)
+        return made
+
     def topics(self) -> dict[str, TopicInfo]:
         """What the far graph showed last; empty without ``watch`` or with the connection down."""
-        return dict(self._mirror.topics)
+        return dict(self.mirror.topics)
+
+    def services(self) -> dict[str, ServiceInfo]:
+        """What the far graph showed last, and what is served from here; a plain server is asked from now on."""
+        self._wants_calls = True
+        ours = (ServiceInfo(s.service, (s.type,), (_US,)) for s in self.calls.services.values())
+        return {s.name: s for s in ours} | self.mirror.services
+
+    def actions(self) -> dict[str, ActionInfo]:
+        """What the far graph showed last, and what is served from here; a plain server is asked from now on."""
+        self._wants_calls = True
+        ours = (ActionInfo(s.action, (s.type,), (_US,)) for s in self.calls.servers.values())
+        return {s.name: s for s in ours} | self.mirror.actions
 
     def nodes(self) -> dict[str, NodeInfo]:
         """What the far graph showed last; empty without ``watch`` or with the connection down."""
-        return dict(self._mirror.nodes)
+        return dict(self.mirror.nodes)
 
     def changes(self) -> AsyncIterator[GraphEvent]:
         """Changes that the far graph shows."""
@@ -379,9 +442,9 @@ class RosbridgeGraph:
         peer = self.peer
         if peer is None:
             raise GraphUnavailable(self.name, "is not connected")
-        id = f"call_service:{service}:{next(self._numbers)}"
+        id = f"call_service:{service}:{self.calls.next()}"
         future: asyncio.Future[ops.ServiceResponse] = asyncio.get_running_loop().create_future()
-        self._calls[id] = future
+        self.calls.pending[id] = future
         try:
             peer.send(ops.CallService(id=id, service=service, args=dict(args)))
             async with asyncio.timeout(timeout_s):
@@ -389,7 +452,7 @@ class RosbridgeGraph:
         except TimeoutError:
             raise GraphUnavailable(self.name, f"{service} did not answer within {timeout_s:g} s") from None
         finally:
-            self._calls.pop(id, None)
+            self.calls.pending.pop(id, None)
         if not response.result or not isinstance(response.values, Mapping):
             raise GraphUnavailable(self.name, f"{service}: {response.values}")
         return response.values
@@ -408,11 +471,7 @@ class RosbridgeGraph:
                 self.peer.complaints.note("unknown topic", op.topic, "it was not subscribed to")
         elif isinstance(op, ops.Png) and self.peer is not None:
             self.peer.unpacked(unpack_png(op.data, limit_bytes=self.peer.limit_bytes))
-        elif isinstance(op, ops.ServiceResponse):
-            call = self._calls.get(str(op.id))
-            if call is not None and not call.done():
-                call.set_result(op)
-        elif self.peer is not None:
+        elif self.peer is not None and not self.calls.operation(op, self.peer):
             self.peer.complaints.note("operation", "", f"{op.op} is not for a client")
 
     def control(self, message: Mapping[str, Any]) -> None:
@@ -422,6 +481,10 @@ class RosbridgeGraph:
         subscription = self._subscriptions.get(number) if isinstance(number, int) else None
         if op == "hello":
             self.remote = {k: message[k] for k in ("gateway", "name", "version") if isinstance(message.get(k), str)}
+            if self.peer is not None:
+                self.calls.ready(self.peer)
+        elif self.calls.control(message):
+            return
         elif op == "demand" and publisher is not None and isinstance(message.get("count"), int):
             publisher.demand(message["count"])
         elif op == "adopted" and subscription is not None:
@@ -435,7 +498,7 @@ class RosbridgeGraph:
             delay = message.get("delay_ms")
             publisher.remote_delay_s = delay / 1e3 if isinstance(delay, (int, float)) else None
         elif op == "graph":
-            self._mirror.update(message)
+            self.mirror.update(message)
 
     def _was_refused(self, part: RemotePublisher | RemoteSubscription | None, reason: str) -> None:
         if part is not None and part.refused != reason:

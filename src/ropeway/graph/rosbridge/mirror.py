@@ -4,28 +4,39 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from ropeway.graph.base import Changes, EndpointInfo, GraphEvent, NodeInfo, TopicInfo
+from ropeway.graph.calls import ActionInfo, ProviderInfo, ServiceInfo
 from ropeway.qos import DEFAULT, QoS
 
 __all__ = ["Mirror", "describe"]
 
 Call = Callable[[str, Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
+_Calls = TypeVar("_Calls", ServiceInfo, ActionInfo)
 
 
 class Mirror:
-    """Keeps ``topics`` and ``nodes``, and emits an event for every difference."""
+    """Keeps topics, nodes, services and actions, and emits an event for every difference.
 
-    def __init__(self, graph: str, changes: Changes) -> None:
+    ``tells_calls``: who is mirrored tells of services and actions, so that what is not here is not served.
+    ``on_calls`` is called when they have changed.
+    """
+
+    def __init__(self, graph: str, changes: Changes, on_calls: Callable[[], None]) -> None:
         self.topics: dict[str, TopicInfo] = {}
         self.nodes: dict[str, NodeInfo] = {}
+        self.services: dict[str, ServiceInfo] = {}
+        self.actions: dict[str, ActionInfo] = {}
+        self.tells_calls = False
         self.filled = asyncio.Event()
-        self._graph, self._changes = graph, changes
+        self._graph, self._changes, self._on_calls = graph, changes, on_calls
 
     def clear(self) -> None:
         """The link is down: nothing is known."""
         self._replace({}, {})
+        self.tells_calls = False
+        self._replace_calls({}, {})
         self.filled.clear()
 
     def update(self, message: Mapping[str, Any]) -> None:
@@ -42,7 +53,17 @@ class Mirror:
             elif isinstance(value, Mapping):
                 nodes[name] = _node(name, value)
         self._replace(topics, nodes)
+        self._update_calls(message)
         self.filled.set()
+
+    def _update_calls(self, message: Mapping[str, Any]) -> None:
+        if "services" not in message and "actions" not in message:
+            return
+        self.tells_calls = True
+        services, actions = dict(self.services), dict(self.actions)
+        _take(services, message.get("services"), ServiceInfo)
+        _take(actions, message.get("actions"), ActionInfo)
+        self._replace_calls(services, actions)
 
     async def ask_rosapi(self, call: Call) -> None:
         """Ask a plain rosbridge server; it tells names and types of topics, and names of nodes."""
@@ -59,6 +80,26 @@ class Mirror:
         self._replace(topics, nodes)
         self.filled.set()
 
+    async def ask_calls(self, call: Call) -> None:
+        """Ask a plain rosbridge server for services and actions; it tells names, and their types one by one."""
+        services = await _ask(call, "/rosapi/services", "services", "/rosapi/service_type", "service")
+        actions = await _ask(call, "/rosapi/action_servers", "action_servers", "/rosapi/action_type", "action")
+        nobody = (ProviderInfo(),)  # somebody serves it, and nobody tells who
+        self._replace_calls(
+            {n: self.services.get(n) or ServiceInfo(n, (t,) if t else (), nobody) for n, t in services.items()},
+            {n: self.actions.get(n) or ActionInfo(n, (t,) if t else (), nobody) for n, t in actions.items()},
+        )
+
+    def _replace_calls(self, services: dict[str, ServiceInfo], actions: dict[str, ActionInfo]) -> None:
+        before = _providers("service", self.services) | _providers("action", self.actions)
+        self.services, self.actions = services, actions
+        after = _providers("service", services) | _providers("action", actions)
+        for kind, name, type, node, _ in sorted(after - before):
+            self._changes.emit(GraphEvent(True, kind, name, type, node, self._graph))
+        for kind, name, type, node, _ in sorted(before - after):
+            self._changes.emit(GraphEvent(False, kind, name, type, node, self._graph))
+        self._on_calls()
+
     def _replace(self, topics: dict[str, TopicInfo], nodes: dict[str, NodeInfo]) -> None:
         before, self.topics = self.topics, topics
         nodes_before, self.nodes = self.nodes, nodes
@@ -74,6 +115,51 @@ class Mirror:
 def _uses(topics: Mapping[str, TopicInfo]) -> set[tuple[str, str, str, str, bytes]]:
     ends = (e for t in topics.values() for e in (*t.publishers, *t.subscriptions))
     return {(e.kind, e.topic, e.type, e.node, e.gid) for e in ends}
+
+
+def _providers(kind: str, table: Mapping[str, ServiceInfo | ActionInfo]) -> set[tuple[str, str, str, str, bytes]]:
+    return {(kind, i.name, i.type, p.node, p.gid) for i in table.values() for p in i.servers}
+
+
+async def _ask(call: Call, list_service: str, key: str, type_service: str, field: str) -> dict[str, str]:
+    """The names that rosapi lists, and their types."""
+    names = (await call(list_service, {})).get(key)
+    found: dict[str, str] = {}
+    for name in names if isinstance(names, list) else ():
+        if isinstance(name, str):
+            type = (await call(type_service, {field: name})).get("type")
+            found[name] = type if isinstance(type, str) else ""
+    return found
+
+
+def _take(table: dict[str, _Calls], told: object, make: type[_Calls]) -> None:
+    """Take the services or actions that a gateway told; ``null`` for those that are gone."""
+    for name, value in _items(told):
+        if value is None:
+            table.pop(name, None)
+        elif isinstance(value, Mapping):
+            types = value.get("types")
+            table[name] = make(
+                name,
+                tuple(str(t) for t in types) if isinstance(types, list) else (),
+                _provider_list(value.get("servers")),
+                _provider_list(value.get("clients")),
+            )
+
+
+def _provider_list(listed: object) -> tuple[ProviderInfo, ...]:
+    return tuple(_provider(p) for p in listed if isinstance(p, Mapping)) if isinstance(listed, list) else ()
+
+
+def _provider(value: Mapping[str, Any]) -> ProviderInfo:
+    since = value.get("since_ns", 0)
+    return ProviderInfo(
+        str(value.get("node", "")),
+        str(value.get("gateway", "")),
+        local=bool(value.get("local", False)),
+        gid=_hex(value.get("gid", "")),
+        since_ns=since if type(since) is int else 0,
+    )
 
 
 def _items(value: object) -> list[tuple[str, Any]]:
@@ -135,8 +221,27 @@ def _node(name: str, value: Mapping[str, Any]) -> NodeInfo:
     return NodeInfo(name, pairs("publishers"), pairs("subscriptions"), pairs("services"), pairs("clients"))
 
 
-def describe(topics: Mapping[str, TopicInfo], nodes: Mapping[str, NodeInfo]) -> dict[str, Any]:
+def describe(
+    topics: Mapping[str, TopicInfo],
+    nodes: Mapping[str, NodeInfo],
+    services: Mapping[str, ServiceInfo],
+    actions: Mapping[str, ActionInfo],
+) -> dict[str, Any]:
     """The JSON form of a graph, which ``Mirror.update`` reads."""
+
+    def provider(p: ProviderInfo) -> dict[str, Any]:
+        told = {"node": p.node, "gateway": p.gateway, "local": p.local, "gid": p.gid.hex(), "since_ns": p.since_ns}
+        return {key: value for key, value in told.items() if value}
+
+    def calls(table: Mapping[str, ServiceInfo | ActionInfo]) -> dict[str, Any]:
+        return {
+            name: {
+                "types": list(i.types),
+                "servers": [provider(p) for p in i.servers],
+                "clients": [provider(p) for p in i.clients],
+            }
+            for name, i in table.items()
+        }
 
     def endpoint(e: EndpointInfo) -> dict[str, Any]:
         return {
@@ -167,4 +272,6 @@ def describe(topics: Mapping[str, TopicInfo], nodes: Mapping[str, NodeInfo]) -> 
             }
             for name, n in nodes.items()
         },
+        "services": calls(services),
+        "actions": calls(actions),
     }

@@ -85,7 +85,7 @@ def received(name: str, values: Any, note: Mapping[str, Any] | None, *, kind: st
     text = text or f"{name} failed, and does not say why"
     word = (note or {}).get("error")
     if not isinstance(word, str):
-        word = _guess(text)
+        word = _guess(name, text)
     if word == "not_served":
         return NotServed(name, kind)
     if word == "timeout":
@@ -98,7 +98,9 @@ def received(name: str, values: Any, note: Mapping[str, Any] | None, *, kind: st
     return CallFailed(name, text)
 
 
-def _guess(text: str) -> str:
+def _guess(name: str, text: str) -> str:
+    if text.startswith(f"{name} was not answered: "):
+        return "lost"
     if text == _TIMEOUT:
         return "timeout"
     if text == _REJECTED:

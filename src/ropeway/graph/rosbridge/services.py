@@ -40,6 +40,7 @@ CALLS_LIMIT: Final = 4096
 """How many calls, or goals, one provider works at; more are refused."""
 
 _REMEMBERED: Final = 1024  # calls that were answered, so that the same call does not run twice
+_EARLIER_S: Final = 0.25
 _REMEMBERED_BYTES: Final = 1 << 16  # longer answers are not kept
 
 
@@ -133,6 +134,9 @@ class RemoteClient:
                 answer.set_exception(error)
 
         gateway = peer.dialect is ROPEWAY
+        left_s = deadline - loop.time()
+        if not gateway:
+            left_s -= min(_EARLIER_S, left_s / 4)  # so that the server says first why there is no answer
         calls.pending[id] = answer
         try:
             peer.send_op(
@@ -141,7 +145,7 @@ class RemoteClient:
                     service=self.service,
                     type=self.type,
                     args=None,
-                    timeout=round(max(deadline - loop.time(), 0.001), 3),
+                    timeout=round(max(left_s, 0.001), 3),
                     ropeway=call_note(request, calls.graph.gateway_id, self.delivery.encoding) if gateway else None,
                 ),
                 payload=request.payload,
@@ -153,9 +157,7 @@ class RemoteClient:
             )
             response = await answer
             if not response.result:
-                raise received(
-                    self.service, response.values, response.ropeway, kind="service", timeout_s=timeout_s
-                )
+                raise received(self.service, response.values, response.ropeway, kind="service", timeout_s=timeout_s)
             codec = calls.codec(f"{self.type}_Response")
             return decode_value(response.values, response.compression, codec, limit_bytes=peer.limit_bytes)
         except GraphUnavailable:
@@ -176,9 +178,7 @@ class RemoteClient:
 class RemoteService:
     """A service that we serve on the far graph."""
 
-    def __init__(
-        self, calls: Calls, service: str, type: str, handler: ServiceHandler, delivery: Delivery
-    ) -> None:
+    def __init__(self, calls: Calls, service: str, type: str, handler: ServiceHandler, delivery: Delivery) -> None:
         self.service = self.name = service
         self.type, self.delivery = type, delivery
         self.id = f"advertise_service:{service}:{calls.next()}"
@@ -309,7 +309,7 @@ class RemoteService:
         peer, self._peer = self._peer, None
         if peer is not None:
             peer.send(ops.UnadvertiseService(id=self.id, service=self.service))
-        await end(*self._answering)
+        await end(*(task for task in self._answering if task is not asyncio.current_task()))
 
 
 def _retrieved(future: asyncio.Future[bytes]) -> None:

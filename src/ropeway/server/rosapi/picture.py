@@ -139,7 +139,7 @@ class Picture:
         now, changes = asyncio.get_running_loop().time(), self._changes()
         seen, at = self._nodes_at
         if seen != changes or now - at > _FRESH_S:
-            self._nodes = {n: i for n, i in self._graph.nodes().items() if not is_hidden_node(n)}
+            self._nodes = {n: i for n, i in sorted(self._graph.nodes().items()) if not is_hidden_node(n)}
             self._nodes_at = changes, asyncio.get_running_loop().time()
         return self._nodes
 
@@ -170,5 +170,5 @@ def _served(info: ServiceInfo) -> bool:
 
 
 def _nodes_of(ends: Iterable[Any]) -> list[str]:
-    """The nodes of endpoints or providers, each once."""
-    return list(dict.fromkeys(end.node for end in ends if end.node and not is_hidden_node(end.node)))
+    """The nodes of endpoints or providers, each once, sorted."""
+    return sorted({end.node for end in ends if end.node and not is_hidden_node(end.node)})

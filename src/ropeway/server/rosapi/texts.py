@@ -113,25 +113,25 @@ def _readable(type: str, source: str, registry: TypeRegistry) -> str:
         is_readable(part, listed, root=part is root, text=registry.text(part.name)) for part in (root, *parts)
     ):
         return source
-    odd = [part for part in (root, *parts) if not is_readable(part, listed, root=part is root, text=_written(part))]
-    if odd:
-        return _failure(type, f"clients of rosbridge cannot read the names of the fields of {odd[0].name}")
-    first = _written(root)
+    plain = [_plainest(part) for part in (root, *parts)]
+    for part in plain:
+        if not is_readable(part, listed, root=part is plain[0], text=part.text()):
+            return _failure(type, f"clients of rosbridge cannot read the names of the fields of {part.name}")
+    first = plain[0].text()
     if not root.wire_fields:  # constants alone are no message to them
         first = "".join(f"# {line}\n" for line in first.splitlines())
-    return first + "".join(f"{_RULE}\nMSG: {short_name(part.name)}\n{_written(part)}" for part in parts)
+    return first + "".join(f"{_RULE}\nMSG: {short_name(part.name)}\n{part.text()}" for part in plain[1:])
 
 
-def _written(definition: Definition) -> str:
-    """The definition in the plainest form, without what only programs on the network need."""
-    fields = tuple(replace(field, default=None) for field in definition.wire_fields)
+def _plainest(definition: Definition) -> Definition:
+    """The definition without what only programs on the network need: defaults, and constants that clients trip over."""
     constants = tuple(_plain(c) for c in definition.constants)
     return replace(
         definition,
-        fields=fields,
+        fields=tuple(replace(field, default=None) for field in definition.wire_fields),
         constants=tuple(c for c in constants if _reads_constant(c, c.name, f"={c.text}")),
         source="",
-    ).text()
+    )
 
 
 def _plain(constant: Constant) -> Constant:
@@ -148,12 +148,14 @@ def is_readable(definition: Definition, listed: Sequence[str], *, root: bool, te
     """
     fields = iter(definition.wire_fields)
     constants = {constant.name: constant for constant in definition.constants}
-    for raw in text.splitlines():
+    for raw in text.split("\n"):
         line = raw.strip()
+        found = _LINE.match(line)
+        if len(line.splitlines()) > 1:  # by other signs than clients know
+            return False
         if not line or line.startswith("#"):
             continue
-        found = _LINE.match(line)
-        if found is None or line.startswith("=="):
+        if found is None:
             return False
         rest = found["rest"]
         if rest.lstrip().startswith("="):

@@ -36,7 +36,7 @@ class Op(enum.IntEnum):
     READY = 16  # body: GUID of the participant
     UNFIT = 17  # body: why this machine cannot do it
     REFUSED = 18  # body: why the endpoint cannot be made
-    SERVERS = 19  # number: how many serve what a client calls
+    MATCHED = 19  # number: how many serve what a client calls, or call what a service serves
     RESPONSE = 20  # number: the call; body: CDR of the response
     FAILED = 21  # number: the call; body: why it cannot be sent
     LOST = 22  # number: the call; body: why nobody will answer it

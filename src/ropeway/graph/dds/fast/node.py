@@ -47,7 +47,6 @@ _TICK_NS: Final = 20_000_000  # between two looks at answers that wait
 _MAX_TRIGGERS: Final = 256
 _GUARD_KEY: Final = 0
 _KEYS: Final = 4  # per endpoint: its data, the matches of its reader and of its writer
-_STATUS: Final = raw.PUBLICATION_MATCHED | raw.SUBSCRIPTION_MATCHED
 _request_head = struct.Struct("<16sq")
 
 Emit = Callable[[Frame], None]
@@ -63,6 +62,8 @@ class _End:
         self._infos = (SampleInfo * _BATCH)()
         self._raw = memoryview(self._infos).cast("B")
         self._writers: dict[int, bytes] = {}
+        self.readers: set[bytes] = set()
+        self.matched: set[bytes] = set()
         request, reply = dds_service_topics(service)
         ask, answer = (request, dds_type(type, "_Request")), (reply, dds_type(type, "_Response"))
         self._entities: list[int] = []
@@ -138,18 +139,23 @@ class _End:
         """A request or a reply."""
         raise NotImplementedError
 
-    def on_matches(self) -> None:
-        """Take note of who is there. Whoever has left is forgotten."""
-        for entity in (self._reader, self._entity):
-            status = ct.c_uint32()
-            check(lib.take_status(entity, ct.byref(status), _STATUS), "take_status")
+    def on_matches(self) -> set[bytes]:
+        """Take note of who is there; gives those who both write to us and read us, by the prefix of their GUIDs."""
+        status = ct.c_uint32()
+        check(lib.take_status(self._reader, ct.byref(status), raw.SUBSCRIPTION_MATCHED), "take_status")
+        check(lib.take_status(self._entity, ct.byref(status), raw.PUBLICATION_MATCHED), "take_status")
         handles = matched(lib.get_matched_publications, self._reader)
         self._writers = {handle: guid for handle in handles if (guid := self._writer_of(handle))}
-
-    def readers(self) -> set[bytes]:
-        """Who reads what we write."""
         handles = matched(lib.get_matched_subscriptions, self._entity)
-        return {_guid(lib.get_matched_subscription_data(self._entity, handle)) for handle in handles}
+        self.readers = {_guid(lib.get_matched_subscription_data(self._entity, handle)) for handle in handles}
+        writers = {guid[:PREFIX_BYTES] for guid in self._writers.values()}
+        readers = {guid[:PREFIX_BYTES] for guid in self.readers}
+        found = {prefix for prefix in writers & readers if self.node.hears(prefix[:2])}
+        gone, changed = self.matched - found, self.matched != found
+        self.matched = found
+        if changed:
+            self.node.emit(Frame(Op.MATCHED, self.number, len(found)))
+        return gone
 
     def _write(self, payload: bytes, parameter: int, related: SampleIdentity) -> int:
         seq = self.writer.write(with_padding_told(payload), parameter, related, time.time_ns())
@@ -163,20 +169,21 @@ class ClientEnd(_End):
     def __init__(self, node: FastNode, number: int, service: str, type: str) -> None:
         self._calls: dict[int, tuple[int, set[bytes]]] = {}
         self._numbers: dict[int, int] = {}
-        self._servers: set[bytes] = set()
+        self.last = 0  # the number of the latest request on the network
         super().__init__(node, number, service, type, serves=False)
 
-    def call(self, number: int, payload: bytes) -> None:
+    def call(self, number: int, payload: bytes, parameter: int = PID_RELATED) -> None:
         """Send a request."""
         if len(self._calls) >= _PENDING_LIMIT:
             self._tell(Op.FAILED, number, "too many calls are under way")
             return
         try:
-            seq = self._write(payload, PID_RELATED, SampleIdentity(self.reader_guid, UNKNOWN_SEQ))
+            seq = self._write(payload, parameter, SampleIdentity(self.reader_guid, UNKNOWN_SEQ))
         except raw.DdsError as error:
             self._tell(Op.FAILED, number, f"the request cannot be sent: {error}")
             return
-        self._calls[seq] = (number, set(self._servers))
+        self.last = seq
+        self._calls[seq] = (number, set(self.matched))
         self._numbers[number] = seq
 
     def forget(self, number: int) -> None:
@@ -184,6 +191,7 @@ class ClientEnd(_End):
         self._calls.pop(self._numbers.pop(number, 0), None)
 
     def on_sample(self, origin: Origin, payload: bytes) -> None:
+        """Pass a reply on if it is one of ours."""
         related = origin.related
         if related is None or related.guid not in (self.reader_guid, self.writer.guid):
             return
@@ -194,22 +202,17 @@ class ClientEnd(_End):
         del self._numbers[found[0]]
         self.node.emit(Frame(Op.RESPONSE, self.number, found[0], payload))
 
-    def on_matches(self) -> None:
-        super().on_matches()
-        writers = {guid[:PREFIX_BYTES] for guid in self._writers.values()}
-        readers = {guid[:PREFIX_BYTES] for guid in self.readers()}
-        servers = {prefix for prefix in writers & readers if self.node.hears(prefix[:2])}
-        if servers == self._servers:
-            return
-        gone, self._servers = self._servers - servers, servers
-        self.node.emit(Frame(Op.SERVERS, self.number, len(servers)))
+    def on_matches(self) -> set[bytes]:
+        """Take note of who serves it, and give up the calls whose servers have left."""
+        gone = super().on_matches()
         if gone:
             self.on_data()  # an answer may have come before its server left
-        for seq, (number, asked) in list(self._calls.items()):
-            asked -= gone
-            if gone and not asked:
-                del self._calls[seq], self._numbers[number]
-                self._tell(Op.LOST, number, "its server has left")
+            for seq, (number, asked) in list(self._calls.items()):
+                asked -= gone
+                if not asked:
+                    del self._calls[seq], self._numbers[number]
+                    self._tell(Op.LOST, number, "its server has left")
+        return gone
 
     def _tell(self, op: Op, number: int, text: str) -> None:
         self.node.emit(Frame(op, self.number, number, text.encode()))
@@ -221,11 +224,11 @@ class ServiceEnd(_End):
     def __init__(self, node: FastNode, number: int, service: str, type: str) -> None:
         self._requests: dict[int, tuple[int, SampleIdentity]] = {}
         self._last = 0
-        self._readers: set[bytes] = set()
         self._waiting: deque[tuple[float, int, SampleIdentity, bytes]] = deque()
         super().__init__(node, number, service, type, serves=True)
 
     def on_sample(self, origin: Origin, payload: bytes) -> None:
+        """Pass a request on."""
         if len(self._requests) >= _PENDING_LIMIT:
             self.node.count("too many at a time")
             return
@@ -236,25 +239,30 @@ class ServiceEnd(_End):
         head = _request_head.pack(*origin.identity)
         self.node.emit(Frame(Op.REQUEST, self.number, self._last, head + payload))
 
+    def asked(self, number: int) -> tuple[int, SampleIdentity] | None:
+        """Under which parameter, and with which related identity, a request is to be answered."""
+        return self._requests.get(number)
+
     def reply(self, number: int, payload: bytes) -> None:
         """Answer a request, as soon as who asked can hear it."""
         parameter, identity = self._requests.pop(number, (0, None))
         if identity is None:
             return
-        if not self._can_hear(identity.guid) or self._waiting:
+        if not self._can_hear(identity.guid):
             self._waiting.append((time.monotonic() + _MATCH_S, parameter, identity, payload))
             self.node.wake()
         else:
             self._send(parameter, identity, payload)
 
     def forget(self, number: int) -> None:
-        """This request gets no answer."""
+        """Leave a request unanswered."""
         self._requests.pop(number, None)
 
-    def on_matches(self) -> None:
-        super().on_matches()
-        self._readers = self.readers()
+    def on_matches(self) -> set[bytes]:
+        """Take note of who calls it, and send the answers whose readers have come."""
+        gone = super().on_matches()
         self.tick()
+        return gone
 
     @property
     def waits(self) -> bool:
@@ -275,7 +283,7 @@ class ServiceEnd(_End):
 
     def _can_hear(self, guid: bytes) -> bool:
         """True where ``guid`` reads our answers, or is a writer, whose reader is not known."""
-        return guid in self._readers or not is_reader(guid)
+        return guid in self.readers or not is_reader(guid)
 
     def _send(self, parameter: int, identity: SampleIdentity, payload: bytes) -> None:
         try:
@@ -287,14 +295,25 @@ class ServiceEnd(_End):
 class FastNode:
     """A participant for endpoints of this kind, in domain ``number``.
 
-    ``mark`` is the USER_DATA of its endpoints. ``emit`` gets frames for the gateway, in whichever thread is at work.
-    ``everyone`` hears other vendors than Fast DDS, too. Raises ``DdsError``, ``GraphUnavailable``, ``HookError``.
+    ``mark`` is the USER_DATA of its endpoints. ``emit`` gets frames for the gateway, in whichever thread is at work;
+    ``fail`` is called when the one that waits for DDS has failed. ``everyone`` hears other vendors than Fast DDS, too.
+    Raises ``DdsError``, ``GraphUnavailable``, ``HookError``.
     """
 
-    def __init__(self, number: int, profile: Profile, mark: bytes, emit: Emit, *, everyone: bool = False) -> None:
+    def __init__(
+        self,
+        number: int,
+        profile: Profile,
+        mark: bytes,
+        emit: Emit,
+        fail: Callable[[Exception], None],
+        *,
+        everyone: bool = False,
+    ) -> None:
         self.lock = threading.Lock()
         self.mark = mark
         self.emit = emit
+        self._fail = fail
         self._number, self._everyone = number, everyone
         self._ends: dict[int, ClientEnd | ServiceEnd] = {}
         self._drops: dict[str, int] = {}
@@ -310,7 +329,7 @@ class FastNode:
             self._waitset = check(lib.create_waitset(self.participant), "create_waitset")
             self._guard = check(lib.create_guardcondition(self.participant), "create_guardcondition")
             check(lib.waitset_attach(self._waitset, self._guard, _GUARD_KEY), "waitset_attach")
-            self._thread = threading.Thread(target=self._run, name="ropeway fast", daemon=True)
+            self._thread = threading.Thread(target=self._main, name="ropeway fast", daemon=True)
             self._thread.start()
         except BaseException:
             lib.delete(self.participant)
@@ -377,6 +396,12 @@ class FastNode:
     def wake(self) -> None:
         """Have the thread look round."""
         check(lib.set_guardcondition(self._guard, True), "set_guardcondition")
+
+    def _main(self) -> None:
+        try:
+            self._run()
+        except Exception as error:
+            self._fail(error)
 
     def _run(self) -> None:
         triggers = (ct.c_ssize_t * _MAX_TRIGGERS)()

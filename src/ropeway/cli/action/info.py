@@ -1,0 +1,58 @@
+"""``ropeway action info``: who serves and uses an action."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from ropeway.cli.console import answer, fail, print_json
+from ropeway.cli.listing import CountOption, ShowTypesOption, count_of_others, info_json
+from ropeway.cli.loop import run
+from ropeway.cli.session import GraphOption, JsonOption, SpinOption, full_name, open_session, settle_actions
+from ropeway.graph.calls import ActionInfo
+
+__all__ = ["ActionArgument", "app", "find_action", "info_text"]
+
+app = typer.Typer(add_completion=False)
+
+ActionArgument = Annotated[str, typer.Argument(help="The action, such as /fibonacci.", show_default=False)]
+
+
+async def find_action(graph: str, name: str, spin_time_s: float, *, whole: bool = False) -> ActionInfo:
+    """The action on the graph at the URL ``graph``, or the end with a sentence; ``whole`` waits for all ends of it."""
+    async with open_session(graph) as session:
+        found = await settle_actions(session.graph, spin_time_s, lambda actions: name in actions)
+        if whole and name in found:
+            found = await settle_actions(session.graph, spin_time_s)
+    if name not in found:
+        fail(f"Unknown action {name!r}; see `ropeway action list`, or wait longer with --spin-time")
+    return found[name]
+
+
+def info_text(info: ActionInfo, *, show_types: bool = False, count: bool = False) -> str:
+    """The lines of ``ros2 action info``; ``count`` leaves the names out."""
+    lines = [f"Action: {info.name}"]
+    types = f" [{', '.join(info.types)}]" if show_types else ""
+    for noun, ends in (("clients", info.clients), ("servers", info.servers)):
+        lines.append(f"Action {noun}: {count_of_others(ends)}")
+        if not count:
+            lines.extend(f"    {end.node or end}{types}" for end in ends if not end.local)
+    return "\n".join(lines)
+
+
+@app.command("info")
+def info(
+    action: ActionArgument,
+    graph: GraphOption = "",
+    show_types: ShowTypesOption = False,
+    count: CountOption = False,
+    spin_time: SpinOption = 2.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Show who serves and who uses ACTION."""
+    found = run(find_action(graph, full_name(action), spin_time, whole=True))
+    if as_json:
+        print_json(info_json(found))
+    else:
+        answer(info_text(found, show_types=show_types, count=count))

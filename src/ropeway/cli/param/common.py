@@ -1,0 +1,64 @@
+"""What the verbs on parameters share: options, values as text, and sentences for what goes wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine
+from typing import Annotated, Any, Final, TypeVar
+
+import typer
+
+from ropeway.cli.console import fail
+from ropeway.cli.loop import run
+from ropeway.cli.session import Session, open_session
+from ropeway.errors import CallTimeout, NotServed
+from ropeway.graph.parameters import ParameterType, ParameterValue, type_of
+
+__all__ = ["NameArgument", "NodeArgument", "TimeoutOption", "ask", "plain", "value_text"]
+
+NodeArgument = Annotated[str, typer.Argument(help="The node, such as /talker.", show_default=False)]
+NameArgument = Annotated[str, typer.Argument(help="The parameter, such as use_sim_time.", show_default=False)]
+TimeoutOption = Annotated[float, typer.Option("--timeout", min=0.001, help="Seconds to wait for the node.")]
+
+T = TypeVar("T")
+
+_TITLES: Final = {
+    ParameterType.BOOL: "Boolean value is:",
+    ParameterType.INTEGER: "Integer value is:",
+    ParameterType.DOUBLE: "Double value is:",
+    ParameterType.STRING: "String value is:",
+    ParameterType.BYTE_ARRAY: "Byte values are:",
+    ParameterType.BOOL_ARRAY: "Boolean values are:",
+    ParameterType.INTEGER_ARRAY: "Integer values are:",
+    ParameterType.DOUBLE_ARRAY: "Double values are:",
+    ParameterType.STRING_ARRAY: "String values are:",
+}
+
+
+def ask(graph: str, node: str, timeout_s: float, work: Callable[[Session], Coroutine[Any, Any, T]]) -> T:
+    """Run ``work`` on the graph at the URL; a node that does not answer ends with a sentence."""
+
+    async def main() -> T:
+        async with open_session(graph) as session:
+            return await work(session)
+
+    try:
+        return run(main())
+    except NotServed:
+        fail(
+            f"node {node} has no parameter services, or is not there (waited {timeout_s:g} s); "
+            "see `ropeway param list`, or wait longer with --timeout"
+        )
+    except CallTimeout:
+        fail(f"node {node} did not answer within {timeout_s:g} s; wait longer with --timeout")
+
+
+def plain(value: ParameterValue) -> Any:
+    """The value as JSON and YAML can have it: bytes as numbers."""
+    return list(value) if isinstance(value, bytes) else value
+
+
+def value_text(value: ParameterValue, *, hide_type: bool = False) -> str:
+    """The value as ``ros2 param get`` shows it."""
+    if value is None:
+        return "Parameter not set."
+    return str(plain(value)) if hide_type else f"{_TITLES[type_of(value)]} {plain(value)}"

@@ -1,0 +1,54 @@
+"""``ropeway param dump``: all parameters of a node as a YAML file that ROS can load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import typer
+import yaml
+
+from ropeway.cli.console import answer, print_json
+from ropeway.cli.param.common import NodeArgument, TimeoutOption, ask, plain
+from ropeway.cli.session import GraphOption, JsonOption, Session, full_name
+from ropeway.graph.parameters import ParameterValue, get_parameters, list_parameters
+
+__all__ = ["app", "nested"]
+
+app = typer.Typer(add_completion=False)
+
+
+def nested(values: Mapping[str, ParameterValue]) -> dict[str, Any]:
+    """Names with dots as dicts in dicts; where a name is also the beginning of others, these keep their dots."""
+    out: dict[str, Any] = {}
+    for name, value in sorted(values.items()):
+        parts = name.split(".")
+        place = out
+        for depth, part in enumerate(parts[:-1]):
+            inner = place.setdefault(part, {})
+            if not isinstance(inner, dict):
+                place[".".join(parts[depth:])] = plain(value)
+                break
+            place = inner
+        else:
+            place[parts[-1]] = plain(value)
+    return out
+
+
+@app.command("dump")
+def dump(
+    node: NodeArgument, graph: GraphOption = "", timeout: TimeoutOption = 5.0, as_json: JsonOption = False
+) -> None:
+    """Print all parameters of NODE as YAML, as ``ros2 run ... --ros-args --params-file`` takes it."""
+    full = full_name(node)
+
+    async def look(session: Session) -> dict[str, ParameterValue]:
+        names = await list_parameters(session.graph, session.registry, full, timeout_s=timeout)
+        return await get_parameters(session.graph, session.registry, full, names, timeout_s=timeout)
+
+    values = {name: value for name, value in ask(graph, full, timeout, look).items() if value is not None}
+    if as_json:
+        print_json({"node": full, "parameters": {name: plain(value) for name, value in values.items()}})
+    else:
+        document = {full: {"ros__parameters": nested(values)}}
+        answer(yaml.safe_dump(document, sort_keys=True, default_flow_style=False, allow_unicode=True).rstrip("\n"))

@@ -1,0 +1,447 @@
+"""The ``ros2`` graph: a ROS 2 network through the rclpy of the sourced environment."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
+from typing import Any, Final, TypeVar
+
+from ropeway.errors import GraphUnavailable, InvalidName
+from ropeway.graph.action import ComposedActionClient, ComposedActionServer, actions_of
+from ropeway.graph.base import (
+    NO_HINTS,
+    Changes,
+    Delivery,
+    GraphEvent,
+    NodeInfo,
+    SampleCallback,
+    TopicInfo,
+    Undelivered,
+    resolve_name,
+)
+from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.following import Following, SharedReader, settled
+from ropeway.graph.ros2.client import Ros2Client
+from ropeway.graph.ros2.discovery import Discovery
+from ropeway.graph.ros2.environment import MAX_DOMAIN
+from ropeway.graph.ros2.interfaces import loaded, message_class, service_class
+from ropeway.graph.ros2.origins import Origins
+from ropeway.graph.ros2.participant import Participant
+from ropeway.graph.ros2.picture import Picture
+from ropeway.graph.ros2.profiles import reader_profile, service_profile, writer_profile
+from ropeway.graph.ros2.publisher import Ros2Publisher
+from ropeway.graph.ros2.reader import Reader
+from ropeway.graph.ros2.senders import Lane
+from ropeway.graph.ros2.service import Ros2Service
+from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.types import TypeRegistry
+from ropeway.types.definition import canonical_name
+
+__all__ = ["Ros2Graph", "Ros2Subscription"]
+
+log = logging.getLogger("ropeway.graph.ros2")
+
+# Some middlewares do not tell the depth of a publisher; what is adopted keeps at least this many.
+_MIN_ADOPTED_DEPTH: Final = 10
+# Matching has no signal in every distribution: it is looked at so long after each change, and then every second.
+_LOOK_S: Final = (0.02, 0.05, 0.1, 0.25, 0.5)
+_LOOK_LATER_S: Final = 1.0
+
+T = TypeVar("T")
+Ros2Subscription = Following[Reader]
+_Part = Ros2Publisher | Ros2Subscription | Ros2Client | Ros2Service | ComposedActionClient | ComposedActionServer
+
+
+class Ros2Graph:
+    """The node ``namespace``/``name`` in domain ``domain``.
+
+    ``gateway_id`` names the gateway that it belongs to: its processes do not hear each other. ``registry`` knows the
+    types of actions; left out, those of ROS 2 and of the sourced environment.
+    """
+
+    kind = "ros2"
+
+    def __init__(
+        self,
+        domain: int = 0,
+        *,
+        name: str = "ropeway",
+        namespace: str = "/",
+        gateway_id: str = "",
+        registry: TypeRegistry | None = None,
+    ) -> None:
+        self.name = f"ros2:{domain}"
+        if not 0 <= domain <= MAX_DOMAIN:
+            raise GraphUnavailable(self.name, f"the domain must be a number from 0 to {MAX_DOMAIN}")
+        if "/" in name:
+            raise InvalidName(name, "a node name has no slash; give the namespace apart")
+        self.domain = domain
+        self.node = resolve_name(name, namespace)
+        self.drops: Counter[tuple[str, Undelivered]] = Counter()
+        self._gateway_id = gateway_id
+        self._registry = registry
+        self._changes = Changes()
+        self._participant: Participant | None = None
+        self._discovery: Discovery
+        self._origins: Origins
+        self._parts: dict[_Part, None] = {}
+        self._shared: dict[tuple[str, str, QoS], SharedReader[Reader]] = {}
+        self._readers: dict[SharedReader[Reader], str] = {}  # and their types
+        self._lock = asyncio.Lock()
+        self._look_at: asyncio.TimerHandle | None = None
+        self._looks = 0
+
+    async def open(self) -> None:
+        """Join the domain. Raises ``GraphUnavailable`` with what to do."""
+        async with self._lock:
+            if self._participant is not None:
+                return
+            self._changes = Changes()
+            participant = Participant(self.name, self.domain, self.node, self._gateway_id)
+            self._discovery = Discovery(self.name, self._gateway_id, self._changes.emit, self._readopt)
+            await participant.open(self._on_picture)
+            self._origins = Origins(participant.rmw, self._discovery)
+            self._participant = participant
+            log.info("%s: joined as node %s over %s", self.name, self.node, participant.rmw)
+
+    async def close(self) -> None:
+        """Leave the domain with everything that was created here."""
+        async with self._lock:
+            participant = self._participant
+            if participant is None:
+                return
+            for kinds in ((ComposedActionClient, ComposedActionServer), (object,)):
+                await asyncio.gather(*(part.close() for part in list(self._parts) if isinstance(part, kinds)))
+            self._parts.clear()
+            self._participant = None
+            if self._look_at is not None:
+                self._look_at.cancel()
+                self._look_at = None
+            await participant.close()
+            self._shared.clear()
+            self._readers.clear()
+            self._changes.close()
+
+    # Topics -----------------------------------------------------------------------------------------------------
+
+    async def create_publisher(
+        self, topic: str, type: str, qos: QoS | None = None, *, delivery: Delivery = NO_HINTS
+    ) -> Ros2Publisher:
+        """Publish ``topic``; without a profile, reliable and volatile. ROS has its own way with ``delivery``."""
+        participant = self.participant
+        topic, type = resolve_name(topic), canonical_name(type)
+        cls = await loaded(message_class, type)
+        profile = settled(qos or DEFAULT, DEFAULT)
+        self._check_open()
+        raw = self._try(lambda: participant.node.create_publisher(cls, topic, writer_profile(profile)))
+        publisher = Ros2Publisher(self, topic, type, profile, raw)
+        with raw.handle:
+            self._origins.add_own(self._try(lambda: participant.rcl.gid_of(raw.handle.pointer)))
+        self._add(publisher)
+        return publisher
+
+    async def create_subscription(
+        self,
+        topic: str,
+        type: str,
+        qos: QoS | None,
+        callback: SampleCallback,
+        *,
+        delivery: Delivery = NO_HINTS,
+    ) -> Ros2Subscription:
+        """Read ``topic``; without a profile, with what all its publishers offer, also when they change."""
+        self._check_open()
+        topic, type = resolve_name(topic), canonical_name(type)
+        await loaded(message_class, type)
+        self._check_open()
+        subscription = Ros2Subscription(self, topic, type, qos, callback)
+        subscription.follow(self._adopted(subscription))
+        self._add(subscription)
+        return subscription
+
+    def topics(self) -> dict[str, TopicInfo]:
+        """Every topic in the domain, ours too; those that actions are made of stand under ``actions``."""
+        return self._discovery.topics() if self._participant is not None else {}
+
+    # Services and actions ---------------------------------------------------------------------------------------
+
+    async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> Ros2Client:
+        """Call ``service``; ROS has its own way with ``delivery``."""
+        participant = self.participant
+        service, type = resolve_name(service), canonical_name(type, "srv")
+        cls = await loaded(service_class, type)
+        self._check_open()
+        raw = self._try(lambda: participant.node.create_client(cls, service, qos_profile=service_profile()))
+        client = Ros2Client(self, service, type, raw, cls)
+        participant.spinner.add("client", raw.handle, client.take)
+        self._add(client)
+        return client
+
+    async def create_service(
+        self, service: str, type: str, handler: ServiceHandler, *, delivery: Delivery = NO_HINTS
+    ) -> Ros2Service:
+        """Serve ``service``; ROS has its own way with ``delivery``."""
+        participant = self.participant
+        service, type = resolve_name(service), canonical_name(type, "srv")
+        cls = await loaded(service_class, type)
+        self._check_open()
+        raw = self._try(lambda: participant.node.create_service(cls, service, _never, qos_profile=service_profile()))
+        served = Ros2Service(self, service, type, handler, raw, cls)
+        participant.spinner.add("service", raw.handle, served.take)
+        self._add(served)
+        return served
+
+    async def create_action_client(
+        self, action: str, type: str, *, delivery: Delivery = NO_HINTS
+    ) -> ComposedActionClient:
+        """Use ``action``; ROS has its own way with ``delivery``."""
+        self._check_open()
+        client = ComposedActionClient(self, action, type, self.registry)
+        await client.open()
+        self._add(client)
+        return client
+
+    async def create_action_server(
+        self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
+    ) -> ComposedActionServer:
+        """Serve ``action``; ROS has its own way with ``delivery``."""
+        self._check_open()
+        server = ComposedActionServer(self, action, type, handlers, self.registry)
+        await server.open()
+        self._add(server)
+        return server
+
+    @property
+    def registry(self) -> TypeRegistry:
+        """The types that actions are made of."""
+        if self._registry is None:
+            self._registry = TypeRegistry()
+            self._registry.add_ament_prefix_path()
+        return self._registry
+
+    def services(self) -> dict[str, ServiceInfo]:
+        """Every service in the domain, ours too."""
+        if self._participant is None:
+            return {}
+        found = {
+            name: replace(info, servers=_of_others(info.servers), clients=_of_others(info.clients))
+            for name, info in self._discovery.services().items()
+        }
+        us = ProviderInfo(self.node, local=True)
+        for part in self._parts:
+            if isinstance(part, Ros2Service | Ros2Client) and not part.closed:
+                info = found.get(part.service) or ServiceInfo(part.service, ())
+                info = replace(info, types=tuple(dict.fromkeys((*info.types, part.type))))
+                if isinstance(part, Ros2Service):
+                    found[part.service] = replace(info, servers=(*info.servers, us))
+                else:
+                    found[part.service] = replace(info, clients=(*info.clients, us))
+        return {name: info for name, info in sorted(found.items()) if info.servers or info.clients}
+
+    def actions(self) -> dict[str, ActionInfo]:
+        """Every action in the domain, ours too."""
+        return actions_of(self.services())
+
+    def nodes(self) -> dict[str, NodeInfo]:
+        """Every node in the domain, ours too."""
+        return self._discovery.nodes() if self._participant is not None else {}
+
+    def changes(self) -> AsyncIterator[GraphEvent]:
+        """What others do, from now on."""
+        return self._changes.listen()
+
+    @property
+    def settled(self) -> bool:
+        """True once the network was looked at, and the nodes of all endpoints are known."""
+        return self._participant is None or self._discovery.settled
+
+    @property
+    def participant(self) -> Participant:
+        """The side of rclpy. Raises ``GraphUnavailable`` where the graph is not open."""
+        if self._participant is None:
+            raise GraphUnavailable(self.name, "is not open; call open() first")
+        return self._participant
+
+    # For the parts ----------------------------------------------------------------------------------------------
+
+    def guard(self, topic: str, callback: Callable[[T], None], value: T) -> None:
+        """Run a callback that may fail."""
+        try:
+            callback(value)
+        except Exception:
+            self.drops[topic, Undelivered.CALLBACK] += 1
+            log.exception("%s: a callback for %s failed", self.name, topic)
+
+    def attach(self, subscription: Ros2Subscription, qos: QoS) -> SharedReader[Reader]:
+        """A reader for ``subscription``: with others where samples are volatile, its own where history is replayed."""
+        participant = self.participant
+        topic, type = subscription.topic, subscription.type
+        reader = None if qos.transient_local else self._shared.get((topic, type, qos))
+        if reader is None:
+            cls = message_class(type)
+            raw = self._try(
+                lambda: participant.node.create_subscription(cls, topic, _never, reader_profile(qos), raw=True)
+            )
+            reader = SharedReader(self, topic, qos)
+            reader.raw = Reader(raw, topic, type, participant.spinner, participant.rcl, self._origins)
+            reader.raw.deliver = reader.deliver
+            self._readers[reader] = type
+            participant.spinner.add("subscription", raw.handle, reader.raw.take)
+            if not qos.transient_local:
+                self._shared[topic, type, qos] = reader
+            self._look_soon()
+        reader.subscriptions = (*reader.subscriptions, subscription)
+        return reader
+
+    async def detach(self, subscription: Ros2Subscription, reader: SharedReader[Reader]) -> None:
+        """Take a subscription off its reader; the last one takes the reader with it."""
+        reader.subscriptions = tuple(s for s in reader.subscriptions if s is not subscription)
+        if reader.subscriptions:
+            return
+        key = (reader.topic, subscription.type, reader.qos)
+        if self._shared.get(key) is reader:
+            del self._shared[key]
+        raw = reader.raw
+        if self._participant is not None and raw is not None and not raw.closed:
+            raw.closed = True
+            self._participant.spinner.remove(raw.raw.handle)
+            self._participant.node.destroy_subscription(raw.raw)
+        self._readers.pop(reader, None)
+        self._look_soon()
+
+    def forget(self, subscription: Ros2Subscription) -> None:
+        """A subscription was closed."""
+        self._parts.pop(subscription, None)
+
+    def is_matched(self, subscription: Ros2Subscription, reader: SharedReader[Reader]) -> bool:
+        """True once a reader is matched with every publisher that it should read."""
+        if self._participant is None or reader.raw is None:
+            return True
+        return reader.raw.matched >= len(self._discovery.all_publishers(subscription.topic, subscription.type))
+
+    def count_readers(self, publisher: Ros2Publisher) -> int:
+        """How many readers of others are matched with a publisher."""
+        if self._participant is None:
+            return 0
+        try:
+            matched = int(publisher.raw.get_subscription_count())
+        except RuntimeError:
+            return 0
+        topic, type, offer = publisher.topic, publisher.type, publisher.qos
+        own = sum(
+            reader.topic == topic and of_type == type and _fits(reader.qos, offer)
+            for reader, of_type in self._readers.items()
+        )
+        others = sum(
+            not end.local and self._discovery.is_own(end) and _fits(end.qos, offer)
+            for end in self._discovery.subscriptions(topic, type)
+        )
+        return max(matched - own - others, 0)
+
+    async def withdraw(self, publisher: Ros2Publisher, lane: Lane) -> None:
+        """A publisher was closed."""
+        self._parts.pop(publisher, None)
+        if self._participant is not None:
+            await lane.finish(lambda: self._destroy("publisher", publisher.raw))
+            self._look_soon()
+
+    async def remove(self, part: Ros2Client | Ros2Service, raw: Any, lane: Lane) -> None:
+        """A client or service was closed."""
+        self._parts.pop(part, None)
+        if self._participant is not None:
+            self._participant.spinner.remove(raw.handle)
+            kind = "client" if isinstance(part, Ros2Client) else "service"
+            await lane.finish(lambda: self._destroy(kind, raw))
+            self._look_soon()
+
+    def _destroy(self, kind: str, raw: Any) -> None:
+        """Destroy an entity, in a thread."""
+        participant = self._participant
+        if participant is not None and participant.node is not None:
+            getattr(participant.node, f"destroy_{kind}")(raw)
+
+    # Discovery --------------------------------------------------------------------------------------------------
+
+    def _on_picture(self, picture: Picture) -> None:
+        if self._participant is not None:
+            self._discovery.apply(picture)
+            self._look()
+
+    def _look_soon(self) -> None:
+        """Something changed here: look at once, and at the matches in a moment."""
+        if self._participant is not None:
+            self._participant.watcher.poke()
+            self._looks = 0
+            self._arm()
+
+    def _arm(self) -> None:
+        if self._look_at is not None:
+            self._look_at.cancel()
+        pause = _LOOK_S[self._looks] if self._looks < len(_LOOK_S) else _LOOK_LATER_S
+        self._look_at = asyncio.get_running_loop().call_later(pause, self._look_again)
+
+    def _look_again(self) -> None:
+        self._look_at = None
+        self._looks += 1
+        self._look_at_matches()
+        self._arm()
+
+    def _look(self) -> None:
+        self._look_at_matches()
+        self._looks = 0
+        self._arm()
+
+    def _look_at_matches(self) -> None:
+        for part in list(self._parts):
+            if isinstance(part, Ros2Publisher | Ros2Client):
+                part.look()
+
+    def _readopt(self, topics: set[str]) -> None:
+        for subscription in list(self._parts):
+            if isinstance(subscription, Following) and subscription.adopts and subscription.topic in topics:
+                try:
+                    subscription.follow(self._adopted(subscription))
+                except GraphUnavailable as error:
+                    log.warning("%s: %s keeps its profile: %s", self.name, subscription.topic, error)
+
+    def _adopted(self, subscription: Ros2Subscription) -> QoS:
+        """The profile that a subscription should have now."""
+        asked = subscription.asked
+        if asked is not None and not subscription.adopts:
+            return asked
+        offered = [end.qos for end in self._discovery.publishers(subscription.topic, subscription.type)]
+        qos = common_qos(offered, subscription.qos)
+        if asked is not None:
+            return settled(asked, qos)
+        if qos.history == "keep_last" and not qos.transient_local:
+            qos = replace(qos, depth=max(qos.depth, _MIN_ADOPTED_DEPTH))
+        return qos
+
+    def _add(self, part: _Part) -> None:
+        self._parts = {known: None for known in self._parts if not known.closed}
+        self._parts[part] = None
+        self._look_soon()
+
+    def _check_open(self) -> None:
+        _ = self.participant
+
+    def _try(self, create: Callable[[], T]) -> T:
+        try:
+            return create()
+        except (RuntimeError, ValueError) as error:
+            raise GraphUnavailable(self.name, str(error).splitlines()[0]) from error
+
+
+def _fits(ask: QoS, offer: QoS) -> bool:
+    return (offer.reliable or not ask.reliable) and (offer.transient_local or not ask.transient_local)
+
+
+def _of_others(providers: tuple[ProviderInfo, ...]) -> tuple[ProviderInfo, ...]:
+    return tuple(provider for provider in providers if not provider.local)
+
+
+def _never(*_: object) -> None:
+    """Asked for by rclpy; no executor that would call it ever sees our node."""

@@ -1,0 +1,61 @@
+"""Services for the tests of the dds graph."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+
+from ropeway.graph.calls import Request
+from ropeway.graph.dds import DdsGraph
+from ropeway.graph.dds.client import DdsClient
+from ropeway.graph.dds.service import DdsService
+
+ADD = "example_interfaces/srv/AddTwoInts"
+TRIGGER = "std_srvs/srv/Trigger"
+
+
+def addends(a: int, b: int = 0) -> bytes:
+    """An AddTwoInts_Request as CDR."""
+    return b"\0\1\0\0" + struct.pack("<qq", a, b)
+
+
+def total(value: int) -> bytes:
+    """An AddTwoInts_Response as CDR."""
+    return b"\0\1\0\0" + struct.pack("<q", value)
+
+
+class Adder:
+    """A handler that keeps what it was asked, and answers while ``open`` is set."""
+
+    def __init__(self, *, open: bool = True) -> None:
+        self.requests: list[Request] = []
+        self.cancelled = 0
+        self.open = asyncio.Event()
+        if open:
+            self.open.set()
+
+    async def __call__(self, request: Request) -> bytes:
+        self.requests.append(request)
+        try:
+            await self.open.wait()
+        except asyncio.CancelledError:
+            self.cancelled += 1
+            raise
+        a, b = struct.unpack("<qq", request.payload[4:])
+        return total(a + b)
+
+
+async def called(graph: DdsGraph, service: str, type: str = ADD) -> DdsClient:
+    """A client whose server is matched."""
+    client = await graph.create_client(service, type)
+    assert await client.wait_available(10)
+    return client
+
+
+async def add(client: DdsClient, a: int, b: int = 0, timeout_s: float = 10.0) -> int:
+    """One call."""
+    response = await client.call(Request(addends(a, b)), timeout_s)
+    return int(struct.unpack("<q", response[4:])[0])
+
+
+__all__ = ["ADD", "TRIGGER", "Adder", "DdsClient", "DdsService", "add", "addends", "called", "total"]
