@@ -18,7 +18,6 @@ from ropeway.cli import app
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.graph.dds import DdsGraph
 from tests.graph.parameter_node import ParameterNode
-from tests.isolation import isolated_dds
 
 ADD = "example_interfaces/srv/AddTwoInts"
 FIBONACCI = "example_interfaces/action/Fibonacci"
@@ -53,17 +52,18 @@ async def unless_seven(goal: ServerGoal) -> bool:
 
 
 @pytest.fixture
-async def robot(environment: dict[str, str]) -> AsyncIterator[ParameterNode]:
+async def robot(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[ParameterNode]:
     """A node with a service, an action and parameters on the network of the processes."""
-    with isolated_dds():
-        graph = DdsGraph(int(environment["ROS_DOMAIN_ID"]), name="robot", interface="lo")
-        await graph.open()
-        try:
-            await graph.create_service("/add", ADD, add)
-            await graph.create_action_server("/count", FIBONACCI, ActionHandlers(count, unless_seven))
-            yield await ParameterNode({"rate": 2.5, "plugins.name": "x"}, read_only=("rate",)).serve(graph, NODE)
-        finally:
-            await graph.close()
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", environment["ROS_AUTOMATIC_DISCOVERY_RANGE"])
+    graph = DdsGraph(int(environment["ROS_DOMAIN_ID"]), name="robot")
+    await graph.open()
+    try:
+        await graph.create_service("/add", ADD, add)
+        await graph.create_action_server("/count", FIBONACCI, ActionHandlers(count, unless_seven))
+        yield await ParameterNode({"rate": 2.5, "plugins.name": "x"}, read_only=("rate",)).serve(graph, NODE)
+    finally:
+        await graph.close()
 
 
 @pytest.fixture

@@ -176,10 +176,10 @@ async def test_serves_nodes(world: World) -> None:
     await one.wait(lambda: "right" in one.said)
     assert one.said["right"] == 200
     print(f"a node gets its answer in {one.said['p50_us']:.0f} us (p50)")
-    burst = await world.node("call", "/add", "--count", 1000, "--burst")
+    burst = await world.node("call", "/add", "--count", 300, "--burst")
     await burst.wait(lambda: "right" in burst.said)
-    assert burst.said["right"] == 1000
-    assert len(adder.requests) == 1200
+    assert burst.said["right"] == 300
+    assert len(adder.requests) == 500
     assert {request.caller for request in adder.requests} == {"/peer"}
 
 

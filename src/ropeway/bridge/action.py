@@ -5,9 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections import deque
-from collections.abc import Callable
-from typing import Final
 
 from ropeway.bridge.offer import Offer
 from ropeway.errors import CallError, CallTimeout, GoalRejected
@@ -27,30 +24,6 @@ from ropeway.graph.calls import (
 __all__ = ["ActionBridge"]
 
 log = logging.getLogger("ropeway.bridge")
-
-
-_EARLY: Final = 256  # feedback that waits until its goal has begun; the oldest goes first
-
-
-class _News:
-    """Feedback of a goal: what comes before the goal has begun on the other side waits for that."""
-
-    def __init__(self) -> None:
-        self._give: Callable[[bytes], None] | None = None
-        self._early: deque[bytes] = deque(maxlen=_EARLY)
-
-    def put(self, payload: bytes) -> None:
-        """Pass feedback on."""
-        if self._give is None:
-            self._early.append(payload)
-        else:
-            self._give(payload)
-
-    def flow(self, give: Callable[[bytes], None]) -> None:
-        """The goal has begun; ``give`` takes its feedback."""
-        self._give = give
-        while self._early:
-            give(self._early.popleft())
 
 
 class ActionBridge(Offer):
@@ -73,7 +46,7 @@ class ActionBridge(Offer):
         delivery: Delivery = NO_HINTS,
     ) -> None:
         super().__init__(source, target, source_name, target_name, type, timeout_s=timeout_s, delivery=delivery)
-        self._goals: dict[bytes, tuple[ClientGoal, _News]] = {}
+        self._goals: dict[bytes, ClientGoal] = {}
 
     async def make_client(self) -> ActionClient:
         """The action on the source."""
@@ -87,24 +60,23 @@ class ActionBridge(Offer):
     async def _accept(self, goal: ServerGoal) -> bool:
         if goal.id in self._goals:
             return False
-        news = _News()
         try:
-            running = await self._client.send_goal(
-                Goal(goal.payload, goal.id, goal.via, goal.caller), on_feedback=news.put, timeout_s=DEFAULT_TIMEOUT_S
+            self._goals[goal.id] = await self._client.send_goal(
+                Goal(goal.payload, goal.id, goal.via, goal.caller),
+                on_feedback=lambda feedback: goal.feedback(feedback),
+                timeout_s=DEFAULT_TIMEOUT_S,
             )
         except CallError as error:
             self.counts[type(error).__name__] += 1
             if not isinstance(error, GoalRejected):
                 log.warning("a goal of %s was rejected: %s", self.target_name, error)
             return False
-        self._goals[goal.id] = (running, news)
         return True
 
     async def _execute(self, goal: ServerGoal) -> Outcome:
         clock = asyncio.get_running_loop().time
         began, how = clock(), "given up"
-        running, news = self._goals[goal.id]
-        news.flow(goal.feedback)
+        running = self._goals[goal.id]
         self.under_way += 1
         try:
             outcome = await running.result(self.timeout_s)
@@ -123,12 +95,12 @@ class ActionBridge(Offer):
         return outcome
 
     async def _cancel(self, goal: ServerGoal) -> bool:
-        running, _ = self._goals.get(goal.id, (None, None))
+        running = self._goals.get(goal.id)
         return running is not None and await running.cancel()
 
     async def withdrawn(self) -> None:
         """Goals that were accepted and not begun."""
-        for running, _ in list(self._goals.values()):
+        for running in list(self._goals.values()):
             await self._give_up(running)
 
     async def _give_up(self, running: ClientGoal) -> None:

@@ -78,7 +78,7 @@ class ServiceOps:
         """The client calls a service; it is answered exactly once, unless it leaves."""
         self.called += 1
         if len(self._calls) >= _CALLS_LIMIT:
-            self._refuse(op, CallFailed(op.name, f"too many calls: {_CALLS_LIMIT} of this client are under way"))
+            self.refuse(op, CallFailed(op.name, f"too many calls: {_CALLS_LIMIT} of this client are under way"))
             return
         task = asyncio.create_task(self._answer(op), name=f"call of {op.service[:200]}")
         self._calls.add(task)
@@ -88,7 +88,7 @@ class ServiceOps:
         self._calls.discard(task)
         if not task.cancelled() and (error := task.exception()) is not None:
             log.error("%s: a call of %s failed", self.session.peer.connection.peer, op.service, exc_info=error)
-            self._refuse(op, CallFailed(op.name, "internal error"))
+            self.refuse(op, CallFailed(op.name, "internal error"))
 
     async def _answer(self, op: ops.CallService) -> None:
         session = self.session
@@ -102,7 +102,7 @@ class ServiceOps:
             else:
                 await self._call(op, name)
         except (RopewayError, ValueError) as error:
-            self._refuse(op, error)
+            self.refuse(op, error)
 
     async def _call(self, op: ops.CallService, name: str) -> None:
         session = self.session
@@ -127,7 +127,7 @@ class ServiceOps:
             codec=codec,
             encoding=str(extra.get("encoding") or "auto"),
             fragment_size=op.fragment_size,
-            on_unsent=partial(self._refuse, op),
+            on_unsent=partial(self.refuse, op),
         )
 
     def _type(self, op: ops.CallService, name: str) -> tuple[str, bool]:
@@ -155,7 +155,7 @@ class ServiceOps:
         timeout_s = self.call_timeout_s if asked is None else asked
         return min(timeout_s, LONGEST_S) if timeout_s > 0 else LONGEST_S
 
-    def _refuse(self, op: ops.CallService, error: Exception) -> None:
+    def refuse(self, op: ops.CallService, error: Exception) -> None:
         """Answer a call that failed."""
         note = failure_note(self.session, error)
         values = text_of(error)
@@ -168,7 +168,7 @@ class ServiceOps:
         id = error.id if isinstance(error, InvalidOperation) else ops.ABSENT
         if isinstance(service, str) or ops.present(id):
             op = ops.CallService(service=service if isinstance(service, str) else "", args=None, id=id)
-            self._refuse(op, error)
+            self.refuse(op, error)
 
     # ── serving ────────────────────────────────────────────────────────────────────────────────────────────────
 

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from ropeway.errors import InvalidOperation, RopewayError, WireError
+from ropeway.errors import AccessDenied, InvalidOperation, RopewayError, WireError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.link.peer import Peer
 from ropeway.server.access import Access
@@ -36,6 +36,15 @@ _RESUME_AT: Final = 32
 _PAUSE_BYTES: Final = 64 << 20  # received while operations wait
 _DEFINITIONS_LIMIT: Final = 4096
 _DEFINITION_LIMIT: Final = 1 << 20  # characters
+_RATED: Final[Mapping[type, tuple[str, str]]] = {
+    ops.Publish: ("publish", "topic"),
+    ops.Advertise: ("publish", "topic"),
+    ops.Subscribe: ("subscribe", "topic"),
+    ops.CallService: ("call_service", "service"),
+    ops.AdvertiseService: ("advertise_service", "service"),
+    ops.SendActionGoal: ("send_action_goal", "action"),
+    ops.AdvertiseAction: ("advertise_action", "action"),
+}
 _STATUS_LIMIT_BYTES: Final = 1 << 20  # notices are not sent to a client that does not read so much
 
 
@@ -91,6 +100,7 @@ class Session:
         self._waiting: deque[ops.Op | Retire] = deque()
         self._wake = asyncio.Event()
         self._paused = False
+        self._rated_bytes = 0
         self._idle_bytes = 0  # what had been received before operations had to wait
         self._watch: Watch | None = None
         self._definitions = 0
@@ -159,6 +169,8 @@ class Session:
 
     def operation(self, op: ops.Op) -> None:
         """An operation came. What takes no time is done at once, unless something waits; all else has its turn."""
+        if self.access.limited and not self._within_rates(op):
+            return
         if not self._waiting:
             try:
                 if self._at_once(op):
@@ -171,6 +183,24 @@ class Session:
         if not self._paused and (len(self._waiting) > _PAUSE_AT or self._heavy):
             self._paused = True
             self.peer.connection.pause_reading()
+
+    def _within_rates(self, op: ops.Op) -> bool:
+        """True unless the client sends more than its role may; then a request is refused, and all else dropped."""
+        verb, field = _RATED.get(type(op), ("", ""))
+        if not verb:
+            return True  # an answer, or something taken back: others wait for it
+        before, self._rated_bytes = self._rated_bytes, self.peer.connection.bytes_in
+        try:
+            self.access.spend(verb, getattr(op, field), self._rated_bytes - before)
+        except AccessDenied as error:
+            if isinstance(op, ops.CallService):
+                self.services.refuse(op, error)
+            elif isinstance(op, ops.SendActionGoal):
+                self.actions.refuse(op, error)
+            else:
+                self._failed(op, error)
+            return False
+        return True
 
     def push(self, op: ops.Op | Retire) -> None:
         """Let an operation wait for its turn."""
@@ -209,7 +239,17 @@ class Session:
 
     def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
         """Messages came on a channel."""
+        if self.access.limited:
+            arrivals = [arrival for arrival in arrivals if self._may_arrive(channel, arrival)]
         self.topics.arrived(channel, arrivals, self._waiting)
+
+    def _may_arrive(self, channel: int, arrival: Arrival) -> bool:
+        topic = self.topics.input_channels.get(channel)
+        try:
+            self.access.spend("publish", topic.topic if topic is not None else f"channel {channel}", len(arrival.body))
+        except AccessDenied:
+            return False
+        return True
 
     def lost(self, code: int, reason: str) -> None:
         """The connection is gone."""
@@ -225,7 +265,10 @@ class Session:
 
     def complain(self, kind: str, name: str, error: object, id: object = ops.ABSENT) -> None:
         """Count and log something that the client did wrong, and tell it, if it wants to know."""
-        self.peer.complaints.note(kind, name, error, id=id)
+        if not isinstance(error, AccessDenied):
+            self.peer.complaints.note(kind, name, error, id=id)
+        elif self._tells_status:  # it is counted and logged by ``access``
+            self._send_status("error", str(error), id)
 
     def inform(self, text: str, id: object = ops.ABSENT) -> None:
         """Log something that the client may want to know, and tell it, if it does."""
@@ -250,6 +293,8 @@ class Session:
             "peer": connection.peer,
             "gateway": self.remote.get("name", ""),
             "dialect": self.peer.dialect.name,
+            "role": self.access.role.name,
+            "denied": dict(self.access.denied),
             "bytes_in": connection.bytes_in,
             "bytes_out": connection.bytes_out,
             "complaints": {f"{kind} {topic}".strip(): n for (kind, topic), n in self.peer.complaints.counts.items()},

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from typing import Final
 
 from ropeway.errors import DecodeError, RopewayError
@@ -34,6 +34,7 @@ _GOALS_LIMIT: Final = 10_000  # under way at a time; more are rejected
 _KEPT: Final = 256  # ended goals whose result can still be asked for …
 _KEPT_BYTES: Final = 64 << 20  # … with results of so many bytes in total …
 _KEPT_S: Final = 900.0  # … for so long, as in ROS 2 up to Iron; later distributions keep them 10 s
+_EARLY_FEEDBACK: Final = 256  # before a goal is accepted; the oldest goes first
 _CLOSE_S: Final = 2.0  # how long closing waits for the answers to those who wait for results
 
 
@@ -120,15 +121,20 @@ class ComposedActionServer:
     async def _take(self, request: Request) -> bytes:
         id, payload = self._parts.split(request.payload)
         stamp_ns = time.time_ns()
-        if not await self._accepts(id, request, payload):
+        early: deque[bytes] = deque(maxlen=_EARLY_FEEDBACK)
+        goal = ServerGoal(payload, id, early.append, request.via, request.caller)
+        if not await self._accepts(goal):
             return self._parts.accepted(False, stamp_ns)
-        goal = ServerGoal(payload, id, lambda feedback: self._send_feedback(id, feedback), request.via, request.caller)
         tracked = self._goals[id] = _Tracked(goal, stamp_ns)
         self._publish_status()
+        goal.feedback = lambda feedback: self._send_feedback(id, feedback)
+        for feedback in early:
+            goal.feedback(feedback)
         tracked.work = asyncio.create_task(self._carry_out(tracked), name=f"goal of {self.action}")
         return self._parts.accepted(True, stamp_ns)
 
-    async def _accepts(self, id: bytes, request: Request, payload: bytes) -> bool:
+    async def _accepts(self, goal: ServerGoal) -> bool:
+        id = goal.id
         if self.closed or id in self._goals or id in self._ended or id in self._deciding:
             return False
         if len(self._goals) + len(self._deciding) >= _GOALS_LIMIT:
@@ -138,7 +144,6 @@ class ComposedActionServer:
             return True
         self._deciding.add(id)
         try:
-            goal = ServerGoal(payload, id, lambda _: None, request.via, request.caller)
             return await self._handlers.accept(goal) and not self.closed
         except Exception as error:  # a handler is somebody else's code; its failure rejects this goal
             self._blame("accepting a goal", error)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ropeway.graph.dds.matching import Matches
     from ropeway.graph.dds.participant import Participant
 
-__all__ = ["RawReader", "RawWriter", "WriterIdentity", "matched", "with_padding_told", "without_padding"]
+__all__ = ["RawReader", "RawWriter", "WriterIdentity", "matched", "tell_padding", "without_padding"]
 
 _BATCH: Final = 64  # samples per take
 _HEADER_BYTES: Final = 4
@@ -41,6 +41,7 @@ _COURIER_BYTES: Final = 1 << 20  # about a millisecond on the network
 _MAX_STAMP: Final = 2**31 * 10**9 - 1  # what a source timestamp on the wire can hold for every vendor
 
 _string_at, _byref = ct.string_at, ct.byref
+_u8_at = ct.c_uint8.from_address
 _u32_at = ct.c_uint32.from_address
 _i64_at = ct.c_int64.from_address
 _new_bytes = ct.PYFUNCTYPE(ct.py_object, ct.c_void_p, ct.c_ssize_t)(("PyBytes_FromStringAndSize", ct.pythonapi))
@@ -270,8 +271,6 @@ class RawWriter:
             lib.write_flush(self.entity)  # what shares a datagram that is not full
 
     def _send(self, payload: bytes, source_stamp_ns: int) -> Undelivered | None:
-        if len(payload) & 3:
-            payload = with_padding_told(payload)
         length = len(payload)
         vector = self._vector
         vector.base, vector.len = payload, length
@@ -281,8 +280,7 @@ class RawWriter:
             vector.base = None  # what was big is not kept until the next write
         if not serdata:
             return Undelivered.ENCODE
-        if length & 3:  # it goes out padded to four bytes, with what happens to be in memory unless told otherwise
-            ct.memset(serdata + SERDATA_HEADER + length, 0, -length & 3)
+        tell_padding(serdata, length)
         if 0 < source_stamp_ns <= _MAX_STAMP:
             _i64_at(serdata + SERDATA_TIMESTAMP).value = source_stamp_ns
             code = lib.forwardcdr(self.entity, serdata)  # either takes the reference over
@@ -339,11 +337,14 @@ def without_padding(payload: bytes) -> bytes:
     return b"".join((payload[:2], _NO_OPTIONS, payload[_HEADER_BYTES:end]))
 
 
-def with_padding_told(payload: bytes) -> bytes:
-    """``payload`` with options that tell how many bytes DDS will add to fill up four."""
-    if len(payload) < _HEADER_BYTES:
-        return payload
-    return b"".join((payload[:_OPTIONS_AT], bytes((-len(payload) & 3,)), payload[_HEADER_BYTES:]))
+def tell_padding(serdata: int, length: int) -> None:
+    """Have the header of a new sample of ``length`` bytes tell how many bytes, zeros, DDS adds to fill up four.
+
+    The library would refuse a sample that is told so and is not filled up yet, where its body has but a byte or two.
+    """
+    padding = -length & 3
+    _u8_at(serdata + SERDATA_HEADER + _OPTIONS_AT).value = padding
+    ct.memset(serdata + SERDATA_HEADER + length, 0, padding)
 
 
 def matched(get: Callable[..., Any], entity: int) -> list[int]:

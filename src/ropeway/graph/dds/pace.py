@@ -9,14 +9,14 @@ from typing import Final
 __all__ = ["Pace"]
 
 _BURST: Final = 5
-_STEP_S: Final = 0.001  # rclpy takes an answer in less
+_STEP_S: Final = 0.002  # rclpy takes one in less, also on a busy machine
 
 
 class Pace:
     """The answers to one client.
 
     A client that asks again once it has its answer never waits. One that asks much at a time gets its answers in a
-    small burst, and then one per millisecond.
+    small burst, and then one every two milliseconds.
     """
 
     def __init__(self) -> None:

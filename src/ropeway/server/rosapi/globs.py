@@ -21,6 +21,7 @@ class Globs:
     topics_sub: Sequence[str] | None = None
     services: Sequence[str] | None = None
     params: Sequence[str] | None = None
+    actions: Sequence[str] | None = None
 
     @property
     def topics(self) -> Sequence[str] | None:

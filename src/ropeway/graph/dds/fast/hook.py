@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ropeway.graph.dds import raw
+from ropeway.graph.dds.endpoints import tell_padding
 from ropeway.graph.dds.fast.identity import HEADER_BYTES, Origin, SampleIdentity, pack_parameter, parse
 from ropeway.graph.dds.raw import SERDATA_TIMESTAMP, DdsError, check, lib
 
@@ -276,6 +277,7 @@ class RelatedWriter:
         serdata = raw.make_serdata(self._sertype, payload)
         if not serdata:
             raise DdsError("serialise", raw.BAD_PARAMETER)
+        tell_padding(serdata, len(payload))
         notes[serdata] = _Note(parameter=pack_parameter(parameter, related))
         ct.c_int64.from_address(serdata + SERDATA_TIMESTAMP).value = stamp_ns
         _u32_at(serdata + _SERDATA_STATUS).value = _WITH_LONG_STATUS

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from ropeway.graph.dds import domain, raw
 from ropeway.graph.dds.endpoint_qos import reader_qos, writer_qos
-from ropeway.graph.dds.endpoints import matched, with_padding_told, without_padding
+from ropeway.graph.dds.endpoints import matched, without_padding
 from ropeway.graph.dds.fast import hook
 from ropeway.graph.dds.fast.frames import MAX_BODY_BYTES, Frame, Op
 from ropeway.graph.dds.fast.hook import RelatedWriter
@@ -158,7 +158,7 @@ class _End:
         return gone
 
     def _write(self, payload: bytes, parameter: int, related: SampleIdentity) -> int:
-        seq = self.writer.write(with_padding_told(payload), parameter, related, time.time_ns())
+        seq = self.writer.write(payload, parameter, related, time.time_ns())
         lib.write_flush(self._entity)
         return seq
 
