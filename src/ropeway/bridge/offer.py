@@ -142,6 +142,7 @@ class Offer:
             log.info("%s %s is no longer offered on %s", self.kind, self.target_name, self.target.name)
 
     def _taken(self, taken_by: str) -> None:
+        taken_by = taken_by.removeprefix(f"{self.kind} {self.target_name} is already offered by ")
         if taken_by and taken_by != self.taken_by:
             log.warning(
                 "%s %s is already offered on %s by %s; this route takes over when that leaves",

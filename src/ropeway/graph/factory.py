@@ -1,4 +1,4 @@
-"""Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ws://host:9090``, ``memory:name``.
+"""Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ws://host:9090``, ``memory:x``.
 
 ``ros2`` goes through the installed rclpy, in the domain of ``ROS_DOMAIN_ID`` unless it names one. ``auto`` is ``ros2``
 where rclpy can be imported, because ROS 2 is sourced, and else ``dds`` in the same domain.

@@ -59,7 +59,7 @@ class ParameterType(enum.IntEnum):
     @property
     def label(self) -> str:
         """As ``ros2 param`` writes it: ``integer array``."""
-        return self.name.lower().replace("_", " ")
+        return self.name.lower().replace("_", " ").replace("bool", "boolean")
 
 
 _FIELDS: Final = {

@@ -215,7 +215,9 @@ class Session:
         """A message of the Ropeway dialect came."""
         op = message.get("op")
         if op == "hello":
-            self.remote = {k: message[k] for k in ("gateway", "name") if isinstance(message.get(k), str)}
+            self.remote = {k: message[k][:256] for k in ("gateway", "name") if isinstance(message.get(k), str)}
+            if self.remote.get("name"):
+                self.view.user = f"gateway {self.remote['name']} ({self.peer.connection.peer})"
         elif op == "watch" and self._watch is None:
             self._watch = Watch(self.view, self.peer.send)
         elif op == "accepted" or op == "cancelling":

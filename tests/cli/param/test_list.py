@@ -16,7 +16,7 @@ async def test_all_nodes(pair: tuple[Session, Session]) -> None:
     await ParameterNode({"rate": 1.5, "name": "x"}).serve(there.graph, "/b")
     await ParameterNode({"on": True}).serve(there.graph, "/a")
     listed, silent = await list_all(here, [], 5.0, 2.0, types=True)
-    assert (listed, silent) == ({"/a": {"on": "bool"}, "/b": {"name": "string", "rate": "double"}}, {})
+    assert (listed, silent) == ({"/a": {"on": "boolean"}, "/b": {"name": "string", "rate": "double"}}, {})
     assert list(listed) == ["/a", "/b"]
     listed, _ = await list_all(here, [], 5.0, 2.0, types=False)
     assert listed == {"/a": {"on": ""}, "/b": {"name": "", "rate": ""}}

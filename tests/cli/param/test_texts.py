@@ -46,7 +46,7 @@ def test_description() -> None:
         "    Min value: 0.0\n    Max value: 9.0\n    Step: 0.5\n    Additional constraints: a prime"
     )
     assert description_text(ParameterDescription("x", ParameterType.BOOL)) == (
-        "Parameter name: x\n  Type: bool\n  Constraints:"
+        "Parameter name: x\n  Type: boolean\n  Constraints:"
     )
 
 

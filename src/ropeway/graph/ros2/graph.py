@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from typing import Any, Final, TypeVar
 
-from ropeway.errors import GraphUnavailable, InvalidName
+from ropeway.errors import GraphUnavailable, InvalidName, TypesError
 from ropeway.graph.action import ComposedActionClient, ComposedActionServer, actions_of
 from ropeway.graph.base import (
     NO_HINTS,
@@ -49,6 +50,8 @@ _MIN_ADOPTED_DEPTH: Final = 10
 # Matching has no signal in every distribution: it is looked at so long after each change, and then every second.
 _LOOK_S: Final = (0.02, 0.05, 0.1, 0.25, 0.5)
 _LOOK_LATER_S: Final = 1.0
+
+_OWN_S: Final = 0.2
 
 T = TypeVar("T")
 Ros2Subscription = Following[Reader]
@@ -93,6 +96,7 @@ class Ros2Graph:
         self._lock = asyncio.Lock()
         self._look_at: asyncio.TimerHandle | None = None
         self._looks = 0
+        self._own_since: dict[str, float] = {}
 
     async def open(self) -> None:
         """Join the domain. Raises ``GraphUnavailable`` with what to do."""
@@ -286,13 +290,14 @@ class Ros2Graph:
                 lambda: participant.node.create_subscription(cls, topic, _never, reader_profile(qos), raw=True)
             )
             reader = SharedReader(self, topic, qos)
-            reader.raw = Reader(raw, topic, type, participant.spinner, participant.rcl, self._origins)
+            reader.raw = Reader(raw, topic, type, participant.spinner, participant.rcl, self._origins, self._turned)
             reader.raw.deliver = reader.deliver
             self._readers[reader] = type
             participant.spinner.add("subscription", raw.handle, reader.raw.take)
             if not qos.transient_local:
                 self._shared[topic, type, qos] = reader
             self._look_soon()
+            self._own_since[topic] = time.monotonic()
         reader.subscriptions = (*reader.subscriptions, subscription)
         return reader
 
@@ -310,6 +315,7 @@ class Ros2Graph:
             self._participant.spinner.remove(raw.raw.handle)
             self._participant.node.destroy_subscription(raw.raw)
         self._readers.pop(reader, None)
+        self._own_since[reader.topic] = time.monotonic()
         self._look_soon()
 
     def forget(self, subscription: Ros2Subscription) -> None:
@@ -323,9 +329,14 @@ class Ros2Graph:
         return reader.raw.matched >= len(self._discovery.all_publishers(subscription.topic, subscription.type))
 
     def count_readers(self, publisher: Ros2Publisher) -> int:
-        """How many readers of others are matched with a publisher."""
+        """How many readers of others are matched with a publisher.
+
+        A moment after a reader of our own has come or gone it may be matched or not: the count stays as it was.
+        """
         if self._participant is None:
             return 0
+        if time.monotonic() - self._own_since.get(publisher.topic, -_OWN_S) < _OWN_S:
+            return publisher.counted
         try:
             matched = int(publisher.raw.get_subscription_count())
         except RuntimeError:
@@ -424,6 +435,16 @@ class Ros2Graph:
         self._parts = {known: None for known in self._parts if not known.closed}
         self._parts[part] = None
         self._look_soon()
+
+    def _turned(self, topic: str, type: str, payload: bytes) -> bytes | None:
+        """A message of a big-endian machine, little-endian."""
+        try:
+            codec = self.registry.codec(type)
+            return codec.encode(codec.decode(payload))
+        except TypesError as error:
+            self.drops[topic, Undelivered.DECODE] += 1
+            log.debug("%s: %s: a message cannot be read: %s", self.name, topic, error)
+            return None
 
     def _check_open(self) -> None:
         _ = self.participant

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+import threading
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -45,6 +46,7 @@ class Participant:
         self._full_name = node
         self._gateway_id = gateway_id
         self._instance = os.urandom(8).hex()
+        self._joining = threading.Lock()
 
     async def open(self, seen: Callable[[Picture], None]) -> None:
         """Join; ``seen`` gets what is discovered. Raises ``GraphUnavailable`` with what to do."""
@@ -73,15 +75,20 @@ class Participant:
         await asyncio.to_thread(self._leave)
 
     def _join(self) -> None:
-        import rclpy
+        with self._joining:
+            self._create()
+
+    def _create(self) -> None:
+        from rclpy.context import Context
         from rclpy.impl.implementation_singleton import rclpy_implementation
         from rclpy.node import Node
         from rclpy.parameter import Parameter
+        from rclpy.utilities import get_rmw_implementation_identifier
 
         self.rcl = Rcl()
         self.invalid_handle = rclpy_implementation.InvalidHandle
-        self.rmw = rclpy.get_rmw_implementation_identifier()
-        self.context = rclpy.Context()
+        self.rmw = get_rmw_implementation_identifier()
+        self.context = Context()
         self.context.init(args=[], initialize_logging=False, domain_id=self.domain)
         namespace, _, name = self._full_name.rpartition("/")
         quiet = Parameter("start_type_description_service", Parameter.Type.BOOL, False)  # nobody would answer it
@@ -92,8 +99,9 @@ class Participant:
         self.node.create_publisher(mark, mark_topic(self._gateway_id, self._instance), 1)
 
     def _leave(self) -> None:
-        node, self.node = self.node, None
-        context, self.context = self.context, None
+        with self._joining:  # where ``open`` was cancelled, its thread may still be at it
+            node, self.node = self.node, None
+            context, self.context = self.context, None
         if node is not None:
             node.destroy_node()
         if context is not None:

@@ -79,6 +79,11 @@ class Ros2Publisher:
         self.look()
         return self._subscribers
 
+    @property
+    def counted(self) -> int:
+        """The readers of others, as they were counted last."""
+        return self._subscribers
+
     def on_demand(self, callback: Callable[[int], None]) -> None:
         """Call with the number of subscribers, now and at each change."""
         self.look()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import weakref
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -15,20 +16,35 @@ __all__ = ["Reader"]
 
 _BURST: Final = 256
 _BURST_BYTES: Final = 8 << 20
+_LITTLE: Final = b"\1"
 
 _Taken = tuple[bytes, int, bytes, int]  # payload, source time stamp, gid, time of arrival
 
 
 class Reader:
-    """Takes what arrives in the spinner's thread, and gives samples to ``deliver`` on the loop."""
+    """Takes what arrives in the spinner's thread, and gives samples to ``deliver`` on the loop.
 
-    def __init__(self, raw: Any, topic: str, type: str, spinner: Spinner, rcl: Rcl, origins: Origins) -> None:
+    ``turned`` makes little-endian what is not, or ``None`` of what it cannot read.
+    """
+
+    def __init__(
+        self,
+        raw: Any,
+        topic: str,
+        type: str,
+        spinner: Spinner,
+        rcl: Rcl,
+        origins: Origins,
+        turned: Callable[[str, str, bytes], bytes | None],
+    ) -> None:
         self.raw = raw
         self.closed = False
         self.deliver: Callable[[list[Sample]], None] = _nobody
         self._topic, self._type = topic, type
         self._spinner, self._rcl, self._origins = spinner, rcl, origins
+        self._turned = turned
         self._buffer = rcl.buffer()
+        weakref.finalize(self, rcl.free, self._buffer)  # once the thread has let go of us, too
 
     @property
     def matched(self) -> int:
@@ -59,9 +75,12 @@ class Reader:
         samples = []
         for payload, source_ns, gid, stamp_ns in batch:
             found = self._origins.of(self._topic, self._type, gid, self._count)
-            if found is not None:
-                origin, unsure = found
-                samples.append(Sample(payload, self._type, stamp_ns, origin, source_ns or stamp_ns, unsure))
+            if found is None:
+                continue
+            origin, unsure = found
+            native = payload if payload[1:2] == _LITTLE else self._turned(self._topic, self._type, payload)
+            if native is not None:
+                samples.append(Sample(native, self._type, stamp_ns, origin, source_ns or stamp_ns, unsure))
         if samples:
             self.deliver(samples)
 

@@ -61,7 +61,7 @@ class Held:
     def tell(self, by: str) -> None:
         """The far gateway refused the name, or (``""``) has granted it."""
         if by and by != self._said:
-            log.warning("%s: %s %s was refused: %s", self._graph, self._kind, self._name, by)
+            log.info("%s: %s %s was refused: %s", self._graph, self._kind, self._name, by)
             self._said = by
         if by != self.by:
             self.by = by

@@ -130,11 +130,12 @@ class Rosapi:
         return full.removeprefix(self._prefix) if full.startswith(self._prefix) else ""
 
     def _request(self, name: str, type: str, args: object) -> Mapping[str, Any]:
-        """The request with every field; ``args`` in a list are taken in the order of the fields."""
+        """The request with every field; ``args`` in a list are taken in the order of the fields, null is left out."""
         codec = self._registry.codec(f"{type}_Request")
-        given = dict(zip(codec.fields, args, strict=False)) if isinstance(args, (list, tuple)) else args
+        named = dict(zip(codec.fields, args, strict=False)) if isinstance(args, (list, tuple)) else args
+        given = {k: v for k, v in named.items() if v is not None} if isinstance(named, Mapping) else {}
         try:
-            return codec.decode(codec.from_json(given if isinstance(given, Mapping) else {}))
+            return codec.decode(codec.from_json(given))
         except ValueMismatch as error:
             raise CallFailed(name, error.reason) from None
 

@@ -36,8 +36,8 @@ class Unfit(Exception):
 class Helper:
     """Keeps a helper process up. ``order`` is what it is told at the start, as JSON.
 
-    ``on_up`` is called when it is ready, after which ``send`` reaches it; ``on_frame`` with what it says, ``on_down``
-    with why it has ended. All are called on the loop.
+    ``on_up`` is called when it is ready, after which ``send`` reaches it; ``on_frame`` with what it says; ``on_down``
+    when it has ended. All are called on the loop.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class Helper:
         order: dict[str, Any],
         on_up: Callable[[], None],
         on_frame: Callable[[Frame], None],
-        on_down: Callable[[str], None],
+        on_down: Callable[[], None],
     ) -> None:
         self.starts = 0
         self.pid = 0
@@ -123,17 +123,17 @@ class Helper:
             except BaseException:
                 ours.close()
                 raise
+        self.pid = process.pid
         reader, writer = await asyncio.open_connection(sock=ours)
         try:
             reason = await self._talk(reader, writer)
         finally:
             was_up, self._writer = self._writer is not None, None
             writer.close()
+            if was_up:
+                self._on_down()
             code = await _ended(process)
-        reason = reason or (f"signal {-code}" if code < 0 else f"exit code {code}")
-        if was_up:
-            self._on_down(reason)
-        return reason
+        return reason or (f"signal {-code}" if code < 0 else f"exit code {code}")
 
     async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> str:
         """Exchange frames until it ends, which gives ``""``, or has to be ended, which gives why."""
