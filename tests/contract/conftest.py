@@ -18,6 +18,7 @@ from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
 from ropeway.graph.ros2 import Ros2Graph
 from ropeway.graph.rosbridge import RosbridgeGraph
+from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
 from tests.graph.ros2.network import isolated_ros2
 from tests.isolation import isolated_dds
@@ -136,8 +137,6 @@ async def open_ros2(stack: AsyncExitStack) -> Pair:
 
 async def open_rosbridge(stack: AsyncExitStack, *, plain: bool = False) -> Pair:
     """Two clients of one server, on a network of its own."""
-    from ropeway.server import RosbridgeServer
-
     graph = MemoryGraph(f"contract-{next(_numbers)}")
     await graph.open()
     stack.push_async_callback(graph.close)

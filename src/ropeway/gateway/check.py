@@ -11,14 +11,15 @@ import json
 import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final, TypeVar, get_args
+from typing import Any, Final, TypeVar, get_args, get_origin
 
 from pydantic import AliasChoices, BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from ropeway.gateway.address import default_graph, is_loopback, is_secure, parse_graph, parse_link, parse_listen
+from ropeway.gateway.auth_model import ALL
 from ropeway.gateway.model import OPERATIONS, Document, Item, RemoteConfig
-from ropeway.gateway.suggest import did_you_mean, nearest, show, unknown_key
+from ropeway.gateway.suggest import did_you_mean, nearest, one_of, show, unknown_key
 
 __all__ = ["check", "json_path", "route_key"]
 
@@ -142,11 +143,17 @@ def _field(loc: tuple[str | int, ...]) -> str:
 def _model_at(loc: Iterable[str | int]) -> type[BaseModel]:
     """The model that stands at a location."""
     model: type[BaseModel] = Document
-    for part in loc:
+    parts = iter(loc)
+    for part in parts:
         if isinstance(part, int):
             continue
-        info = next(i for n, i in model.model_fields.items() if part in (n, i.alias))
+        fields = model.model_fields.items()
+        info = next((i for n, i in fields if part in (n, i.alias, *_aliases(i.validation_alias))), None)
+        if info is None:
+            break
         model = _inner_model(info.annotation) or model
+        if get_origin(info.annotation) is dict:
+            next(parts, None)  # the name of an entry, which is no field
     return model
 
 
@@ -199,7 +206,7 @@ def _objects(value: object) -> Iterable[tuple[int, Mapping[str, Any]]]:
 def _sense(full: Mapping[str, Any]) -> list[Problem]:
     gateway = full.get("gateway")
     gateway = gateway if isinstance(gateway, Mapping) else {}
-    problems = list(_listeners(gateway))
+    problems = [*_listeners(gateway), *_auth(gateway)]
     graphs = gateway.get("graphs")
     if graphs is None:
         try:
@@ -221,22 +228,44 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
 
 
 def _listeners(gateway: Mapping[str, Any]) -> Iterable[Problem]:
-    listen, tls = gateway.get("listen"), gateway.get("tls")
-    known_clients = isinstance(tls, Mapping) and tls.get("ca") is not None  # each shows a certificate
+    listen, tls, auth = gateway.get("listen"), gateway.get("tls"), gateway.get("auth")
+    tls = tls if isinstance(tls, Mapping) else {}
+    certified = tls.get("ca") is not None and tls.get("client_certificates") != "optional"
+    identified = isinstance(auth, Mapping) and bool(auth.get("tokens") or auth.get("certificates"))
+    if identified and isinstance(auth, Mapping) and auth.get("default_role") == ALL:
+        identified = False
     for number, text in enumerate(listen if isinstance(listen, list) else []):
         address = _attempt(parse_listen, text)
         if address is None:
             continue
         where = f"gateway.listen[{number}]"
-        if is_secure(address) and tls is None:
+        if is_secure(address) and not tls:
             yield where, 'a wss:// listener needs gateway.tls with "certificate" and "key"'
-        guarded = is_loopback(address) or (is_secure(address) and known_clients)
+        guarded = is_loopback(address) or identified or (is_secure(address) and certified)
         if not guarded and gateway.get("insecure") is not True:
             yield (
                 where,
                 f"{address} lets every machine that reaches it read and publish without authentication; listen on "
-                '127.0.0.1, or write "insecure": true under gateway if that is meant',
+                '127.0.0.1, name tokens under gateway.auth, or write "insecure": true under gateway if that is meant',
             )
+
+
+def _auth(gateway: Mapping[str, Any]) -> Iterable[Problem]:
+    auth, tls = gateway.get("auth"), gateway.get("tls")
+    if not isinstance(auth, Mapping):
+        return
+    roles = auth.get("roles")
+    known = [*(roles if isinstance(roles, Mapping) else ()), ALL]
+    named = [
+        (f"gateway.auth.{key}[{i}].role", item.get("role"))
+        for key in ("tokens", "certificates")
+        for i, item in _objects(auth.get(key))
+    ]
+    for where, role in (*named, ("gateway.auth.default_role", auth.get("default_role"))):
+        if isinstance(role, str) and role not in known:
+            yield where, one_of(role, known)
+    if auth.get("certificates") and (not isinstance(tls, Mapping) or tls.get("ca") is None):
+        yield "gateway.auth.certificates", "needs gateway.tls with ca: only so are clients asked for certificates"
 
 
 def _remote(remote: Mapping[str, Any], path: str, graphs: object) -> Iterable[Problem]:

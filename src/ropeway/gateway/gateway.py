@@ -5,16 +5,21 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+import ssl
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from contextlib import AsyncExitStack
 from typing import Any, Final
 
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
+from ropeway.gateway.address import is_loopback, is_secure
 from ropeway.gateway.allocator import keep_freed_memory
+from ropeway.gateway.auth import make_door, read_secret
 from ropeway.gateway.config import Config, Route
 from ropeway.gateway.model import RemoteConfig
-from ropeway.gateway.tls import client_context, server_context
+from ropeway.gateway.tls import client_context, reload_server_context, server_context
 from ropeway.graph.factory import open_graph
 from ropeway.graph.hub import Hub, View
 from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
@@ -88,6 +93,7 @@ class Gateway:
         self._node = node or config.gateway.name
         self._reuse_port = reuse_port
         self._stack = AsyncExitStack()
+        self._tls: ssl.SSLContext | None = None
         self._failed: asyncio.Future[None] | None = None
 
     async def __aenter__(self) -> Gateway:
@@ -108,7 +114,8 @@ class Gateway:
         for path in settings.types:
             self.registry.add_path(path)
         self.registry.add_ament_prefix_path()
-        listener_tls = server_context(settings.tls)
+        door = make_door(settings)
+        self._tls = server_context(settings.tls)
         for url in settings.graphs:
             graph = await open_graph(url, registry=self.registry, name=self._node, gateway_id=self.gateway_id)
             stack.push_async_callback(graph.close)
@@ -123,12 +130,22 @@ class Gateway:
                 gateway_id=self.gateway_id,
                 name=settings.name,
                 limits=limits,
+                door=door,
+                reasons=self.missing,
+                unregister_timeout_s=settings.clients.unregister_timeout_s,
+                call_timeout_s=settings.clients.call_timeout_s,
+                params_timeout_s=settings.clients.params_timeout_s,
+                silence_s=settings.clients.silence_s,
+                ping_interval_s=settings.clients.ping_interval_s,
             )
             stack.push_async_callback(server.close)
             self.servers.append(server)
             for url in settings.listen:
-                secure = listener_tls if url.startswith("wss:") else None
-                await server.listen(url, ssl_context=secure, reuse_port=self._reuse_port)
+                secure = self._tls if is_secure(url) else None
+                address = url + settings.clients.path.removesuffix("/")
+                await server.listen(address, ssl_context=secure, reuse_port=self._reuse_port)
+                if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
+                    log.warning("%s: tokens travel in clear here; wss:// would hide them", url)
         await self._bring_up_remotes(stack, limits)
         meters = asyncio.create_task(self._update_meters(), name="gateway meters")
         stack.push_async_callback(end, meters)
@@ -146,6 +163,7 @@ class Gateway:
                 registry=self.registry,
                 limits=limits,
                 ssl_context=client_context(remote_config.tls, f"remotes[{index}].tls"),
+                headers=_credentials(remote_config, f"remotes[{index}].token"),
                 gateway_id=self.gateway_id,
                 name=self.config.gateway.name,
                 wait=False,
@@ -202,6 +220,28 @@ class Gateway:
                     if isinstance(bridge, TopicBridge):
                         bridge.meter.update()
 
+    def missing(self) -> list[str]:
+        """Why the gateway is not ready for clients, in sentences; empty once all graphs and listeners are up."""
+        settings = self.config.gateway
+        reasons = [f"{url} is not open" for url in settings.graphs if url not in self.hubs]
+        up = sum(len(server.listeners) for server in self.servers)
+        if up < len(settings.listen):
+            reasons.append(f"{up} of {len(settings.listen)} listeners are up")
+        return reasons
+
+    def reload(self) -> None:
+        """Read certificates and tokens again, for clients to come; who has a token that is gone is closed.
+
+        Raises ``ConfigError`` if they are no good; everything then stays as it was.
+        """
+        settings = self.config.gateway
+        door = make_door(settings)
+        if settings.tls is not None and self._tls is not None:
+            reload_server_context(self._tls, settings.tls)
+        for server in self.servers:
+            server.replace_door(door)
+        log.info("%s has read its certificates and tokens again", settings.name)
+
     def status(self) -> dict[str, Any]:
         """Everything as it stands, as JSON."""
         return {
@@ -225,6 +265,7 @@ class Gateway:
             "routes": [
                 route_status(route, bridge, remote.graph) for remote in self.remotes for route, bridge in remote.bridges
             ],
+            "access": _summed(server.status() for server in self.servers),
             "sessions": [session.status() for server in self.servers for session in server.sessions],
         }
 
@@ -232,6 +273,24 @@ class Gateway:
         """Run until cancelled; raises what makes the gateway as a whole impossible."""
         assert self._failed is not None
         await self._failed
+
+
+def _credentials(remote: RemoteConfig, path: str) -> dict[str, str]:
+    """The headers that show our token to a remote."""
+    if remote.token is None:
+        return {}
+    if not is_secure(remote.address) and not is_loopback(remote.address):
+        log.warning("%s: the token travels in clear; wss:// would hide it", remote.address)
+    return {"Authorization": f"Bearer {read_secret(remote.token, path)}"}
+
+
+def _summed(many: Iterable[Mapping[str, Mapping[str, int]]]) -> dict[str, dict[str, int]]:
+    """Counts of several servers as if they were one."""
+    out: dict[str, Counter[str]] = {"refused": Counter(), "denied": Counter()}
+    for one in many:
+        for key, counts in one.items():
+            out[key].update(counts)
+    return {key: dict(counts) for key, counts in out.items()}
 
 
 def route_status(route: Route, bridge: Bridge, graph: RosbridgeGraph) -> dict[str, Any]:

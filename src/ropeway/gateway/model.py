@@ -6,25 +6,23 @@ import re
 import socket
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Final, Literal, TypeVar
 
 from pydantic import (
     AfterValidator,
     AliasChoices,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     PlainSerializer,
     PlainValidator,
-    ValidationInfo,
     WithJsonSchema,
 )
 from pydantic_core import PydanticCustomError
 
 from ropeway.errors import InvalidName, InvalidTypeName
 from ropeway.gateway.address import default_graph, parse_graph, parse_link, parse_listen
+from ropeway.gateway.auth_model import AuthConfig, GlobsConfig, Secret
+from ropeway.gateway.fields import ExistingPath, Many, Model
 from ropeway.gateway.suggest import one_of, show, unknown_key
 from ropeway.graph.base import Delivery, resolve_name
 from ropeway.qos import QoS
@@ -35,6 +33,7 @@ __all__ = [
     "OPERATIONS",
     "PRIORITIES",
     "ActionItem",
+    "ClientsConfig",
     "Document",
     "GatewayConfig",
     "Item",
@@ -67,7 +66,6 @@ _A: Final = {"topic": "a topic", "service": "a service", "action": "an action"}
 _INTERFACE: Final = {"topic": "msg", "service": "srv", "action": "action"}
 
 T = TypeVar("T")
-Many = Annotated[tuple[T, ...], Field(strict=False)]
 
 
 def _name(value: str) -> str:
@@ -85,6 +83,12 @@ def _namespace(value: str) -> str:
 def _node_part(value: str) -> str:
     if not _PART.fullmatch(value):
         raise ValueError(f"expected letters, digits and _, not starting with a digit, got {show(value)}")
+    return value
+
+
+def _url_path(value: str) -> str:
+    if not value.startswith("/") or any(c in value for c in "?# "):
+        raise ValueError(f"expected a path such as / or /ros, got {show(value)}")
     return value
 
 
@@ -147,14 +151,6 @@ def _qos(value: object) -> QoS | None:
     return QoS.parse(value)
 
 
-def _existing(value: str, info: ValidationInfo) -> str:
-    base = Path((info.context or {}).get("directory", "."))
-    path = base / Path(value).expanduser()
-    if not path.exists():
-        raise ValueError(f'expected an existing file or directory, "{path}" does not exist')
-    return str(path.resolve())
-
-
 def _not_empty(value: tuple[T, ...]) -> tuple[T, ...]:
     if not value:
         raise ValueError("expected at least one")
@@ -175,7 +171,6 @@ def _hostname() -> str:
 
 Name = Annotated[str, AfterValidator(_name)]
 Namespace = Annotated[str, AfterValidator(_namespace)]
-ExistingPath = Annotated[str, AfterValidator(_existing)]
 Encoding = Annotated[str, AfterValidator(_encoding), WithJsonSchema({"enum": list(ENCODINGS)})]
 Priority = Annotated[
     int,
@@ -214,11 +209,7 @@ Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 # ---------------------------------------------------------------------------------------------------- models
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
-
-
-class Item(_Model):
+class Item(Model):
     """One name to bridge, with what all operations share."""
 
     name: Name = Field(description="the name on the local graph; relative to local_namespace")
@@ -292,7 +283,7 @@ class ActionItem(Item):
     )
 
 
-class RemoteTls(_Model):
+class RemoteTls(Model):
     """TLS towards one remote."""
 
     ca: ExistingPath | None = Field(None, description="file of the authorities to trust instead of the system's")
@@ -301,15 +292,18 @@ class RemoteTls(_Model):
     verify: bool = Field(True, description="false accepts any certificate: for tests only")
 
 
-class ListenTls(_Model):
+class ListenTls(Model):
     """TLS of the listeners."""
 
     certificate: ExistingPath = Field(description="certificate chain, PEM")
     key: ExistingPath = Field(description="its private key, PEM")
     ca: ExistingPath | None = Field(None, description="clients must show a certificate of these authorities")
+    client_certificates: Literal["required", "optional"] = Field(
+        "required", description="with ca: whether a client without a certificate may come in by a token"
+    )
 
 
-class RemoteConfig(_Model):
+class RemoteConfig(Model):
     """One other gateway (or rosbridge server) and what crosses to and from it."""
 
     address: Annotated[str, AfterValidator(parse_link)] = Field(description="ws://host:port or wss://host:port")
@@ -321,6 +315,7 @@ class RemoteConfig(_Model):
     local_namespace: Namespace = Field("/", description="stands before every local name")
     remote_namespace: Namespace = Field("/", description="stands before every remote name")
     tls: RemoteTls | None = None
+    token: Secret | None = Field(None, description='shown to the remote: {"env": "NAME"} or {"file": "PATH"}')
     publish: Many[TopicItem] = Field((), description="topics sent to the remote")
     subscribe: Many[TopicItem] = Field((), description="topics fetched from the remote")
     trans_publish: Many[RenamedTopicItem] = Field(
@@ -348,7 +343,23 @@ class RemoteConfig(_Model):
         return resolve_name(shared, self.local_namespace), resolve_name(remote, self.remote_namespace)
 
 
-class GatewayConfig(_Model):
+class ClientsConfig(Model):
+    """How the listeners treat rosbridge clients."""
+
+    path: Annotated[str, AfterValidator(_url_path)] = Field("/", description="the path of the WebSocket")
+    max_clients: int = Field(1000, ge=1, description="how many may be connected at a time, per worker")
+    unregister_timeout_s: float = Field(
+        10.0, ge=0, allow_inf_nan=False, description="how long a topic stays advertised after its last client"
+    )
+    call_timeout_s: float = Field(
+        5.0, ge=0, allow_inf_nan=False, description="of a service call that names none; 0: as long as may be"
+    )
+    params_timeout_s: float = Field(5.0, gt=0, allow_inf_nan=False, description="how long rosapi waits for a node")
+    ping_interval_s: Seconds = Field(5.0, description="how often a client is pinged; gateways are every second")
+    silence_s: Seconds = Field(30.0, description="a client that was not heard of for so long is given up")
+
+
+class GatewayConfig(Model):
     """The gateway itself."""
 
     name: Annotated[str, AfterValidator(_node_part)] = Field(
@@ -364,6 +375,15 @@ class GatewayConfig(_Model):
     )
     insecure: bool = Field(False, description="true allows listeners that other machines reach without authentication")
     tls: ListenTls | None = Field(None, description="for wss:// listeners")
+    auth: AuthConfig = Field(
+        default_factory=lambda: AuthConfig.model_validate({}), description="who may connect, and do what"
+    )
+    globs: GlobsConfig = Field(
+        default_factory=lambda: GlobsConfig.model_validate({}), description="rosbridge's globs, for all clients"
+    )
+    clients: ClientsConfig = Field(
+        default_factory=lambda: ClientsConfig.model_validate({}), description="how rosbridge clients are served"
+    )
     workers: Annotated[
         Annotated[int, Field(ge=0, le=_MAX_WORKERS)] | Literal["per-remote"], BeforeValidator(_workers)
     ] = Field(0, description='0: one process; a number of processes; or "per-remote"')
@@ -371,7 +391,7 @@ class GatewayConfig(_Model):
     max_message_bytes: int = Field(64 * _MIB, ge=1024, description="a longer message closes its connection")
 
 
-class Document(_Model):
+class Document(Model):
     """The full form."""
 
     schema_: str = Field("", alias="$schema", description="for editors; ignored")

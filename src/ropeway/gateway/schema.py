@@ -8,6 +8,7 @@ from pydantic import AliasChoices, BaseModel
 from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
 from ropeway.gateway import model as m
+from ropeway.gateway.auth_model import GlobsConfig, Patterns, RoleConfig
 
 __all__ = ["build"]
 
@@ -22,7 +23,15 @@ _DURATION: Final = {
         },
     ]
 }
-_ITEMS: Final[tuple[type[BaseModel], ...]] = (m.TopicItem, m.RenamedTopicItem, m.ServiceItem, m.ActionItem)
+_ITEMS: Final[tuple[type[BaseModel], ...]] = (
+    m.TopicItem,
+    m.RenamedTopicItem,
+    m.ServiceItem,
+    m.ActionItem,
+    Patterns,
+    RoleConfig,
+    GlobsConfig,
+)
 
 
 class _Plain(GenerateJsonSchema):
@@ -56,7 +65,7 @@ def build() -> dict[str, Any]:
 
 def _spell(definition: dict[str, Any], model: type[BaseModel]) -> None:
     """Add the other spellings of keys, of which one at most may stand."""
-    properties, required = definition["properties"], definition["required"]
+    properties, required = definition["properties"], definition.setdefault("required", [])
     rules: list[dict[str, Any]] = []
     for info in model.model_fields.values():
         if not isinstance(info.validation_alias, AliasChoices):

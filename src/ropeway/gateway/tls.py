@@ -7,11 +7,11 @@ import ssl
 from ropeway.errors import ConfigError
 from ropeway.gateway.model import ListenTls, RemoteTls
 
-__all__ = ["client_context", "server_context"]
+__all__ = ["client_context", "reload_server_context", "server_context"]
 
 
 def server_context(tls: ListenTls | None) -> ssl.SSLContext | None:
-    """For listeners; with ``ca`` a client must show a certificate. Raises ``ConfigError``."""
+    """For listeners; with ``ca`` clients are asked for a certificate. Raises ``ConfigError``."""
     if tls is None:
         return None
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -19,8 +19,19 @@ def server_context(tls: ListenTls | None) -> ssl.SSLContext | None:
     _load(context, "gateway.tls", tls.certificate, tls.key)
     if tls.ca is not None:
         _trust(context, "gateway.tls", tls.ca)
-        context.verify_mode = ssl.CERT_REQUIRED
+        context.verify_mode = ssl.CERT_REQUIRED if tls.client_certificates == "required" else ssl.CERT_OPTIONAL
     return context
+
+
+def reload_server_context(context: ssl.SSLContext, tls: ListenTls) -> None:
+    """Read the files again, for connections to come; authorities are added, none is taken away.
+
+    Raises ``ConfigError`` if they are no good; the context then stays as it was.
+    """
+    server_context(tls)
+    context.load_cert_chain(tls.certificate, tls.key)
+    if tls.ca is not None:
+        context.load_verify_locations(tls.ca)
 
 
 def client_context(tls: RemoteTls | None, path: str) -> ssl.SSLContext | None:

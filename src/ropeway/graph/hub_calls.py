@@ -55,7 +55,7 @@ class HubCalls:
         self._clients: dict[tuple[str, str, str], _Shared] = {}
         self._making: dict[tuple[str, str, str], asyncio.Lock] = {}
         self._closers: set[asyncio.Task[None]] = set()
-        self._calls: OrderedDict[bytes, asyncio.Task[bytes]] = OrderedDict()
+        self._calls: OrderedDict[bytes, asyncio.Future[bytes]] = OrderedDict()
         self.repeated = 0
 
     async def close(self) -> None:
@@ -122,9 +122,9 @@ class HubCalls:
         if isinstance(error, (NotServed, GraphUnavailable)):
             self._calls.pop(request.id, None)
         elif error is None and not task.cancelled() and len(task.result()) > _REMEMBERED_BYTES:
-            self._calls[request.id] = asyncio.ensure_future(_answered_before())
+            self._calls[request.id] = _answered_before()
 
-    async def again(self, name: str, task: asyncio.Task[bytes]) -> bytes:
+    async def again(self, name: str, task: asyncio.Future[bytes]) -> bytes:
         """The answer of a call that was made before."""
         self.repeated += 1
         await asyncio.wait({task})
@@ -132,13 +132,16 @@ class HubCalls:
             raise ProviderLost(name, "the call was given up")
         return task.result()
 
-    def known(self, request: Request) -> asyncio.Task[bytes] | None:
+    def known(self, request: Request) -> asyncio.Future[bytes] | None:
         """The same call, where it was made before."""
         return self._calls.get(request.id)
 
 
-async def _answered_before() -> bytes:
-    raise CallFailed("", "this call was answered before")
+def _answered_before() -> asyncio.Future[bytes]:
+    future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+    future.set_exception(CallFailed("", "this call was answered before"))
+    future.exception()  # it is no fault that nobody asks again
+    return future
 
 
 class ViewService:

@@ -58,6 +58,7 @@ class Connection(WSListener):
     def __init__(self, limits: Limits, *, peer: str = "") -> None:
         self.limits = limits
         self.silence_s = limits.silence_s
+        self.ping_interval_s = limits.ping_interval_s
         self.peer = peer
         self.subprotocol = ""
         self.server = ""
@@ -285,11 +286,11 @@ class Connection(WSListener):
     # ── the watch ──────────────────────────────────────────────────────────────────────────────────────────────
 
     async def _watch_peer(self) -> None:
-        interval = self.limits.ping_interval_s
-        assert interval is not None
         looked_at = time.monotonic()
         while self._transport is not None and not self._closed.is_set():
             self._transport.send_ping()
+            interval = self.ping_interval_s
+            assert interval is not None
             for _ in range(_LOOKS_PER_PING):
                 await asyncio.sleep(interval / _LOOKS_PER_PING)
                 received = self._received_bytes()

@@ -23,7 +23,7 @@ from typing import Final
 from ropeway.errors import AccessDenied
 from ropeway.server.rosapi import Globs
 
-__all__ = ["EVERYTHING", "VERBS", "Access", "Globs", "Role", "parse_glob"]
+__all__ = ["EVERYTHING", "VERBS", "Access", "Globs", "Role"]
 
 log = logging.getLogger("ropeway.server")
 
@@ -187,23 +187,6 @@ class _Bucket:
             return False
         self._left -= amount
         return True
-
-
-def parse_glob(value: object) -> tuple[str, ...] | None:
-    """A glob of rosbridge: ``"['/a', '/b*']"``, the same as a list, ``""`` for no filter.
-
-    Raises ``ValueError`` for anything else.
-    """
-    if value is None or (isinstance(value, str) and not value.strip()):
-        return None
-    if isinstance(value, str):
-        text = value.strip()
-        if not (text.startswith("[") and text.endswith("]")):
-            raise ValueError("expected a list of patterns such as \"['/camera/*', '/odom']\"")
-        value = [part.strip().strip("'\"").strip() for part in text[1:-1].split(",")]
-    if not isinstance(value, list | tuple) or not all(isinstance(item, str) for item in value):
-        raise ValueError("expected a list of patterns such as \"['/camera/*', '/odom']\"")
-    return tuple(item for item in value if item)
 
 
 def _meant(verb: str, name: str) -> tuple[str, str]:

@@ -39,6 +39,7 @@ log = logging.getLogger("ropeway.server")
 
 _LINGERING = 256  # clients that left; above, the first of them lingers no longer
 _CLIENT_SILENCE_S = 30.0  # a browser tab or a robot on Wi-Fi may pause; a gateway may not
+_CLIENT_PING_S = 5.0
 
 
 class RosbridgeServer:
@@ -67,6 +68,7 @@ class RosbridgeServer:
         reasons: Callable[[], Sequence[str]] = tuple,
         call_timeout_s: float = DEFAULT_TIMEOUT_S,
         silence_s: float | None = _CLIENT_SILENCE_S,
+        ping_interval_s: float = _CLIENT_PING_S,
     ) -> None:
         self.hub, self.registry = hub, registry
         self.gateway_id, self.name = gateway_id, name
@@ -79,6 +81,7 @@ class RosbridgeServer:
         self.denied: Counter[str] = Counter()  # by rule, of all clients
         self.refused: Counter[str] = Counter()  # who was not let in, by status and reason
         self.call_timeout_s, self.silence_s = call_timeout_s, silence_s
+        self.ping_interval_s = ping_interval_s
         self.rosapi = Rosapi(hub, registry, params_timeout_s=params_timeout_s, globs=rosapi_globs or self.door.globs)
         self._pages = Pages(reasons, lambda origin: self.door.knows_origin(origin))
         self._complaints = Complaints("server")
@@ -170,6 +173,8 @@ class RosbridgeServer:
     def _connected(self, connection: Connection) -> None:
         if connection.subprotocol != ROPEWAY_SUBPROTOCOL:
             connection.silence_s = self.silence_s
+            if connection.ping_interval_s is not None:
+                connection.ping_interval_s = self.ping_interval_s
         role = connection.grant if isinstance(connection.grant, Role) else EVERYTHING
         session = Session(
             connection,

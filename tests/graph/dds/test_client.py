@@ -114,6 +114,18 @@ async def test_server_leaves(join: Join) -> None:
     assert await add(client, 4) == 4
 
 
+async def test_server_is_replaced(join: Join) -> None:
+    """A call to a new server does not fail because the one before it has just left."""
+    near, far = await join("near"), await join("far")
+    client = await near.create_client("/add", ADD)
+    for number in range(10):
+        service = await far.create_service("/add", ADD, Adder())
+        assert await client.wait_available(10)
+        assert await add(client, number) == number
+        await service.close()
+        await until(lambda: not client.available)
+
+
 async def test_one_of_two_servers_leaves(join: Join) -> None:
     """A call goes on while one of the servers that got it is left."""
     near, far, other = await join("near"), await join("far"), await join("other")

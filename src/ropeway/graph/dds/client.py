@@ -68,6 +68,7 @@ class DdsClient(Ends):
         self._servers: dict[bytes, float] = {}  # ours to call, and when each was matched
         self._all_ours = False
         self._others: tuple[Peer, ...] = ()
+        self._lost: set[bytes] = set()
         self._losing: asyncio.Task[None] | None = None
         self._helped: Client | None = None
         self._helping = asyncio.Lock()
@@ -222,28 +223,26 @@ class DdsClient(Ends):
         )
         now = self._loop.time()
         mine = {guid: peer for guid, peer in found.items() if speaks_header(guid)}
-        lost = self._servers.keys() - mine.keys()
+        self._lost |= self._servers.keys() - mine.keys()
         self._servers = {guid: self._servers.get(guid, now) for guid in mine}
         self._all_ours = all(peer.ours for peer in mine.values())
         self._others = tuple(peer for guid, peer in found.items() if guid not in mine)
         if mine:
             self._window.resize(min(peer.depth for peer in mine.values()))
-        if lost and self._losing is None:
+        if self._lost and self._losing is None:
             self._losing = self._loop.create_task(self._lose(), name=f"lost servers of {self.service}")
 
     async def _lose(self) -> None:
         """Fail the calls that nobody is left to answer, after what has arrived."""
-        while True:
-            servers = self._servers
+        while self._lost:
+            lost, self._lost = self._lost, set()
             with contextlib.suppress(GraphUnavailable):
                 await self._graph.participant.pump.call(self._reader.on_data)
             for call in self._calls.values():
-                call.servers &= servers.keys()
+                call.servers -= lost
                 if not call.servers:
                     call.finish(ProviderLost(self.service, "its server has left"))
-            if servers is self._servers:
-                self._losing = None
-                return
+        self._losing = None
 
     async def close(self) -> None:
         """See ``Client``."""

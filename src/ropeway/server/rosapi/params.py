@@ -146,10 +146,13 @@ class Params:
         node = node if node.startswith("/") else f"/{node}"
         if not self._shown(node, parameter):
             raise _Refused(f"Parameter {parameter} does not match any of the glob strings")
-        known = self._graph.services().get(f"{node}/{service}")
-        if known is None or (known.clients and not known.servers):
+        if not self._served(f"{node}/{service}"):
             raise _Refused(f"Service {node}/{service} is not available")
         return node, parameter
+
+    def _served(self, service: str) -> bool:
+        known = self._graph.services().get(service)
+        return known is not None and bool(known.servers or not known.clients)
 
     def _shown(self, node: str, parameter: str) -> bool:
         patterns = self._globs.params
@@ -161,7 +164,7 @@ class Params:
         Where that is not known, the type is that of the value, and a text is read as ``ros2 param set`` does.
         """
         kind = ParameterType.NOT_SET
-        if not isinstance(given, bool):
+        if not isinstance(given, bool) and self._served(f"{node}/describe_parameters"):
             try:
                 described = await describe_parameters(
                     self._graph, self._registry, node, [parameter], timeout_s=self._timeout_s

@@ -34,6 +34,7 @@ __all__ = ["FastClient", "FastRpc", "FastService"]
 log = logging.getLogger("ropeway.graph.dds")
 
 _NOBODY_S: Final = 1.0
+_FRESH_S: Final = 4.0  # Fast DDS may take that long to find a participant that is new
 _RUNNING_LIMIT: Final = 1024
 _CALLS_LIMIT: Final = 16_384
 _DEFERRED: Final = "/_action/get_result"
@@ -145,6 +146,8 @@ class FastRpc:
 
     def _on_up(self) -> None:
         for part in self._ends.values():
+            if isinstance(part, FastClient):
+                part.on_up()
             self._open(part, Op.OPEN_CLIENT if isinstance(part, FastClient) else Op.OPEN_SERVICE)
 
     def _on_down(self) -> None:
@@ -178,6 +181,7 @@ class FastClient:
         self._loop = asyncio.get_running_loop()
         self._window = Window(deferred=service.endswith(_DEFERRED))
         self._servers = 0
+        self._opened = self._loop.time()
         self._changed = asyncio.Event()
         self._calls: dict[int, asyncio.Future[bytes | CallError | GraphUnavailable]] = {}
         self._numbers = itertools.count(1)
@@ -208,7 +212,8 @@ class FastClient:
         self._waiting += 1
         try:
             until = self._loop.time() + timeout_s
-            if not await self.wait_available(min(timeout_s, _NOBODY_S)):
+            nobody = max(_NOBODY_S, self._opened + _FRESH_S - self._loop.time())
+            if not await self.wait_available(min(timeout_s, nobody)):
                 self._check_open()
                 raise NotServed(self.service)
             async with asyncio.timeout_at(until):
@@ -261,6 +266,10 @@ class FastClient:
         elif frame.op == Op.FAILED:
             call.set_result(CallFailed(self.service, frame.body.decode(errors="replace")))
 
+    def on_up(self) -> None:
+        """The helper is there, or there again."""
+        self._opened = self._loop.time()
+
     def on_down(self) -> None:
         """The helper has ended."""
         self._servers = 0
@@ -299,7 +308,7 @@ class FastService:
         self.clients = 0
         self._rpc = rpc
         self._handler = handler
-        self._tasks: dict[int, asyncio.Task[None]] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
 
     def on_frame(self, frame: Frame) -> None:
         """What the helper says about us."""
@@ -312,10 +321,11 @@ class FastService:
             head, payload = frame.body[: _request_head.size], frame.body[_request_head.size :]
             request = Request(payload, id=_call_id(head), caller=self._rpc.node_of(guid))
             task = asyncio.create_task(self._serve(frame.number, request), name=f"serve {self.service}")
-            self._tasks[frame.number] = task
-            task.add_done_callback(lambda _: self._tasks.pop(frame.number, None))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
 
     async def _serve(self, number: int, request: Request) -> None:
+        life = self._rpc.helper.starts
         try:
             request.payload = self._rpc.little_endian(f"{self.type}_Request", request.payload)
             response = await self._handler(request)
@@ -326,7 +336,9 @@ class FastService:
             log.exception("%s: the handler of %s failed", self._rpc.graph, self.service)
             self._leave_out(number, "failed")
         else:
-            if len(response) > MAX_BODY_BYTES or not self._rpc.send(Op.REPLY, self, number, response):
+            if life != self._rpc.helper.starts:  # numbers begin again with each helper
+                self._rpc.drops[self.service, "late"] += 1
+            elif len(response) > MAX_BODY_BYTES or not self._rpc.send(Op.REPLY, self, number, response):
                 self._leave_out(number, "not sent")
 
     def _leave_out(self, number: int, reason: str) -> None:
@@ -336,9 +348,8 @@ class FastService:
     def on_down(self) -> None:
         """The helper has ended: nobody hears the answers to what was asked through it."""
         self.clients = 0
-        for task in self._tasks.values():
+        for task in self._tasks:
             task.cancel()
-        self._tasks = {}
 
     async def close(self) -> None:
         """See ``Service``; requests under way are left without an answer."""
@@ -346,7 +357,7 @@ class FastService:
             return
         self.closed = True
         self._rpc.remove(self)
-        await end(*self._tasks.values())
+        await end(*self._tasks)
 
 
 def _call_id(identity: bytes) -> bytes:

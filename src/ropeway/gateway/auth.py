@@ -1,0 +1,90 @@
+"""Makes the door of the server from the configuration, and reads the tokens that it refers to."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from ropeway.errors import ConfigError
+from ropeway.gateway.auth_model import ALL, AuthConfig, GlobsConfig, RoleConfig, Secret
+from ropeway.gateway.model import GatewayConfig
+from ropeway.server.access import EVERYTHING, Globs, Role
+from ropeway.server.door import CertificateRule, Door, TokenRule
+
+__all__ = ["make_door", "read_secret"]
+
+_LONGEST: Final = 4096  # characters of a token: it has to fit the head of a request
+
+
+def make_door(settings: GatewayConfig) -> Door:
+    """Who may come in, and as what. Raises ``ConfigError`` where a token cannot be read."""
+    auth = settings.auth
+    roles = {ALL: EVERYTHING, **{name: _role(name, role) for name, role in auth.roles.items()}}
+    default = roles[auth.default_role] if auth.default_role is not None else None
+    return Door(
+        tokens=[_token(auth, index, roles) for index in range(len(auth.tokens))],
+        certificates=[
+            CertificateRule(roles[item.role], item.common_name or "", item.san or "", item.fingerprint or "")
+            for item in auth.certificates
+        ],
+        default=default if default is not None or auth.asks else EVERYTHING,
+        origins=auth.origins,
+        globs=_globs(settings.globs),
+        max_clients=settings.clients.max_clients,
+    )
+
+
+def read_secret(secret: Secret, path: str) -> str:
+    """The token that ``secret`` refers to; ``path`` is where the configuration does. Raises ``ConfigError``."""
+    if secret.env is not None:
+        where, text = f"{path}.env", os.environ.get(secret.env)
+        if text is None:
+            raise ConfigError([(where, f"the environment variable {secret.env} is not set")])
+    else:
+        assert secret.file is not None
+        where = f"{path}.file"
+        try:
+            text = Path(secret.file).read_text(encoding="ascii")
+        except OSError as error:
+            raise ConfigError([(where, f"{secret.file} cannot be read: {error.strerror or error}")]) from None
+        except UnicodeDecodeError:
+            raise ConfigError([(where, f"{secret.file} holds no token: it is not ASCII text")]) from None
+    token = text.strip()
+    if not token or len(token) > _LONGEST or not all("!" <= c <= "~" for c in token):
+        raise ConfigError([(where, f"expected 1 to {_LONGEST} printable ASCII characters without a space")])
+    return token
+
+
+def _token(auth: AuthConfig, index: int, roles: Mapping[str, Role]) -> TokenRule:
+    item = auth.tokens[index]
+    if item.hash is not None:
+        return TokenRule.hashed(item.hash, roles[item.role])
+    assert item.token is not None
+    return TokenRule.plain(read_secret(item.token, f"gateway.auth.tokens[{index}].token"), roles[item.role])
+
+
+def _role(name: str, config: RoleConfig) -> Role:
+    return Role(
+        name,
+        config.by_verb(),
+        config.deny.by_verb(),
+        messages_per_s=config.messages_per_s,
+        bytes_per_s=config.bytes_per_s,
+        max_message_bytes=config.max_message_bytes,
+        max_clients=config.max_clients,
+    )
+
+
+def _globs(config: GlobsConfig) -> Globs:
+    def topics(own: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        return own if config.topics is None else (*(own or ()), *config.topics)
+
+    return Globs(
+        topics_pub=topics(config.topics_pub),
+        topics_sub=topics(config.topics_sub),
+        services=config.services,
+        params=config.params,
+        actions=config.actions,
+    )
