@@ -45,6 +45,20 @@ class Peers:
         assert self._process.stdin is not None
         self._process.stdin.write(b"\n")
 
+    def do(self, **command: Any) -> None:
+        """Let the clients do something, or the one that it names as ``client``."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(command).encode() + b"\n")
+
+    async def told(self, count: int = 1, **what: Any) -> list[dict[str, Any]]:
+        """Wait until so many lines say this, and give them all."""
+
+        def found() -> list[dict[str, Any]]:
+            return [s for s in self.said if all(s.get(key) == value for key, value in what.items())]
+
+        await self.wait(lambda: len(found()) >= count)
+        return found()
+
     def heard(self, topic: str, client: int | None = None) -> list[Any]:
         """The messages that the clients, or one of them, got of a topic."""
         return [

@@ -16,9 +16,13 @@ from typing import Any
 
 import pytest
 
+from ropeway.errors import CallFailed
 from ropeway.graph.base import SEQ_NONE, Sample
+from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.qos import LATCHED, QoS
 from tests.contract.conftest import Inbox, until
+from tests.contract.test_actions import FIBONACCI, Worker, count, order, ordered, sequence
+from tests.contract.test_services import ADD, add, addends, total
 from tests.server.conftest import Place
 from tests.server.peers import Peers, peers
 
@@ -151,6 +155,137 @@ async def test_throttle(run: Run, place: Place) -> None:
         assert 3 <= len(program.heard("/fast")) <= 6
 
 
+async def test_calls(run: Run, place: Place) -> None:
+    """A service of the robot answers with its response, and its failures arrive as the texts they are."""
+
+    async def divide(request: Request) -> bytes:
+        if request.payload == addends(0, 0):
+            raise CallFailed("/divide", "there is nothing to divide")
+        return await add(request)
+
+    await place.robot.create_service("/divide", ADD, divide)
+    async with run({}) as program:
+        program.do(call="/divide", type="example_interfaces/AddTwoInts", args={"a": 2**31, "b": 1})
+        assert (await program.told(answered="/divide"))[0]["values"] == {"sum": 2**31 + 1}
+        program.do(call="/divide", type=ADD)
+        assert (await program.told(failed="/divide"))[0]["text"] == "there is nothing to divide"
+        program.do(call="nobody", type=ADD)
+        assert (await program.told(failed="nobody"))[0]["text"] == "Service /nobody does not exist"
+        program.do(call="/divide", type=ADD, args={"c": 1})
+        failed = await program.told(2, failed="/divide")
+        assert failed[1]["text"] == "Message type example_interfaces/AddTwoInts_Request does not have a field c"
+    assert place.complaints == {}
+
+
+async def test_serves(run: Run, place: Place) -> None:
+    """The robot and other clients call a service of a client; what it throws fails the call at once."""
+    serve = [
+        {"name": "/add", "type": "example_interfaces/AddTwoInts", "values": {"sum": 5}, "client": 0},
+        {"name": "/throws", "type": ADD, "fail": "no hands", "values": {}, "client": 0},
+    ]
+    async with run({"clients": 2, "serve": serve}) as program:
+        client = await place.robot.create_client("/add", ADD)
+        assert await client.wait_available(5)
+        assert await client.call(Request(addends(2, 3))) == total(5)
+        assert (await program.told(asked="/add"))[0]["args"] == {"a": 2, "b": 3}
+        program.do(call="/add", type=ADD, args={"a": 1}, client=1)
+        assert (await program.told(answered="/add", client=1))[0]["values"] == {"sum": 5}
+        program.do(call="/throws", type=ADD, client=1)
+        told = await program.told(asked="/throws")
+        assert told[0]["args"] == {"a": 0, "b": 0}
+        await program.wait(lambda: any("/throws" in (s.get("failed"), s.get("answered")) for s in program.said))
+        (failed,) = [s for s in program.said if "/throws" in (s.get("failed"), s.get("answered"))]
+        assert failed.get("text", "no hands") == "no hands"
+    await until(lambda: not place.server.sessions)
+    assert not place.robot.services()["/add"].servers
+
+
+async def test_rosapi(run: Run, place: Place) -> None:
+    """The library's own questions are answered: topics, types, services, nodes, the time."""
+    await place.robot.create_publisher("/scan", SCAN, QoS())
+    await place.robot.create_service("/add", ADD, add)
+    async with run({}) as program:
+        answers = {}
+        for ask, args in [
+            ("getTopics", []),
+            ("getTopicsForType", [SCAN]),
+            ("getTopicType", ["/scan"]),
+            ("getServices", []),
+            ("getServicesForType", [ADD]),
+            ("getServiceType", ["/add"]),
+            ("getServiceRequestDetails", [ADD]),
+            ("getNodes", []),
+            ("getMessageDetails", ["geometry_msgs/Point"]),
+            ("getTopicsAndRawTypes", []),
+        ]:
+            program.do(ask=ask, args=args)
+            answers[ask] = (await program.told(answered=ask))[0]["values"]
+        topics = answers["getTopics"]
+        assert dict(zip(topics["topics"], topics["types"], strict=True))["/scan"] == SCAN
+        assert answers["getTopicsForType"] == ["/scan"]
+        assert answers["getTopicType"] == SCAN
+        assert "/add" in answers["getServices"]
+        assert answers["getServicesForType"] == ["/add"]
+        assert answers["getServiceType"] == ADD
+        assert answers["getServiceRequestDetails"]["typedefs"][0]["fieldnames"] == ["a", "b"]
+        assert "/robot" in answers["getNodes"]
+        assert answers["getMessageDetails"][0]["fieldtypes"] == ["double"] * 3
+        assert "float32 angle_min" in "".join(answers["getTopicsAndRawTypes"]["typedefs_full_text"])
+    assert place.complaints == {}
+
+
+@pytest.mark.parametrize("run", ["roslib2"], indirect=True)  # the first version has no actions of ROS 2
+async def test_goals(run: Run, place: Place) -> None:
+    """Goals for the robot have feedback and results; some fail, some are cancelled, by their ids or all at once."""
+    worker = Worker()
+
+    async def execute(goal: ServerGoal) -> Outcome:
+        if ordered(goal) > 100:
+            return await worker(goal)
+        return await count(goal)
+
+    await place.robot.create_action_server("/fib", FIBONACCI, ActionHandlers(execute))
+    async with run({}) as program:
+        program.do(goal="/fib", type="example_interfaces/Fibonacci", args={"order": 3})
+        assert (await program.told(result="/fib"))[0]["values"] == {"sequence": [0, 1, 2]}
+        assert [s["values"]["sequence"] for s in await program.told(3, feedback="/fib")] == [[0], [0, 1], [0, 1, 2]]
+        program.do(goal="/fib", type=FIBONACCI, args={"order": "x"})
+        await program.told(failed="/fib")
+        program.do(goal="/nobody", type=FIBONACCI, args={"order": 1})
+        assert "No action server available" in (await program.told(failed="/nobody"))[0]["text"]
+        program.do(goal="/fib", type=FIBONACCI, args={"order": 101})
+        (_, _, sent) = await program.told(3, sent="/fib")
+        await until(lambda: worker.goals)
+        program.do(cancel="/fib", type=FIBONACCI, id=sent["id"])
+        await program.told(2, failed="/fib")
+        program.do(goal="/fib", type=FIBONACCI, args={"order": 101})
+        await until(lambda: len(worker.goals) == 2)
+        program.do(cancel="/fib", type=FIBONACCI)
+        await program.told(3, failed="/fib")
+    assert place.complaints == {}
+
+
+@pytest.mark.parametrize("run", ["roslib2"], indirect=True)
+async def test_carries_out(run: Run, place: Place) -> None:
+    """A client carries out the goals of the robot and of other clients."""
+    plan = {"clients": 2, "act": [{"name": "/fib", "type": "example_interfaces/Fibonacci", "client": 0}]}
+    async with run(plan) as program:
+        client = await place.robot.create_action_client("/fib", FIBONACCI)
+        assert await client.wait_available(5)
+        feedback: list[bytes] = []
+        goal = await client.send_goal(Goal(order(2)), on_feedback=feedback.append)
+        assert await goal.result(5) == Outcome(GoalStatus.SUCCEEDED, sequence(0, 1))
+        assert feedback == [sequence(0), sequence(0, 1)]
+        goal = await client.send_goal(Goal(order(-1)))
+        assert (await goal.result(5)).status == GoalStatus.ABORTED
+        goal = await client.send_goal(Goal(order(101)))
+        await program.told(3, asked="/fib")
+        assert await goal.cancel()
+        assert await goal.result(5) == Outcome(GoalStatus.CANCELED, sequence(5))
+        program.do(goal="/fib", type=FIBONACCI, args={"order": 1}, client=1)
+        assert (await program.told(result="/fib", client=1))[0]["values"] == {"sequence": [0]}
+
+
 async def test_thirty_clients(run: Run, place: Place) -> None:
     """Thirty clients at once each hear everything and are each heard."""
     publisher = await place.robot.create_publisher("/all", STRING, QoS(depth=100))
@@ -177,3 +312,16 @@ async def test_thirty_clients(run: Run, place: Place) -> None:
             await inbox.wait(1)
     await until(lambda: not place.server.sessions)
     assert publisher.subscribers == 0
+
+
+async def test_thirty_callers(run: Run, place: Place) -> None:
+    """Thirty clients each serve one service and call that of another, at once."""
+    serve = [{"name": f"/add{n}", "type": ADD, "values": {"sum": n}, "client": n} for n in range(30)]
+    async with run({"clients": 30, "serve": serve}) as program:
+        await until(lambda: sum(len(s.services.offered) for s in place.server.sessions) == 30)
+        for number in range(30):
+            program.do(call=f"/add{number}", type=ADD, args={"a": 1}, client=(number + 1) % 30)
+        await program.wait(lambda: sum("answered" in s for s in program.said) == 30)
+        assert {s["answered"]: s["values"]["sum"] for s in program.said if "answered" in s} == {
+            f"/add{n}": n for n in range(30)
+        }

@@ -29,7 +29,10 @@ def test_in_every_distribution(distro: str) -> None:
 @pytest.mark.parametrize(
     ("name", "hash"),
     [
-HASHES
+        ("rosapi_msgs/msg/TypeDef", "dcd2549139d3fdb432e7f925fe79e9fb4f02889c79be45f7482c346706734928"),
+        ("rosapi_msgs/srv/NodeDetails", "37ad3ea5a79a1b09aa63efbb8267acabbac80e50d7fa61f5a14e197fff92d7d9"),
+        ("rosapi_msgs/srv/TopicsAndRawTypes", "c900dd8bf8cba118ceaf9291072d1d957a69459fc8601146923e8375ed0a7947"),
+        ("rosbridge_msgs/msg/ConnectedClients", "8bccb383266f3b69f4d4b8e13032d295f15ef6ff44981c4cd2f13ecd4d60cd14"),
     ],
 )
 def test_hashes(name: str, hash: str) -> None:

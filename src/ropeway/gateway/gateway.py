@@ -6,8 +6,6 @@ import asyncio
 import logging
 import os
 import ssl
-from collections import Counter
-from collections.abc import Iterable, Mapping
 from contextlib import AsyncExitStack
 from typing import Any, Final
 
@@ -18,6 +16,7 @@ from ropeway.gateway.address import is_loopback, is_secure
 from ropeway.gateway.allocator import keep_freed_memory
 from ropeway.gateway.auth import make_door, read_secret
 from ropeway.gateway.config import Config, Route
+from ropeway.gateway.counts import summed
 from ropeway.gateway.model import RemoteConfig
 from ropeway.gateway.tls import client_context, reload_server_context, server_context
 from ropeway.graph.factory import open_graph
@@ -265,7 +264,7 @@ class Gateway:
             "routes": [
                 route_status(route, bridge, remote.graph) for remote in self.remotes for route, bridge in remote.bridges
             ],
-            "access": _summed(server.status() for server in self.servers),
+            "access": summed(server.status() for server in self.servers),
             "sessions": [session.status() for server in self.servers for session in server.sessions],
         }
 
@@ -282,15 +281,6 @@ def _credentials(remote: RemoteConfig, path: str) -> dict[str, str]:
     if not is_secure(remote.address) and not is_loopback(remote.address):
         log.warning("%s: the token travels in clear; wss:// would hide it", remote.address)
     return {"Authorization": f"Bearer {read_secret(remote.token, path)}"}
-
-
-def _summed(many: Iterable[Mapping[str, Mapping[str, int]]]) -> dict[str, dict[str, int]]:
-    """Counts of several servers as if they were one."""
-    out: dict[str, Counter[str]] = {"refused": Counter(), "denied": Counter()}
-    for one in many:
-        for key, counts in one.items():
-            out[key].update(counts)
-    return {key: dict(counts) for key, counts in out.items()}
 
 
 def route_status(route: Route, bridge: Bridge, graph: RosbridgeGraph) -> dict[str, Any]:

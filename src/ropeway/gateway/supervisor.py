@@ -9,6 +9,7 @@ import asyncio
 import json
 import logging
 import os
+import signal
 import sys
 import time
 from collections.abc import Iterable
@@ -16,6 +17,7 @@ from typing import Any, Final
 
 from ropeway.errors import GraphUnavailable
 from ropeway.gateway.config import Config
+from ropeway.gateway.counts import summed
 from ropeway.tasks import end
 
 __all__ = ["Supervisor", "slices"]
@@ -203,6 +205,12 @@ class Supervisor:
         """Run until cancelled."""
         await asyncio.gather(*self._tasks)
 
+    def reload(self) -> None:
+        """Have every worker read its certificates and tokens again."""
+        for worker in self.workers:
+            if worker.process is not None and worker.process.returncode is None and worker.ready.is_set():
+                worker.process.send_signal(signal.SIGHUP)
+
     def status(self) -> dict[str, Any]:
         """What all workers tell, as if they were one gateway."""
         told = [worker.status for worker in self.workers if worker.status]
@@ -220,6 +228,7 @@ class Supervisor:
             "listen": _listeners(joined("listen")),
             "remotes": joined("remotes"),
             "routes": joined("routes"),
+            "access": summed(status.get("access", {}) for status in told),
             "sessions": joined("sessions"),
         }
 

@@ -10,14 +10,17 @@ import asyncio
 import contextlib
 import json
 import logging
+import signal
 import sys
 from typing import Any
 
-from ropeway.errors import RopewayError
+from ropeway.errors import ConfigError, RopewayError
 from ropeway.gateway.config import parse
 from ropeway.gateway.gateway import Gateway
 
 __all__ = ["main"]
+
+log = logging.getLogger("ropeway.gateway")
 
 _STATUS_S = 1.0
 
@@ -25,6 +28,13 @@ _STATUS_S = 1.0
 def _say(message: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()
+
+
+def _reload(gateway: Gateway) -> None:
+    try:
+        gateway.reload()
+    except ConfigError as error:
+        log.error("SIGHUP: nothing has changed: %s", error)
 
 
 async def _run(order: dict[str, Any], stdin: asyncio.StreamReader) -> int:
@@ -36,6 +46,7 @@ async def _run(order: dict[str, Any], stdin: asyncio.StreamReader) -> int:
     )
     try:
         async with gateway:
+            asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, _reload, gateway)
             _say({"ready": True})
             gone = asyncio.create_task(stdin.read())
             while not gone.done():

@@ -92,7 +92,8 @@ async def test_timeout(join: Join, caplog: pytest.LogCaptureFixture) -> None:
         await add(client, 1, timeout_s=0.2)
     caplog.set_level(logging.DEBUG, "ropeway.graph.dds")
     adder.open.set()
-    await until(lambda: "came late" in caplog.text)
+    await until(lambda: client.late == 1)
+    assert "came late" in caplog.text
     assert await add(client, 2) == 2
 
 
@@ -360,7 +361,7 @@ async def test_nodes_settle(join: Join, monkeypatch: pytest.MonkeyPatch) -> None
     async def send(payload: bytes) -> None:
         sent.append(payload)
 
-    client._writer.send = send  # type: ignore[method-assign, assignment]
+    client._writer.send = send  # type: ignore[method-assign]
     node = Peer(b"\x01\x10" + bytes(14), "serviceid=1", 10)
     client._on_readers([(node,)])
     client._on_writers([(node,)])

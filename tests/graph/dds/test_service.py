@@ -186,13 +186,16 @@ class Served:
 class FakeHelper:
     """Serves without a network."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, broken: bool = False) -> None:
+        self.broken = broken
         self.served: list[tuple[Served, ServiceHandler]] = []
 
     async def create_client(self, service: str, type: str) -> Client:
         raise NotImplementedError
 
     async def create_service(self, service: str, type: str, handler: ServiceHandler) -> Service:
+        if self.broken:
+            raise GraphUnavailable("helper", "cannot start")
         served = Served(service, type)
         self.served.append((served, handler))
         return served
@@ -214,6 +217,14 @@ async def test_helper(join: Join, caplog: pytest.LogCaptureFixture) -> None:
     await service.close()
     assert served.closed
     assert "asks over Fast DDS" not in caplog.text
+
+
+async def test_helper_fails(join: Join, caplog: pytest.LogCaptureFixture) -> None:
+    """Where the helper cannot serve, nodes of Cyclone DDS are served all the same, and the log says so."""
+    near, far = await join("near"), await join("far", helper=FakeHelper(broken=True))
+    await far.create_service("/add", ADD, Adder())
+    assert await add(await called(near, "/add"), 3) == 3
+    assert "/add serves nodes of Cyclone DDS only: helper: cannot start" in caplog.text
 
 
 async def test_client_without_a_reader(

@@ -61,6 +61,7 @@ class DdsClient(Ends):
 
     def __init__(self, graph: DdsGraph, service: str, type: str) -> None:
         super().__init__(graph, service, type)
+        self.late = 0  # answers that nobody waited for any more, or that another server gave, too
         self._seq = 0
         self._calls: dict[int, _Call] = {}
         self._waiting = 0
@@ -207,6 +208,7 @@ class DdsClient(Ends):
                 continue
             call = self._calls.get(reply.header.seq)
             if call is None or call.outcome.done():
+                self.late += 1
                 log.debug("%s: %s: answer %d came late", self._graph.name, self.service, reply.header.seq)
                 continue
             try:

@@ -8,7 +8,7 @@ import logging
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from ropeway.errors import CallError, TypesError
+from ropeway.errors import CallError, GraphError, TypesError
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import Request, Service, ServiceHandler
 from ropeway.graph.dds.ends import Ends
@@ -56,9 +56,13 @@ class DdsService(Ends):
         self._warned: dict[str, float] = {}
 
     async def get_help(self) -> None:
-        """Have the graph's helper serve those of another mapping."""
-        if self._graph.helper is not None:
+        """Have the graph's helper serve those of another mapping; where it cannot, the others are served alone."""
+        if self._graph.helper is None:
+            return
+        try:
             self._helped = await self._graph.helper.create_service(self.service, self.type, self.answer)
+        except GraphError as error:
+            log.warning("%s: %s serves nodes of Cyclone DDS only: %s", self._graph.name, self.service, error)
 
     # From DDS ---------------------------------------------------------------------------------------------------
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from typing import Any, Final, TypeVar
 
-from ropeway.errors import GraphUnavailable, InvalidName, TypesError
+from ropeway.errors import GraphUnavailable, InvalidName
 from ropeway.graph.action import ComposedActionClient, ComposedActionServer, actions_of
 from ropeway.graph.base import (
     NO_HINTS,
@@ -24,7 +23,7 @@ from ropeway.graph.base import (
     resolve_name,
 )
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
-from ropeway.graph.following import Following, SharedReader, settled
+from ropeway.graph.following import Following, settled
 from ropeway.graph.ros2.client import Ros2Client
 from ropeway.graph.ros2.discovery import Discovery
 from ropeway.graph.ros2.environment import MAX_DOMAIN
@@ -32,12 +31,12 @@ from ropeway.graph.ros2.interfaces import loaded, message_class, service_class
 from ropeway.graph.ros2.origins import Origins
 from ropeway.graph.ros2.participant import Participant
 from ropeway.graph.ros2.picture import Picture
-from ropeway.graph.ros2.profiles import reader_profile, service_profile, writer_profile
+from ropeway.graph.ros2.profiles import service_profile, writer_profile
 from ropeway.graph.ros2.publisher import Ros2Publisher
-from ropeway.graph.ros2.reader import Reader
+from ropeway.graph.ros2.readers import Readers, Ros2Subscription
 from ropeway.graph.ros2.senders import Lane
 from ropeway.graph.ros2.service import Ros2Service
-from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.qos import DEFAULT, QoS
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
 
@@ -45,16 +44,12 @@ __all__ = ["Ros2Graph", "Ros2Subscription"]
 
 log = logging.getLogger("ropeway.graph.ros2")
 
-# Some middlewares do not tell the depth of a publisher; what is adopted keeps at least this many.
-_MIN_ADOPTED_DEPTH: Final = 10
 # Matching has no signal in every distribution: it is looked at so long after each change, and then every second.
 _LOOK_S: Final = (0.02, 0.05, 0.1, 0.25, 0.5)
 _LOOK_LATER_S: Final = 1.0
 
-_OWN_S: Final = 0.2
 
 T = TypeVar("T")
-Ros2Subscription = Following[Reader]
 _Part = Ros2Publisher | Ros2Subscription | Ros2Client | Ros2Service | ComposedActionClient | ComposedActionServer
 
 
@@ -90,13 +85,11 @@ class Ros2Graph:
         self._participant: Participant | None = None
         self._discovery: Discovery
         self._origins: Origins
+        self._readers: Readers
         self._parts: dict[_Part, None] = {}
-        self._shared: dict[tuple[str, str, QoS], SharedReader[Reader]] = {}
-        self._readers: dict[SharedReader[Reader], str] = {}  # and their types
         self._lock = asyncio.Lock()
         self._look_at: asyncio.TimerHandle | None = None
         self._looks = 0
-        self._own_since: dict[str, float] = {}
 
     async def open(self) -> None:
         """Join the domain. Raises ``GraphUnavailable`` with what to do."""
@@ -108,6 +101,7 @@ class Ros2Graph:
             self._discovery = Discovery(self.name, self._gateway_id, self._changes.emit, self._readopt)
             await participant.open(self._on_picture)
             self._origins = Origins(participant.rmw, self._discovery)
+            self._readers = Readers(self, participant, self._discovery, self._origins)
             self._participant = participant
             log.info("%s: joined as node %s over %s", self.name, self.node, participant.rmw)
 
@@ -125,8 +119,6 @@ class Ros2Graph:
                 self._look_at.cancel()
                 self._look_at = None
             await participant.close()
-            self._shared.clear()
-            self._readers.clear()
             self._changes.close()
 
     # Topics -----------------------------------------------------------------------------------------------------
@@ -140,10 +132,10 @@ class Ros2Graph:
         cls = await loaded(message_class, type)
         profile = settled(qos or DEFAULT, DEFAULT)
         self._check_open()
-        raw = self._try(lambda: participant.node.create_publisher(cls, topic, writer_profile(profile)))
+        raw = self.attempt(lambda: participant.node.create_publisher(cls, topic, writer_profile(profile)))
         publisher = Ros2Publisher(self, topic, type, profile, raw)
         with raw.handle:
-            self._origins.add_own(self._try(lambda: participant.rcl.gid_of(raw.handle.pointer)))
+            self._origins.add_own(self.attempt(lambda: participant.rcl.gid_of(raw.handle.pointer)))
         self._add(publisher)
         return publisher
 
@@ -161,8 +153,8 @@ class Ros2Graph:
         topic, type = resolve_name(topic), canonical_name(type)
         await loaded(message_class, type)
         self._check_open()
-        subscription = Ros2Subscription(self, topic, type, qos, callback)
-        subscription.follow(self._adopted(subscription))
+        subscription = Ros2Subscription(self._readers, topic, type, qos, callback)
+        subscription.follow(self._readers.adopted(subscription))
         self._add(subscription)
         return subscription
 
@@ -178,7 +170,7 @@ class Ros2Graph:
         service, type = resolve_name(service), canonical_name(type, "srv")
         cls = await loaded(service_class, type)
         self._check_open()
-        raw = self._try(lambda: participant.node.create_client(cls, service, qos_profile=service_profile()))
+        raw = self.attempt(lambda: participant.node.create_client(cls, service, qos_profile=service_profile()))
         client = Ros2Client(self, service, type, raw, cls)
         participant.spinner.add("client", raw.handle, client.take)
         self._add(client)
@@ -192,7 +184,7 @@ class Ros2Graph:
         service, type = resolve_name(service), canonical_name(type, "srv")
         cls = await loaded(service_class, type)
         self._check_open()
-        raw = self._try(lambda: participant.node.create_service(cls, service, _never, qos_profile=service_profile()))
+        raw = self.attempt(lambda: participant.node.create_service(cls, service, _never, qos_profile=service_profile()))
         served = Ros2Service(self, service, type, handler, raw, cls)
         participant.spinner.add("service", raw.handle, served.take)
         self._add(served)
@@ -279,85 +271,27 @@ class Ros2Graph:
             self.drops[topic, Undelivered.CALLBACK] += 1
             log.exception("%s: a callback for %s failed", self.name, topic)
 
-    def attach(self, subscription: Ros2Subscription, qos: QoS) -> SharedReader[Reader]:
-        """A reader for ``subscription``: with others where samples are volatile, its own where history is replayed."""
-        participant = self.participant
-        topic, type = subscription.topic, subscription.type
-        reader = None if qos.transient_local else self._shared.get((topic, type, qos))
-        if reader is None:
-            cls = message_class(type)
-            raw = self._try(
-                lambda: participant.node.create_subscription(cls, topic, _never, reader_profile(qos), raw=True)
-            )
-            reader = SharedReader(self, topic, qos)
-            reader.raw = Reader(raw, topic, type, participant.spinner, participant.rcl, self._origins, self._turned)
-            reader.raw.deliver = reader.deliver
-            self._readers[reader] = type
-            participant.spinner.add("subscription", raw.handle, reader.raw.take)
-            if not qos.transient_local:
-                self._shared[topic, type, qos] = reader
-            self._look_soon()
-            self._own_since[topic] = time.monotonic()
-        reader.subscriptions = (*reader.subscriptions, subscription)
-        return reader
+    def attempt(self, create: Callable[[], T]) -> T:
+        """Do something with rclpy. Raises ``GraphUnavailable`` with what it says."""
+        try:
+            return create()
+        except (RuntimeError, ValueError) as error:
+            raise GraphUnavailable(self.name, str(error).splitlines()[0]) from error
 
-    async def detach(self, subscription: Ros2Subscription, reader: SharedReader[Reader]) -> None:
-        """Take a subscription off its reader; the last one takes the reader with it."""
-        reader.subscriptions = tuple(s for s in reader.subscriptions if s is not subscription)
-        if reader.subscriptions:
-            return
-        key = (reader.topic, subscription.type, reader.qos)
-        if self._shared.get(key) is reader:
-            del self._shared[key]
-        raw = reader.raw
-        if self._participant is not None and raw is not None and not raw.closed:
-            raw.closed = True
-            self._participant.spinner.remove(raw.raw.handle)
-            self._participant.node.destroy_subscription(raw.raw)
-        self._readers.pop(reader, None)
-        self._own_since[reader.topic] = time.monotonic()
-        self._look_soon()
+    def count_readers(self, publisher: Ros2Publisher) -> int:
+        """How many readers of others are matched with a publisher."""
+        return self._readers.count_others(publisher) if self._participant is not None else 0
 
     def forget(self, subscription: Ros2Subscription) -> None:
         """A subscription was closed."""
         self._parts.pop(subscription, None)
-
-    def is_matched(self, subscription: Ros2Subscription, reader: SharedReader[Reader]) -> bool:
-        """True once a reader is matched with every publisher that it should read."""
-        if self._participant is None or reader.raw is None:
-            return True
-        return reader.raw.matched >= len(self._discovery.all_publishers(subscription.topic, subscription.type))
-
-    def count_readers(self, publisher: Ros2Publisher) -> int:
-        """How many readers of others are matched with a publisher.
-
-        A moment after a reader of our own has come or gone it may be matched or not: the count stays as it was.
-        """
-        if self._participant is None:
-            return 0
-        if time.monotonic() - self._own_since.get(publisher.topic, -_OWN_S) < _OWN_S:
-            return publisher.counted
-        try:
-            matched = int(publisher.raw.get_subscription_count())
-        except RuntimeError:
-            return 0
-        topic, type, offer = publisher.topic, publisher.type, publisher.qos
-        own = sum(
-            reader.topic == topic and of_type == type and _fits(reader.qos, offer)
-            for reader, of_type in self._readers.items()
-        )
-        others = sum(
-            not end.local and self._discovery.is_own(end) and _fits(end.qos, offer)
-            for end in self._discovery.subscriptions(topic, type)
-        )
-        return max(matched - own - others, 0)
 
     async def withdraw(self, publisher: Ros2Publisher, lane: Lane) -> None:
         """A publisher was closed."""
         self._parts.pop(publisher, None)
         if self._participant is not None:
             await lane.finish(lambda: self._destroy("publisher", publisher.raw))
-            self._look_soon()
+            self.look_soon()
 
     async def remove(self, part: Ros2Client | Ros2Service, raw: Any, lane: Lane) -> None:
         """A client or service was closed."""
@@ -366,7 +300,7 @@ class Ros2Graph:
             self._participant.spinner.remove(raw.handle)
             kind = "client" if isinstance(part, Ros2Client) else "service"
             await lane.finish(lambda: self._destroy(kind, raw))
-            self._look_soon()
+            self.look_soon()
 
     def _destroy(self, kind: str, raw: Any) -> None:
         """Destroy an entity, in a thread."""
@@ -381,7 +315,7 @@ class Ros2Graph:
             self._discovery.apply(picture)
             self._look()
 
-    def _look_soon(self) -> None:
+    def look_soon(self) -> None:
         """Something changed here: look at once, and at the matches in a moment."""
         if self._participant is not None:
             self._participant.watcher.poke()
@@ -414,50 +348,17 @@ class Ros2Graph:
         for subscription in list(self._parts):
             if isinstance(subscription, Following) and subscription.adopts and subscription.topic in topics:
                 try:
-                    subscription.follow(self._adopted(subscription))
+                    subscription.follow(self._readers.adopted(subscription))
                 except GraphUnavailable as error:
                     log.warning("%s: %s keeps its profile: %s", self.name, subscription.topic, error)
-
-    def _adopted(self, subscription: Ros2Subscription) -> QoS:
-        """The profile that a subscription should have now."""
-        asked = subscription.asked
-        if asked is not None and not subscription.adopts:
-            return asked
-        offered = [end.qos for end in self._discovery.publishers(subscription.topic, subscription.type)]
-        qos = common_qos(offered, subscription.qos)
-        if asked is not None:
-            return settled(asked, qos)
-        if qos.history == "keep_last" and not qos.transient_local:
-            qos = replace(qos, depth=max(qos.depth, _MIN_ADOPTED_DEPTH))
-        return qos
 
     def _add(self, part: _Part) -> None:
         self._parts = {known: None for known in self._parts if not known.closed}
         self._parts[part] = None
-        self._look_soon()
-
-    def _turned(self, topic: str, type: str, payload: bytes) -> bytes | None:
-        """A message of a big-endian machine, little-endian."""
-        try:
-            codec = self.registry.codec(type)
-            return codec.encode(codec.decode(payload))
-        except TypesError as error:
-            self.drops[topic, Undelivered.DECODE] += 1
-            log.debug("%s: %s: a message cannot be read: %s", self.name, topic, error)
-            return None
+        self.look_soon()
 
     def _check_open(self) -> None:
         _ = self.participant
-
-    def _try(self, create: Callable[[], T]) -> T:
-        try:
-            return create()
-        except (RuntimeError, ValueError) as error:
-            raise GraphUnavailable(self.name, str(error).splitlines()[0]) from error
-
-
-def _fits(ask: QoS, offer: QoS) -> bool:
-    return (offer.reliable or not ask.reliable) and (offer.transient_local or not ask.transient_local)
 
 
 def _of_others(providers: tuple[ProviderInfo, ...]) -> tuple[ProviderInfo, ...]:

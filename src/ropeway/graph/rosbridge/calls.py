@@ -211,7 +211,7 @@ class Calls:
             case ops.CancelActionGoal():
                 if (server := self.servers.get(op.name)) is not None:
                     server.cancel_asked(op, peer)
-                elif peer.dialect is ROPEWAY:
+                elif peer.dialect is ROPEWAY and ops.present(op.id):
                     peer.send_op({"op": "cancelling", "id": op.id, "agreed": False})
             case _:
                 return False

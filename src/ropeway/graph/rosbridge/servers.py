@@ -121,7 +121,7 @@ class RemoteActionServer:
             if goal.ended:
                 return
             goal.goal = made
-            if goal.peer.dialect is ROPEWAY:
+            if goal.peer.dialect is ROPEWAY and ops.present(goal.op.id):
                 goal.peer.send_op({"op": "accepted", "id": goal.op.id})
             goal.decided.set()
             outcome = await self._handlers.execute(made)
@@ -157,7 +157,7 @@ class RemoteActionServer:
                 agreed = await self._agrees(made)
                 if agreed:
                     made.cancelled.set()
-        if peer.dialect is ROPEWAY:
+        if peer.dialect is ROPEWAY and ops.present(op.id):
             peer.send_op({"op": "cancelling", "id": op.id, "agreed": agreed})
 
     async def _agrees(self, goal: ServerGoal) -> bool:

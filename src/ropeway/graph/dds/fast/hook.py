@@ -50,7 +50,7 @@ _RDATA = struct.Struct("=QQIIHH")  # message, next fragment, first byte, end, su
 _MESSAGE_BYTES: Final = 48  # struct ddsi_rmsg; the RTPS message follows
 _MAX_PARAMETER_BYTES: Final = 8192
 # struct ddsi_writer, from the pointer to its sertype on: no mutex lies in between, whose size differs by machine
-_FROM_TYPE: Final = {"seq": -112, "whc": 40, "readers": 80, "keyhash": 88}
+_FROM_TYPE: Final = {"seq": -112, "whc": 40, "readers": 80, "keyhash": 88, "acks": 120}
 _WRITER_GUID: Final = 4
 _SEARCH_BYTES: Final = 1024
 _MAX_READERS: Final = 100_000
@@ -267,10 +267,16 @@ class RelatedWriter:
             raise HookError("a writer has a type that is not hooked")
         at = _find_writer(entity, self.guid, self._sertype)
         self._seq, self._keyhash = _u64_at(at + _FROM_TYPE["seq"]), _u32_at(at + _FROM_TYPE["keyhash"])
+        self._acks = _u32_at(at + _FROM_TYPE["acks"])
         low, high = struct.unpack("=II", _read(at + _FROM_TYPE["whc"], 8))
         readers, reliable = struct.unpack("=II", _read(at + _FROM_TYPE["readers"], 8))
         if self._seq.value or self._keyhash.value or low > high or not reliable <= readers < _MAX_READERS:
             raise HookError("a writer's state is not where it should be")
+
+    @property
+    def acks(self) -> int:
+        """How often readers have said what they have got, which they do once they are matched with this writer."""
+        return self._acks.value
 
     def write(self, payload: bytes, parameter: int, related: SampleIdentity, stamp_ns: int) -> int:
         """Send CDR with its header; gives the sample's number. One thread at a time. Raises ``DdsError``."""

@@ -1,0 +1,131 @@
+"""Runs a gateway until it is told to stop: signals, the status as JSON, and reading certificates again on SIGHUP."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+import os
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from ropeway.cli.console import print_json
+from ropeway.errors import ConfigError, ConnectFailed
+
+if TYPE_CHECKING:
+    from ropeway.gateway.config import Config
+    from ropeway.gateway.gateway import Gateway
+    from ropeway.gateway.supervisor import Supervisor
+
+__all__ = ["Serving", "serve"]
+
+log = logging.getLogger("ropeway")
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+
+
+@dataclass(frozen=True)
+class Serving:
+    """How a gateway is run: for how long, with the status as JSON how often, and what is said once it is up.
+
+    ``retry_s``: an address that is taken is tried again after so many seconds, for ever; ``None`` gives up at once.
+    """
+
+    config: Config
+    level: str
+    for_s: float | None = None
+    period_s: float | None = None
+    retry_s: float | None = None
+    up: Callable[[Gateway | Supervisor], None] | None = None
+
+
+async def serve(serving: Serving) -> None:
+    """Run until the time is over, or a signal ends it in order. Raises ``RopewayError`` if it cannot be brought up."""
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    running: list[Gateway | Supervisor] = []
+
+    def stopped() -> None:
+        stop.set()
+        for number in _SIGNALS:  # a second signal does not wait for an orderly end
+            loop.remove_signal_handler(number)
+
+    on_terminal = os.isatty(sys.stderr.fileno()) if sys.stderr is not None else False
+
+    def hang_up() -> None:
+        if on_terminal and not os.isatty(sys.stderr.fileno()):
+            stopped()  # it is the terminal that was closed
+        else:
+            _reload(running)
+
+    for number in _SIGNALS:
+        loop.add_signal_handler(number, stopped)
+    loop.add_signal_handler(signal.SIGHUP, hang_up)
+    working = asyncio.create_task(_run(serving, running), name="gateway")
+    waiting = asyncio.create_task(stop.wait(), name="signals")
+    try:
+        await asyncio.wait([working, waiting], return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        waiting.cancel()
+        working.cancel()  # without effect where it has ended by itself
+        with contextlib.suppress(asyncio.CancelledError):
+            await working
+    log.info("%s has ended", serving.config.gateway.name)
+
+
+def _reload(running: list[Any]) -> None:
+    for gateway in running:
+        try:
+            gateway.reload()
+        except ConfigError as error:
+            log.error("SIGHUP: nothing has changed: %s", error)
+
+
+def _gateway(config: Config, level: str) -> Gateway | Supervisor:
+    """One process, or a supervisor of workers, as the configuration says."""
+    if config.gateway.workers == 0:
+        from ropeway.gateway.gateway import Gateway
+
+        return Gateway(config)
+    from ropeway.gateway.supervisor import Supervisor
+
+    return Supervisor(config, log_level=level)
+
+
+async def _brought_up(serving: Serving) -> Gateway | Supervisor:
+    while True:
+        gateway = _gateway(serving.config, serving.level)
+        try:
+            return await gateway.__aenter__()
+        except ConnectFailed as error:
+            if serving.retry_s is None:
+                raise
+            log.warning("%s; trying again in %g s", error, serving.retry_s)
+        await asyncio.sleep(serving.retry_s)
+
+
+async def _run(serving: Serving, running: list[Gateway | Supervisor]) -> None:
+    loop = asyncio.get_running_loop()
+    async with contextlib.AsyncExitStack() as stack:
+        gateway = await _brought_up(serving)
+        stack.push_async_exit(gateway.__aexit__)
+        running.append(gateway)
+        if serving.up is not None:
+            serving.up(gateway)
+        ends = math.inf if serving.for_s is None else loop.time() + serving.for_s
+        failing = asyncio.create_task(gateway.wait(), name="gateway failure")
+        try:
+            while not failing.done() and loop.time() < ends:
+                pause = min(ends - loop.time(), math.inf if serving.period_s is None else serving.period_s)
+                await asyncio.wait([failing], timeout=None if math.isinf(pause) else pause)
+                if serving.period_s is not None:
+                    print_json(gateway.status())
+            if failing.done():
+                await failing
+        finally:
+            running.clear()
+            failing.cancel()
+            await asyncio.wait([failing])
