@@ -100,8 +100,8 @@ async def client(stack: AsyncExitStack, url: str, **options: Any) -> RosbridgeGr
 class Cloud:
     """A real server on a network of its own, which can go and come back."""
 
-    def __init__(self, network: str) -> None:
-        self.network = network
+    def __init__(self, network: str, limits: Limits = FAST) -> None:
+        self.network, self.limits = network, limits
         self.port = 0
         self._stack = AsyncExitStack()
 
@@ -109,7 +109,7 @@ class Cloud:
         graph = MemoryGraph(self.network, node="/cloud")
         await graph.open()
         self._stack.push_async_callback(graph.close)
-        self.server = RosbridgeServer(Hub(graph), REGISTRY, gateway_id="the cloud", name="cloud", limits=FAST)
+        self.server = RosbridgeServer(Hub(graph), REGISTRY, gateway_id="the cloud", name="cloud", limits=self.limits)
         self._stack.push_async_callback(self.server.close)
         self.port = (await self.server.listen(f"ws://127.0.0.1:{self.port}")).port
 

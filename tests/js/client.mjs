@@ -3,7 +3,7 @@
 // node client.mjs roslib1|roslib2 PORT PLAN
 //
 // PLAN is JSON: {"clients": n, "subscribe": [options of a Topic], "publish": [options of a Topic and "message"],
-// "serve": [a service, with the "values" of its answers or the text of its failures under "fail"], "act": [an action
+// "serve": [a service, with the "values" of its answers, or under "fail" the text of what it throws], "act": [an action
 // that counts to the "order" of its goals]}; an item with "client" is for that one only, "#" in a name stands for the
 // number of the client. One JSON line is written per thing that happens.
 //
@@ -35,7 +35,7 @@ function serve(ros, number, { name, type, values, fail }) {
   const service = new ROSLIB.Service({ ros, name: name.replace("#", number), serviceType: type });
   service.advertise((request, response) => {
     say({ client: number, asked: service.name, args: request });
-    if (fail && library === "roslib2") throw fail;
+    if (fail) throw new Error(fail);
     Object.assign(response, values);
     return true;
   });

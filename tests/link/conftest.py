@@ -12,6 +12,6 @@ import uvloop
 def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:
     """The event loops that a test runs on, one after the other."""
     loops: dict[str, Callable[[], asyncio.AbstractEventLoop]] = {"asyncio": asyncio.new_event_loop}
-    if item.path.name == "test_connection.py":
+    if item.path.name in ("test_connection.py", "test_front.py"):
         loops["uvloop"] = uvloop.new_event_loop
     return loops

@@ -12,7 +12,20 @@ from typing import Any, NamedTuple
 
 import cbor2
 
-__all__ = ["BINARY", "CLOSE", "CONTINUATION", "PING", "PONG", "TEXT", "Client", "ClosedByServer", "Frame", "frame"]
+__all__ = [
+    "BINARY",
+    "CLOSE",
+    "CONTINUATION",
+    "PING",
+    "PONG",
+    "TEXT",
+    "Answer",
+    "Client",
+    "ClosedByServer",
+    "Frame",
+    "fetch",
+    "frame",
+]
 
 CONTINUATION, TEXT, BINARY, CLOSE, PING, PONG = 0, 1, 2, 8, 9, 10
 _SHORT, _LONG = struct.Struct("!H"), struct.Struct("!Q")
@@ -66,10 +79,12 @@ class Client:
         host: str = "127.0.0.1",
         ssl_context: ssl.SSLContext | None = None,
         receive_bytes: int = 64 << 20,
+        headers: dict[str, str] | None = None,
     ) -> None:
         self._port, self._host, self._path, self._subprotocol = port, host, path, subprotocol
         self._ssl = ssl_context
         self._receive_bytes = receive_bytes
+        self._headers = headers or {}
         self._numbers = itertools.count(1)
         self._waiting: list[Frame] = []
         self.status = ""
@@ -89,6 +104,7 @@ class Client:
         ]
         if self._subprotocol:
             lines.append(f"Sec-WebSocket-Protocol: {self._subprotocol}")
+        lines += [f"{name}: {value}" for name, value in self._headers.items()]
         self.writer.write("\r\n".join([*lines, "", ""]).encode())
         answer = (await self.reader.readuntil(b"\r\n\r\n")).decode().split("\r\n")
         self.status = answer[0]
@@ -193,3 +209,24 @@ class Client:
                     await self._receive()
         except ClosedByServer as end:
             return end.code, end.reason
+
+
+class Answer(NamedTuple):
+    """An answer over plain HTTP."""
+
+    status: int
+    headers: dict[str, str]
+    body: bytes
+
+
+async def fetch(port: int, path: str, *, method: str = "GET", headers: dict[str, str] | None = None) -> Answer:
+    """One request, without an upgrade."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    lines = [f"{method} {path} HTTP/1.1", f"Host: 127.0.0.1:{port}", *(f"{n}: {v}" for n, v in (headers or {}).items())]
+    writer.write("\r\n".join([*lines, "", ""]).encode())
+    async with asyncio.timeout(10):
+        data = await reader.read(-1)
+    writer.close()
+    head, _, body = data.partition(b"\r\n\r\n")
+    first, *rest = head.decode("latin-1").split("\r\n")
+    return Answer(int(first.split(" ")[1]), dict(line.split(": ", 1) for line in rest), body)

@@ -33,11 +33,13 @@ class Place:
         self.robot: MemoryGraph
         self.port = 0
 
-    async def start(self, *, limits: Limits | None = None, unregister_timeout_s: float = 10.0) -> None:
+    async def start(self, *, limits: Limits | None = None, unregister_timeout_s: float = 10.0, **options: Any) -> None:
         graph = await self.participant("/gateway")
         self.robot = await self.participant("/robot")
         self.hub = Hub(graph)
-        self.server = RosbridgeServer(self.hub, self.registry, limits=limits, unregister_timeout_s=unregister_timeout_s)
+        self.server = RosbridgeServer(
+            self.hub, self.registry, limits=limits, unregister_timeout_s=unregister_timeout_s, **options
+        )
         self.stack.push_async_callback(self.server.close)
         self.port = (await self.server.listen("ws://127.0.0.1:0")).port
 

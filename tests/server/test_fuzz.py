@@ -43,7 +43,8 @@ ODD_VALUES: Final[tuple[Any, ...]] = (
 
 def texts() -> list[bytes]:
     """One good operation of every kind, and of every dialect."""
-    goal = {"action": "/a", "action_type": "p/A", "args": {"x": 1}, "id": "g"}
+    goal = {"action": "/a", "action_type": "example_interfaces/Fibonacci", "args": {"order": 1}, "id": "g"}
+    call = {"call": "0" * 31 + "1", "via": ["a"], "caller": "b", "encoding": "zstd", "definition": "int32 x\n---\n"}
     note = {"ropeway": {"channel": 5, "priority": 0, "depth": 3, "rate_hz": 10.0, "lifespan_s": 1.0}}
     typed = {"channel": 6, "type_hash": "RIHS01_00", "definition": "int32 x\nstring[<=5] y\n"}
     qos = {
@@ -69,10 +70,16 @@ def texts() -> list[bytes]:
         {"op": "call_service", "service": "/rosapi/topics", "args": {}, "id": "c", "timeout": 1.0},
         {"op": "service_response", "service": "/s", "values": {}, "result": True, "id": "c"},
         {"op": "advertise_service", "service": "/s", "type": "std_srvs/SetBool"},
+        {"op": "call_service", "service": "/s", "args": {"data": True}, "id": "c", "timeout": 0.05, "ropeway": call},
+        {"op": "service_response", "service": "/s", "id": "service_request:/s:1", "values": {}, "result": True},
         {"op": "unadvertise_service", "service": "/s"},
         {"op": "send_action_goal", **goal},
         {"op": "cancel_action_goal", "action": "/a", "id": "g"},
-        {"op": "advertise_action", "action": "/a", "type": "p/A"},
+        {"op": "advertise_action", "action": "/a", "type": "example_interfaces/Fibonacci"},
+        {"op": "action_result", "action": "/a", "id": "action_goal:/a:1", "values": {}, "result": True},
+        {"op": "unadvertise_action", "action": "/a"},
+        {"op": "accepted", "id": "action_goal:/a:1"},
+        {"op": "cancelling", "id": "action_goal:/a:1", "agreed": True},
         {"op": "action_feedback", "action": "/a", "values": {}, "id": "g"},
         {"op": "action_result", "action": "/a", "values": {}, "status": 4, "result": True, "id": "g"},
         {"op": "png", "data": "iVBORw0KGgo="},

@@ -15,8 +15,11 @@ from typing import Any
 import pytest
 
 from ropeway.graph.base import SEQ_NONE, Sample
+from ropeway.graph.calls import ActionHandlers, Outcome, Request, ServerGoal
 from ropeway.qos import LATCHED, QoS
 from tests.contract.conftest import Inbox, until
+from tests.contract.test_actions import FIBONACCI, Worker, count, ordered
+from tests.contract.test_services import ADD, add, addends, total
 from tests.server.conftest import Place
 from tests.server.peers import Peers, peers
 
@@ -173,3 +176,83 @@ async def test_reconnect(run: Run, place: Place) -> None:
             while not inbox.samples:
                 program.publish()
                 await asyncio.sleep(0.1)
+
+
+async def test_calls(run: Run, place: Place) -> None:
+    """A service of the robot answers with its response, and its failures arrive as the texts they are."""
+    await place.robot.create_service("/add", ADD, add)
+    async with run({}) as program:
+        program.do(call="/add", type=ADD, args={"a": 2**62, "b": 1})
+        assert (await program.told(answered="/add"))[0]["values"] == {"sum": 2**62 + 1}
+        program.do(call="/nobody", type=ADD)
+        assert (await program.told(failed="/nobody"))[0]["text"] == "Service /nobody does not exist"
+        program.do(call="/add", type=ADD, args={"c": 1})
+        failed = await program.told(failed="/add")
+        assert failed[0]["text"] == "Message type example_interfaces/AddTwoInts_Request does not have a field c"
+    assert place.complaints == {}
+
+
+async def test_serves(run: Run, place: Place) -> None:
+    """The robot and other clients call a service of a client; its response counts, whatever the client returns."""
+    serve = [
+        {"name": "/add", "type": "example_interfaces/AddTwoInts", "values": {"sum": 5}, "client": 0},
+        {"name": "/fail", "type": ADD, "values": {"sum": 7}, "fail": True, "client": 0},
+    ]
+    async with run({"clients": 2, "serve": serve}) as program:
+        client = await place.robot.create_client("/add", ADD)
+        assert await client.wait_available(5)
+        assert await client.call(Request(addends(2, 3))) == total(5)
+        assert (await program.told(asked="/add"))[0]["args"] == {"a": 2, "b": 3}
+        for name, sum in (("/add", 5), ("/fail", 7)):
+            program.do(call=name, type=ADD, client=1)
+            assert (await program.told(answered=name, client=1))[0]["values"] == {"sum": sum}
+    await until(lambda: not place.server.sessions)
+    assert not place.robot.services()["/add"].servers
+
+
+async def test_rosapi(run: Run, place: Place) -> None:
+    """The library's own questions are answered."""
+    await place.robot.create_publisher("/image", IMAGE, QoS())
+    await place.robot.create_service("/add", ADD, add)
+    async with run({}) as program:
+        answers = {}
+        for ask, args in [
+            ("get_topics", []),
+            ("get_topic_type", ["/image"]),
+            ("get_services", []),
+            ("get_service_type", ["/add"]),
+            ("get_nodes", []),
+        ]:
+            program.do(ask=ask, args=args)
+            answers[ask] = (await program.told(answered=ask))[0]["values"]
+        assert "/image" in answers["get_topics"]["topics"]
+        assert answers["get_topic_type"] == {"type": IMAGE}
+        assert "/add" in answers["get_services"]["services"]
+        assert answers["get_service_type"] == {"type": ADD}
+        assert "/robot" in answers["get_nodes"]["nodes"]
+    assert place.complaints == {}
+
+
+async def test_goals(run: Run, place: Place) -> None:
+    """Goals for the robot have feedback and results, may be cancelled, and fail with a text if nobody takes them."""
+    worker = Worker()
+
+    async def execute(goal: ServerGoal) -> Outcome:
+        return await (worker(goal) if ordered(goal) > 100 else count(goal))
+
+    await place.robot.create_action_server("/fib", FIBONACCI, ActionHandlers(execute))
+    async with run({}) as program:
+        program.do(goal="/fib", type=FIBONACCI, args={"order": 3})
+        result = (await program.told(result="/fib"))[0]["values"]
+        assert result["values"] == {"sequence": [0, 1, 2]}
+        assert [s["values"]["sequence"] for s in await program.told(3, feedback="/fib")] == [[0], [0, 1], [0, 1, 2]]
+        program.do(goal="/nobody", type=FIBONACCI, args={"order": 3})
+        assert "No action server available" in (await program.told(failed="/nobody"))[0]["text"]
+        program.do(goal="/fib", type=FIBONACCI, args={"order": 101})
+        (_, sent) = await program.told(2, sent="/fib")
+        await until(lambda: worker.goals)
+        program.do(cancel="/fib", id=sent["id"])
+        cancelled = (await program.told(2, result="/fib"))[1]["values"]
+        assert cancelled["values"] == {"sequence": [5]}
+        assert cancelled["status"] == "CANCELED"
+    assert place.complaints == {}

@@ -14,6 +14,7 @@ __all__ = ["app", "main"]
 
 VERBS = {
     "run": "ropeway.cli.run",
+    "server": "ropeway.cli.server",
     "config": "ropeway.cli.config",
     "topic": "ropeway.cli.topic",
     "service": "ropeway.cli.service",

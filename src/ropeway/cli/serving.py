@@ -8,7 +8,6 @@ import logging
 import math
 import os
 import signal
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -53,10 +52,10 @@ async def serve(serving: Serving) -> None:
         for number in _SIGNALS:  # a second signal does not wait for an orderly end
             loop.remove_signal_handler(number)
 
-    on_terminal = os.isatty(sys.stderr.fileno()) if sys.stderr is not None else False
+    on_terminal = _on_terminal()
 
     def hang_up() -> None:
-        if on_terminal and not os.isatty(sys.stderr.fileno()):
+        if on_terminal and not _on_terminal():
             stopped()  # it is the terminal that was closed
         else:
             _reload(running)
@@ -74,6 +73,10 @@ async def serve(serving: Serving) -> None:
         with contextlib.suppress(asyncio.CancelledError):
             await working
     log.info("%s has ended", serving.config.gateway.name)
+
+
+def _on_terminal() -> bool:
+    return any(os.isatty(number) for number in range(3))
 
 
 def _reload(running: list[Any]) -> None:

@@ -74,6 +74,7 @@ def main() -> int:
     """The entry of the process."""
     import uvloop
 
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # until there is something to read again
     with (
         contextlib.suppress(KeyboardInterrupt, BrokenPipeError),
         asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner,

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from typing import Final
 
 from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, ProviderLost, RopewayError
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
-from ropeway.tasks import end
+from ropeway.tasks import Interruptible, end
 
 __all__ = ["LEFT", "DirectGoal", "Running", "answer"]
 
@@ -19,28 +20,34 @@ LEFT: Final = "who offered it has withdrawn it"
 
 
 class Running:
-    """The calls that one provider is busy with; ``fail`` ends them all, whoever waits for them."""
+    """Calls under way, of a client or at a provider; ``fail`` ends them all, whoever waits for them."""
 
     def __init__(self) -> None:
-        self._tasks: set[asyncio.Task[bytes]] = set()
+        self._blocks: set[Interruptible] = set()
+        self._ended = asyncio.Event()
         self.closed = False
 
-    def start(self, name: str, work: Awaitable[bytes]) -> asyncio.Task[bytes]:
-        """Run a handler as a task."""
-        task = asyncio.ensure_future(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._ended)
-        return task
+    @contextlib.contextmanager
+    def call(self) -> Iterator[None]:
+        """A block in which a call runs."""
+        block = Interruptible()
+        self._blocks.add(block)
+        try:
+            with block:
+                yield
+        finally:
+            self._blocks.discard(block)
+            self._ended.set()
 
-    def _ended(self, task: asyncio.Task[bytes]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled():
-            task.exception()  # who called may not wait any more
-
-    async def fail(self) -> None:
-        """The provider has gone."""
+    async def fail(self, error: RopewayError) -> None:
+        """End all calls with ``error``, and wait until they have ended."""
         self.closed = True
-        await end(*(t for t in self._tasks if t is not asyncio.current_task() and not t.done()))
+        for block in list(self._blocks):
+            if not block.mine:
+                block.interrupt(error)
+        while any(not block.mine for block in self._blocks):
+            self._ended.clear()
+            await self._ended.wait()
 
 
 async def answer(name: str, running: Running, work: Awaitable[bytes], timeout_s: float) -> bytes:
@@ -48,24 +55,19 @@ async def answer(name: str, running: Running, work: Awaitable[bytes], timeout_s:
 
     Raises ``CallTimeout``, ``ProviderLost``, the handler's own ``CallError``, or ``CallFailed`` with what else it raised.
     """
-    task = running.start(name, work)
+    limit = asyncio.timeout(timeout_s)
     try:
-        done, _ = await asyncio.wait({task}, timeout=timeout_s)
-    finally:
-        if not task.done():
-            await end(task)
-    if not done:
-        raise CallTimeout(name, timeout_s)
-    if task.cancelled():
-        raise ProviderLost(name, LEFT)
-    error = task.exception()
-    if error is None:
-        return task.result()
-    if isinstance(error, CallError):
-        raise error
-    if not isinstance(error, RopewayError):
-        log.error("the handler of %s failed", name, exc_info=error)
-    raise CallFailed(name, str(error) or type(error).__name__) from error
+        async with limit:
+            with running.call():
+                return await work
+    except CallError:
+        raise
+    except Exception as error:  # a handler is somebody else's code; its failure is this call's
+        if limit.expired():
+            raise CallTimeout(name, timeout_s) from None
+        if not isinstance(error, RopewayError):
+            log.exception("the handler of %s failed", name)
+        raise CallFailed(name, str(error) or type(error).__name__) from error
 
 
 class DirectGoal:

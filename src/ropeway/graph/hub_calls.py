@@ -18,7 +18,7 @@ from ropeway.graph.calls import (
     Service,
     ServiceHandler,
 )
-from ropeway.graph.direct import Running, answer
+from ropeway.graph.direct import LEFT, Running, answer
 from ropeway.graph.holders import Entry, Holders
 from ropeway.tasks import end
 
@@ -55,7 +55,7 @@ class HubCalls:
         self._clients: dict[tuple[str, str, str], _Shared] = {}
         self._making: dict[tuple[str, str, str], asyncio.Lock] = {}
         self._closers: set[asyncio.Task[None]] = set()
-        self._calls: OrderedDict[bytes, asyncio.Future[bytes]] = OrderedDict()
+        self._calls: OrderedDict[bytes, asyncio.Future[bytes | Exception]] = OrderedDict()
         self.repeated = 0
 
     async def close(self) -> None:
@@ -109,39 +109,38 @@ class HubCalls:
         if self.gateway_id and self.gateway_id in via:
             raise CallFailed(name, f"the call of {name} went in a circle, through the gateways {', '.join(via)}")
 
-    def remember(self, request: Request, task: asyncio.Task[bytes]) -> None:
+    def remember(self, request: Request) -> asyncio.Future[bytes | Exception]:
         """The call is under way: the same call is not made again."""
         calls = self._calls
-        calls[request.id] = task
+        pending = calls[request.id] = asyncio.get_running_loop().create_future()
         while len(calls) > _REMEMBERED and next(iter(calls.values())).done():
             calls.popitem(last=False)
+        return pending
 
-    def settle(self, request: Request, task: asyncio.Task[bytes]) -> None:
+    def settle(self, request: Request, pending: asyncio.Future[bytes | Exception], how: bytes | BaseException) -> None:
         """The call has ended. What was not carried out may be tried again; a long answer is not kept."""
-        error = None if task.cancelled() else task.exception()
-        if isinstance(error, (NotServed, GraphUnavailable)):
+        if isinstance(how, (NotServed, GraphUnavailable)):
             self._calls.pop(request.id, None)
-        elif error is None and not task.cancelled() and len(task.result()) > _REMEMBERED_BYTES:
-            self._calls[request.id] = _answered_before()
+        elif isinstance(how, bytes) and len(how) > _REMEMBERED_BYTES:
+            kept = self._calls[request.id] = asyncio.get_running_loop().create_future()
+            kept.set_result(CallFailed("", "this call was answered before"))
+        if isinstance(how, (bytes, Exception)):
+            pending.set_result(how)
+        else:
+            pending.set_result(ProviderLost("", "the call was given up"))
 
-    async def again(self, name: str, task: asyncio.Future[bytes]) -> bytes:
+    async def again(self, pending: asyncio.Future[bytes | Exception]) -> bytes:
         """The answer of a call that was made before."""
         self.repeated += 1
-        await asyncio.wait({task})
-        if task.cancelled():
-            raise ProviderLost(name, "the call was given up")
-        return task.result()
+        await asyncio.wait({pending})
+        how = pending.result()
+        if isinstance(how, Exception):
+            raise how
+        return how
 
-    def known(self, request: Request) -> asyncio.Future[bytes] | None:
+    def known(self, request: Request) -> asyncio.Future[bytes | Exception] | None:
         """The same call, where it was made before."""
         return self._calls.get(request.id)
-
-
-def _answered_before() -> asyncio.Future[bytes]:
-    future: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-    future.set_exception(CallFailed("", "this call was answered before"))
-    future.exception()  # it is no fault that nobody asks again
-    return future
 
 
 class ViewService:
@@ -185,7 +184,7 @@ class ViewService:
         if self.closed:
             return
         await self._calls.services.remove(self.entry)
-        await self._running.fail()
+        await self._running.fail(ProviderLost(self.service, LEFT))
         if self.on_closed is not None:
             self.on_closed()
 
@@ -198,7 +197,7 @@ class ViewClient:
         self.closed = False
         self._calls = calls
         self._inner: Client | None = None
-        self._under_way: set[asyncio.Task[bytes]] = set()
+        self._under_way = Running()
 
     async def attach(self, delivery: Delivery) -> None:
         """Get the client of the graph."""
@@ -230,20 +229,16 @@ class ViewClient:
         calls = self._calls
         known = calls.known(request)
         if known is not None:
-            return await calls.again(self.service, known)
-        task = asyncio.ensure_future(self._call(request, timeout_s))
-        calls.remember(request, task)
-        self._under_way.add(task)
+            return await calls.again(known)
+        pending = calls.remember(request)
         try:
-            await asyncio.wait({task})
-        finally:
-            self._under_way.discard(task)
-            if not task.done():
-                await end(task)
-            calls.settle(request, task)
-        if task.cancelled():
-            raise GraphUnavailable(calls.graph.name, f"the client of {self.service} was closed in mid-call")
-        return task.result()
+            with self._under_way.call():
+                response = await self._call(request, timeout_s)
+        except BaseException as error:
+            calls.settle(request, pending, error)
+            raise
+        calls.settle(request, pending, response)
+        return response
 
     async def _call(self, request: Request, timeout_s: float) -> bytes:
         loop = asyncio.get_running_loop()
@@ -270,7 +265,8 @@ class ViewClient:
         if self.closed:
             return
         self.closed = True
-        await end(*self._under_way)
+        why = f"the client of {self.service} was closed in mid-call"
+        await self._under_way.fail(GraphUnavailable(self._calls.graph.name, why))
         if self._inner is not None:
             self._inner = None
             self._calls.release("service", self.service, self.type)

@@ -6,11 +6,10 @@ import asyncio
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ropeway.errors import CallTimeout, GraphUnavailable, NotServed
+from ropeway.errors import CallTimeout, GraphUnavailable, NotServed, ProviderLost
 from ropeway.graph.base import new_origin
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
-from ropeway.graph.direct import Running, answer
-from ropeway.tasks import end
+from ropeway.graph.direct import LEFT, Running, answer
 
 if TYPE_CHECKING:
     from ropeway.graph.memory import MemoryGraph
@@ -42,7 +41,7 @@ class MemoryService:
         self.closed = True
         self.graph.network.services.remove(self)
         self.graph.announce_service(self, False)
-        await self._running.fail()
+        await self._running.fail(ProviderLost(self.service, LEFT))
 
 
 class MemoryClient:
@@ -53,7 +52,7 @@ class MemoryClient:
         self.gid = new_origin()
         self.closed = False
         self._came = asyncio.Event()
-        self._calls: set[asyncio.Task[bytes]] = set()
+        self._under_way = Running()
 
     def look(self) -> None:
         """A service has appeared somewhere."""
@@ -87,17 +86,8 @@ class MemoryClient:
         """See ``Client``."""
         if self.closed:
             raise GraphUnavailable(self.graph.name, f"the client of {self.service} is closed")
-        task = asyncio.create_task(self._call(request, timeout_s), name=f"call {self.service}")
-        self._calls.add(task)
-        try:
-            await asyncio.wait({task})
-        finally:
-            self._calls.discard(task)
-            if not task.done():
-                await end(task)
-        if task.cancelled():
-            raise GraphUnavailable(self.graph.name, f"the client of {self.service} was closed in mid-call")
-        return task.result()
+        with self._under_way.call():
+            return await self._call(request, timeout_s)
 
     async def _call(self, request: Request, timeout_s: float) -> bytes:
         loop = asyncio.get_running_loop()
@@ -116,4 +106,5 @@ class MemoryClient:
         self.closed = True
         self._came.set()
         self.graph.network.clients.remove(self)
-        await end(*self._calls)
+        why = f"the client of {self.service} was closed in mid-call"
+        await self._under_way.fail(GraphUnavailable(self.graph.name, why))

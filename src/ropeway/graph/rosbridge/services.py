@@ -21,6 +21,7 @@ from ropeway.errors import (
 )
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
+from ropeway.graph.direct import Running
 from ropeway.graph.rosbridge.calls import lane
 from ropeway.graph.rosbridge.notes import call_note, failure, read_note, received
 from ropeway.tasks import end
@@ -77,7 +78,7 @@ class RemoteClient:
         self.type, self.delivery = type, delivery
         self.closed = False
         self._calls = calls
-        self._under_way: set[asyncio.Task[bytes]] = set()
+        self._under_way = Running()
 
     @property
     def available(self) -> bool | None:
@@ -92,17 +93,8 @@ class RemoteClient:
         """See ``Client``. With the link down it waits for it, then raises ``GraphUnavailable``."""
         if self.closed:
             raise GraphUnavailable(self._calls.graph.name, f"the client of {self.service} is closed")
-        task = asyncio.create_task(self._call(request, timeout_s), name=f"call {self.service}")
-        self._under_way.add(task)
-        try:
-            await asyncio.wait({task})
-        finally:
-            self._under_way.discard(task)
-            if not task.done():
-                await end(task)
-        if task.cancelled():
-            raise GraphUnavailable(self._calls.graph.name, f"the client of {self.service} was closed in mid-call")
-        return task.result()
+        with self._under_way.call():
+            return await self._call(request, timeout_s)
 
     async def _call(self, request: Request, timeout_s: float) -> bytes:
         began = asyncio.get_running_loop().time()
@@ -172,7 +164,8 @@ class RemoteClient:
         if not self.closed:
             self.closed = True
             self._calls.clients.pop(self, None)
-            await end(*self._under_way)
+            why = f"the client of {self.service} was closed in mid-call"
+            await self._under_way.fail(GraphUnavailable(self._calls.graph.name, why))
 
 
 class RemoteService:

@@ -42,6 +42,8 @@ _READ_QOS: Final = QoS(history="keep_all")
 _WRITE_QOS: Final = QoS(depth=512)  # what a reader that hangs can make us keep
 _BATCH: Final = 64
 _PENDING_LIMIT: Final = 4096
+_SETTLE_S: Final = 0.1
+_PATIENCE_S: Final = 2.0
 _MATCH_S: Final = 1.0  # how long an answer waits until its reader is matched
 _TICK_NS: Final = 20_000_000  # between two looks at answers that wait
 _MAX_TRIGGERS: Final = 256
@@ -63,7 +65,9 @@ class _End:
         self._raw = memoryview(self._infos).cast("B")
         self._writers: dict[int, bytes] = {}
         self.readers: set[bytes] = set()
-        self.matched: set[bytes] = set()
+        self.matched: dict[
+            bytes, float
+        ] = {}  # who both writes to us and reads us, by the prefix of GUIDs, and since when
         request, reply = dds_service_topics(service)
         ask, answer = (request, dds_type(type, "_Request")), (reply, dds_type(type, "_Response"))
         self._entities: list[int] = []
@@ -140,7 +144,7 @@ class _End:
         raise NotImplementedError
 
     def on_matches(self) -> set[bytes]:
-        """Take note of who is there; gives those who both write to us and read us, by the prefix of their GUIDs."""
+        """Take note of who is there; gives those who have left, by the prefix of their GUIDs."""
         status = ct.c_uint32()
         check(lib.take_status(self._reader, ct.byref(status), raw.SUBSCRIPTION_MATCHED), "take_status")
         check(lib.take_status(self._entity, ct.byref(status), raw.PUBLICATION_MATCHED), "take_status")
@@ -150,12 +154,20 @@ class _End:
         self.readers = {_guid(lib.get_matched_subscription_data(self._entity, handle)) for handle in handles}
         writers = {guid[:PREFIX_BYTES] for guid in self._writers.values()}
         readers = {guid[:PREFIX_BYTES] for guid in self.readers}
-        found = {prefix for prefix in writers & readers if self.node.hears(prefix[:2])}
-        gone, changed = self.matched - found, self.matched != found
+        now = time.monotonic()
+        found = {prefix: self.matched.get(prefix, now) for prefix in writers & readers if self.node.hears(prefix[:2])}
+        gone = self.matched.keys() - found.keys()
         self.matched = found
-        if changed:
-            self.node.emit(Frame(Op.MATCHED, self.number, len(found)))
+        self.tick()
         return gone
+
+    @property
+    def waits(self) -> bool:
+        """True while ``tick`` is to be called every now and then."""
+        return False
+
+    def tick(self) -> None:
+        """Do what has its time."""
 
     def _write(self, payload: bytes, parameter: int, related: SampleIdentity) -> int:
         seq = self.writer.write(payload, parameter, related, time.time_ns())
@@ -170,6 +182,7 @@ class ClientEnd(_End):
         self._calls: dict[int, tuple[int, set[bytes]]] = {}
         self._numbers: dict[int, int] = {}
         self.last = 0  # the number of the latest request on the network
+        self._ready = 0
         super().__init__(node, number, service, type, serves=False)
 
     def call(self, number: int, payload: bytes, parameter: int = PID_RELATED) -> None:
@@ -214,6 +227,24 @@ class ClientEnd(_End):
                     self._tell(Op.LOST, number, "its server has left")
         return gone
 
+    @property
+    def waits(self) -> bool:
+        """True while there are servers that are matched and not yet ready."""
+        return self._ready < len(self.matched)
+
+    def tick(self) -> None:
+        """Tell how many servers are ready.
+
+        They are when the server knows our writer, and it has had the time to tell our reader where its replies begin:
+        Cyclone DDS takes what comes before that for replies to others.
+        """
+        now = time.monotonic()
+        heard = self.writer.acks > 0
+        ready = sum(now - since > (_SETTLE_S if heard else _PATIENCE_S) for since in self.matched.values())
+        if ready != self._ready:
+            self._ready = ready
+            self.node.emit(Frame(Op.MATCHED, self.number, ready))
+
     def _tell(self, op: Op, number: int, text: str) -> None:
         self.node.emit(Frame(op, self.number, number, text.encode()))
 
@@ -224,6 +255,7 @@ class ServiceEnd(_End):
     def __init__(self, node: FastNode, number: int, service: str, type: str) -> None:
         self._requests: dict[int, tuple[int, SampleIdentity]] = {}
         self._last = 0
+        self._clients = 0
         self._waiting: deque[tuple[float, int, SampleIdentity, bytes]] = deque()
         super().__init__(node, number, service, type, serves=True)
 
@@ -258,19 +290,16 @@ class ServiceEnd(_End):
         """Leave a request unanswered."""
         self._requests.pop(number, None)
 
-    def on_matches(self) -> set[bytes]:
-        """Take note of who calls it, and send the answers whose readers have come."""
-        gone = super().on_matches()
-        self.tick()
-        return gone
-
     @property
     def waits(self) -> bool:
         """True while answers wait for their readers."""
         return bool(self._waiting)
 
     def tick(self) -> None:
-        """Send the answers whose readers have come, and give up those whose readers do not."""
+        """Tell how many clients there are; send the answers whose readers have come, give up those whose do not."""
+        if len(self.matched) != self._clients:
+            self._clients = len(self.matched)
+            self.node.emit(Frame(Op.MATCHED, self.number, self._clients))
         now = time.monotonic()
         for _ in range(len(self._waiting)):
             until, parameter, identity, payload = self._waiting.popleft()
@@ -407,10 +436,7 @@ class FastNode:
         triggers = (ct.c_ssize_t * _MAX_TRIGGERS)()
         was_set = ct.c_bool()
         while not self._stopping:
-            timeout = (
-                _TICK_NS if any(isinstance(e, ServiceEnd) and e.waits for e in list(self._ends.values())) else INFINITY
-            )
-            # A timeout is given as a length of time, INFINITY as one without end.
+            timeout = _TICK_NS if any(end.waits for end in list(self._ends.values())) else INFINITY
             count = check(lib.waitset_wait(self._waitset, triggers, _MAX_TRIGGERS, timeout), "waitset_wait")
             for key in triggers[: min(count, _MAX_TRIGGERS)]:
                 if key == _GUARD_KEY:
@@ -425,7 +451,7 @@ class FastNode:
                         end.on_matches()
             with self.lock:
                 for end in self._ends.values():
-                    if isinstance(end, ServiceEnd) and end.waits:
+                    if end.waits:
                         end.tick()
 
 

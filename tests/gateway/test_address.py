@@ -1,0 +1,31 @@
+"""How graphs are written in a configuration."""
+
+from __future__ import annotations
+
+import pytest
+
+from ropeway.gateway.address import parse_graph
+
+
+@pytest.mark.parametrize("text", ["dds:0", "dds:5?interface=lo", "ros2", "ros2:0", "ros2:232", "auto", "memory:x"])
+def test_graphs(text: str) -> None:
+    """Every kind of graph is taken as it is written."""
+    assert parse_graph(text) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("dds", "expected dds:0"),
+        ("ros2:x", "expected ros2 or ros2:0"),
+        ("ros2:233", "a ROS domain from 0 to 232"),
+        ("dds:233", "a DDS domain from 0 to 232"),
+        ("auto:1", "expected auto"),
+        ("ros:0", "did you mean ros2"),
+        ("memory:", "expected memory:name"),
+    ],
+)
+def test_refused(text: str, said: str) -> None:
+    """What is no graph is refused with what was expected."""
+    with pytest.raises(ValueError, match=said):
+        parse_graph(text)
