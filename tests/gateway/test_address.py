@@ -21,7 +21,7 @@ def test_graphs(text: str) -> None:
         ("ros2:233", "a ROS domain from 0 to 232"),
         ("dds:233", "a DDS domain from 0 to 232"),
         ("auto:1", "expected auto"),
-        ("ros:0", "did you mean ros2"),
+        ("ros3:0", "did you mean"),
         ("memory:", "expected memory:name"),
     ],
 )

@@ -45,5 +45,5 @@ def test_refused(url: str) -> None:
 @pytest.mark.skipif(SOURCED, reason="ROS 2 is sourced")
 async def test_needs_ros() -> None:
     """A ``ros2`` graph that cannot be opened says what to source."""
-    with pytest.raises(GraphUnavailable, match="setup.bash before starting ropeway"):
+    with pytest.raises(GraphUnavailable, match=r"setup\.bash before starting ropeway"):
         await make_graph("ros2:0").open()

@@ -63,7 +63,7 @@ async def far(stack: AsyncExitStack) -> ScriptedGateway:
 
 @pytest.fixture
 async def cloud(stack: AsyncExitStack, request: pytest.FixtureRequest) -> Cloud:
-    made = Cloud(request.node.name)
+    made = Cloud(request.node.name, Limits())
     stack.push_async_callback(made.stop)
     await made.start()
     return made
@@ -639,11 +639,8 @@ async def test_through_a_server(stack: AsyncExitStack, cloud: Cloud, encoding: s
     assert len(got) > 1_500_000
 
 
-async def test_a_thousand_calls(stack: AsyncExitStack) -> None:
+async def test_a_thousand_calls(stack: AsyncExitStack, cloud: Cloud) -> None:
     """1,000 calls at a time are each answered once, with their own answer."""
-    cloud = Cloud("thousand", Limits())
-    stack.push_async_callback(cloud.stop)
-    await cloud.start()
     url = f"ws://127.0.0.1:{cloud.port}"
     near, far = await connect(stack, url), await connect(stack, url, gateway_id="them")
     await far.create_service("/add", ADD, add)

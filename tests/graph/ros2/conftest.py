@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import importlib.util
 import json
 import os
+import signal
 import sys
 from asyncio.subprocess import PIPE, Process
 from collections.abc import AsyncIterator, Iterator
@@ -41,9 +43,14 @@ class Peer:
         return [s["text"] for s in self.said if "text" in s]
 
     async def end(self) -> None:
-        if self.process.returncode is None:
+        with contextlib.suppress(ProcessLookupError):
+            self.process.send_signal(signal.SIGINT)  # a node that is killed leaves its peers waiting for it
+        try:
+            async with asyncio.timeout(5):
+                await self.process.wait()
+        except TimeoutError:
             self.process.kill()
-        await self.process.wait()
+            await self.process.wait()
         await self._reader
 
 

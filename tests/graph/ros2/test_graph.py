@@ -191,7 +191,7 @@ async def test_sensor_data(world: World) -> None:
 async def test_unknown_packages(world: World) -> None:
     """A type whose package is not installed is refused with what to install, one its package does not have as such."""
     graph = await world.graph()
-    with pytest.raises(UnknownType, match="install ros-.*-no-such-pkg"):
+    with pytest.raises(UnknownType, match=r"install ros-.*-no-such-pkg"):
         await graph.create_publisher("/t", "no_such_pkg/msg/Thing")
     with pytest.raises(UnknownType, match="has no msg/Thing"):
         await graph.create_subscription("/t", "std_msgs/msg/Thing", None, lambda _: None)

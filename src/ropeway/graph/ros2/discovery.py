@@ -77,7 +77,8 @@ class Discovery:
             e.gid for t in picture.topics.values() for e in t.publishers if self.is_own(e) and not e.local
         )
         before, self._offers = self._offers, offers
-        changed = {name for name in before.keys() | offers.keys() if before.get(name) != offers.get(name)}
+        nothing: frozenset[tuple[bytes, QoS]] = frozenset()
+        changed = {n for n in before.keys() | offers.keys() if before.get(n, nothing) != offers.get(n, nothing)}
         if changed:
             self._changed(changed)
         self._tell(picture)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import importlib.util
 import os
@@ -33,6 +34,15 @@ def rclpy_fault() -> str:
             "rclpy cannot be imported; source /opt/ros/<distro>/setup.bash before starting ropeway, or write dds:0, "
             "which needs no ROS"
         )
+    rmw = os.environ.get("RMW_IMPLEMENTATION", "")
+    if rmw:
+        try:
+            ctypes.CDLL(f"lib{rmw}.so")  # rcl ends the process where it cannot load it
+        except OSError as error:
+            return (
+                f"RMW_IMPLEMENTATION is {rmw}, which does not load ({_first_line(error)}); install "
+                f"ros-$ROS_DISTRO-{rmw.replace('_', '-')}, or unset RMW_IMPLEMENTATION"
+            )
     try:
         importlib.import_module("rclpy")
         importlib.import_module("rclpy.node")

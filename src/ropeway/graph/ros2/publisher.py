@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -23,6 +25,7 @@ _WAITING: Final = 256  # messages, where the profile keeps fewer: what a burst m
 _WAITING_ALL: Final = 8192
 _WAITING_BYTES: Final = 64 << 20
 _SHORTEST: Final = 4
+_ACKED_S: Final = 0.5  # how long what was published last may take to arrive once the topic is withdrawn
 
 
 class Ros2Publisher:
@@ -41,6 +44,7 @@ class Ros2Publisher:
         self._subscribers = 0
         self._demand: list[Callable[[int], None]] = []
         self._warned = False
+        self._last = 0.0
 
     def publish(self, sample: Sample) -> None:
         """Send, without waiting; what does not fit is dropped, oldest first, and counted."""
@@ -51,6 +55,7 @@ class Ros2Publisher:
         if len(payload) < _SHORTEST:
             self._graph.drops[self.topic, Undelivered.ENCODE] += 1
             return
+        self._last = time.monotonic()
         self._lane.put(partial(self._send, payload), len(payload))
 
     def _send(self, payload: bytes) -> None:
@@ -106,4 +111,11 @@ class Ros2Publisher:
         self.closed = True
         self._demand.clear()
         self._subscribers = 0
+        if self.qos.reliable and time.monotonic() - self._last < 2 * _ACKED_S:
+            self._lane.put(self._settle)
         await self._graph.withdraw(self, self._lane)
+
+    def _settle(self) -> None:
+        """Let what was published last arrive, in a thread: some middlewares forget it with its publisher."""
+        with contextlib.suppress(self._invalid), self.raw.handle:
+            self._rcl.wait_acked(self.raw.handle.pointer, _ACKED_S)

@@ -83,6 +83,7 @@ class Rcl:
         self._publisher_count = _function(
             self._rcl.rcl_subscription_get_publisher_count, ct.c_int, pointer, ct.POINTER(size)
         )
+        self._wait_acked = _function(self._rcl.rcl_publisher_wait_for_all_acked, ct.c_int, pointer, ct.c_int64)
         self._graph_guard = _function(self._rcl.rcl_node_get_graph_guard_condition, pointer, pointer)
         self._add_guard = _function(self._rcl.rcl_wait_set_add_guard_condition, ct.c_int, pointer, pointer, pointer)
         self._init = _function(
@@ -137,6 +138,11 @@ class Rcl:
         count = ct.c_size_t()
         self._check(self._publisher_count(subscription, count), "rcl_subscription_get_publisher_count")
         return count.value
+
+    def wait_acked(self, publisher: int, timeout_s: float) -> None:
+        """Wait until every reader has what was published, where the middleware can tell, or the time is over."""
+        if self._wait_acked(publisher, int(timeout_s * 1e9)) != _OK:
+            self._reset()
 
     def add_graph_guard(self, wait_set: int, node: int) -> None:
         """Let a wait set, which has room for it, wake up when anything in the graph changes. Raises ``RclError``."""

@@ -127,9 +127,12 @@ class Senders:
             with contextlib.suppress(RuntimeError):  # the loop closed first
                 loop.call_soon_threadsafe(_resolve, ended)
 
-        threading.Thread(target=join, name=f"ropeway {self._name} end", daemon=True).start()
+        joiner = threading.Thread(target=join, name=f"ropeway {self._name} end", daemon=True)
+        joiner.start()
         done, _ = await asyncio.wait({ended}, timeout=_STOP_S)
-        if not done:
+        if done:
+            joiner.join()
+        else:
             log.warning("%s: a reader holds up what was published last; it is given up", self._name)
 
     def _main(self) -> None:

@@ -43,6 +43,7 @@ _WRITE_QOS: Final = QoS(depth=512)  # what a reader that hangs can make us keep
 _BATCH: Final = 64
 _PENDING_LIMIT: Final = 4096
 _SETTLE_S: Final = 0.1
+_PRIMING_S: Final = 1.0
 _PATIENCE_S: Final = 2.0
 _MATCH_S: Final = 1.0  # how long an answer waits until its reader is matched
 _TICK_NS: Final = 20_000_000  # between two looks at answers that wait
@@ -65,26 +66,28 @@ class _End:
         self._raw = memoryview(self._infos).cast("B")
         self._writers: dict[int, bytes] = {}
         self.readers: set[bytes] = set()
-        self.matched: dict[
-            bytes, float
-        ] = {}  # who both writes to us and reads us, by the prefix of GUIDs, and since when
+        self.matched: dict[bytes, float] = {}  # who writes to us and reads us, by the prefix of GUIDs, and since when
+        self._primers: list[int] = []
+        self._primed_at = 0.0
         request, reply = dds_service_topics(service)
         ask, answer = (request, dds_type(type, "_Request")), (reply, dds_type(type, "_Response"))
         self._entities: list[int] = []
         try:
             # The reader is told first: who gets a request of ours should know already who waits for the reply.
-            self._reader = self._make(ask if serves else answer, writes=False)
+            self._reads, self._writes = (ask, answer) if serves else (answer, ask)
+            self._reader = self._make(self._reads, self._entities, writes=False)
             self.reader_guid = raw.guid_of(self._reader)
-            self._entity = self._make(answer if serves else ask, writes=True)
+            self._entity = self._make(self._writes, self._entities, writes=True)
             self.writer = RelatedWriter(self._entity)
             node.attach(self, self._reader, self._entity)
         except BaseException:
             self.close()
             raise
 
-    def _make(self, topic: tuple[str, str], *, writes: bool) -> int:
+    def _make(self, topic: tuple[str, str], entities: list[int], *, writes: bool) -> int:
+        """A reader or writer with a topic of its own; both are added to ``entities``."""
         entity, sertype = raw.create_topic(self.node.participant, *topic)
-        self._entities.append(entity)
+        entities.append(entity)
         hook.install(sertype, topic[1])
         if writes:
             with writer_qos(_WRITE_QOS, self.node.mark) as qos:
@@ -92,14 +95,32 @@ class _End:
         else:
             with reader_qos(_READ_QOS, self.node.mark) as qos:
                 made = check(lib.create_reader(self.node.participant, entity, qos, None), f"create reader {topic[0]}")
-        self._entities.append(made)
+        entities.append(made)
         return made
 
     def close(self) -> None:
         """Leave the network."""
+        self._end_priming()
         for entity in reversed(self._entities):
             lib.delete(entity)
         self._entities.clear()
+
+    def _prime(self) -> None:
+        """Have writers that we have just found tell where they are in their numbers, by a reader that is news to them.
+
+        Fast DDS tells each reader so once, when it finds it. If it found ours before we found its writer, that was in
+        vain; Cyclone DDS then takes the first that it is told with a sample, and that sample for one of the past.
+        Nodes count readers and writers of a service, so there comes one of each.
+        """
+        self._end_priming()
+        self._primed_at = time.monotonic()
+        self._make(self._reads, self._primers, writes=False)
+        self._make(self._writes, self._primers, writes=True)
+
+    def _end_priming(self) -> None:
+        for entity in reversed(self._primers):
+            lib.delete(entity)
+        self._primers.clear()
 
     def on_data(self) -> None:
         """Take what is there."""
@@ -157,6 +178,8 @@ class _End:
         now = time.monotonic()
         found = {prefix: self.matched.get(prefix, now) for prefix in writers & readers if self.node.hears(prefix[:2])}
         gone = self.matched.keys() - found.keys()
+        if found.keys() - self.matched.keys():
+            self._prime()
         self.matched = found
         self.tick()
         return gone
@@ -164,10 +187,12 @@ class _End:
     @property
     def waits(self) -> bool:
         """True while ``tick`` is to be called every now and then."""
-        return False
+        return bool(self._primers)
 
     def tick(self) -> None:
         """Do what has its time."""
+        if self._primers and time.monotonic() - self._primed_at > _PRIMING_S:
+            self._end_priming()
 
     def _write(self, payload: bytes, parameter: int, related: SampleIdentity) -> int:
         seq = self.writer.write(payload, parameter, related, time.time_ns())
@@ -230,7 +255,7 @@ class ClientEnd(_End):
     @property
     def waits(self) -> bool:
         """True while there are servers that are matched and not yet ready."""
-        return self._ready < len(self.matched)
+        return super().waits or self._ready < len(self.matched)
 
     def tick(self) -> None:
         """Tell how many servers are ready.
@@ -238,6 +263,7 @@ class ClientEnd(_End):
         They are when the server knows our writer, and it has had the time to tell our reader where its replies begin:
         Cyclone DDS takes what comes before that for replies to others.
         """
+        super().tick()
         now = time.monotonic()
         heard = self.writer.acks > 0
         ready = sum(now - since > (_SETTLE_S if heard else _PATIENCE_S) for since in self.matched.values())
@@ -293,10 +319,11 @@ class ServiceEnd(_End):
     @property
     def waits(self) -> bool:
         """True while answers wait for their readers."""
-        return bool(self._waiting)
+        return super().waits or bool(self._waiting)
 
     def tick(self) -> None:
         """Tell how many clients there are; send the answers whose readers have come, give up those whose do not."""
+        super().tick()
         if len(self.matched) != self._clients:
             self._clients = len(self.matched)
             self.node.emit(Frame(Op.MATCHED, self.number, self._clients))
