@@ -238,7 +238,7 @@ async def test_odd_numbers_of_a_gateway(place: Place, number: object) -> None:
     client.send(f"{sub.replace('subscribe', 'advertise')}{odd}}}}}")
     client.send(f"{sub}4}}}}")
     client.send({"op": "demand", "channel": number, "count": number})
-    client.send({"op": "call_service", "service": "/nowhere", "id": "end"})
+    await client.done()
     publisher = await place.robot.create_publisher("/t", STRING)
     await until(lambda: publisher.subscribers)
     publisher.publish(sample("x"))

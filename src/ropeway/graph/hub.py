@@ -99,9 +99,13 @@ class Hub:
             if other is not view:
                 other.own_changes.emit(GraphEvent(discovered, kind, name, type, "", self.graph.name))
 
-    def view(self, user: str, *, echo: bool = False) -> View:
-        """A new user of the graph; with ``echo`` it also hears itself, as a rosbridge client expects."""
-        view = View(self, user, echo=echo)
+    def view(self, user: str, *, echo: bool = False, alone: bool = False) -> View:
+        """A new user of the graph.
+
+        With ``echo`` it also hears itself, as a rosbridge client expects. With ``alone`` nobody else has what it
+        publishes to say, so no other gateway needs to be minded.
+        """
+        view = View(self, user, echo=echo, alone=alone)
         self.views.append(view)
         return view
 
@@ -109,10 +113,10 @@ class Hub:
 class View:
     """One user's side of a shared graph; it is a ``Graph`` itself. ``close`` takes back what this user created."""
 
-    def __init__(self, hub: Hub, user: str, *, echo: bool) -> None:
+    def __init__(self, hub: Hub, user: str, *, echo: bool, alone: bool) -> None:
         self.hub = hub
         self.user = user
-        self.echo = echo
+        self.echo, self.alone = echo, alone
         self.kind = hub.graph.kind
         self.name = hub.graph.name
         self.drops: Counter[tuple[str, Undelivered]] = hub.graph.drops

@@ -30,7 +30,9 @@ class ViewPublisher:
         self._inner = inner
         self._received, self._published = view.hub.seen(self.topic)
         hub = view.hub
-        self.standby = Standby(hub.graph, hub.gateway_id, self.topic, self.type, self._received, self._published)
+        self.standby = Standby(
+            hub.graph, hub.gateway_id, self.topic, self.type, self._received, self._published, alone=view.alone
+        )
         self._gid = new_origin()
         self._seq = 0
         self._history = History(self.qos)

@@ -39,7 +39,17 @@ _HELD: Final = 256
 class Standby:
     """Watches one published topic. ``received`` and ``published`` are what the network gave us, and what we gave."""
 
-    def __init__(self, graph: Graph, gateway_id: str, topic: str, type: str, received: Seen, published: Seen) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        gateway_id: str,
+        topic: str,
+        type: str,
+        received: Seen,
+        published: Seen,
+        *,
+        alone: bool = False,
+    ) -> None:
         self.duplicates = 0
         self._graph, self._gateway_id = graph, gateway_id
         self._topic, self._type = topic, type
@@ -50,6 +60,7 @@ class Standby:
         self._held: deque[tuple[float, Sample, Callable[[Sample], None]]] = deque()
         self._timer: asyncio.TimerHandle | None = None
         self._lock = asyncio.Lock()
+        self._alone = alone  # what is published here nobody else has to say
         self._closed = False
 
     @property
@@ -65,7 +76,7 @@ class Standby:
     async def look(self) -> None:
         """See who else publishes the topic, and act on it."""
         async with self._lock:
-            if self._closed:
+            if self._closed or self._alone:
                 return
             known = self._graph.topics().get(self._topic)
             others = {p.gateway for p in known.publishers if not p.local} if known is not None else set()

@@ -116,7 +116,8 @@ class ActionOps:
         for goal in found:
             self._start(goal.cancel(answer=self.session.gateway), f"cancel goal of {name}")
         if not found and self.session.gateway:
-            self.session.peer.send_op({"op": "cancelling", "id": op.id, "agreed": False})
+            id = {"id": op.id} if ops.present(op.id) else {}
+            self.session.peer.send_op({"op": "cancelling", **id, "agreed": False})
 
     # ── serving actions ────────────────────────────────────────────────────────────────────────────────────────
 

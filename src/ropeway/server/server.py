@@ -88,7 +88,7 @@ class RosbridgeServer:
         self.presence: Presence | None = None
         self.rosout: Rosout | None = None
         self._publish_clients, self._publish_rosout = publish_clients, publish_rosout
-        self._view = hub.view("server")
+        self._view = hub.view("server", alone=True)
         self._ticker: asyncio.Task[None] | None = None
 
     async def listen(self, url: str, *, ssl_context: ssl.SSLContext | None = None, reuse_port: bool = False) -> Server:
