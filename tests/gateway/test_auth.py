@@ -198,7 +198,7 @@ def test_door_without_tokens() -> None:
 
 
 def test_tokens_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A variable that is not set, and a file that holds no token, are faults with their path when the gateway starts."""
+    """A variable that is not set, and a file without a token, are faults with their path when the gateway starts."""
     monkeypatch.delenv("ROPEWAY_TEST_TOKEN", raising=False)
     with pytest.raises(ConfigError, match=r"gateway\.auth\.tokens\[0\]\.token\.env: .* is not set"):
         make_door(settings(auth={"tokens": [{"token": {"env": "ROPEWAY_TEST_TOKEN"}}]}))
@@ -302,6 +302,15 @@ def ours(tmp_path: Path) -> Authority:
     return Authority(tmp_path, "ours")
 
 
+def digest(certificate: str) -> str:
+    """The fingerprint of a certificate."""
+    return hashlib.sha256(ssl.PEM_cert_to_DER_cert(Path(certificate).read_text())).hexdigest()
+
+
+def spoil(file: str) -> None:
+    Path(file).write_text("junk")
+
+
 def as_client(authority: Authority, own: dict[str, str] | None) -> ssl.SSLContext:
     context = ssl.create_default_context(cafile=authority.file)
     if own is not None:
@@ -324,7 +333,7 @@ async def connected(made: Gateway, context: ssl.SSLContext, path: str = "/") -> 
 async def test_certificates(stack: AsyncExitStack, ours: Authority, token_file: Path) -> None:
     """Certificates give roles; with ``optional`` a client may come with a token instead, and without either not."""
     fingerprinted = ours.sign("tablet")
-    der = ssl.PEM_cert_to_DER_cert(Path(fingerprinted["certificate"]).read_text())
+    fingerprint = digest(fingerprinted["certificate"])
     gateway = {
         "name": "g",
         "graphs": ["memory:auth-certificates"],
@@ -334,7 +343,7 @@ async def test_certificates(stack: AsyncExitStack, ours: Authority, token_file: 
             "tokens": [{"token": {"file": str(token_file)}, "role": "person"}],
             "certificates": [
                 {"common_name": "robot-*", "role": "robot"},
-                {"fingerprint": hashlib.sha256(der).hexdigest(), "role": "tablet"},
+                {"fingerprint": fingerprint, "role": "tablet"},
             ],
             "roles": {"robot": {}, "tablet": {}, "person": {}},
         },
@@ -369,7 +378,7 @@ async def test_reload(stack: AsyncExitStack, ours: Authority, token_file: Path) 
     made.reload()
     after = await presented(port)
     assert after != before
-    Path(tls["key"]).write_text("junk")
+    spoil(tls["key"])
     with pytest.raises(ConfigError, match=r"gateway\.tls"):
         made.reload()
     assert await presented(port) == after

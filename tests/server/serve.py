@@ -19,7 +19,7 @@ async def main() -> None:
     """Serve."""
     graph = MemoryGraph("served")
     await graph.open()
-    limits = Limits(max_message_bytes=1 << 20)
+    limits = Limits(max_message_bytes=1 << 20, silence_s=30.0)  # hostile clients answer no pings
     server = RosbridgeServer(Hub(graph), TypeRegistry(), limits=limits, unregister_timeout_s=0.2)
     print((await server.listen("ws://127.0.0.1:0")).port, flush=True)
     await asyncio.to_thread(sys.stdin.read)

@@ -80,11 +80,8 @@ def test_hashes() -> None:
         assert rule.fits("secret")
         assert not rule.fits("pepper")
     for text in ("secret", plain, f"md5:{plain}", f"sha256:{plain}0", "sha256:"):
-        with pytest.raises(ValueError, match="expected sha256:") as error:
+        with pytest.raises(ValueError, match=r"^expected sha256:<64 hexadecimal digits>, or sha256:<salt>:<64"):
             TokenRule.hashed(text, VIEWER)
-        assert text not in str(error.value).replace("sha256:<", "").replace("sha256:", "", 1) or not text.strip(
-            "sha256:"
-        )
 
 
 CERTIFICATE = {
@@ -136,7 +133,7 @@ def test_token_before_certificate() -> None:
     ],
 )
 def test_origins(origin: str, in_: bool) -> None:
-    """Pages of other origins are refused with 403, before any token is looked at; programs that are no page may come."""
+    """Pages of other origins are refused with 403, whatever their token; programs that are no page may come."""
     door = Door(origins=("https://*.example.com", "https://example.com"))
     got = door.role_of(request(**({"origin": origin} if origin else {})))
     assert isinstance(got, Role) is in_
@@ -156,7 +153,7 @@ def test_origins(origin: str, in_: bool) -> None:
     ],
 )
 def test_subprotocols(offered: str, chosen: str) -> None:
-    """A client is told a subprotocol that it offered and we know; one that carried the token where there is no other."""
+    """A client is told a subprotocol that it offered: the one that carried the token only where there is no other."""
     assert subprotocol(request(**({"sec_websocket_protocol": offered} if offered else {}))) == chosen
 
 

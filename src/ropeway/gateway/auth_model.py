@@ -11,6 +11,7 @@ from pydantic import (
     AliasChoices,
     BeforeValidator,
     Field,
+    PlainSerializer,
     PlainValidator,
     WithJsonSchema,
     model_validator,
@@ -102,6 +103,7 @@ Rate = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Glob = Annotated[
     tuple[str, ...] | None,
     PlainValidator(parse_glob),
+    PlainSerializer(lambda glob: glob if glob is None else list(glob)),
     WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}, {"type": "null"}]}),
 ]
 

@@ -87,6 +87,8 @@ class ViewActionServer:
         for goal in list(self._goals.values()):
             await goal.abort()
         await self._calls.actions.remove(self.entry)
+        for goal in list(self._goals.values()):  # those that began meanwhile
+            await goal.abort()
         if self.on_closed is not None:
             self.on_closed()
 

@@ -33,7 +33,9 @@ log = logging.getLogger("ropeway.graph.hub")
 NOBODY_S: Final = 1.0  # who calls a service that nobody serves learns it so soon, as from rosbridge
 _LINGER_S: Final = 30.0  # a client of the graph is kept for the next call, which then need not wait for a match
 _REMEMBERED: Final = 1024  # calls that were answered, so that the same call does not run twice
-_REMEMBERED_BYTES: Final = 1 << 16  # longer answers are not kept
+_REMEMBERED_BYTES: Final = 1 << 12  # longer answers are not kept
+_CLIENTS: Final = 1024  # of the graph, used and lingering
+_IDLE: Final = 64  # clients that linger; above, the one that does so for longest is closed
 
 
 class _Shared:
@@ -53,7 +55,8 @@ class HubCalls:
         self.services: Holders[ViewService] = Holders("service", graph.name, gateway_id, lambda: graph.services())
         self.actions: Holders[ViewActionServer] = Holders("action", graph.name, gateway_id, lambda: graph.actions())
         self._clients: dict[tuple[str, str, str], _Shared] = {}
-        self._making: dict[tuple[str, str, str], asyncio.Lock] = {}
+        self._making: dict[tuple[str, str, str], asyncio.Future[None]] = {}
+        self._idle: dict[tuple[str, str, str], None] = {}
         self._closers: set[asyncio.Task[None]] = set()
         self._calls: OrderedDict[bytes, asyncio.Future[bytes | Exception]] = OrderedDict()
         self.repeated = 0
@@ -71,18 +74,32 @@ class HubCalls:
     # ── clients of the graph ───────────────────────────────────────────────────────────────────────────────────
 
     async def acquire(self, kind: str, name: str, type: str, delivery: Delivery) -> Any:
-        """The shared client of a service or an action."""
+        """The shared client of a service or an action. Raises ``CallFailed`` where there are too many."""
         key = (kind, name, type)
-        async with self._making.setdefault(key, asyncio.Lock()):
-            shared = self._clients.get(key)
-            if shared is None:
-                make = self.graph.create_client if kind == "service" else self.graph.create_action_client
-                shared = self._clients[key] = _Shared(await make(name, type, delivery=delivery))
-            shared.users += 1
-            if shared.closing is not None:
-                shared.closing.cancel()
-                shared.closing = None
+        while (making := self._making.get(key)) is not None:
+            await asyncio.wait({making})
+        shared = self._clients.get(key)
+        if shared is None:
+            shared = await self._make(key, delivery)
+        shared.users += 1
+        self._idle.pop(key, None)
+        if shared.closing is not None:
+            shared.closing.cancel()
+            shared.closing = None
         return shared.inner
+
+    async def _make(self, key: tuple[str, str, str], delivery: Delivery) -> _Shared:
+        kind, name, type = key
+        if len(self._clients) + len(self._making) >= _CLIENTS:
+            raise CallFailed(name, f"{_CLIENTS} services and actions are in use already")
+        made = self._making[key] = asyncio.get_running_loop().create_future()
+        try:
+            make = self.graph.create_client if kind == "service" else self.graph.create_action_client
+            shared = self._clients[key] = _Shared(await make(name, type, delivery=delivery))
+        finally:
+            del self._making[key]
+            made.set_result(None)
+        return shared
 
     def release(self, kind: str, name: str, type: str) -> None:
         """A view needs the client no more; it lingers for the next."""
@@ -91,13 +108,19 @@ class HubCalls:
         if shared is None:
             return
         shared.users -= 1
-        if not shared.users:
-            shared.closing = asyncio.get_running_loop().call_later(_LINGER_S, self._expire, key)
+        if shared.users:
+            return
+        self._idle[key] = None
+        shared.closing = asyncio.get_running_loop().call_later(_LINGER_S, self._expire, key)
+        if len(self._idle) > _IDLE:
+            self._expire(next(iter(self._idle)))
 
     def _expire(self, key: tuple[str, str, str]) -> None:
+        self._idle.pop(key, None)
         shared = self._clients.pop(key, None)
-        self._making.pop(key, None)
         if shared is not None:
+            if shared.closing is not None:
+                shared.closing.cancel()
             task = asyncio.create_task(shared.inner.close(), name=f"close client {key[1]}")
             self._closers.add(task)
             task.add_done_callback(self._closers.discard)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.errors import CallFailed, GoalRejected, InvalidOperation, RopewayError, TypesError, WireError
+from ropeway.errors import CallFailed, GoalRejected, InvalidOperation, ProviderLost, RopewayError, TypesError, WireError
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
 from ropeway.graph.rosbridge.notes import call_note, received
@@ -31,6 +31,7 @@ class OfferedAction:
         self.pending: dict[str, TakenGoal] = {}
         self.count = 0
         self.taken_by = ""
+        self.closed = False
         self.given_type, self.compression = op.type, op.compression
         self._goals: dict[bytes, TakenGoal] = {}
         self._inner: ViewActionServer | None = None
@@ -54,7 +55,7 @@ class OfferedAction:
 
     async def _accept(self, goal: ServerGoal) -> bool:
         """A plain client takes every goal; a gateway asks further on."""
-        if self.session.gone or len(self.pending) >= _PENDING_LIMIT:
+        if self.closed or self.session.gone or len(self.pending) >= _PENDING_LIMIT:
             return False
         if not self.session.gateway:
             return True
@@ -66,6 +67,8 @@ class OfferedAction:
                 self._forget(taken)
 
     async def _execute(self, goal: ServerGoal) -> Outcome:
+        if self.closed:
+            raise ProviderLost(self.name, "its provider has left")
         taken = self._goals.get(goal.id) or self._take(goal)
         taken.goal = goal
         try:
@@ -99,6 +102,7 @@ class OfferedAction:
 
     async def close(self, reason: str) -> None:
         """Carry out no more goals; those under way are aborted."""
+        self.closed = True
         self.abort_all(reason)
         await asyncio.sleep(0)  # who sent them is told why, before the graph says that nobody is there
         if self._inner is not None:

@@ -116,8 +116,7 @@ class ActionOps:
         for goal in found:
             self._start(goal.cancel(answer=self.session.gateway), f"cancel goal of {name}")
         if not found and self.session.gateway:
-            id = {"id": op.id} if ops.present(op.id) else {}
-            self.session.peer.send_op({"op": "cancelling", **id, "agreed": False})
+            self.session.peer.send_op({"op": "cancelling", **_id(op), "agreed": False})
 
     # ── serving actions ────────────────────────────────────────────────────────────────────────────────────────
 
@@ -238,7 +237,7 @@ class SentGoal:
             )
             self._goal.set_result(goal)
             if session.gateway:
-                session.peer.send_op({"op": "accepted", "id": op.id if ops.present(op.id) else None})
+                session.peer.send_op({"op": "accepted", **_id(op)})
             outcome = await goal.result()
         finally:
             await client.close()
@@ -303,4 +302,8 @@ class SentGoal:
         except GraphError as error:
             self._session.complain("cancel_action_goal", self.name, error, self.op.id)
         if answer:
-            self._session.peer.send_op({"op": "cancelling", "id": self.op.id, "agreed": agreed})
+            self._session.peer.send_op({"op": "cancelling", **_id(self.op), "agreed": agreed})
+
+
+def _id(op: ops.CancelActionGoal | ops.SendActionGoal) -> dict[str, Any]:
+    return {"id": op.id} if ops.present(op.id) else {}

@@ -241,6 +241,7 @@ class OfferedService:
         self.pending: dict[str, asyncio.Future[bytes]] = {}
         self.count = 0
         self.taken_by = ""
+        self.closed = False
         self._compression = op.compression
         self._inner: ViewService | None = None
 
@@ -262,7 +263,7 @@ class OfferedService:
 
     async def _handle(self, request: Request) -> bytes:
         session = self.session
-        if session.gone:
+        if self.closed or session.gone:
             raise ProviderLost(self.name, "its provider has left")
         if len(self.pending) >= _PENDING_LIMIT:
             raise CallFailed(self.name, f"too many calls: {_PENDING_LIMIT} of {self.name} are under way")
@@ -327,6 +328,7 @@ class OfferedService:
 
     async def close(self, reason: str) -> None:
         """Serve it no more; calls under way fail at once."""
+        self.closed = True
         self.fail_all(reason)
         await asyncio.sleep(0)  # who called is told why, before the graph says that nobody is there
         if self._inner is not None:

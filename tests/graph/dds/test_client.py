@@ -302,7 +302,7 @@ async def test_unreadable_answer(join: Join) -> None:
 async def test_other_vendor(join: Join, monkeypatch: pytest.MonkeyPatch) -> None:
     """A service that only servers of another mapping offer is not called, and the error says what to do."""
     monkeypatch.setattr(module, "_NOBODY_S", 0.05)
-    client = await (await join()).create_client("/add", ADD)
+    client = await (await join(fast=False)).create_client("/add", ADD)
     client._on_readers([(FAST,)])
     client._on_writers([(FAST,)])
     assert not client.available
@@ -315,6 +315,10 @@ class FakeHelper:
 
     def __init__(self, client: Client) -> None:
         self.client, self.made = client, 0
+        self.woken = 0
+
+    def wake(self) -> None:
+        self.woken += 1
 
     async def create_client(self, service: str, type: str) -> Client:
         assert (service, type) == ("/add", ADD)

@@ -125,9 +125,7 @@ def server_command(
     if idle:
         log.info("accepted, but without effect here: %s", "; ".join(idle))
     if not address:
-        log.info(
-            "listening on 127.0.0.1, for this machine only; --address 0.0.0.0 (address:=0.0.0.0) opens it to others"
-        )
+        log.info("listening on 127.0.0.1 only; --address 0.0.0.0 (address:=0.0.0.0) opens it to other machines")
     from ropeway.cli.serving import Serving, serve
 
     delay = retry_startup_delay if retry_startup_delay and retry_startup_delay > 0 else None

@@ -69,7 +69,7 @@ def arguments(given: Sequence[str], known: Sequence[str], flags: Sequence[str]) 
                 said.notes.append(f"the parameter {key} (rosbridge has none of this name)")
         elif option in flags:
             out += [f"--{option}"] if value is True else []
-        elif value is not None:
+        elif value not in (None, ""):
             out.append(f"--{option}={_text(value)}")
     return out + [f"--note={note}" for note in said.notes]
 

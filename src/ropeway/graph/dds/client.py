@@ -229,6 +229,8 @@ class DdsClient(Ends):
         self._servers = {guid: self._servers.get(guid, now) for guid in mine}
         self._all_ours = all(peer.ours for peer in mine.values())
         self._others = tuple(peer for guid, peer in found.items() if guid not in mine)
+        if self._others and not mine and self._graph.helper is not None:
+            self._graph.helper.wake()
         if mine:
             self._window.resize(min(peer.depth for peer in mine.values()))
         if self._lost and self._losing is None:

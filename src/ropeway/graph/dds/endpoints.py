@@ -49,11 +49,12 @@ _address_of = ct.PYFUNCTYPE(ct.c_void_p, ct.py_object)(("PyBytes_AsString", ct.p
 
 
 class WriterIdentity(NamedTuple):
-    """Who wrote a sample. ``wanted`` is false for writers of our own gateway."""
+    """Who wrote a sample. ``wanted`` is false for writers of our own gateway; those of a ``helper`` speak otherwise."""
 
     guid: bytes
     relayed: bool = False
     wanted: bool = True
+    helper: bool = False
 
 
 class RawReader:
@@ -113,7 +114,7 @@ class RawReader:
         ):
             if valid:
                 identity = identities.get(handle) or self._participant.identify(self.entity, handle)
-                if identity.wanted or everyone:
+                if (identity.wanted or everyone) and not identity.helper:
                     length = _u32_at(serdata + SERDATA_SIZE).value + _HEADER_BYTES
                     size += length
                     pending.append((serdata, length, stamp, source_stamp, identity))

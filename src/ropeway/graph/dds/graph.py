@@ -31,6 +31,7 @@ from ropeway.graph.dds.domain import MAX_DOMAIN
 from ropeway.graph.dds.endpoint_qos import user_data
 from ropeway.graph.dds.endpoints import RawWriter
 from ropeway.graph.dds.ends import Ends
+from ropeway.graph.dds.fast import FastHelper, FastRpc, Surroundings
 from ropeway.graph.dds.names import dds_topic, dds_type
 from ropeway.graph.dds.participant import Participant
 from ropeway.graph.dds.profile import make_profile
@@ -76,7 +77,8 @@ class DdsGraph:
     machine). ``gateway_id`` marks our publishers, so that other processes of the same gateway ignore them and other
     gateways know them. ``registry`` gives type hashes, and finds big-endian messages, where it knows the type.
     ``foreign`` lists topics that are not of ROS, too. ``clock`` gives nanoseconds for ``Sample.stamp_ns``. Services are
-    those of rmw_cyclonedds; with a ``helper`` those of other middlewares, too.
+    those of rmw_cyclonedds; those of other middlewares are left to a ``helper``: without one, ``fast`` says whether
+    Fast DDS nodes are served and called in a process of its own, which starts when it is needed.
     """
 
     kind = "dds"
@@ -93,6 +95,7 @@ class DdsGraph:
         clock: Callable[[], int] = time.time_ns,
         foreign: bool = False,
         helper: Helper | None = None,
+        fast: bool = True,
     ) -> None:
         self.name = f"dds:{domain}"
         if not 0 <= domain <= MAX_DOMAIN:
@@ -105,6 +108,8 @@ class DdsGraph:
         self.node = resolve_name(name, namespace)
         self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self.helper = helper
+        self._fast: FastHelper | None = None
+        self._may_be_fast = fast and helper is None
         self.gateway_id = gateway_id
         self._interface = interface
         self._registry = registry
@@ -150,6 +155,10 @@ class DdsGraph:
                 self._discovery = None
                 raise
             self._participant = participant
+            if self._may_be_fast:
+                around = Surroundings(self.little_endian, self.type_hash, self.node_of, self._count_drops)
+                rpc = FastRpc(self.name, self.domain, profile, gateway_id=self.gateway_id, around=around)
+                self.helper = self._fast = FastHelper(rpc)
             log.info("%s: joined as node %s", self.name, self.node)
 
     async def close(self) -> None:
@@ -163,6 +172,9 @@ class DdsGraph:
             parts: list[DdsPublisher | DdsSubscription | DdsClient | DdsService]
             parts = [*self._clients, *self._services, *self._publishers, *self._subscriptions]
             await asyncio.gather(*(part.close() for part in parts), participant.withdraw())
+            if self._fast is not None:
+                await self._fast.close()
+                self.helper = self._fast = None
             self._participant = None
             await participant.close()
             self._shared.clear()
@@ -363,6 +375,11 @@ class DdsGraph:
     def _on_discovered(self, batch: list[Discovered]) -> None:
         if self._discovery is not None:
             self._discovery.apply(batch)
+        if self._fast is not None:
+            self._fast.on_discovered(batch)
+
+    def _count_drops(self, name: str, reason: Undelivered, count: int) -> None:
+        self.drops[name, reason] += count
 
     def _readopt(self, topics: set[str]) -> None:
         for subscription in list(self._subscriptions):

@@ -280,7 +280,7 @@ class Participant:
     def _identity(self, guid: bytes, marks: dict[str, str]) -> WriterIdentity:
         gateway = marks.get("ropeway", "")
         own = bool(gateway) and gateway == self.gateway_id
-        return WriterIdentity(guid, relayed=bool(gateway) and not own, wanted=not own)
+        return WriterIdentity(guid, relayed=bool(gateway) and not own, wanted=not own, helper=HELPER_MARK in marks)
 
     def _on_matched(self, writer: RawWriter, tell: Callable[[list[int]], None]) -> None:
         if writer.closed:
@@ -333,7 +333,9 @@ class Participant:
                 if state != ALIVE:
                     found.append(self._gone(kind, handle, address))
                 elif valid and kind == "participant":
-                    found.append(Joined(bytes(ParticipantData.from_address(address).key)))
+                    data = ParticipantData.from_address(address)
+                    if HELPER_MARK not in parse_user_data(data.qos):  # they have no nodes
+                        found.append(Joined(bytes(data.key)))
                 elif valid:
                     found.append(self._found(kind, handle, Endpoint.from_address(address)))
             return found

@@ -33,10 +33,13 @@ def vendor_name(guid: bytes) -> str:
 class Helper(Protocol):
     """Calls and serves nodes of a middleware with another mapping, such as Fast DDS; ``DdsGraph.helper`` is one.
 
-    Its endpoints carry ``HELPER_MARK`` in their USER_DATA (``helper=1;``). A ``DdsClient`` hands it the calls for which
-    only such servers are matched; a ``DdsService`` has it serve the same name for such clients, through a handler
-    that raises no ``CallError``: what failed is answered with the default response there, too.
+    Its endpoints and participants carry ``HELPER_MARK`` in their USER_DATA (``helper=1;``). A ``DdsClient`` hands it
+    the calls for which only such servers are matched; a ``DdsService`` has it serve the same name for such clients,
+    through a handler that raises no ``CallError``: what failed is answered with the default response there, too.
     """
+
+    def wake(self) -> None:
+        """Somebody with that mapping serves what we may call soon."""
 
     async def create_client(self, service: str, type: str) -> Client:
         """A client; ``service`` and ``type`` are full names. Made at the first call that needs it."""

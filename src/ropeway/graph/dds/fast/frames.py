@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-__all__ = ["HEAD_BYTES", "MAX_BODY_BYTES", "BadFrame", "Frame", "Op", "Splitter", "encode"]
+__all__ = ["HEAD_BYTES", "MAX_BODY_BYTES", "BadFrame", "Frame", "Op", "Spec", "Splitter", "encode"]
 
 MAX_BODY_BYTES: Final = 128 << 20
 """The largest body: far above what anybody sends through a service."""
@@ -25,7 +25,7 @@ class Op(enum.IntEnum):
     """What a frame is about: first what the gateway says, then what the helper does."""
 
     CONFIGURE = 1  # body: JSON
-    OPEN_CLIENT = 2  # body: service, zero byte, type
+    OPEN_CLIENT = 2  # body: a ``Spec``
     OPEN_SERVICE = 3
     CLOSE = 4
     CALL = 5  # number: the call; body: CDR of the request
@@ -41,8 +41,30 @@ class Op(enum.IntEnum):
     FAILED = 21  # number: the call; body: why it cannot be sent
     LOST = 22  # number: the call; body: why nobody will answer it
     REQUEST = 23  # number: the request; body: GUID of the caller's endpoint, sequence number (i64), CDR of the request
-    DROPPED = 24  # number: how many; body: why
-    PONG = 25
+    DROPPED = 24  # number: how many; body: the name of an ``Undelivered``
+    FAULTS = 25  # number: how many; body: what the hook could not do
+    PONG = 26
+
+
+class Spec(NamedTuple):
+    """What an endpoint is for. The hashes are those of the messages, ``""`` where nobody knows them."""
+
+    service: str
+    type: str
+    request_hash: str = ""
+    response_hash: str = ""
+
+    def encode(self) -> bytes:
+        """As a body."""
+        return "\0".join(self).encode()
+
+    @classmethod
+    def decode(cls, body: bytes) -> Spec:
+        """From a body. Raises ``BadFrame``."""
+        try:
+            return cls(*body.decode().split("\0"))
+        except (TypeError, UnicodeDecodeError):
+            raise BadFrame(f"{len(body)} bytes do not describe an endpoint") from None
 
 
 class Frame(NamedTuple):

@@ -10,16 +10,17 @@ import ctypes as ct
 import struct
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
+from ropeway.graph.base import Undelivered
 from ropeway.graph.dds import domain, raw
-from ropeway.graph.dds.endpoint_qos import reader_qos, writer_qos
+from ropeway.graph.dds.endpoint_qos import reader_qos, user_data, writer_qos
 from ropeway.graph.dds.endpoints import matched, without_padding
 from ropeway.graph.dds.fast import hook
-from ropeway.graph.dds.fast.frames import MAX_BODY_BYTES, Frame, Op
+from ropeway.graph.dds.fast.frames import MAX_BODY_BYTES, Frame, Op, Spec
 from ropeway.graph.dds.fast.hook import RelatedWriter
 from ropeway.graph.dds.fast.identity import (
     FAST,
@@ -34,6 +35,7 @@ from ropeway.graph.dds.fast.identity import (
 from ropeway.graph.dds.names import dds_service_topics, dds_type
 from ropeway.graph.dds.profile import Profile
 from ropeway.graph.dds.raw import INFINITY, INFO, SERDATA_HEADER, SampleInfo, check, lib
+from ropeway.graph.dds.vendors import HELPER_MARK
 from ropeway.qos import QoS
 
 __all__ = ["ClientEnd", "FastNode", "ServiceEnd"]
@@ -58,7 +60,7 @@ Emit = Callable[[Frame], None]
 class _End:
     """A reader and a writer on the topics of one service."""
 
-    def __init__(self, node: FastNode, number: int, service: str, type: str, *, serves: bool) -> None:
+    def __init__(self, node: FastNode, number: int, spec: Spec, *, serves: bool) -> None:
         self.number = number
         self.node = node
         self._refs = (ct.c_uint64 * _BATCH)()
@@ -69,8 +71,9 @@ class _End:
         self.matched: dict[bytes, float] = {}  # who writes to us and reads us, by the prefix of GUIDs, and since when
         self._primers: list[int] = []
         self._primed_at = 0.0
-        request, reply = dds_service_topics(service)
-        ask, answer = (request, dds_type(type, "_Request")), (reply, dds_type(type, "_Response"))
+        request, reply = dds_service_topics(spec.service)
+        ask = (request, dds_type(spec.type, "_Request"), node.mark_of(spec.request_hash))
+        answer = (reply, dds_type(spec.type, "_Response"), node.mark_of(spec.response_hash))
         self._entities: list[int] = []
         try:
             # The reader is told first: who gets a request of ours should know already who waits for the reply.
@@ -84,17 +87,18 @@ class _End:
             self.close()
             raise
 
-    def _make(self, topic: tuple[str, str], entities: list[int], *, writes: bool) -> int:
+    def _make(self, what: tuple[str, str, bytes], entities: list[int], *, writes: bool) -> int:
         """A reader or writer with a topic of its own; both are added to ``entities``."""
-        entity, sertype = raw.create_topic(self.node.participant, *topic)
+        topic, type, mark = what
+        entity, sertype = raw.create_topic(self.node.participant, topic, type)
         entities.append(entity)
-        hook.install(sertype, topic[1])
+        hook.install(sertype, type)
         if writes:
-            with writer_qos(_WRITE_QOS, self.node.mark) as qos:
-                made = check(lib.create_writer(self.node.participant, entity, qos, None), f"create writer {topic[0]}")
+            with writer_qos(_WRITE_QOS, mark) as qos:
+                made = check(lib.create_writer(self.node.participant, entity, qos, None), f"create writer {topic}")
         else:
-            with reader_qos(_READ_QOS, self.node.mark) as qos:
-                made = check(lib.create_reader(self.node.participant, entity, qos, None), f"create reader {topic[0]}")
+            with reader_qos(_READ_QOS, mark) as qos:
+                made = check(lib.create_reader(self.node.participant, entity, qos, None), f"create reader {topic}")
         entities.append(made)
         return made
 
@@ -140,13 +144,13 @@ class _End:
     def _take(self, serdata: int, handle: int) -> None:
         origin = hook.origin_of(serdata)
         if origin is None or origin.identity.guid != (self._writer_of(handle) or origin.identity.guid):
-            self.node.count("of unknown origin")
+            self.node.count(self.number, Undelivered.DECODE)
             return
         if not self.node.hears(origin.vendor):
             return
         size = lib.serdata_size(serdata)
         if size > MAX_BODY_BYTES // 2:
-            self.node.count("too long")
+            self.node.count(self.number, Undelivered.BACKLOG)
             return
         payload = without_padding(ct.string_at(serdata + SERDATA_HEADER, size))
         self.on_sample(origin, origin.encoding + payload[2:])
@@ -203,12 +207,12 @@ class _End:
 class ClientEnd(_End):
     """Calls a service. ``emit`` tells how many serve it, and what becomes of each call."""
 
-    def __init__(self, node: FastNode, number: int, service: str, type: str) -> None:
+    def __init__(self, node: FastNode, number: int, spec: Spec) -> None:
         self._calls: dict[int, tuple[int, set[bytes]]] = {}
         self._numbers: dict[int, int] = {}
         self.last = 0  # the number of the latest request on the network
         self._ready = 0
-        super().__init__(node, number, service, type, serves=False)
+        super().__init__(node, number, spec, serves=False)
 
     def call(self, number: int, payload: bytes, parameter: int = PID_RELATED) -> None:
         """Send a request."""
@@ -235,7 +239,7 @@ class ClientEnd(_End):
             return
         found = self._calls.pop(related.seq, None)
         if found is None:
-            self.node.count("late")
+            self.node.count(self.number, Undelivered.LATE)
             return
         del self._numbers[found[0]]
         self.node.emit(Frame(Op.RESPONSE, self.number, found[0], payload))
@@ -278,17 +282,17 @@ class ClientEnd(_End):
 class ServiceEnd(_End):
     """Serves a service. ``emit`` passes each request on, under a number that its answer is to carry."""
 
-    def __init__(self, node: FastNode, number: int, service: str, type: str) -> None:
+    def __init__(self, node: FastNode, number: int, spec: Spec) -> None:
         self._requests: dict[int, tuple[int, SampleIdentity]] = {}
         self._last = 0
         self._clients = 0
         self._waiting: deque[tuple[float, int, SampleIdentity, bytes]] = deque()
-        super().__init__(node, number, service, type, serves=True)
+        super().__init__(node, number, spec, serves=True)
 
     def on_sample(self, origin: Origin, payload: bytes) -> None:
         """Pass a request on."""
         if len(self._requests) >= _PENDING_LIMIT:
-            self.node.count("too many at a time")
+            self.node.count(self.number, Undelivered.BACKLOG)
             return
         asks = origin.related.guid if origin.related is not None else NOBODY
         identity = origin.identity if asks == NOBODY else SampleIdentity(asks, origin.identity.seq)
@@ -335,7 +339,7 @@ class ServiceEnd(_End):
             elif now < until:
                 self._waiting.append((until, parameter, identity, payload))
             else:
-                self.node.count("for nobody")
+                self.node.count(self.number, Undelivered.LATE)
 
     def _can_hear(self, guid: bytes) -> bool:
         """True where ``guid`` reads our answers, or is a writer, whose reader is not known."""
@@ -345,13 +349,13 @@ class ServiceEnd(_End):
         try:
             self._write(payload, parameter, identity)
         except raw.DdsError:
-            self.node.count("not sent")
+            self.node.count(self.number, Undelivered.WRITE)
 
 
 class FastNode:
     """A participant for endpoints of this kind, in domain ``number``.
 
-    ``mark`` is the USER_DATA of its endpoints. ``emit`` gets frames for the gateway, in whichever thread is at work;
+    ``gateway_id`` marks its endpoints. ``emit`` gets frames for the gateway, in whichever thread is at work;
     ``fail`` is called when the one that waits for DDS has failed. ``everyone`` hears other vendors than Fast DDS, too.
     Raises ``DdsError``, ``GraphUnavailable``, ``HookError``.
     """
@@ -360,23 +364,27 @@ class FastNode:
         self,
         number: int,
         profile: Profile,
-        mark: bytes,
+        gateway_id: str,
         emit: Emit,
         fail: Callable[[Exception], None],
         *,
         everyone: bool = False,
     ) -> None:
         self.lock = threading.Lock()
-        self.mark = mark
+        self.gateway_id = gateway_id
         self.emit = emit
         self._fail = fail
         self._number, self._everyone = number, everyone
         self._ends: dict[int, ClientEnd | ServiceEnd] = {}
-        self._drops: dict[str, int] = {}
+        self._drops: Counter[tuple[int, Undelivered]] = Counter()
         self._stopping = False
         domain.acquire("dds", number, profile)
         try:
-            self.participant = check(lib.create_participant(number, None, None), "create participant")
+            qos, mark = lib.create_qos(), f"{HELPER_MARK}=1;".encode()
+            lib.qset_userdata(qos, mark, len(mark))
+            entity: int = lib.create_participant(number, qos, None)
+            lib.delete_qos(qos)
+            self.participant = check(entity, "create participant")
         except BaseException:
             domain.release(number)
             raise
@@ -407,25 +415,29 @@ class FastNode:
         """True for a vendor that speaks this mapping."""
         return self._everyone or vendor == FAST
 
-    def count(self, reason: str) -> None:
-        """One more request or reply that got lost, and why."""
-        self._drops[reason] = self._drops.get(reason, 0) + 1
+    def count(self, number: int, reason: Undelivered) -> None:
+        """One more request or reply of an endpoint that got lost, and why."""
+        self._drops[number, reason] += 1
 
     def tell_drops(self) -> None:
         """Emit what was counted since the last time, and what the hook could not do."""
         with self.lock:
-            drops, self._drops = self._drops, {}
-            for reason in list(hook.faults):
-                drops[reason] = drops.get(reason, 0) + hook.faults.pop(reason)
-            for reason, count in drops.items():
-                self.emit(Frame(Op.DROPPED, 0, count, reason.encode()))
+            for (number, reason), count in self._drops.items():
+                self.emit(Frame(Op.DROPPED, number, count, reason.name.encode()))
+            self._drops.clear()
+            for text in list(hook.faults):
+                self.emit(Frame(Op.FAULTS, 0, hook.faults.pop(text), text.encode()))
 
     # Endpoints --------------------------------------------------------------------------------------------------
 
-    def open(self, number: int, service: str, type: str, *, serves: bool) -> None:
+    def mark_of(self, type_hash: str) -> bytes:
+        """The USER_DATA of an endpoint whose messages have this hash (``""``: nobody knows)."""
+        return user_data(type_hash=type_hash, gateway_id=self.gateway_id, extra=f"{HELPER_MARK}=1;")
+
+    def open(self, number: int, spec: Spec, *, serves: bool) -> None:
         """Make an endpoint and give it a number. Raises ``DdsError``, ``HookError``, ``InvalidTypeName``."""
         with self.lock:
-            self._ends[number] = (ServiceEnd if serves else ClientEnd)(self, number, service, type)
+            self._ends[number] = (ServiceEnd if serves else ClientEnd)(self, number, spec)
 
     def shut(self, number: int) -> None:
         """Remove an endpoint."""

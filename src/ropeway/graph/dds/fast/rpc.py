@@ -7,8 +7,8 @@ import hashlib
 import itertools
 import logging
 import struct
-from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 from ropeway.errors import (
@@ -20,16 +20,15 @@ from ropeway.errors import (
     ProviderLost,
     TypesError,
 )
+from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
-from ropeway.graph.dds.endpoint_qos import user_data
-from ropeway.graph.dds.fast.frames import MAX_BODY_BYTES, Frame, Op
+from ropeway.graph.dds.fast.frames import MAX_BODY_BYTES, Frame, Op, Spec
 from ropeway.graph.dds.fast.process import Helper, Unfit
 from ropeway.graph.dds.profile import Profile
-from ropeway.graph.dds.vendors import HELPER_MARK
 from ropeway.graph.dds.window import Window
 from ropeway.tasks import end
 
-__all__ = ["FastClient", "FastRpc", "FastService"]
+__all__ = ["FastClient", "FastRpc", "FastService", "Surroundings"]
 
 log = logging.getLogger("ropeway.graph.dds")
 
@@ -42,16 +41,25 @@ _LOST: Final = "the helper process for Fast DDS has ended"
 _request_head = struct.Struct("<16sq")
 
 
-def _as_it_is(type: str, payload: bytes) -> bytes:
-    return payload
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What the gateway's own side of the graph knows and keeps.
+
+    ``little_endian(type, payload)`` turns what big-endian machines send, and may raise ``TypesError``; ``type_hash``
+    gives ``RIHS01_…`` of a type or ``""``; ``node_of(guid)`` names the node of an endpoint; ``drop(service, reason,
+    count)`` counts what got lost.
+    """
+
+    little_endian: Callable[[str, bytes], bytes] = lambda type, payload: payload
+    type_hash: Callable[[str], str] = lambda type: ""
+    node_of: Callable[[bytes], str] = lambda guid: ""
+    drop: Callable[[str, Undelivered, int], None] = lambda service, reason, count: None
 
 
 class FastRpc:
     """Calls and serves Fast DDS nodes (rmw_fastrtps_cpp) in domain ``domain``, through a helper process.
 
-    ``graph`` is what messages call it. ``gateway_id`` marks the endpoints as ours. ``little_endian(type, payload)``
-    turns what big-endian machines send, and may raise ``TypesError``; ``node_of(guid)`` names the caller of a request.
-    ``drops`` counts, by service and reason, what got lost.
+    ``graph`` is what messages call it. ``gateway_id`` marks the endpoints as ours.
     """
 
     def __init__(
@@ -61,13 +69,11 @@ class FastRpc:
         profile: Profile,
         *,
         gateway_id: str = "",
-        little_endian: Callable[[str, bytes], bytes] = _as_it_is,
-        node_of: Callable[[bytes], str] = lambda guid: "",
+        around: Surroundings | None = None,
     ) -> None:
         self.graph = graph
         self.reason = "it was not started"
-        self.drops: Counter[tuple[str, str]] = Counter()
-        self.little_endian, self.node_of = little_endian, node_of
+        self.around = around or Surroundings()
         self._available = False
         self._closed = False
         self._ends: dict[int, FastClient | FastService] = {}
@@ -76,7 +82,7 @@ class FastRpc:
             "domain": domain,
             "xml": profile.xml,
             "interface": profile.interface,
-            "mark": user_data(gateway_id=gateway_id, extra=f"{HELPER_MARK}=1;").decode(),
+            "gateway_id": gateway_id,
         }
         self.helper = Helper(graph, order, self._on_up, self._on_frame, self._on_down)
 
@@ -140,7 +146,8 @@ class FastRpc:
         self._open(part, op)
 
     def _open(self, part: FastClient | FastService, op: Op) -> None:
-        self.helper.send(Frame(op, part.number, body=f"{part.service}\0{part.type}".encode()))
+        hashes = (self.around.type_hash(part.type + half) for half in ("_Request", "_Response"))
+        self.helper.send(Frame(op, part.number, body=Spec(part.service, part.type, *hashes).encode()))
 
     # From the helper --------------------------------------------------------------------------------------------
 
@@ -155,20 +162,19 @@ class FastRpc:
             part.on_down()
 
     def _on_frame(self, frame: Frame) -> None:
-        if frame.op == Op.DROPPED:
-            self._count("", frame.body.decode(errors="replace"), frame.number)
+        if frame.op == Op.FAULTS:
+            text = frame.body.decode(errors="replace")
+            log.warning("%s: Fast DDS: %d times could not be done: %s", self.graph, frame.number, text)
             return
         part = self._ends.get(frame.endpoint)
         if part is None:  # it was closed meanwhile
             return
-        if frame.op == Op.REFUSED:
+        if frame.op == Op.DROPPED:
+            self.around.drop(part.service, Undelivered[frame.body.decode()], frame.number)
+        elif frame.op == Op.REFUSED:
             log.warning("%s: %s cannot be made for Fast DDS: %s", self.graph, part.service, frame.body.decode())
         else:
             part.on_frame(frame)
-
-    def _count(self, service: str, reason: str, count: int = 1) -> None:
-        self.drops[service, reason] += count
-        log.debug("%s: Fast DDS: %s: %d dropped: %s", self.graph, service or "services", count, reason)
 
 
 class FastClient:
@@ -241,7 +247,7 @@ class FastClient:
                 self._rpc.send(Op.FORGET, self, number)
         if isinstance(outcome, bytes):
             try:
-                return self._rpc.little_endian(f"{self.type}_Response", outcome)
+                return self._rpc.around.little_endian(f"{self.type}_Response", outcome)
             except TypesError as error:
                 raise CallFailed(self.service, f"the answer cannot be read: {error}") from error
         raise outcome
@@ -315,11 +321,11 @@ class FastService:
         if frame.op == Op.MATCHED:
             self.clients = frame.number
         elif frame.op == Op.REQUEST and len(self._tasks) >= _RUNNING_LIMIT:
-            self._leave_out(frame.number, "too many at a time")
+            self._leave_out(frame.number, Undelivered.BACKLOG)
         elif frame.op == Op.REQUEST:
             guid, _ = _request_head.unpack_from(frame.body)
             head, payload = frame.body[: _request_head.size], frame.body[_request_head.size :]
-            request = Request(payload, id=_call_id(head), caller=self._rpc.node_of(guid))
+            request = Request(payload, id=_call_id(head), caller=self._rpc.around.node_of(guid))
             task = asyncio.create_task(self._serve(frame.number, request), name=f"serve {self.service}")
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
@@ -327,22 +333,22 @@ class FastService:
     async def _serve(self, number: int, request: Request) -> None:
         life = self._rpc.helper.starts
         try:
-            request.payload = self._rpc.little_endian(f"{self.type}_Request", request.payload)
+            request.payload = self._rpc.around.little_endian(f"{self.type}_Request", request.payload)
             response = await self._handler(request)
         except (CallError, TypesError) as error:
             log.warning("%s: %s: no answer to %s: %s", self._rpc.graph, self.service, request.caller or "a node", error)
-            self._leave_out(number, "failed")
+            self._leave_out(number, Undelivered.DECODE if isinstance(error, TypesError) else Undelivered.CALLBACK)
         except Exception:
             log.exception("%s: the handler of %s failed", self._rpc.graph, self.service)
-            self._leave_out(number, "failed")
+            self._leave_out(number, Undelivered.CALLBACK)
         else:
             if life != self._rpc.helper.starts:  # numbers begin again with each helper
-                self._rpc.drops[self.service, "late"] += 1
+                self._rpc.around.drop(self.service, Undelivered.LATE, 1)
             elif len(response) > MAX_BODY_BYTES or not self._rpc.send(Op.REPLY, self, number, response):
-                self._leave_out(number, "not sent")
+                self._leave_out(number, Undelivered.WRITE)
 
-    def _leave_out(self, number: int, reason: str) -> None:
-        self._rpc.drops[self.service, reason] += 1
+    def _leave_out(self, number: int, reason: Undelivered) -> None:
+        self._rpc.around.drop(self.service, reason, 1)
         self._rpc.send(Op.FORGET, self, number)
 
     def on_down(self) -> None:

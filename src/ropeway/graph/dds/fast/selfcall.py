@@ -14,7 +14,7 @@ from typing import Final
 
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.dds.fast import hook
-from ropeway.graph.dds.fast.frames import Frame, Op
+from ropeway.graph.dds.fast.frames import Frame, Op, Spec
 from ropeway.graph.dds.fast.hook import HookError
 from ropeway.graph.dds.fast.identity import PID_RELATED, PID_RELATED_OLD, SampleIdentity
 from ropeway.graph.dds.fast.node import ClientEnd, FastNode, ServiceEnd
@@ -23,8 +23,7 @@ from ropeway.graph.dds.raw import DdsError
 
 __all__ = ["wrong"]
 
-_SERVICE: Final = "/ropeway/self_test"
-_TYPE: Final = "ropeway/srv/SelfTest"
+_SPEC: Final = Spec("/ropeway/self_test", "ropeway/srv/SelfTest")
 _NUMBERS: Final = (230, 231)  # two domains to this process …
 _NUMBER: Final = 231  # … and one to the network
 _LIMIT_S: Final = 5.0
@@ -51,9 +50,9 @@ class _Call:
 
     def run(self) -> str:
         profile = Profile(_xml(os.urandom(8).hex()))
-        server = FastNode(_NUMBERS[0], profile, b"", self._asked.put, self._fail, everyone=True)
+        server = FastNode(_NUMBERS[0], profile, "", self._asked.put, self._fail, everyone=True)
         try:
-            client = FastNode(_NUMBERS[1], profile, b"", self._told.put, self._fail, everyone=True)
+            client = FastNode(_NUMBERS[1], profile, "", self._told.put, self._fail, everyone=True)
             try:
                 fault = self._meet(server, client)
                 return self._failed or fault
@@ -67,8 +66,8 @@ class _Call:
         self._until = 0.0
 
     def _meet(self, server: FastNode, client: FastNode) -> str:
-        server.open(1, _SERVICE, _TYPE, serves=True)
-        client.open(1, _SERVICE, _TYPE, serves=False)
+        server.open(1, _SPEC, serves=True)
+        client.open(1, _SPEC, serves=False)
         if not (all(self._next(frames, Op.MATCHED, _LIMIT_S) for frames in (self._told, self._asked))):
             return "two participants on the loopback interface do not find each other"
         for parameter in (PID_RELATED, PID_RELATED_OLD):

@@ -16,7 +16,7 @@ import threading
 from ropeway.errors import GraphUnavailable, RopewayError
 from ropeway.graph.dds import raw
 from ropeway.graph.dds.fast import selfcall
-from ropeway.graph.dds.fast.frames import BadFrame, Frame, Op, Splitter, encode
+from ropeway.graph.dds.fast.frames import BadFrame, Frame, Op, Spec, Splitter, encode
 from ropeway.graph.dds.fast.hook import HookError
 from ropeway.graph.dds.fast.node import ClientEnd, FastNode, ServiceEnd
 from ropeway.graph.dds.profile import Profile
@@ -72,7 +72,7 @@ class Worker:
             text = selfcall.wrong() if order["test"] else ""
             if not text:
                 profile = Profile(order["xml"], order["interface"])
-                self._node = FastNode(order["domain"], profile, order["mark"].encode(), self.emit, _fail)
+                self._node = FastNode(order["domain"], profile, order["gateway_id"], self.emit, _fail)
         except (DdsError, GraphUnavailable, HookError) as error:
             text = str(error)
         if self._node is None:
@@ -82,9 +82,8 @@ class Worker:
 
     def _on_endpoint(self, node: FastNode, frame: Frame) -> None:
         if frame.op in (Op.OPEN_CLIENT, Op.OPEN_SERVICE):
-            service, _, type = frame.body.decode().partition("\0")
             try:
-                node.open(frame.endpoint, service, type, serves=frame.op == Op.OPEN_SERVICE)
+                node.open(frame.endpoint, Spec.decode(frame.body), serves=frame.op == Op.OPEN_SERVICE)
             except (DdsError, HookError, RopewayError) as error:
                 self.emit(Frame(Op.REFUSED, frame.endpoint, body=str(error).encode()))
             return

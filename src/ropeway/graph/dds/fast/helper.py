@@ -1,0 +1,109 @@
+"""Fast DDS as the ``dds`` graph uses it: nothing happens until there is somebody to help."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Iterable
+
+from ropeway.errors import CallFailed, GraphUnavailable
+from ropeway.graph.calls import ServiceHandler
+from ropeway.graph.dds.fast.identity import FAST
+from ropeway.graph.dds.fast.rpc import FastClient, FastRpc, FastService
+from ropeway.graph.dds.records import Discovered, Joined
+from ropeway.tasks import end
+
+__all__ = ["FastHelper", "PendingService"]
+
+log = logging.getLogger("ropeway.graph.dds")
+
+
+class FastHelper:
+    """The ``Helper`` for Fast DDS nodes. It starts ``rpc`` when one of them is there and is served, or is called."""
+
+    def __init__(self, rpc: FastRpc) -> None:
+        self._rpc = rpc
+        self._known = False
+        self._starting: asyncio.Task[bool] | None = None
+        self._services: dict[PendingService, None] = {}
+
+    def on_discovered(self, batch: Iterable[Discovered]) -> None:
+        """Look who has come."""
+        if not self._known and any(isinstance(item, Joined) and item.participant.startswith(FAST) for item in batch):
+            self._known = True
+            if self._services:
+                self.wake()
+
+    def wake(self) -> None:
+        """Somebody will have to be called soon."""
+        if self._starting is None:
+            self._starting = asyncio.create_task(self._start(), name=f"{self._rpc.graph}: start of Fast DDS")
+
+    async def _start(self) -> bool:
+        started = await self._rpc.start()
+        for service in list(self._services):
+            if started:
+                await service.open()
+        return started
+
+    async def create_client(self, service: str, type: str) -> FastClient:
+        """See ``Helper``. Raises ``CallFailed`` where Fast DDS nodes cannot be called."""
+        self.wake()
+        assert self._starting is not None
+        if not await asyncio.shield(self._starting):
+            raise CallFailed(
+                service,
+                f"{service} is served over Fast DDS only, whose requests cannot be made here ({self._rpc.reason}); "
+                "run the server with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or use the ros2 graph",
+            )
+        return await self._rpc.create_client(service, type)
+
+    async def create_service(self, service: str, type: str, handler: ServiceHandler) -> PendingService:
+        """See ``Helper``. Gives at once what begins to serve with the first Fast DDS node."""
+        pending = PendingService(self, service, type, handler)
+        self._services[pending] = None
+        if self._rpc.available:
+            await pending.open()
+        elif self._known:
+            self.wake()
+        return pending
+
+    async def serve(self, pending: PendingService) -> FastService:
+        """Make the endpoint of a service."""
+        return await self._rpc.create_service(pending.service, pending.type, pending.handler)
+
+    def forget(self, pending: PendingService) -> None:
+        """A service was closed."""
+        self._services.pop(pending, None)
+
+    async def close(self) -> None:
+        """End the helper process."""
+        starting, self._starting = self._starting, None
+        await end(starting)
+        await self._rpc.close()
+
+
+class PendingService:
+    """A service for Fast DDS nodes, from when there are any."""
+
+    def __init__(self, helper: FastHelper, service: str, type: str, handler: ServiceHandler) -> None:
+        self.service, self.type, self.handler = service, type, handler
+        self._helper = helper
+        self._served: FastService | None = None
+        self._closed = False
+
+    async def open(self) -> None:
+        """Begin to serve."""
+        if self._closed or self._served is not None:
+            return
+        try:
+            self._served = await self._helper.serve(self)
+        except GraphUnavailable as error:
+            log.debug("%s is not served to Fast DDS nodes: %s", self.service, error)
+
+    async def close(self) -> None:
+        """See ``Service``."""
+        self._closed = True
+        self._helper.forget(self)
+        if self._served is not None:
+            await self._served.close()

@@ -1,0 +1,254 @@
+"""``ropeway server``: rosbridge's options and ROS arguments, what they come to, and the server as a process."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from ropeway.cli.server import _config, app
+from ropeway.cli.server.parameters import WITHOUT_EFFECT, arguments, notes
+from ropeway.cli.server.rosargs import split
+from ropeway.errors import ConfigError
+from ropeway.gateway.config import Config
+from tests.cli.conftest import Ropeway
+from tests.gateway.test_tls import Authority
+from tests.server.client import Client, fetch
+
+Start = Callable[..., subprocess.Popen[str]]
+
+ROSBRIDGE = (
+    *("port", "address", "url_path", "retry_startup_delay", "certfile", "keyfile", "websocket_ping_interval"),
+    *("websocket_ping_timeout", "incoming_queue_size", "write_queue_size", "use_compression", "use_events_executor"),
+    *("fragment_timeout", "delay_between_messages", "max_message_size", "unregister_timeout", "topics_glob"),
+    *("topics_pub_glob", "topics_sub_glob", "services_glob", "actions_glob", "call_services_in_new_thread"),
+    *("default_call_service_timeout", "send_action_goals_in_new_thread", "params_glob", "params_timeout"),
+    *("bson_only_mode", "binary_encoder"),
+)
+
+
+MEMORY = ("--graph", "memory:server")
+
+
+# ── ROS arguments ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_ros_arguments(tmp_path: Path) -> None:
+    """Parameters, files, names and levels of ROS arguments are understood; what a node is not meant by is left out."""
+    file = tmp_path / "params.yaml"
+    file.write_text(
+        "/**:\n  ros__parameters: {port: 1, address: ''}\n"
+        "rb:\n  ros__parameters: {port: 2}\n"
+        "/ns:\n  rb:\n    ros__parameters: {keyfile: k}\n"
+        "/*/rb:\n  ros__parameters: {url_path: /x}\n"
+        "other:\n  ros__parameters: {port: 3}\n"
+    )
+    others, said = split(
+        [
+            *("--a", "--ros-args", "-r", "__node:=rb", "--params-file", str(file), "-p", "certfile:=c"),
+            *("-p", "other:port:=4", "-r", "rosbridge_websocket:__ns:=/ns", "--log-level", "warn"),
+            *("--log-level", "rcl:=debug", "-r", "/a:=/b", "--disable-rosout-logs", "-e", "enclave", "--", "b"),
+            *("--ros-args", "-p", "rb:topics_glob:=['/a','b']"),
+        ],
+        "rosbridge_websocket",
+    )
+    assert others == ["--a", "b"]
+    assert (said.full_name, said.log_level) == ("/ns/rb", "warning")
+    assert said.parameters == {
+        "port": 2,
+        "address": "",
+        "keyfile": "k",
+        "url_path": "/x",
+        "certfile": "c",
+        "topics_glob": ["/a", "b"],
+    }
+    assert len(said.notes) == 2
+
+
+@pytest.mark.parametrize(
+    "given", [["-p"], ["-p", "port"], ["-r", "x"], ["--nonsense"], ["--params-file", "/none"], ["-p", "a:={"]]
+)
+def test_malformed_ros_arguments(given: list[str]) -> None:
+    """What is malformed is refused with what it was."""
+    with pytest.raises(ConfigError):
+        split(["--ros-args", *given], "node")
+
+
+def test_spellings() -> None:
+    """Options have dashes or underscores; parameters become options; switches take a value or none."""
+    known = [name.replace("_", "-") for name in (*ROSBRIDGE, "insecure", "name")]
+    made = arguments(
+        [
+            *("--unregister_timeout", "3", "--max_message_size=5", "--bson_only_mode", "--use_compression", "false"),
+            *("--ros-args", "-p", "port:=9091", "-p", "insecure:=true", "-p", "x_y:=1", "-p", "address:=''"),
+            *("-p", "services_glob:=['/a', '/b']", "-p", "use_sim_time:=false", "-r", "__node:=rb"),
+        ],
+        known,
+        ["insecure"],
+    )
+    assert made == [
+        "--unregister-timeout",
+        "3",
+        "--max-message-size=5",
+        "--bson-only-mode",
+        "true",
+        "--use-compression",
+        "false",
+        "--name=rb",
+        "--port=9091",
+        "--insecure",
+        "--services-glob=['/a','/b']",
+        "--note=the parameter x_y (rosbridge has none of this name)",
+    ]
+
+
+def test_every_parameter_is_an_option() -> None:
+    """Every parameter of rosbridge, in whatever version, is an option here, in both spellings."""
+    command = typer.main.get_command(app)
+    options = {name for param in command.params for name in param.opts}
+    assert {"--" + name.replace("_", "-") for name in ROSBRIDGE} <= options
+    assert WITHOUT_EFFECT.keys() <= set(ROSBRIDGE)
+
+
+def test_notes() -> None:
+    """What has no effect here is named with the reason, unless it says nothing but the default."""
+    assert notes({"use_compression": "false", "max_message_size": "10000000", "bson_only_mode": None}) == []
+    told = notes({"use_compression": "true", "max_message_size": "1000"})
+    assert [note.partition(" (")[0] for note in told] == ["use_compression", "max_message_size"]
+
+
+# ── what they come to ──────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def configured(*given: str) -> Config:
+    """The configuration of a command line."""
+    command = typer.main.get_command(app)
+    context = command.make_context("server", list(given))
+    return _config(context.params)
+
+
+def test_defaults() -> None:
+    """Without options the server listens on this machine only, at rosbridge's port, on whatever network there is."""
+    gateway = configured().gateway
+    assert gateway.listen == ("ws://127.0.0.1:9090",)
+    assert (gateway.name, gateway.graphs) == ("rosbridge_websocket", ("auto",))
+    assert gateway.clients.unregister_timeout_s == 10.0
+    assert gateway.globs.topics is None
+    assert not gateway.insecure
+
+
+def test_values() -> None:
+    """Values of rosbridge's parameters come where they belong."""
+    gateway = configured(
+        *("--port", "1234", "--address", "::1", "--url_path", "/ros", "--unregister-timeout", "0.5"),
+        *("--topics_glob", "['/a']", "--actions_glob", "[]", "--graph", "memory:x", "--name", "rb"),
+        *("--default_call_service_timeout", "-1", "--websocket_ping_interval", "7", "--websocket_ping_timeout", "9"),
+    ).gateway
+    assert gateway.listen == ("ws://[::1]:1234",)
+    assert (gateway.clients.path, gateway.clients.unregister_timeout_s) == ("/ros", 0.5)
+    assert (gateway.clients.call_timeout_s, gateway.clients.ping_interval_s, gateway.clients.silence_s) == (0, 7, 9)
+    assert (gateway.globs.topics, gateway.globs.actions, gateway.globs.services) == (("/a",), (), None)
+
+
+def test_authentication(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other machines come in with a token, a file of roles or ``--insecure``; paths start where they stand."""
+    monkeypatch.chdir(tmp_path)
+    Path("token").write_text("t")
+    Path("more").mkdir()
+    Path("more/other").write_text("o")
+    Path("more/auth.yaml").write_text("auth: {tokens: [{token: {file: other}, role: v}], roles: {v: {}}}")
+    everywhere = ("--address", "0.0.0.0")
+    assert configured(*everywhere, "--insecure").gateway.insecure
+    auth = configured(*everywhere, "--token-file", "token", "--auth", "more/auth.yaml").gateway.auth
+    assert [item.token.file for item in auth.tokens if item.token] == [
+        str(tmp_path / "more/other"),
+        str(tmp_path / "token"),
+    ]
+    for wrong in (everywhere, ("--certfile", "token"), ("--cafile", "token"), ("--certfile", "x", "--keyfile", "y")):
+        with pytest.raises(typer.Exit) as ended:
+            configured(*wrong)
+        assert ended.value.exit_code == 2
+    with pytest.raises(ConfigError, match=r"gateway\.globs"):
+        configured("--topics_glob", "/a")
+
+
+def test_tls(tmp_path: Path) -> None:
+    """With certificate and key the server speaks wss."""
+    files = Authority(tmp_path, "ours").sign("server")
+    gateway = configured("--certfile", files["certificate"], "--keyfile", files["key"]).gateway
+    assert gateway.listen == ("wss://127.0.0.1:9090",)
+    assert gateway.tls is not None
+
+
+# ── as a process ───────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def first(process: subprocess.Popen[str]) -> Any:
+    assert process.stdout is not None
+    return json.loads(process.stdout.readline())
+
+
+async def test_serves(background: Start, environment: dict[str, str], tmp_path: Path) -> None:
+    """The server answers HTTP and calls, lets in who has the token, and ends in order on a signal."""
+    token = tmp_path / "token"
+    token.write_text("secret")
+    process = background(
+        *("server", "--port", "0", "--token-file", str(token), "--json", "--period", "0.1"),
+        *("--ros-args", "-p", "call_services_in_new_thread:=true", "-r", "__node:=rb", "--"),
+    )
+    status = await asyncio.to_thread(first, process)
+    assert status["name"] == "rb"
+    port = status["listen"][0]["port"]
+    assert (await fetch(port, "/readyz")).status == 200
+    async with Client(port) as client:
+        assert client.status.startswith("HTTP/1.1 401")
+    async with Client(port, path="/?token=secret") as client:
+        client.send({"op": "call_service", "service": "/rosapi/get_time", "id": "1"})
+        assert (await client.json())["result"] is True
+        token.write_text("another")
+        process.send_signal(signal.SIGHUP)
+        assert (await client.closed())[0] == 1008
+    process.send_signal(signal.SIGINT)
+    _, err = await asyncio.to_thread(process.communicate, timeout=10)
+    assert process.returncode == 0
+    assert err.rstrip().endswith("rb has ended")
+    assert "listening on 127.0.0.1 only" in err
+    assert "has read its certificates and tokens again" in err
+    assert "secret" not in err
+
+
+def test_retries_a_taken_port(background: Start, ropeway: Ropeway) -> None:
+    """A port that is taken is an error at once, or is tried again where rosbridge's delay is given."""
+    holder = background("server", *MEMORY, "--port", "0", "--json", "--period", "0.1")
+    port = first(holder)["listen"][0]["port"]
+    failed = ropeway("server", *MEMORY, "--port", str(port))
+    assert failed.returncode == 1
+    assert "cannot listen" in failed.stderr
+    waiting = background(
+        "server", *MEMORY, "--port", str(port), "--retry_startup_delay", "0.2", "--json", "--period", "0.1"
+    )
+    assert waiting.stderr is not None
+    while "trying again in 0.2 s" not in waiting.stderr.readline():
+        pass
+    holder.terminate()
+    holder.communicate(timeout=10)
+    assert first(waiting)["listen"][0]["port"] == port
+
+
+def test_notes_are_one_line(ropeway: Ropeway) -> None:
+    """Whatever has no effect here is accepted with one line in the log."""
+    result = ropeway(
+        "server", *MEMORY, "--port", "0", "--for", "0.1", "--use_compression", "--max_message_size", "1000"
+    )
+    assert result.returncode == 0, result.stderr
+    lines = [line for line in result.stderr.splitlines() if "without effect" in line]
+    assert len(lines) == 1
+    assert "use_compression" in lines[0]
+    assert "max_message_size" in lines[0]
