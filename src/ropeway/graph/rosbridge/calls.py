@@ -122,6 +122,26 @@ class Calls:
             return loop.time() < deadline
         return await self.wait_available(caller, left)
 
+    async def plain(self, service: str, args: Mapping[str, Any], timeout_s: float = 5.0) -> Mapping[str, Any]:
+        """Call a service by JSON and give its values. Raises ``GraphUnavailable`` with the server's text."""
+        name, peer = self.graph.name, self.graph.peer
+        if peer is None:
+            raise GraphUnavailable(name, "is not connected")
+        id = f"call_service:{service}:{self.next()}"
+        future: asyncio.Future[ops.ServiceResponse] = asyncio.get_running_loop().create_future()
+        self.pending[id] = future
+        try:
+            peer.send(ops.CallService(id=id, service=service, args=dict(args)))
+            async with asyncio.timeout(timeout_s):
+                response = await future
+        except TimeoutError:
+            raise GraphUnavailable(name, f"{service} did not answer within {timeout_s:g} s") from None
+        finally:
+            self.pending.pop(id, None)
+        if not response.result or not isinstance(response.values, Mapping):
+            raise GraphUnavailable(name, f"{service}: {response.values}")
+        return response.values
+
     def changed(self) -> None:
         """Who serves what has changed."""
         self._changed.set()

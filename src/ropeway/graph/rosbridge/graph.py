@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import enum
 import itertools
 import logging
-import random
 import ssl
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from typing import Any, Final
 
 from ropeway.errors import ConnectFailed, GraphUnavailable, RopewayError
@@ -30,6 +27,7 @@ from ropeway.graph.base import (
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
 from ropeway.graph.rosbridge.actions import RemoteActionClient
 from ropeway.graph.rosbridge.calls import Calls
+from ropeway.graph.rosbridge.keeper import Keeper, LinkState
 from ropeway.graph.rosbridge.mirror import Mirror
 from ropeway.graph.rosbridge.parts import EchoFilter, RemotePublisher, RemoteSubscription
 from ropeway.graph.rosbridge.plain import PlainServer
@@ -51,25 +49,9 @@ __all__ = ["LinkState", "RosbridgeGraph"]
 
 log = logging.getLogger("ropeway.graph.rosbridge")
 
-_FIRST_RETRY_S: Final = 0.1
-_PATIENT_AFTER_S: Final = 300.0  # a peer that is away for long is asked less often
-_EAGER_RETRY_S: Final = 0.5  # until then it is asked at least so often, to be back soon after a cut
-_HASTY_S: Final = 1.5  # a link that is cut says nothing: waiting longer would miss its return
-_PATIENT_TURN: Final = 4  # every so many tries take their time, for links that are slow
-_LAZY_RETRY_S: Final = 10.0
 _CLOCK_S: Final = 1.0
 _ROSAPI_S: Final = 3.0
 _US: Final = ProviderInfo(local=True)
-
-
-class LinkState(enum.Enum):
-    """Where the connection stands."""
-
-    IDLE = "idle"
-    CONNECTING = "connecting"
-    CONNECTED = "connected"
-    WAITING = "waiting to retry"
-    CLOSED = "closed"
 
 
 class RosbridgeGraph:
@@ -103,12 +85,9 @@ class RosbridgeGraph:
         self.registry = registry or TypeRegistry()
         self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self.echoes: dict[str, EchoFilter] = {}
-        self.state = LinkState.IDLE
-        self.last_error = ""
         self.peer: Peer | None = None
         self.remote: dict[str, Any] = {}
         self.connections = 0
-        self._limits = limits or Limits()
         self._ssl = ssl_context
         self._headers = headers
         self.gateway_id, self._node_name = gateway_id, name
@@ -120,29 +99,39 @@ class RosbridgeGraph:
         self._changes = Changes()
         self.calls = Calls(self)
         self.mirror = Mirror(url, self._changes, self.calls.changed)
-        self._state_callbacks: list[Callable[[LinkState], None]] = []
+        self._keeper = Keeper(url, limits or Limits(), self._connect)
         self._noted_types: set[str] = set()
-        self._task: asyncio.Task[None] | None = None
-        self._attempt: asyncio.Future[None] | None = None
         self.plain_server = PlainServer(url, self.registry)
         self._traffic = (0, 0)
-        self._rtt_s = 0.0
         self._wants_calls = False  # somebody asked what is served there
-        self._leaving = False
 
     # ── opening, the connection, closing ───────────────────────────────────────────────────────────────────────
 
+    @property
+    def state(self) -> LinkState:
+        """Where the connection stands."""
+        return self._keeper.state
+
+    @property
+    def last_error(self) -> str:
+        """Why the last try failed, ``""`` while connected."""
+        return self._keeper.last_error
+
+    def on_state(self, callback: Callable[[LinkState], None]) -> None:
+        """Call with the state of the connection, now and at each change."""
+        self._keeper.on_state(callback)
+
     async def open(self) -> None:
         """Connect; see the class for ``wait``."""
-        if self._task is not None:
+        keeper = self._keeper
+        if keeper.started:
             return
-        self._attempt = asyncio.get_running_loop().create_future()
-        self._task = asyncio.create_task(self._keep_connected(), name=f"link {self.name}")
+        keeper.start()
         if not self._wait:
             return
         try:
-            async with asyncio.timeout(self._limits.open_timeout_s + 1):
-                await asyncio.shield(self._attempt)
+            async with asyncio.timeout(keeper.limits.open_timeout_s + 1):
+                await keeper.first()
                 if self._watch:
                     await self.mirror.filled.wait()
         except TimeoutError:
@@ -155,82 +144,37 @@ class RosbridgeGraph:
 
     async def close(self) -> None:
         """Leave the far graph with everything that was created here."""
-        if self._leaving:
+        if self._keeper.leaving:
             return
-        self._leaving = True
+        self._keeper.leaving = True
         for part in self._parts():
             await part.close()
         await self.calls.close()
-        self._set_state(LinkState.CLOSED)
+        self._keeper.set_state(LinkState.CLOSED)
         connection = self.peer.connection if self.peer is not None else None
         if connection is not None:
             connection.close(1000, "done")
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(2):
                     await connection.wait_closed()
-        await end(self._task)
-        self._task = None
+        await self._keeper.stop()
         self._changes.close()
 
-    def on_state(self, callback: Callable[[LinkState], None]) -> None:
-        """Call with the state of the connection, now and at each change."""
-        self._state_callbacks.append(callback)
-        callback(self.state)
-
-    def _set_state(self, state: LinkState) -> None:
-        if state is not self.state:
-            self.state = state
-            for callback in self._state_callbacks:
-                callback(state)
-
-    def _patience(self, attempt: int) -> Limits:
-        if attempt % _PATIENT_TURN == 0:
-            return self._limits
-        return replace(self._limits, open_timeout_s=min(self._limits.open_timeout_s, max(_HASTY_S, 8 * self._rtt_s)))
-
-    async def _keep_connected(self) -> None:
-        delay, down_since, attempt = _FIRST_RETRY_S, time.monotonic(), 0
-        while True:
-            self._set_state(LinkState.CONNECTING)
-            peers: list[Peer] = []
-            try:
-                connection = await connect(
-                    self.name,
-                    limits=self._patience(attempt),
-                    subprotocols=() if self._plain else (ROPEWAY_SUBPROTOCOL,),
-                    ssl_context=self._ssl,
-                    headers=self._headers,
-                    on_connection=lambda made: peers.append(Peer(made, self.registry, self)),  # noqa: B023  # now
-                )
-            except ConnectFailed as error:
-                self._failed(error)
-                delay = delay if error.retryable else _LAZY_RETRY_S
-            else:
-                delay, attempt = _FIRST_RETRY_S, 0
-                await self._converse(connection, peers[-1])
-                down_since = time.monotonic()
-            attempt += 1
-            if self._leaving:
-                return
-            self._set_state(LinkState.WAITING)
-            await asyncio.sleep(delay * random.uniform(0.7, 1.3))  # noqa: S311  # jitter, not a secret
-            patient = time.monotonic() - down_since > _PATIENT_AFTER_S
-            delay = min(2 * delay, _LAZY_RETRY_S if patient else _EAGER_RETRY_S)
-
-    def _failed(self, error: ConnectFailed) -> None:
-        if self.last_error != str(error):
-            self.last_error = str(error)
-            log.warning("%s (trying again %s)", error, "until it answers" if error.retryable else "every 10 s")
-        if self._attempt is not None and not self._attempt.done():
-            if self._wait:
-                self._attempt.set_exception(error)
-            else:
-                self._attempt.cancel()
+    async def _connect(self, limits: Limits) -> Callable[[], Awaitable[None]]:
+        peers: list[Peer] = []
+        connection = await connect(
+            self.name,
+            limits=limits,
+            subprotocols=() if self._plain else (ROPEWAY_SUBPROTOCOL,),
+            ssl_context=self._ssl,
+            headers=self._headers,
+            on_connection=lambda made: peers.append(Peer(made, self.registry, self)),
+        )
+        return lambda: self._converse(connection, peers[-1])
 
     async def _converse(self, connection: Connection, peer: Peer) -> None:
         self.peer = peer
         self.connections += 1
-        self.last_error = ""
         self._noted_types.clear()
         if peer.dialect is ROPEWAY:
             peer.hello(self.gateway_id, self._node_name)
@@ -252,16 +196,14 @@ class RosbridgeGraph:
                 provider.held.tell(str(error))
         if peer.dialect is not ROPEWAY or peer.greeted:
             self.calls.ready(peer)
-        self._set_state(LinkState.CONNECTED)
-        if self._attempt is not None and not self._attempt.done():
-            self._attempt.set_result(None)
+        self._keeper.set_state(LinkState.CONNECTED)
         chores = asyncio.create_task(self._chores(peer), name=f"chores {self.name}")
         try:
             code, reason = await connection.wait_closed()
         finally:
             await end(chores)
             self._traffic = (self._traffic[0] + connection.bytes_in, self._traffic[1] + connection.bytes_out)
-            self._rtt_s = peer.rtt_s or 0.0
+            self._keeper.rtt_s = peer.rtt_s or 0.0
             self.peer = None
             channels = [p.channel for p in self._publishers.values() if p.channel is not None]
             self.plain_server.ended(peer, channels, time.monotonic() - began)
@@ -269,7 +211,7 @@ class RosbridgeGraph:
                 part.disconnected()
             self.calls.disconnected()
             self.mirror.clear()
-        if not self._leaving:
+        if not self._keeper.leaving:
             log.warning("%s: disconnected (%d %s)", self.name, code, reason)
 
     async def _chores(self, peer: Peer) -> None:
@@ -280,9 +222,9 @@ class RosbridgeGraph:
                 await asyncio.sleep(_CLOCK_S)
             elif self._watch and self._ask_rosapi:
                 try:
-                    await self.mirror.ask_rosapi(self.call_plain)
+                    await self.mirror.ask_rosapi(self.calls.plain)
                     if self._wants_calls:
-                        await self.mirror.ask_calls(self.call_plain)
+                        await self.mirror.ask_calls(self.calls.plain)
                 except GraphUnavailable as error:
                     log.debug("%s: %s", self.name, error)
                     self.mirror.filled.set()
@@ -398,7 +340,7 @@ class RosbridgeGraph:
         return self._changes.listen()
 
     def _check(self) -> None:
-        if self._task is None or self.state is LinkState.CLOSED:
+        if not self._keeper.started or self.state is LinkState.CLOSED:
             raise GraphUnavailable(self.name, "is not open; call open() first")
 
     def _parts(self) -> list[RemotePublisher | RemoteSubscription]:
@@ -434,28 +376,6 @@ class RosbridgeGraph:
             self._noted_types.add(type)
             note["definition"] = self.registry.full_text(type)
         return note
-
-    # ── calls, for what plain rosbridge answers by service ─────────────────────────────────────────────────────
-
-    async def call_plain(self, service: str, args: Mapping[str, Any], timeout_s: float = 5.0) -> Mapping[str, Any]:
-        """Call a service by JSON and give its values. Raises ``GraphUnavailable`` with the server's text."""
-        peer = self.peer
-        if peer is None:
-            raise GraphUnavailable(self.name, "is not connected")
-        id = f"call_service:{service}:{self.calls.next()}"
-        future: asyncio.Future[ops.ServiceResponse] = asyncio.get_running_loop().create_future()
-        self.calls.pending[id] = future
-        try:
-            peer.send(ops.CallService(id=id, service=service, args=dict(args)))
-            async with asyncio.timeout(timeout_s):
-                response = await future
-        except TimeoutError:
-            raise GraphUnavailable(self.name, f"{service} did not answer within {timeout_s:g} s") from None
-        finally:
-            self.calls.pending.pop(id, None)
-        if not response.result or not isinstance(response.values, Mapping):
-            raise GraphUnavailable(self.name, f"{service}: {response.values}")
-        return response.values
 
     # ── what the peer says ─────────────────────────────────────────────────────────────────────────────────────
 
