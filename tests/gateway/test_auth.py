@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import socket
 import ssl
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
@@ -18,6 +19,7 @@ from ropeway.gateway import config
 from ropeway.gateway.auth import make_door
 from ropeway.gateway.auth_model import parse_glob
 from ropeway.gateway.gateway import Gateway
+from ropeway.gateway.supervisor import Supervisor
 from ropeway.link.http import Request
 from ropeway.server.access import EVERYTHING, Role
 from tests.contract.conftest import Inbox, until
@@ -39,6 +41,12 @@ def token_file(tmp_path: Path) -> Path:
     file = tmp_path / "token"
     file.write_text(TOKEN + "\n")
     return file
+
+
+def free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
 
 
 def problems(**gateway: Any) -> list[tuple[str, str]]:
@@ -258,7 +266,7 @@ async def test_a_gateway_without_its_token(
     """A gateway without the token is refused with 401, which both sides tell."""
     cloud, robot = await pair(stack, token_file, {"publish": ["/x"]})
     await until(lambda: robot.status()["remotes"][0]["error"])
-    assert "answered HTTP 401" in robot.status()["remotes"][0]["error"]
+    assert "answered HTTP 401: a token or a certificate is needed" in robot.status()["remotes"][0]["error"]
     assert cloud.status()["access"]["refused"] == {"401 a token or a certificate is needed": 1}
     assert not any(TOKEN in line for line in caplog.messages)
 
@@ -292,6 +300,26 @@ async def test_readiness(stack: AsyncExitStack) -> None:
         assert client.status.startswith("HTTP/1.1 404")
     async with Client(port, path="/ros") as client:
         assert client.status.startswith("HTTP/1.1 101")
+
+
+async def test_workers_read_again(stack: AsyncExitStack, token_file: Path) -> None:
+    """A supervisor has its workers read their tokens again, and adds up whom they refused."""
+    port = free_port()
+    settings = {
+        "name": "g",
+        "graphs": ["memory:auth-workers"],
+        "listen": [f"ws://127.0.0.1:{port}"],
+        "workers": 1,
+        "auth": {"tokens": [{"token": {"file": str(token_file)}}]},
+    }
+    made = await stack.enter_async_context(Supervisor(config.parse({"gateway": settings})))
+    async with Client(port) as client:
+        assert client.status.startswith("HTTP/1.1 401")
+    async with Client(port, path=f"/?token={TOKEN}") as client:
+        spoil(str(token_file))
+        made.reload()
+        assert (await client.closed())[0] == 1008
+    await until(lambda: sum(made.status()["access"].get("refused", {}).values()) == 1)
 
 
 # ── certificates ───────────────────────────────────────────────────────────────────────────────────────────────────

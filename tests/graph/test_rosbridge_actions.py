@@ -183,16 +183,35 @@ async def test_link_is_lost(stack: AsyncExitStack, fake: FakeServer) -> None:
 
 
 async def test_client_closes(stack: AsyncExitStack, fake: FakeServer) -> None:
-    """A client that closes aborts the outcomes that are awaited, and sends no more."""
+    """A client that closes aborts the outcomes that are awaited, and sends no more; what comes late is counted."""
     graph = await connect(stack, fake.url)
     client = await graph.create_action_client("/fib", FIBONACCI)
-    goal, _ = await sent(client, fake)
+    goal, message = await sent(client, fake)
     await client.close()
     await client.close()
     assert (await ended(goal)).text == "the client of /fib was closed"
     with pytest.raises(GraphUnavailable, match="closed"):
         await client.send_goal(Goal(order(1)))
     assert client.available is False
+    say_result(fake, message["id"], {}, 4)
+    await until(lambda: graph.drops["", Undelivered.LATE] == 1)
+    assert graph.peer is not None
+    assert not graph.peer.complaints.counts
+
+
+async def test_bad_feedback_of_ours(stack: AsyncExitStack, fake: FakeServer) -> None:
+    """Feedback of ours that is not of the type is counted, and the goal goes on."""
+
+    async def execute(goal: ServerGoal) -> Outcome:
+        goal.feedback(b"\0\1\0\0")
+        return Outcome(GoalStatus.SUCCEEDED, sequence(1))
+
+    graph = await connect(stack, fake.url)
+    await serve(graph, execute)
+    ask(fake, feedback=True)
+    assert (await heard(fake, "action_result"))[0]["status"] == 4
+    assert graph.drops["/fib", Undelivered.ENCODE] == 1
+    assert not fake.ops("action_feedback")
 
 
 async def test_goal_of_an_unknown_type(stack: AsyncExitStack, fake: FakeServer) -> None:

@@ -7,7 +7,7 @@ import contextlib
 import logging
 
 from ropeway.bridge.offer import Offer
-from ropeway.errors import CallError, CallTimeout, GoalRejected
+from ropeway.errors import CallTimeout, GoalRejected, GraphError
 from ropeway.graph.base import NO_HINTS, Delivery, Graph
 from ropeway.graph.calls import (
     DEFAULT_TIMEOUT_S,
@@ -66,7 +66,7 @@ class ActionBridge(Offer):
                 on_feedback=lambda feedback: goal.feedback(feedback),
                 timeout_s=DEFAULT_TIMEOUT_S,
             )
-        except CallError as error:
+        except GraphError as error:
             self.counts[type(error).__name__] += 1
             if not isinstance(error, GoalRejected):
                 log.warning("a goal of %s was rejected: %s", self.target_name, error)
@@ -104,5 +104,5 @@ class ActionBridge(Offer):
             await self._give_up(running)
 
     async def _give_up(self, running: ClientGoal) -> None:
-        with contextlib.suppress(CallError):
+        with contextlib.suppress(GraphError):
             await running.cancel()

@@ -6,7 +6,7 @@ import asyncio
 from typing import Final
 
 from ropeway.bridge.offer import Offer
-from ropeway.errors import CallError
+from ropeway.errors import CallError, GraphUnavailable, ProviderLost
 from ropeway.graph.base import NO_HINTS, Delivery, Graph
 from ropeway.graph.calls import Client, Request, Service
 
@@ -54,6 +54,9 @@ class ServiceBridge(Offer):
         try:
             response: bytes = await self._client.call(request, timeout_s)
             how = "answered"
+        except GraphUnavailable as error:
+            how = type(error).__name__
+            raise ProviderLost(self.target_name, error.reason) from error
         except CallError as error:
             how = type(error).__name__
             raise

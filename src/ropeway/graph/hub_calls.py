@@ -147,8 +147,10 @@ class HubCalls:
         elif isinstance(how, bytes) and len(how) > _REMEMBERED_BYTES:
             kept = self._calls[request.id] = asyncio.get_running_loop().create_future()
             kept.set_result(CallFailed("", "this call was answered before"))
-        if isinstance(how, (bytes, Exception)):
+        if isinstance(how, bytes):
             pending.set_result(how)
+        elif isinstance(how, Exception):
+            pending.set_result(_bare(how))
         else:
             pending.set_result(ProviderLost("", "the call was given up"))
 
@@ -158,12 +160,20 @@ class HubCalls:
         await asyncio.wait({pending})
         how = pending.result()
         if isinstance(how, Exception):
-            raise how
+            raise _bare(how)
         return how
 
     def known(self, request: Request) -> asyncio.Future[bytes | Exception] | None:
         """The same call, where it was made before."""
         return self._calls.get(request.id)
+
+
+def _bare(error: Exception) -> Exception:
+    """The same error without the frames that it went through: what is remembered must not keep all that they knew."""
+    bare = type(error).__new__(type(error))
+    bare.args = error.args
+    bare.__dict__.update(error.__dict__)
+    return bare
 
 
 class ViewService:

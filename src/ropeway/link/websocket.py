@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import os
 import socket
@@ -79,7 +80,7 @@ async def connect(
         response = getattr(error, "response", None)
         status = response.status.value if response is not None else None
         fatal = status in (400, 401, 403, 404)
-        what = f"answered HTTP {status}" if status else f"is not a WebSocket server ({error})"
+        what = f"answered HTTP {status}{_said(error)}" if status else f"is not a WebSocket server ({error})"
         raise ConnectFailed(url, what, retryable=not fatal) from None
     except OSError as error:
         raise ConnectFailed(url, _reason(error)) from None
@@ -157,6 +158,15 @@ async def listen(
             address, f"cannot listen: {error.strerror or error}; is another gateway running?", retryable=False
         ) from None
     return Server(server, address, pending)
+
+
+def _said(error: picows.WSError) -> str:
+    """The reason in an answer that is no WebSocket, as other gateways give it."""
+    try:
+        reason = json.loads(getattr(error, "raw_body", None) or b"{}")["error"]
+    except (ValueError, KeyError, TypeError):
+        return ""
+    return f": {reason}" if isinstance(reason, str) and reason.isprintable() and len(reason) <= 200 else ""
 
 
 def _nothing_here(request: Request) -> Response:

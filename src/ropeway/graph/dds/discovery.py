@@ -148,6 +148,10 @@ class Discovery:
             for name, action in sorted(found.items())
         }
 
+    def guids(self, prefix: bytes) -> list[bytes]:
+        """The endpoints of ROS whose GUIDs begin so."""
+        return [e.record.guid for e in self._endpoints.values() if e.record.guid.startswith(prefix)]
+
     def node_of(self, guid: bytes) -> str:
         """The full name of the node that an endpoint belongs to, or ``""``."""
         return self._node_of.get(guid, "")

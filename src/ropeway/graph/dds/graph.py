@@ -31,7 +31,7 @@ from ropeway.graph.dds.domain import MAX_DOMAIN
 from ropeway.graph.dds.endpoint_qos import user_data
 from ropeway.graph.dds.endpoints import RawWriter
 from ropeway.graph.dds.ends import Ends
-from ropeway.graph.dds.fast import FastHelper, FastRpc, Surroundings
+from ropeway.graph.dds.fast import FAST, FastHelper, FastRpc, Surroundings
 from ropeway.graph.dds.names import dds_topic, dds_type
 from ropeway.graph.dds.participant import Participant
 from ropeway.graph.dds.profile import make_profile
@@ -156,9 +156,11 @@ class DdsGraph:
                 raise
             self._participant = participant
             if self._may_be_fast:
-                around = Surroundings(self.little_endian, self.type_hash, self.node_of, self._count_drops)
+                around = Surroundings(
+                    self.little_endian, self.type_hash, self.node_of, self._count_drops, self._fast_endpoints
+                )
                 rpc = FastRpc(self.name, self.domain, profile, gateway_id=self.gateway_id, around=around)
-                self.helper = self._fast = FastHelper(rpc)
+                self.helper = self._fast = FastHelper(rpc, participant)
             log.info("%s: joined as node %s", self.name, self.node)
 
     async def close(self) -> None:
@@ -228,13 +230,13 @@ class DdsGraph:
     ) -> DdsService:
         """Serve ``service``; for a failed request nodes get the default response, with its text where it has one."""
         served = DdsService(self, service, type, handler)
-        await self._join(served)
-        self._services[served] = None
+        await served.get_help()
         try:
-            await served.get_help()
+            await self._join(served)
         except BaseException:
-            await served.close()
+            await served.end_help()
             raise
+        self._services[served] = None
         return served
 
     async def create_action_client(
@@ -377,6 +379,9 @@ class DdsGraph:
             self._discovery.apply(batch)
         if self._fast is not None:
             self._fast.on_discovered(batch)
+
+    def _fast_endpoints(self) -> list[bytes]:
+        return self._discovery.guids(FAST) if self._discovery is not None else []
 
     def _count_drops(self, name: str, reason: Undelivered, count: int) -> None:
         self.drops[name, reason] += count

@@ -129,11 +129,12 @@ class Participant:
         order: ByteOrder | None = None,
         matches: Callable[[list[tuple[Peer, ...]]], None] | None = None,
         all_gateways: bool = False,
+        silent: bool = False,
     ) -> RawReader:
         """A reader of ``topic`` (DDS topic and DDS type); its samples carry ``type``. Raises ``DdsError``.
 
         ``matches`` gets the writers on the loop at each change. With ``all_gateways`` it reads from other processes of
-        our own gateway, too.
+        our own gateway, too. A ``silent`` one is on the network, and no node's, but reads nothing.
         """
         with self._using(topic) as (topic_entity, _), reader_qos(qos, user_data) as handle:
             entity = check(lib.create_reader(self._entity, topic_entity, handle, None), f"create reader {topic[0]}")
@@ -141,8 +142,11 @@ class Participant:
         depth = None if qos.history == "keep_all" or qos.transient_local else max(qos.depth, 1)
         reader = RawReader(self, topic, type, entity, depth, deliver, dropped, order, all_gateways=all_gateways)
         reader.guid = raw.guid_of(entity)
-        condition = check(lib.create_readcondition(entity, raw.ANY_STATE), "create_readcondition")
         self._readers[reader] = None
+        if silent:
+            self._hidden.add(reader)
+            return reader
+        condition = check(lib.create_readcondition(entity, raw.ANY_STATE), "create_readcondition")
         reader.key = self.pump.attach(condition, reader.on_data)
         if matches is not None:
             reader.matches = Matches(self.pump, entity, matches, writer=False)
@@ -187,6 +191,7 @@ class Participant:
         if part.closed:
             return
         part.closed = True
+        self._hidden.discard(part)
         if isinstance(part, RawReader):
             del self._readers[part]
         else:

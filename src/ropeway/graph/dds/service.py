@@ -56,13 +56,21 @@ class DdsService(Ends):
         self._warned: dict[str, float] = {}
 
     async def get_help(self) -> None:
-        """Have the graph's helper serve those of another mapping; where it cannot, the others are served alone."""
+        """Have the graph's helper serve those of another mapping; where it cannot, the others are served alone.
+
+        To be called before ``join``: so those do not take our endpoints for what they can call.
+        """
         if self._graph.helper is None:
             return
         try:
             self._helped = await self._graph.helper.create_service(self.service, self.type, self.answer)
         except GraphError as error:
             log.warning("%s: %s serves nodes of Cyclone DDS only: %s", self._graph.name, self.service, error)
+
+    async def end_help(self) -> None:
+        """Have them served no more."""
+        if self._helped is not None:
+            await self._helped.close()
 
     # From DDS ---------------------------------------------------------------------------------------------------
 
@@ -207,8 +215,7 @@ class DdsService(Ends):
         if self.closed:
             return
         self.closed = True
-        if self._helped is not None:
-            await self._helped.close()
+        await self.end_help()
         await end(*self._tasks)
         await self._graph.remove(self)
 

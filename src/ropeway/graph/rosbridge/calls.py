@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -24,6 +25,7 @@ __all__ = ["Calls", "RemoteCaller", "lane"]
 
 _NOBODY_S: Final = 1.0  # where nobody can tell who serves what, a call that is not served is tried again for so long
 _RETRY_S: Final = 0.25
+_OURS: Final = re.compile(r"(?:call_service|send_action_goal):\S+:\d+")
 
 
 class RemoteCaller(Protocol):
@@ -203,19 +205,19 @@ class Calls:
             case ops.ServiceResponse():
                 future = self.pending.pop(str(op.id), None)
                 if future is None:
-                    self._unasked(op.service, peer)
+                    self._unasked(op.service, op.id, peer)
                 elif not future.done():
                     future.set_result(op)
             case ops.ActionFeedback():
                 if (goal := self.goals.get(str(op.id))) is not None:
                     goal.fed(op)
                 else:
-                    self._unasked(op.action, peer)
+                    self._unasked(op.action, op.id, peer)
             case ops.ActionResult():
                 if (goal := self.goals.pop(str(op.id), None)) is not None:
                     goal.ended(op)
                 else:
-                    self._unasked(op.action, peer)
+                    self._unasked(op.action, op.id, peer)
             case ops.CallService():
                 if (service := self.services.get(op.name)) is not None:
                     service.called(op, peer)
@@ -237,10 +239,12 @@ class Calls:
                 return False
         return True
 
-    def _unasked(self, name: str, peer: Peer) -> None:
+    def _unasked(self, name: str, id: object, peer: Peer) -> None:
         """An answer came late, or for nothing."""
         if any(client.name == name for client in self.clients):
             self.late(name)
+        elif isinstance(id, str) and _OURS.fullmatch(id):  # of a client that was closed
+            self.late("")
         else:
             peer.complaints.note("answer", name, "nobody here asked for it")
 

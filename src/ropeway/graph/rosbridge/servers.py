@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
-from ropeway.errors import CallFailed, GoalRejected, ProviderLost, RopewayError
+from ropeway.errors import CallFailed, GoalRejected, LinkError, ProviderLost, RopewayError
 from ropeway.graph.base import Delivery, Undelivered
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, ServerGoal
 from ropeway.graph.rosbridge.calls import lane
@@ -187,7 +187,8 @@ class RemoteActionServer:
                 priority=lane(self.delivery),
             )
         except RopewayError as error:
-            self._calls.graph.drops[self.action, Undelivered.ENCODE] += 1
+            reason = Undelivered.WRITE if isinstance(error, LinkError) else Undelivered.ENCODE
+            self._calls.graph.drops[self.action, reason] += 1
             peer.complaints.note("feedback", self.action, error)
 
     def _encoding(self, goal: _Goal) -> str:

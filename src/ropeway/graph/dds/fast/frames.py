@@ -32,6 +32,7 @@ class Op(enum.IntEnum):
     REPLY = 6  # number: the request; body: CDR of the response
     FORGET = 7  # number: the call or request that needs no answer any more
     PING = 8
+    EXPECT = 9  # body: GUIDs of endpoints that are to be found before services are opened
 
     READY = 16  # body: GUID of the participant
     UNFIT = 17  # body: why this machine cannot do it

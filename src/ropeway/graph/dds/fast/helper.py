@@ -5,15 +5,25 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Iterable
+from typing import Final
 
 from ropeway.errors import CallFailed, GraphUnavailable
 from ropeway.graph.calls import ServiceHandler
+from ropeway.graph.dds.endpoint_qos import user_data
+from ropeway.graph.dds.endpoints import RawReader
 from ropeway.graph.dds.fast.identity import FAST
 from ropeway.graph.dds.fast.rpc import FastClient, FastRpc, FastService
+from ropeway.graph.dds.names import dds_service_topics, dds_type
+from ropeway.graph.dds.participant import Participant
+from ropeway.graph.dds.raw import DdsError
 from ropeway.graph.dds.records import Discovered, Joined
+from ropeway.graph.dds.vendors import HELPER_MARK
+from ropeway.qos import QoS
 from ropeway.tasks import end
 
 __all__ = ["FastHelper", "PendingService"]
+
+_WEIGHT_QOS: Final = QoS(depth=1)
 
 log = logging.getLogger("ropeway.graph.dds")
 
@@ -21,8 +31,8 @@ log = logging.getLogger("ropeway.graph.dds")
 class FastHelper:
     """The ``Helper`` for Fast DDS nodes. It starts ``rpc`` when one of them is there and is served, or is called."""
 
-    def __init__(self, rpc: FastRpc) -> None:
-        self._rpc = rpc
+    def __init__(self, rpc: FastRpc, participant: Participant) -> None:
+        self._rpc, self._participant = rpc, participant
         self._known = False
         self._starting: asyncio.Task[bool] | None = None
         self._services: dict[PendingService, None] = {}
@@ -60,7 +70,7 @@ class FastHelper:
 
     async def create_service(self, service: str, type: str, handler: ServiceHandler) -> PendingService:
         """See ``Helper``. Gives at once what begins to serve with the first Fast DDS node."""
-        pending = PendingService(self, service, type, handler)
+        pending = PendingService(self, service, type, handler, self._weigh(service, type))
         self._services[pending] = None
         if self._rpc.available:
             await pending.open()
@@ -72,9 +82,27 @@ class FastHelper:
         """Make the endpoint of a service."""
         return await self._rpc.create_service(pending.service, pending.type, pending.handler)
 
-    def forget(self, pending: PendingService) -> None:
+    async def forget(self, pending: PendingService) -> None:
         """A service was closed."""
         self._services.pop(pending, None)
+        if pending.weight is not None:
+            await self._participant.delete(pending.weight)
+
+    def _weigh(self, service: str, type: str) -> RawReader | None:
+        """A reader more than there are writers on our side of a service, which the helper process makes up for.
+
+        Fast DDS nodes take a service for available when they see as many readers of requests as writers of replies.
+        So they wait for those that they can use, instead of calling those that ``DdsService`` makes for others.
+        """
+        request, _ = dds_service_topics(service)
+        mark = user_data(gateway_id=self._rpc.gateway_id, extra=f"{HELPER_MARK}=1;")
+        try:
+            return self._participant.create_reader(
+                (request, dds_type(type, "_Request")), type, _WEIGHT_QOS, mark, _ignore, _ignore, silent=True
+            )
+        except DdsError as error:
+            log.warning("%s: %s: Fast DDS nodes may call it too early: %s", self._rpc.graph, service, error)
+            return None
 
     async def close(self) -> None:
         """End the helper process."""
@@ -86,8 +114,10 @@ class FastHelper:
 class PendingService:
     """A service for Fast DDS nodes, from when there are any."""
 
-    def __init__(self, helper: FastHelper, service: str, type: str, handler: ServiceHandler) -> None:
-        self.service, self.type, self.handler = service, type, handler
+    def __init__(
+        self, helper: FastHelper, service: str, type: str, handler: ServiceHandler, weight: RawReader | None
+    ) -> None:
+        self.service, self.type, self.handler, self.weight = service, type, handler, weight
         self._helper = helper
         self._served: FastService | None = None
         self._closed = False
@@ -103,7 +133,12 @@ class PendingService:
 
     async def close(self) -> None:
         """See ``Service``."""
-        self._closed = True
-        self._helper.forget(self)
-        if self._served is not None:
-            await self._served.close()
+        if not self._closed:
+            self._closed = True
+            if self._served is not None:
+                await self._served.close()
+            await self._helper.forget(self)
+
+
+def _ignore(_: object) -> None:
+    """What a silent reader hears, which is nothing."""

@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 __all__ = [
     "CYCLONE",
     "FAST",
+    "GUID_BYTES",
     "HEADER_BYTES",
     "NOBODY",
     "PID_RELATED",
@@ -38,6 +39,7 @@ NOBODY: Final = bytes(16)
 UNKNOWN_SEQ: Final = -1 << 32  # SEQUENCENUMBER_UNKNOWN of RTPS: high -1, low 0
 
 HEADER_BYTES: Final = 20  # of an RTPS message
+GUID_BYTES: Final = 16
 PREFIX_BYTES: Final = 12  # of a GUID: what all entities of a participant share
 
 _DATA_BYTES: Final = 24  # of a DATA submessage, to where its parameters may begin

@@ -1,355 +1,36 @@
-"""The helper's participant and its endpoints: requests and replies in the mapping of Fast DDS.
-
-One thread waits for DDS and takes; another one carries out what the gateway asks. ``FastNode.lock`` is held by
-whichever of the two is at work, so nothing here is used by both at a time.
-"""
+"""The helper's participant: one thread waits for DDS, the other one carries out what the gateway asks."""
 
 from __future__ import annotations
 
 import ctypes as ct
-import struct
 import threading
-import time
-from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Final
 
+from ropeway.errors import RopewayError
 from ropeway.graph.base import Undelivered
 from ropeway.graph.dds import domain, raw
-from ropeway.graph.dds.endpoint_qos import reader_qos, user_data, writer_qos
-from ropeway.graph.dds.endpoints import matched, without_padding
+from ropeway.graph.dds.endpoint_qos import user_data
 from ropeway.graph.dds.fast import hook
-from ropeway.graph.dds.fast.frames import MAX_BODY_BYTES, Frame, Op, Spec
-from ropeway.graph.dds.fast.hook import RelatedWriter
-from ropeway.graph.dds.fast.identity import (
-    FAST,
-    NOBODY,
-    PID_RELATED,
-    PREFIX_BYTES,
-    UNKNOWN_SEQ,
-    Origin,
-    SampleIdentity,
-    is_reader,
-)
-from ropeway.graph.dds.names import dds_service_topics, dds_type
+from ropeway.graph.dds.fast.census import Census
+from ropeway.graph.dds.fast.ends import ClientEnd, ServiceEnd
+from ropeway.graph.dds.fast.frames import Frame, Op, Spec
+from ropeway.graph.dds.fast.hook import HookError
+from ropeway.graph.dds.fast.identity import FAST
 from ropeway.graph.dds.profile import Profile
-from ropeway.graph.dds.raw import INFINITY, INFO, SERDATA_HEADER, SampleInfo, check, lib
+from ropeway.graph.dds.raw import INFINITY, DdsError, check, lib
 from ropeway.graph.dds.vendors import HELPER_MARK
-from ropeway.qos import QoS
 
-__all__ = ["ClientEnd", "FastNode", "ServiceEnd"]
+__all__ = ["FastNode"]
 
-_READ_QOS: Final = QoS(history="keep_all")
-_WRITE_QOS: Final = QoS(depth=512)  # what a reader that hangs can make us keep
-_BATCH: Final = 64
-_PENDING_LIMIT: Final = 4096
-_SETTLE_S: Final = 0.1
-_PRIMING_S: Final = 1.0
-_PATIENCE_S: Final = 2.0
-_MATCH_S: Final = 1.0  # how long an answer waits until its reader is matched
-_TICK_NS: Final = 20_000_000  # between two looks at answers that wait
+_TICK_NS: Final = 20_000_000  # between two looks at what waits
 _MAX_TRIGGERS: Final = 256
 _GUARD_KEY: Final = 0
 _KEYS: Final = 4  # per endpoint: its data, the matches of its reader and of its writer
-_request_head = struct.Struct("<16sq")
 
 Emit = Callable[[Frame], None]
-
-
-class _End:
-    """A reader and a writer on the topics of one service."""
-
-    def __init__(self, node: FastNode, number: int, spec: Spec, *, serves: bool) -> None:
-        self.number = number
-        self.node = node
-        self._refs = (ct.c_uint64 * _BATCH)()
-        self._infos = (SampleInfo * _BATCH)()
-        self._raw = memoryview(self._infos).cast("B")
-        self._writers: dict[int, bytes] = {}
-        self.readers: set[bytes] = set()
-        self.matched: dict[bytes, float] = {}  # who writes to us and reads us, by the prefix of GUIDs, and since when
-        self._primers: list[int] = []
-        self._primed_at = 0.0
-        request, reply = dds_service_topics(spec.service)
-        ask = (request, dds_type(spec.type, "_Request"), node.mark_of(spec.request_hash))
-        answer = (reply, dds_type(spec.type, "_Response"), node.mark_of(spec.response_hash))
-        self._entities: list[int] = []
-        try:
-            # The reader is told first: who gets a request of ours should know already who waits for the reply.
-            self._reads, self._writes = (ask, answer) if serves else (answer, ask)
-            self._reader = self._make(self._reads, self._entities, writes=False)
-            self.reader_guid = raw.guid_of(self._reader)
-            self._entity = self._make(self._writes, self._entities, writes=True)
-            self.writer = RelatedWriter(self._entity)
-            node.attach(self, self._reader, self._entity)
-        except BaseException:
-            self.close()
-            raise
-
-    def _make(self, what: tuple[str, str, bytes], entities: list[int], *, writes: bool) -> int:
-        """A reader or writer with a topic of its own; both are added to ``entities``."""
-        topic, type, mark = what
-        entity, sertype = raw.create_topic(self.node.participant, topic, type)
-        entities.append(entity)
-        hook.install(sertype, type)
-        if writes:
-            with writer_qos(_WRITE_QOS, mark) as qos:
-                made = check(lib.create_writer(self.node.participant, entity, qos, None), f"create writer {topic}")
-        else:
-            with reader_qos(_READ_QOS, mark) as qos:
-                made = check(lib.create_reader(self.node.participant, entity, qos, None), f"create reader {topic}")
-        entities.append(made)
-        return made
-
-    def close(self) -> None:
-        """Leave the network."""
-        self._end_priming()
-        for entity in reversed(self._entities):
-            lib.delete(entity)
-        self._entities.clear()
-
-    def _prime(self) -> None:
-        """Have writers that we have just found tell where they are in their numbers, by a reader that is news to them.
-
-        Fast DDS tells each reader so once, when it finds it. If it found ours before we found its writer, that was in
-        vain; Cyclone DDS then takes the first that it is told with a sample, and that sample for one of the past.
-        Nodes count readers and writers of a service, so there comes one of each.
-        """
-        self._end_priming()
-        self._primed_at = time.monotonic()
-        self._make(self._reads, self._primers, writes=False)
-        self._make(self._writes, self._primers, writes=True)
-
-    def _end_priming(self) -> None:
-        for entity in reversed(self._primers):
-            lib.delete(entity)
-        self._primers.clear()
-
-    def on_data(self) -> None:
-        """Take what is there."""
-        while True:
-            count = check(lib.takecdr(self._reader, self._refs, _BATCH, self._infos, raw.ANY_STATE), "takecdr")
-            for serdata, (_, valid, _, _, handle) in zip(
-                self._refs[:count], INFO.iter_unpack(self._raw[: count * INFO.size]), strict=True
-            ):
-                try:
-                    if valid:
-                        self._take(serdata, handle)
-                finally:
-                    lib.serdata_unref(serdata)
-            if count < _BATCH:
-                return
-
-    def _take(self, serdata: int, handle: int) -> None:
-        origin = hook.origin_of(serdata)
-        if origin is None or origin.identity.guid != (self._writer_of(handle) or origin.identity.guid):
-            self.node.count(self.number, Undelivered.DECODE)
-            return
-        if not self.node.hears(origin.vendor):
-            return
-        size = lib.serdata_size(serdata)
-        if size > MAX_BODY_BYTES // 2:
-            self.node.count(self.number, Undelivered.BACKLOG)
-            return
-        payload = without_padding(ct.string_at(serdata + SERDATA_HEADER, size))
-        self.on_sample(origin, origin.encoding + payload[2:])
-
-    def _writer_of(self, handle: int) -> bytes:
-        """The GUID of a writer by what discovery says, to compare; ``b""`` where it has left already."""
-        guid = self._writers.get(handle)
-        if guid is None:
-            guid = _guid(lib.get_matched_publication_data(self._reader, handle))
-            if guid:
-                self._writers[handle] = guid
-        return guid
-
-    def on_sample(self, origin: Origin, payload: bytes) -> None:
-        """A request or a reply."""
-        raise NotImplementedError
-
-    def on_matches(self) -> set[bytes]:
-        """Take note of who is there; gives those who have left, by the prefix of their GUIDs."""
-        status = ct.c_uint32()
-        check(lib.take_status(self._reader, ct.byref(status), raw.SUBSCRIPTION_MATCHED), "take_status")
-        check(lib.take_status(self._entity, ct.byref(status), raw.PUBLICATION_MATCHED), "take_status")
-        handles = matched(lib.get_matched_publications, self._reader)
-        self._writers = {handle: guid for handle in handles if (guid := self._writer_of(handle))}
-        handles = matched(lib.get_matched_subscriptions, self._entity)
-        self.readers = {_guid(lib.get_matched_subscription_data(self._entity, handle)) for handle in handles}
-        writers = {guid[:PREFIX_BYTES] for guid in self._writers.values()}
-        readers = {guid[:PREFIX_BYTES] for guid in self.readers}
-        now = time.monotonic()
-        found = {prefix: self.matched.get(prefix, now) for prefix in writers & readers if self.node.hears(prefix[:2])}
-        gone = self.matched.keys() - found.keys()
-        if found.keys() - self.matched.keys():
-            self._prime()
-        self.matched = found
-        self.tick()
-        return gone
-
-    @property
-    def waits(self) -> bool:
-        """True while ``tick`` is to be called every now and then."""
-        return bool(self._primers)
-
-    def tick(self) -> None:
-        """Do what has its time."""
-        if self._primers and time.monotonic() - self._primed_at > _PRIMING_S:
-            self._end_priming()
-
-    def _write(self, payload: bytes, parameter: int, related: SampleIdentity) -> int:
-        seq = self.writer.write(payload, parameter, related, time.time_ns())
-        lib.write_flush(self._entity)
-        return seq
-
-
-class ClientEnd(_End):
-    """Calls a service. ``emit`` tells how many serve it, and what becomes of each call."""
-
-    def __init__(self, node: FastNode, number: int, spec: Spec) -> None:
-        self._calls: dict[int, tuple[int, set[bytes]]] = {}
-        self._numbers: dict[int, int] = {}
-        self.last = 0  # the number of the latest request on the network
-        self._ready = 0
-        super().__init__(node, number, spec, serves=False)
-
-    def call(self, number: int, payload: bytes, parameter: int = PID_RELATED) -> None:
-        """Send a request."""
-        if len(self._calls) >= _PENDING_LIMIT:
-            self._tell(Op.FAILED, number, "too many calls are under way")
-            return
-        try:
-            seq = self._write(payload, parameter, SampleIdentity(self.reader_guid, UNKNOWN_SEQ))
-        except raw.DdsError as error:
-            self._tell(Op.FAILED, number, f"the request cannot be sent: {error}")
-            return
-        self.last = seq
-        self._calls[seq] = (number, set(self.matched))
-        self._numbers[number] = seq
-
-    def forget(self, number: int) -> None:
-        """Nobody waits for this call any more."""
-        self._calls.pop(self._numbers.pop(number, 0), None)
-
-    def on_sample(self, origin: Origin, payload: bytes) -> None:
-        """Pass a reply on if it is one of ours."""
-        related = origin.related
-        if related is None or related.guid not in (self.reader_guid, self.writer.guid):
-            return
-        found = self._calls.pop(related.seq, None)
-        if found is None:
-            self.node.count(self.number, Undelivered.LATE)
-            return
-        del self._numbers[found[0]]
-        self.node.emit(Frame(Op.RESPONSE, self.number, found[0], payload))
-
-    def on_matches(self) -> set[bytes]:
-        """Take note of who serves it, and give up the calls whose servers have left."""
-        gone = super().on_matches()
-        if gone:
-            self.on_data()  # an answer may have come before its server left
-            for seq, (number, asked) in list(self._calls.items()):
-                asked -= gone
-                if not asked:
-                    del self._calls[seq], self._numbers[number]
-                    self._tell(Op.LOST, number, "its server has left")
-        return gone
-
-    @property
-    def waits(self) -> bool:
-        """True while there are servers that are matched and not yet ready."""
-        return super().waits or self._ready < len(self.matched)
-
-    def tick(self) -> None:
-        """Tell how many servers are ready.
-
-        They are when the server knows our writer, and it has had the time to tell our reader where its replies begin:
-        Cyclone DDS takes what comes before that for replies to others.
-        """
-        super().tick()
-        now = time.monotonic()
-        heard = self.writer.acks > 0
-        ready = sum(now - since > (_SETTLE_S if heard else _PATIENCE_S) for since in self.matched.values())
-        if ready != self._ready:
-            self._ready = ready
-            self.node.emit(Frame(Op.MATCHED, self.number, ready))
-
-    def _tell(self, op: Op, number: int, text: str) -> None:
-        self.node.emit(Frame(op, self.number, number, text.encode()))
-
-
-class ServiceEnd(_End):
-    """Serves a service. ``emit`` passes each request on, under a number that its answer is to carry."""
-
-    def __init__(self, node: FastNode, number: int, spec: Spec) -> None:
-        self._requests: dict[int, tuple[int, SampleIdentity]] = {}
-        self._last = 0
-        self._clients = 0
-        self._waiting: deque[tuple[float, int, SampleIdentity, bytes]] = deque()
-        super().__init__(node, number, spec, serves=True)
-
-    def on_sample(self, origin: Origin, payload: bytes) -> None:
-        """Pass a request on."""
-        if len(self._requests) >= _PENDING_LIMIT:
-            self.node.count(self.number, Undelivered.BACKLOG)
-            return
-        asks = origin.related.guid if origin.related is not None else NOBODY
-        identity = origin.identity if asks == NOBODY else SampleIdentity(asks, origin.identity.seq)
-        self._last += 1
-        self._requests[self._last] = (origin.parameter or PID_RELATED, identity)
-        head = _request_head.pack(*origin.identity)
-        self.node.emit(Frame(Op.REQUEST, self.number, self._last, head + payload))
-
-    def asked(self, number: int) -> tuple[int, SampleIdentity] | None:
-        """Under which parameter, and with which related identity, a request is to be answered."""
-        return self._requests.get(number)
-
-    def reply(self, number: int, payload: bytes) -> None:
-        """Answer a request, as soon as who asked can hear it."""
-        parameter, identity = self._requests.pop(number, (0, None))
-        if identity is None:
-            return
-        if not self._can_hear(identity.guid):
-            self._waiting.append((time.monotonic() + _MATCH_S, parameter, identity, payload))
-            self.node.wake()
-        else:
-            self._send(parameter, identity, payload)
-
-    def forget(self, number: int) -> None:
-        """Leave a request unanswered."""
-        self._requests.pop(number, None)
-
-    @property
-    def waits(self) -> bool:
-        """True while answers wait for their readers."""
-        return super().waits or bool(self._waiting)
-
-    def tick(self) -> None:
-        """Tell how many clients there are; send the answers whose readers have come, give up those whose do not."""
-        super().tick()
-        if len(self.matched) != self._clients:
-            self._clients = len(self.matched)
-            self.node.emit(Frame(Op.MATCHED, self.number, self._clients))
-        now = time.monotonic()
-        for _ in range(len(self._waiting)):
-            until, parameter, identity, payload = self._waiting.popleft()
-            if self._can_hear(identity.guid):
-                self._send(parameter, identity, payload)
-            elif now < until:
-                self._waiting.append((until, parameter, identity, payload))
-            else:
-                self.node.count(self.number, Undelivered.LATE)
-
-    def _can_hear(self, guid: bytes) -> bool:
-        """True where ``guid`` reads our answers, or is a writer, whose reader is not known."""
-        return guid in self.readers or not is_reader(guid)
-
-    def _send(self, parameter: int, identity: SampleIdentity, payload: bytes) -> None:
-        try:
-            self._write(payload, parameter, identity)
-        except raw.DdsError:
-            self.node.count(self.number, Undelivered.WRITE)
 
 
 class FastNode:
@@ -376,6 +57,8 @@ class FastNode:
         self._fail = fail
         self._number, self._everyone = number, everyone
         self._ends: dict[int, ClientEnd | ServiceEnd] = {}
+        self._census: Census | None = None
+        self._held: dict[int, Spec] = {}
         self._drops: Counter[tuple[int, Undelivered]] = Counter()
         self._stopping = False
         domain.acquire("dds", number, profile)
@@ -434,14 +117,30 @@ class FastNode:
         """The USER_DATA of an endpoint whose messages have this hash (``""``: nobody knows)."""
         return user_data(type_hash=type_hash, gateway_id=self.gateway_id, extra=f"{HELPER_MARK}=1;")
 
-    def open(self, number: int, spec: Spec, *, serves: bool) -> None:
-        """Make an endpoint and give it a number. Raises ``DdsError``, ``HookError``, ``InvalidTypeName``."""
+    def expect(self, guids: Iterable[bytes]) -> None:
+        """Services that are opened from now on wait until these endpoints are found."""
         with self.lock:
+            self._census = Census(self.participant, guids)
+        self.wake()
+
+    def open(self, number: int, spec: Spec, *, serves: bool) -> None:
+        """Make an endpoint and give it a number; emits why where it cannot be made."""
+        with self.lock:
+            if serves and self._census is not None:
+                self._held[number] = spec
+            else:
+                self._open(number, spec, serves=serves)
+
+    def _open(self, number: int, spec: Spec, *, serves: bool) -> None:
+        try:
             self._ends[number] = (ServiceEnd if serves else ClientEnd)(self, number, spec)
+        except (DdsError, HookError, RopewayError) as error:
+            self.emit(Frame(Op.REFUSED, number, body=str(error).encode()))
 
     def shut(self, number: int) -> None:
         """Remove an endpoint."""
         with self.lock:
+            self._held.pop(number, None)
             end = self._ends.pop(number, None)
             if end is not None:
                 end.close()
@@ -452,13 +151,13 @@ class FastNode:
         with self.lock:
             yield self._ends.get(number)
 
-    def attach(self, end: _End, reader: int, writer: int) -> None:
+    def attach(self, number: int, reader: int, writer: int) -> None:
         """Wait for the data and the matches of an endpoint, too."""
         condition = check(lib.create_readcondition(reader, raw.ANY_STATE), "create_readcondition")
         check(lib.set_status_mask(reader, raw.SUBSCRIPTION_MATCHED), "set_status_mask")
         check(lib.set_status_mask(writer, raw.PUBLICATION_MATCHED), "set_status_mask")
         for offset, entity in enumerate((condition, reader, writer), start=1):
-            check(lib.waitset_attach(self._waitset, entity, end.number * _KEYS + offset), "waitset_attach")
+            check(lib.waitset_attach(self._waitset, entity, number * _KEYS + offset), "waitset_attach")
         self.wake()
 
     def wake(self) -> None:
@@ -475,7 +174,7 @@ class FastNode:
         triggers = (ct.c_ssize_t * _MAX_TRIGGERS)()
         was_set = ct.c_bool()
         while not self._stopping:
-            timeout = _TICK_NS if any(end.waits for end in list(self._ends.values())) else INFINITY
+            timeout = _TICK_NS if self._waits() else INFINITY
             count = check(lib.waitset_wait(self._waitset, triggers, _MAX_TRIGGERS, timeout), "waitset_wait")
             for key in triggers[: min(count, _MAX_TRIGGERS)]:
                 if key == _GUARD_KEY:
@@ -489,16 +188,18 @@ class FastNode:
                     elif end is not None:
                         end.on_matches()
             with self.lock:
-                for end in self._ends.values():
-                    if end.waits:
-                        end.tick()
+                self._tick()
 
+    def _waits(self) -> bool:
+        with self.lock:
+            return self._census is not None or any(end.waits for end in self._ends.values())
 
-def _guid(data: Any) -> bytes:
-    """The GUID in what discovery tells of an endpoint, which is freed; ``b""`` for nothing."""
-    if not data:
-        return b""
-    try:
-        return bytes(data.contents.key)
-    finally:
-        lib.builtintopic_free_endpoint(data)
+    def _tick(self) -> None:
+        if self._census is not None and self._census.complete():
+            self._census = None
+            for number, spec in self._held.items():
+                self._open(number, spec, serves=True)
+            self._held.clear()
+        for end in self._ends.values():
+            if end.waits:
+                end.tick()

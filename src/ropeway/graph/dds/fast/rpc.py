@@ -7,7 +7,7 @@ import hashlib
 import itertools
 import logging
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -47,13 +47,14 @@ class Surroundings:
 
     ``little_endian(type, payload)`` turns what big-endian machines send, and may raise ``TypesError``; ``type_hash``
     gives ``RIHS01_…`` of a type or ``""``; ``node_of(guid)`` names the node of an endpoint; ``drop(service, reason,
-    count)`` counts what got lost.
+    count)`` counts what got lost; ``neighbours()`` gives the GUIDs of the endpoints of Fast DDS nodes.
     """
 
     little_endian: Callable[[str, bytes], bytes] = lambda type, payload: payload
     type_hash: Callable[[str], str] = lambda type: ""
     node_of: Callable[[bytes], str] = lambda guid: ""
     drop: Callable[[str, Undelivered, int], None] = lambda service, reason, count: None
+    neighbours: Callable[[], Iterable[bytes]] = lambda: ()
 
 
 class FastRpc:
@@ -71,7 +72,7 @@ class FastRpc:
         gateway_id: str = "",
         around: Surroundings | None = None,
     ) -> None:
-        self.graph = graph
+        self.graph, self.gateway_id = graph, gateway_id
         self.reason = "it was not started"
         self.around = around or Surroundings()
         self._available = False
@@ -152,6 +153,7 @@ class FastRpc:
     # From the helper --------------------------------------------------------------------------------------------
 
     def _on_up(self) -> None:
+        self.helper.send(Frame(Op.EXPECT, body=b"".join(self.around.neighbours())))
         for part in self._ends.values():
             if isinstance(part, FastClient):
                 part.on_up()

@@ -14,10 +14,11 @@ from typing import Final
 
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.dds.fast import hook
+from ropeway.graph.dds.fast.ends import ClientEnd, ServiceEnd
 from ropeway.graph.dds.fast.frames import Frame, Op, Spec
 from ropeway.graph.dds.fast.hook import HookError
 from ropeway.graph.dds.fast.identity import PID_RELATED, PID_RELATED_OLD, SampleIdentity
-from ropeway.graph.dds.fast.node import ClientEnd, FastNode, ServiceEnd
+from ropeway.graph.dds.fast.node import FastNode
 from ropeway.graph.dds.profile import Profile
 from ropeway.graph.dds.raw import DdsError
 

@@ -13,12 +13,14 @@ import socket
 import sys
 import threading
 
-from ropeway.errors import GraphUnavailable, RopewayError
+from ropeway.errors import GraphUnavailable
 from ropeway.graph.dds import raw
 from ropeway.graph.dds.fast import selfcall
+from ropeway.graph.dds.fast.ends import ClientEnd, ServiceEnd
 from ropeway.graph.dds.fast.frames import BadFrame, Frame, Op, Spec, Splitter, encode
 from ropeway.graph.dds.fast.hook import HookError
-from ropeway.graph.dds.fast.node import ClientEnd, FastNode, ServiceEnd
+from ropeway.graph.dds.fast.identity import GUID_BYTES
+from ropeway.graph.dds.fast.node import FastNode
 from ropeway.graph.dds.profile import Profile
 from ropeway.graph.dds.raw import DdsError
 
@@ -82,10 +84,10 @@ class Worker:
 
     def _on_endpoint(self, node: FastNode, frame: Frame) -> None:
         if frame.op in (Op.OPEN_CLIENT, Op.OPEN_SERVICE):
-            try:
-                node.open(frame.endpoint, Spec.decode(frame.body), serves=frame.op == Op.OPEN_SERVICE)
-            except (DdsError, HookError, RopewayError) as error:
-                self.emit(Frame(Op.REFUSED, frame.endpoint, body=str(error).encode()))
+            node.open(frame.endpoint, Spec.decode(frame.body), serves=frame.op == Op.OPEN_SERVICE)
+            return
+        if frame.op == Op.EXPECT:
+            node.expect(frame.body[at : at + GUID_BYTES] for at in range(0, len(frame.body), GUID_BYTES))
             return
         if frame.op == Op.CLOSE:
             node.shut(frame.endpoint)
