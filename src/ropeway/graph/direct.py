@@ -53,7 +53,8 @@ class Running:
 async def answer(name: str, running: Running, work: Awaitable[bytes], timeout_s: float) -> bytes:
     """What a handler answers.
 
-    Raises ``CallTimeout``, ``ProviderLost``, the handler's own ``CallError``, or ``CallFailed`` with what else it raised.
+    Raises ``CallTimeout``, ``ProviderLost``, the handler's own ``CallError``, or ``CallFailed`` with whatever else it
+    raised.
     """
     limit = asyncio.timeout(timeout_s)
     try:
