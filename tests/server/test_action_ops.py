@@ -130,7 +130,7 @@ async def test_goals_that_are_not_carried_out(place: Place) -> None:
         ),
         (
             '"action":"/fib","args":"1",' + TYPE[:-1],
-            "Expected a JSON object for type example_interfaces/action/Fibonacci_Goal but received a <class 'str'>",
+            "Expected a JSON object for type example_interfaces/Fibonacci_Goal but received a <class 'str'>",
         ),
         ('"action":"/fib"', "send_action_goal: Expected a action_type field but none was found."),
         ('"action":"/fib","action_type":"tf2_msgs/LookupTransform"', None),

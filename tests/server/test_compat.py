@@ -261,6 +261,24 @@ async def test_no_numbers_of_clients(place: Place) -> None:
     assert [str(v) for v in values] == ["nan", "nan", "inf", "-inf", "1.0"]
 
 
+async def test_long_integers(place: Place) -> None:
+    """Integers of 64 bits are numbers, as from rosbridge, and texts for a client that asks for that in its URL."""
+    type = "std_msgs/msg/Int64MultiArray"
+    robot = await publisher(place, "/longs", LATCHED, type)
+    payload = place.registry.codec(type).from_json({"layout": {"data_offset": 7}, "data": [2**53 + 1, -(2**63)]})
+    robot.publish(Sample(payload, type, 0, bytes(16), SEQ_NONE))
+    await place.robot.create_service("/add", ADD, add)
+    plain, exact = await place.client(), await place.client(path="/?int64=text")
+    for client in (plain, exact):
+        client.send({"op": "subscribe", "topic": "/longs"})
+    assert (await plain.json())["msg"]["data"] == [2**53 + 1, -(2**63)]
+    got = (await exact.json())["msg"]
+    assert got == {"layout": {"dim": [], "data_offset": 7}, "data": ["9007199254740993", "-9223372036854775808"]}
+    for client, sum in ((plain, 2**60), (exact, "1152921504606846976")):
+        client.send({"op": "call_service", "service": "/add", "args": {"a": 2**60}})
+        assert (await client.json())["values"] == {"sum": sum}
+
+
 # ── clients that are slow, hostile or odd ──────────────────────────────────────────────────────────────────────────
 
 

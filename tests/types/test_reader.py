@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import cbor2
@@ -81,3 +82,20 @@ def test_tags() -> None:
     """The cbor flavour tags sequences of numbers by their type."""
     value = read("sensor_msgs/msg/LaserScan", "cbor", {"ranges": [1.0]})
     assert value["ranges"] == cbor2.CBORTag(85, b"\0\0\x80?")
+
+
+def test_long_integers_as_texts() -> None:
+    """One flavour of JSON has integers of 64 bits as texts wherever they stand, and is the other one otherwise."""
+    registry = TypeRegistry()
+    registry.add_text("t/msg/In", "int64 a\nuint64[2] b\nint32 c\n")
+    registry.add_text("t/msg/T", "In[] d\nint64[] e\nuint64[100] f\nfloat64 g\nint64[<=2] h\n")
+    codec = registry.codec("t/T")
+    inner = {"a": -(2**63), "b": [2**64 - 1, 1], "c": 7}
+    cdr = codec.encode({"d": [inner], "e": [2**53 + 1] * 100, "g": 1.5, "h": [1]})
+    texts = codec.with_long_texts()
+    value = json.loads(texts.json(cdr))
+    assert value["d"] == [{"a": "-9223372036854775808", "b": ["18446744073709551615", "1"], "c": 7}]
+    assert value["e"] == ["9007199254740993"] * 100
+    assert (value["f"], value["g"], value["h"]) == (["0"] * 100, 1.5, ["1"])
+    assert json.loads(codec.json(cdr))["d"] == [inner]
+    assert (texts.long_texts, codec.long_texts) == (True, False)

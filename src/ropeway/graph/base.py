@@ -20,6 +20,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import enum
+import functools
 import logging
 import os
 from collections import Counter, deque
@@ -386,6 +387,11 @@ def resolve_name(name: str, namespace: str = "/") -> str:
     """
     if not isinstance(name, str) or not name:
         raise InvalidName(name, "a name is a non-empty text, as in /camera/image_raw")
+    return _resolve(name, namespace)
+
+
+@functools.lru_cache(maxsize=1024)
+def _resolve(name: str, namespace: str) -> str:
     full = name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"
     if full.startswith("/~") or name.startswith("~"):
         raise InvalidName(name, "private names (~) need a node; write the absolute name")

@@ -27,6 +27,11 @@ class Running:
         self._ended = asyncio.Event()
         self.closed = False
 
+    @property
+    def busy(self) -> bool:
+        """True while a call is under way."""
+        return bool(self._blocks)
+
     @contextlib.contextmanager
     def call(self) -> Iterator[None]:
         """A block in which a call runs."""

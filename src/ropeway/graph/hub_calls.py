@@ -247,6 +247,11 @@ class ViewClient:
             return True
         return self._inner.available if self._inner is not None else False
 
+    @property
+    def busy(self) -> bool:
+        """True while a call is under way."""
+        return self._under_way.busy
+
     async def wait_available(self, timeout_s: float) -> bool:
         """See ``Client``."""
         assert self._inner is not None

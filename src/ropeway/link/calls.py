@@ -14,7 +14,7 @@ import orjson
 
 from ropeway.errors import MessageTooBig, OutboxFull, RopewayError
 from ropeway.link.channel import Channel, Outgoing
-from ropeway.link.outbox import LANES, Queue
+from ropeway.link.outbox import LANES, Lost, Queue
 from ropeway.types.cbor import dumps as cbor_dumps
 from ropeway.wire import codec as wire_codec
 from ropeway.wire import ops
@@ -80,6 +80,13 @@ class _OpChannel(Channel):
         queue: Queue[Outgoing] = Queue("calls", priority=lane, depth=None, limit_bytes=1 << 62)
         super().__init__(sender, number, "(calls)", "", "cbor" if sender.records else "none", queue, None)
         self.done = done
+
+    def put(self, sample: Outgoing) -> None:
+        """Send it now, if nothing was sent in this turn of the event loop and the link takes it."""
+        if self.closed:
+            self.queue.lost[Lost.UNSENT] += 1
+        else:
+            self.sender.put(self, sample, at_once=True)
 
     def pick(self, sample: Outgoing) -> str:
         """Operations have their encoding inside."""

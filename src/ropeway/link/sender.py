@@ -44,7 +44,7 @@ class Sender:
         self.outbox: Outbox[Outgoing] = Outbox()
         self.channels: dict[int, Channel] = {}
         self._loop = asyncio.get_running_loop()
-        self._scheduled = False
+        self._scheduled = self._pumping = False
         self._encoding: set[asyncio.Future[object]] = set()
 
     def open(
@@ -69,12 +69,12 @@ class Sender:
         self.channels[number] = channel
         return channel
 
-    def put(self, channel: Channel, sample: Outgoing) -> None:
+    def put(self, channel: Channel, sample: Outgoing, *, at_once: bool = False) -> None:
         """Let a message of a channel wait; what is full is sent first, if the link takes it."""
         if self.connection.writable and self.outbox.full(channel.queue, len(sample.payload)):
             self.pump()
         self.outbox.put(channel.queue, sample)
-        self.wake()
+        self.wake(at_once=at_once)
 
     def drop(self, channel: Channel) -> None:
         """Forget a channel; what waits of it is lost."""
@@ -82,18 +82,28 @@ class Sender:
         if self.channels.get(channel.number) is channel:
             del self.channels[channel.number]
 
-    def wake(self) -> None:
-        """See that what waits is sent in this turn of the event loop."""
+    def wake(self, *, at_once: bool = False) -> None:
+        """See that what waits is sent in this turn of the event loop; with ``at_once`` the first of the turn now."""
         if not self._scheduled and self.connection.writable:
             self._scheduled = True
             self._loop.call_soon(self._scheduled_pump)
+            if at_once:
+                self.pump()
 
     def _scheduled_pump(self) -> None:
         self._scheduled = False
         self.pump()
 
     def pump(self) -> None:
-        """Send while the link takes it."""
+        """Send while the link takes it. A call from inside goes on where it is."""
+        if not self._pumping:
+            self._pumping = True
+            try:
+                self._pump()
+            finally:
+                self._pumping = False
+
+    def _pump(self) -> None:
         raise NotImplementedError
 
     def take(self, lane: int) -> tuple[Channel, Outgoing, str] | None:
@@ -137,8 +147,7 @@ class PlainSender(Sender):
         self._fragments: deque[bytes] = deque()  # of the text that is being sent
         self._busy = False  # a thread encodes the next message
 
-    def pump(self) -> None:
-        """Send while the link takes it."""
+    def _pump(self) -> None:
         while self.connection.writable and not self._busy and self._send_next():
             pass
 
@@ -218,8 +227,7 @@ class RecordSender(Sender):
                 self._cursors[lane] = None
                 self.wake()  # others may have waited for this lane
 
-    def pump(self) -> None:
-        """Send while the link takes it."""
+    def _pump(self) -> None:
         connection = self.connection
         while connection.writable:
             frame = self._gather()

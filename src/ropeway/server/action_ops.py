@@ -41,18 +41,16 @@ _LEAVE_S: Final = 2.0  # how long the goals of a client that left may take to be
 class ActionOps:
     """The goals and the actions of one client."""
 
-    def __init__(self, session: Session, *, cancel_goals: bool) -> None:
+    def __init__(self, session: Session) -> None:
         self.session = session
-        self.cancel_goals = cancel_goals
         self.goals: set[SentGoal] = set()
         self.offered: dict[str, OfferedAction] = {}  # by the name that the client gave
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def leave(self) -> None:
         """The client has left: its goals are cancelled, its actions withdrawn."""
-        if self.cancel_goals:
-            for goal in list(self.goals):
-                self._start(goal.cancel(), f"cancel goal of {goal.name}")
+        for goal in list(self.goals):
+            self._start(goal.cancel(), f"cancel goal of {goal.name}")
         cancelling = [task for task in self._tasks if not task.done()]
         if cancelling:
             await asyncio.wait(cancelling, timeout=_LEAVE_S)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ropeway.errors import DecodeError, TypesError, ValueMismatch
 from ropeway.graph.rosbridge.notes import failure, read_note
+from ropeway.types.definition import short_name
 from ropeway.wire import codec as wire_codec
 from ropeway.wire.dialect import ROSBRIDGE
 
@@ -20,7 +21,7 @@ __all__ = ["codec_of", "decode_body", "failure_note", "passage", "text_of"]
 def codec_of(session: Session, type: str) -> MessageCodec | None:
     """The codec of a type; ``None`` where a gateway can do without. Raises ``TypesError``."""
     try:
-        return session.registry.codec(type)
+        return session.codec(type)
     except TypesError:
         if session.gateway:
             return None
@@ -43,7 +44,8 @@ def decode_body(session: Session, value: Any, compression: str | None, type: str
     if not value and isinstance(value, (str, int, float)):
         value = None
     if isinstance(value, (str, int, float)):
-        raise ValueMismatch(type, "", f"Expected a JSON object for type {codec.type} but received a {value.__class__}")
+        short = short_name(type)
+        raise ValueMismatch(type, "", f"Expected a JSON object for type {short} but received a {value.__class__}")
     return wire_codec.decode_value(value, compression, codec, limit_bytes=limit_bytes)
 
 

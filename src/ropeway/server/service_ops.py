@@ -29,7 +29,7 @@ from ropeway.tasks import end
 from ropeway.wire import ops
 
 if TYPE_CHECKING:
-    from ropeway.graph.hub_calls import ViewService
+    from ropeway.graph.hub_calls import ViewClient, ViewService
     from ropeway.server.session import Session
 
 __all__ = ["LONGEST_S", "ServiceOps", "tell_state"]
@@ -40,6 +40,7 @@ LONGEST_S: Final = 3600.0
 """What "for ever" means here: no client keeps a call open longer."""
 
 _CALLS_LIMIT: Final = 1024  # under way, of one client
+_CLIENTS_LIMIT: Final = 32  # services that one client calls again soon
 _PENDING_LIMIT: Final = 1024  # under way, of one service of a client
 _SERVICES_LIMIT: Final = 1024  # of one client
 
@@ -53,10 +54,14 @@ class ServiceOps:
         self.called = 0
         self.offered: dict[str, OfferedService] = {}  # by the name that the client gave
         self._calls: set[asyncio.Task[None]] = set()
+        self._clients: dict[tuple[str, str], ViewClient] = {}
 
     async def leave(self) -> None:
         """The client has left: its calls are given up, its services withdrawn."""
         await end(*self._calls)
+        for client in self._clients.values():
+            await client.close()
+        self._clients.clear()
         for service in list(self.offered.values()):
             await service.close("its provider has left")
         self.offered.clear()
@@ -113,13 +118,10 @@ class ServiceOps:
         payload = decode_body(session, op.args, op.compression, type + "_Request")
         timeout_s = self._timeout_s(op.timeout)
         request = Request(payload, timeout_s=timeout_s, **passage(session, extra))
-        client = await session.view.create_client(name, type)
-        try:
-            if not known and client.available is False:
-                raise NotServed(name)  # at once, as rosbridge does, which does not know the type then
-            response = await client.call(request, timeout_s)
-        finally:
-            await client.close()
+        client = await self._client(name, type)
+        if not known and client.available is False:
+            raise NotServed(name)  # at once, as rosbridge does, which does not know the type then
+        response = await client.call(request, timeout_s)
         session.peer.send_op(
             ops.ServiceResponse(service=op.service, values=None, result=True, id=op.id),
             payload=response,
@@ -129,6 +131,25 @@ class ServiceOps:
             fragment_size=op.fragment_size,
             on_unsent=partial(self.refuse, op),
         )
+
+    async def _client(self, name: str, type: str) -> ViewClient:
+        """The client for a service, kept for further calls; the one that was not used for longest goes."""
+        client = self._clients.pop((name, type), None)
+        if client is None:
+            client = await self.session.view.create_client(name, type)
+            other = self._clients.pop((name, type), None)  # of a call that came meanwhile
+            if other is not None:
+                await client.close()
+                client = other
+        self._clients[name, type] = client
+        while len(self._clients) > _CLIENTS_LIMIT:
+            oldest = next(iter(self._clients))
+            idle = self._clients.pop(oldest)
+            if idle.busy:
+                self._clients[oldest] = idle
+                break
+            await idle.close()
+        return client
 
     def _type(self, op: ops.CallService, name: str) -> tuple[str, bool]:
         """The type of a service, and whether to wait for it.

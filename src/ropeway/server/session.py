@@ -25,7 +25,7 @@ from ropeway.wire.records import Arrival
 if TYPE_CHECKING:
     from ropeway.graph.hub import Hub
     from ropeway.link.connection import Connection
-    from ropeway.types import TypeRegistry
+    from ropeway.types import MessageCodec, TypeRegistry
 
 __all__ = ["Rosapi", "Session"]
 
@@ -65,8 +65,10 @@ class Session:
     (``{"op":"status","level":"error","msg":…}``, with the id of the operation where it had one). Others are not:
     rosbridge for ROS 2 has no such operation, and some client libraries stumble over it.
 
+    With ``?int64=text`` in its URL, the JSON that a client gets has integers of 64 bits as texts: JavaScript rounds
+    numbers beyond 2**53.
+
     ``call_timeout_s``: how long a call waits whose client gives no ``timeout``, 0 and below for as long as may be.
-    ``cancel_goals``: whether the goals of a client that leaves are cancelled.
     """
 
     def __init__(
@@ -80,7 +82,6 @@ class Session:
         unregister_timeout_s: float,
         on_advertised: Callable[[str], Awaitable[None]],
         call_timeout_s: float = DEFAULT_TIMEOUT_S,
-        cancel_goals: bool = True,
         access: Access | None = None,
         rosapi: Rosapi | None = None,
     ) -> None:
@@ -96,7 +97,7 @@ class Session:
         self.remote: dict[str, str] = {}
         self.topics = TopicOps(self, unregister_timeout_s=unregister_timeout_s, on_advertised=on_advertised)
         self.services = ServiceOps(self, call_timeout_s=call_timeout_s)
-        self.actions = ActionOps(self, cancel_goals=cancel_goals)
+        self.actions = ActionOps(self)
         self._waiting: deque[ops.Op | Retire] = deque()
         self._wake = asyncio.Event()
         self._paused = False
@@ -105,8 +106,10 @@ class Session:
         self._watch: Watch | None = None
         self._definitions = 0
         self._gone = False
-        handshake = connection.handshake
-        self._tells_status = handshake is not None and _wants_status(handshake.query)
+        query = connection.handshake.query if connection.handshake is not None else {}
+        self._tells_status = query.get("status", ["0"])[-1].lower() not in ("0", "", "false", "no", "none")
+        self._long_texts = query.get("int64", [""])[-1] == "text"
+        self._long_codecs: dict[str, MessageCodec] = {}
         if self._tells_status:
             self.peer.complaints.on_note = lambda kind, text, id: self._send_status("error", f"{kind}: {text}", id)
         if self.gateway:
@@ -372,6 +375,18 @@ class Session:
         elif isinstance(op, (ops.AdvertiseService, ops.AdvertiseAction)):
             self.peer.send({"op": "refused", kind: name, "reason": str(error)})
 
+    def codec(self, type: str) -> MessageCodec:
+        """How messages are written for the client. Raises ``TypesError``."""
+        codec = self.registry.codec(type)
+        if not self._long_texts:
+            return codec
+        known = self._long_codecs.get(type)
+        if known is None:
+            if len(self._long_codecs) >= _DEFINITIONS_LIMIT:
+                self._long_codecs.clear()
+            known = self._long_codecs[type] = codec.with_long_texts()
+        return known
+
     def learn(self, type: str, extra: Mapping[str, Any] | None) -> None:
         """Take the definition of a type that a gateway sent along. Raises ``RopewayError`` for one that is no good."""
         text = (extra or {}).get("definition")
@@ -381,7 +396,3 @@ class Session:
         if self._definitions > _DEFINITIONS_LIMIT or len(text) > _DEFINITION_LIMIT:
             raise InvalidOperation("", f"the definition of {type} is one too many, or too long")
         self.registry.add_full_text(type, text)
-
-
-def _wants_status(query: Mapping[str, list[str]]) -> bool:
-    return query.get("status", ["0"])[-1].lower() not in ("0", "", "false", "no", "none")

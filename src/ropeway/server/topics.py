@@ -174,6 +174,8 @@ class TopicOut:
             depth=self._depth or 10,
             lifespan_s=_number(extra.get("lifespan_s")),
         )
+        if channel.codec is not None:
+            channel.codec = self.session.codec(self.type)
         if self.channel is not None:
             self.channel.close()
         self.channel = channel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 import struct
 import time
@@ -59,6 +60,7 @@ class MessageCodec:
         )
         self._stamped = bool(first) and first[0].type.base == HEADER and first[0].type.kind == "scalar"
         self._plan: Plan = Planner(registry.definition).plan(name)
+        self._json = "json"
         self._readers: dict[str, Reader] = {}
         self._write: Writer | None = None
         self._ros1: tuple[Reader, Writer] | None = None
@@ -86,8 +88,19 @@ class MessageCodec:
 
     def json(self, cdr: bytes) -> bytes:
         """The JSON text that rosbridge sends for this message, in ASCII. Raises ``DecodeError``."""
-        text = orjson.dumps(self._read("json", cdr), option=_JSON)
+        text = orjson.dumps(self._read(self._json, cdr), option=_JSON)
         return text if text.isascii() else _BEYOND_ASCII.sub(_escape, text.decode()).encode()
+
+    @property
+    def long_texts(self) -> bool:
+        """True for a codec that ``with_long_texts`` gave."""
+        return self._json == "json64"
+
+    def with_long_texts(self) -> MessageCodec:
+        """The same codec, but its JSON has integers of 64 bits as texts, which JavaScript cannot round."""
+        codec = copy.copy(self)
+        codec._json = "json64"
+        return codec
 
     def from_json(self, value: Any, *, now_ns: Callable[[], int] = time.time_ns) -> bytes:
         """The CDR of a parsed JSON value, by rosbridge's rules.

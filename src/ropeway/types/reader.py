@@ -12,6 +12,8 @@ flavour     uint8[], char[]            other numbers                fixed arrays
 ``rosgw``   bytes                      bytes                        bytes
 ==========  =========================  ===========================  ==================
 
+``json64`` is ``json`` with texts for integers of 64 bits, which JavaScript would round.
+
 Octets (``byte[]``) are bytes in ``object``, ``cbor`` and ``rosgw``, numbers in ``json``; bools are lists everywhere.
 """
 
@@ -30,7 +32,7 @@ from ropeway.types.layout import CODES, Call, Leaf, Loop, Numbers, Plan, Run, Sl
 
 __all__ = ["FLAVOURS", "Reader", "make_reader"]
 
-FLAVOURS: Final = ("object", "json", "cbor", "rosgw")
+FLAVOURS: Final = ("object", "json", "cbor", "rosgw", "json64")
 _TUPLE_LIMIT: Final = 64
 _EMPTY_LIMIT: Final = 65536
 _TAGS: Final = {
@@ -57,7 +59,9 @@ def make_reader(plan: Plan, flavour: str) -> Reader:
 class _Source:
     def __init__(self, layout: str, flavour: str, made: dict[int, Reader]) -> None:
         self.cdr = layout == "cdr"
-        self.layout, self.flavour, self.made = layout, flavour, made
+        self.layout, self.made = layout, made
+        self.texts = flavour == "json64"
+        self.flavour = "json" if self.texts else flavour
         self.lines: list[str] = []
         self.scope: dict[str, Any] = {"Short": values.Short}
         self.indent = 1
@@ -70,6 +74,9 @@ class _Source:
         made: Reader = self.scope["read"]
         return made
 
+    def inner(self) -> _Source:
+        return _Source(self.layout, "json64" if self.texts else self.flavour, self.made)
+
     def line(self, text: str) -> None:
         self.lines.append(" " * self.indent + text)
 
@@ -79,7 +86,10 @@ class _Source:
 
     def expression(self, node: Struct | Leaf) -> str:
         if isinstance(node, Leaf):
-            return f"v{node.index}"
+            name = f"v{node.index}"
+            if self.texts and node.type.base in ("int64", "uint64"):
+                return f"str({name})" if node.type.kind == "scalar" else f"[str(i) for i in {name}]"
+            return name
         return "{" + ", ".join(f"{name!r}: {self.expression(inner)}" for name, inner in node.fields) + "}"
 
     def align(self, to: int) -> None:
@@ -258,7 +268,7 @@ class _Source:
     def call(self, step: Call) -> None:
         key = id(step.plan)
         if key not in self.made:
-            self.made[key] = _Source(self.layout, self.flavour, self.made).function(step.plan)
+            self.made[key] = self.inner().function(step.plan)
         function = self.constant(f"f{step.leaf.index}", self.made[key])
         self.line(f"v{step.leaf.index}, p = {function}(raw, p, end)")
 

@@ -77,6 +77,7 @@ LIMIT_BYTES: Final = 64 << 20
 """The largest message that is unpacked unless told otherwise."""
 
 _CDR: Final = b"\0\1"  # the representations that begin so: plain CDR, little-endian
+_COPIED_BYTES: Final = 4096  # what is shorter is copied sooner than thought about
 _LZ4: Final = b"\x04\x22\x4d\x18"
 _GROWTH_BYTES: Final = 1 << 20
 
@@ -253,6 +254,8 @@ def encode_op(op: Operation | Mapping[str, Any], encoding: str = "none") -> Fram
 
 def cbor_with_bytes(message: Mapping[str, Any], key: str, data: bytes) -> bytes:
     """The CBOR of a map with one more entry, a byte string, which is copied only once. At most 22 other entries."""
+    if len(data) < _COPIED_BYTES:
+        return cbor_dumps({**message, key: data})
     coded = cbor_dumps(message)
     return b"".join((bytes((coded[0] + 1,)), coded[1:], cbor2.dumps(key), *_bytes(data)))
 

@@ -45,11 +45,16 @@ class _Call:
 
     def __init__(self, loop: asyncio.AbstractEventLoop, servers: set[bytes]) -> None:
         self.servers = servers
-        self.outcome: asyncio.Future[bytes | CallError | GraphUnavailable] = loop.create_future()
+        self.outcome: asyncio.Future[bytes | CallError | GraphUnavailable | TimeoutError] = loop.create_future()
 
-    def finish(self, outcome: bytes | CallError | GraphUnavailable) -> None:
+    def finish(self, outcome: bytes | CallError | GraphUnavailable | TimeoutError) -> None:
         if not self.outcome.done():
             self.outcome.set_result(outcome)
+
+    @property
+    def is_answered(self) -> bool:
+        outcome = self.outcome
+        return outcome.done() and not outcome.cancelled() and not isinstance(outcome.result(), TimeoutError)
 
 
 class DdsClient(Ends):
@@ -105,8 +110,11 @@ class DdsClient(Ends):
         while True:
             if not await self._served(until):
                 return await self._call_other(request, until)
-            async with asyncio.timeout_at(until):
+            if self._window.is_free:
                 ticket = await self._window.enter()
+            else:
+                async with asyncio.timeout_at(until):
+                    ticket = await self._window.enter()
             if self._servers:
                 break
             self._window.leave(ticket, answered=False)
@@ -121,10 +129,13 @@ class DdsClient(Ends):
                 if call.outcome.done() or not self._all_ours:
                     break
                 await self._write(message, until)
-            async with asyncio.timeout_at(until):
+            expiry = self._loop.call_at(until, call.finish, TimeoutError())
+            try:
                 outcome = await call.outcome
+            finally:
+                expiry.cancel()
         finally:
-            answered = call.outcome.done() and not call.outcome.cancelled()
+            answered = call.is_answered
             self._calls.pop(seq, None)
             self._window.leave(ticket, answered=answered)
         if isinstance(outcome, bytes):

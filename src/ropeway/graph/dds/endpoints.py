@@ -245,8 +245,9 @@ class RawWriter:
             return Undelivered.CLOSED
         if len(payload) < _COURIER_BYTES and self._in_count == self._out_count:
             reason = self._send(payload, 0)
-            if reason is None and not self._unflushed:
+            if reason is None and not self._unflushed:  # the first goes at once, others of this turn go together
                 self._unflushed = True
+                lib.write_flush(self.entity)
                 self._loop.call_soon(self._flush)
             return reason
         if self._in_bytes - self._out_bytes > _PENDING_LIMIT_BYTES:

@@ -49,10 +49,15 @@ class Window:
             self._timer.cancel()
         self._admit()
 
+    @property
+    def is_free(self) -> bool:
+        """True where ``enter`` need not wait."""
+        return not self._queue and len(self._out) < self._limit
+
     async def enter(self) -> int:
         """Wait for room; gives the ticket for ``leave``."""
         loop = asyncio.get_running_loop()
-        if self._queue or len(self._out) >= self._limit:
+        if not self.is_free:
             place: asyncio.Future[None] = loop.create_future()
             self._queue.append(place)
             self._arm()

@@ -102,9 +102,9 @@ class RemoteClient:
         while True:
             peer = await self._calls.link(deadline)
             try:
+                if peer.dialect is not ROSGW:
+                    return await self._ask(peer, request, deadline, timeout_s)
                 async with asyncio.timeout_at(deadline):
-                    if peer.dialect is not ROSGW:
-                        return await self._ask(peer, request, deadline, timeout_s)
                     async with self._calls.turn(self.service):  # it loses a call that comes during another
                         return await self._ask(peer, request, deadline, timeout_s)
             except NotServed:
@@ -121,7 +121,7 @@ class RemoteClient:
         id = f"call_service:{self.service}:{calls.next()}"
         answer: asyncio.Future[ops.ServiceResponse] = loop.create_future()
 
-        def unsent(error: RopewayError) -> None:
+        def unsent(error: Exception) -> None:
             if not answer.done():
                 answer.set_exception(error)
 
@@ -147,7 +147,11 @@ class RemoteClient:
                 priority=lane(self.delivery),
                 on_unsent=unsent,
             )
-            response = await answer
+            expiry = loop.call_at(deadline, unsent, TimeoutError())
+            try:
+                response = await answer
+            finally:
+                expiry.cancel()
             if not response.result:
                 raise received(self.service, response.values, response.ropeway, kind="service", timeout_s=timeout_s)
             codec = calls.codec(f"{self.type}_Response")

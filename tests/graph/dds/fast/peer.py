@@ -35,6 +35,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--base", type=int, default=0, help="the first number to add")
     parser.add_argument("--together", type=int, default=1, help="calls at a time")
     parser.add_argument("--delay", type=float, default=0.0, help="seconds that an answer takes")
+    parser.add_argument("--patience", type=float, default=100.0, help="seconds until a call is given up")
     parser.add_argument("--seconds", type=float, default=40.0)
     return parser.parse_args()
 
@@ -94,6 +95,9 @@ def call(node: Node, args: argparse.Namespace, end: float) -> None:
                 took.append(time.perf_counter() - began)
                 answer = future.result()
                 wrong += (answer.status_message if args.big else answer.sum) != expected
+                del waiting[number]
+            elif time.perf_counter() - began > args.patience:
+                say(given_up=number)
                 del waiting[number]
     took.sort()
     say(answered=len(took), wrong=wrong, p50_ms=took[len(took) // 2] * 1e3 if took else None)

@@ -24,6 +24,7 @@ from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
 from ropeway.graph.dds.fast.frames import MAX_BODY_BYTES, Frame, Op, Spec
 from ropeway.graph.dds.fast.process import Helper, Unfit
+from ropeway.graph.dds.pace import Pace
 from ropeway.graph.dds.profile import Profile
 from ropeway.graph.dds.window import Window
 from ropeway.tasks import end
@@ -60,7 +61,8 @@ class Surroundings:
 class FastRpc:
     """Calls and serves Fast DDS nodes (rmw_fastrtps_cpp) in domain ``domain``, through a helper process.
 
-    ``graph`` is what messages call it. ``gateway_id`` marks the endpoints as ours.
+    ``graph`` is what messages call it. ``gateway_id`` marks the endpoints as ours. With ``everyone`` it is for nodes of
+    other vendors that speak this mapping, too; those of Cyclone DDS, which do not, would get nonsense.
     """
 
     def __init__(
@@ -71,6 +73,7 @@ class FastRpc:
         *,
         gateway_id: str = "",
         around: Surroundings | None = None,
+        everyone: bool = False,
     ) -> None:
         self.graph, self.gateway_id = graph, gateway_id
         self.reason = "it was not started"
@@ -84,6 +87,7 @@ class FastRpc:
             "xml": profile.xml,
             "interface": profile.interface,
             "gateway_id": gateway_id,
+            "everyone": everyone,
         }
         self.helper = Helper(graph, order, self._on_up, self._on_frame, self._on_down)
 
@@ -317,6 +321,7 @@ class FastService:
         self._rpc = rpc
         self._handler = handler
         self._tasks: set[asyncio.Task[None]] = set()
+        self._paces: dict[bytes, Pace] = {}
 
     def on_frame(self, frame: Frame) -> None:
         """What the helper says about us."""
@@ -328,11 +333,21 @@ class FastService:
             guid, _ = _request_head.unpack_from(frame.body)
             head, payload = frame.body[: _request_head.size], frame.body[_request_head.size :]
             request = Request(payload, id=_call_id(head), caller=self._rpc.around.node_of(guid))
-            task = asyncio.create_task(self._serve(frame.number, request), name=f"serve {self.service}")
+            task = asyncio.create_task(self._serve(frame.number, request, guid), name=f"serve {self.service}")
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
-    async def _serve(self, number: int, request: Request) -> None:
+    async def _serve(self, number: int, request: Request, caller: bytes) -> None:
+        pace = self._paces.setdefault(caller, Pace())
+        pace.came()
+        try:
+            await self._serve_at(pace, number, request)
+        finally:
+            pace.went()
+            if pace.idle:
+                del self._paces[caller]
+
+    async def _serve_at(self, pace: Pace, number: int, request: Request) -> None:
         life = self._rpc.helper.starts
         try:
             request.payload = self._rpc.around.little_endian(f"{self.type}_Request", request.payload)
@@ -344,6 +359,7 @@ class FastService:
             log.exception("%s: the handler of %s failed", self._rpc.graph, self.service)
             self._leave_out(number, Undelivered.CALLBACK)
         else:
+            await pace.turn()
             if life != self._rpc.helper.starts:  # numbers begin again with each helper
                 self._rpc.around.drop(self.service, Undelivered.LATE, 1)
             elif len(response) > MAX_BODY_BYTES or not self._rpc.send(Op.REPLY, self, number, response):
