@@ -58,6 +58,7 @@ __all__ = [
     "Undelivered",
     "new_origin",
     "resolve_name",
+    "types_of",
 ]
 
 log = logging.getLogger("ropeway.graph")
@@ -332,6 +333,22 @@ class Graph(Protocol):
 
     def changes(self) -> AsyncIterator[GraphEvent]:
         """What is discovered and undiscovered from this call on."""
+
+
+def types_of(graph: Graph, kind: str, name: str) -> tuple[str, ...]:
+    """The types that one ``topic``, ``service`` or ``action`` has now; none if it is not there.
+
+    A graph that can look a name up without describing all others does so in a method of this name.
+    """
+    look_up: Callable[[str, str], tuple[str, ...]] | None = getattr(graph, "types_of", None)
+    if look_up is not None:
+        return look_up(kind, name)
+    known: TopicInfo | ServiceInfo | ActionInfo | None
+    if kind == "topic":
+        known = graph.topics().get(name)
+    else:
+        known = graph.services().get(name) if kind == "service" else graph.actions().get(name)
+    return known.types if known is not None else ()
 
 
 @dataclass

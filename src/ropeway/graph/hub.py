@@ -27,6 +27,7 @@ from ropeway.graph.base import (
     TopicInfo,
     Undelivered,
     resolve_name,
+    types_of,
 )
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ServiceHandler, ServiceInfo
 from ropeway.graph.hub_actions import ViewActionClient, ViewActionServer
@@ -242,18 +243,15 @@ class View:
 
     def types(self, topic: str) -> tuple[str, ...]:
         """The types that one topic has now."""
-        info = self.hub.graph.topics().get(topic)
-        return info.types if info is not None else ()
+        return types_of(self.hub.graph, "topic", topic)
 
     def service_types(self, service: str) -> tuple[str, ...]:
         """The types that one service has now."""
-        info = self.hub.graph.services().get(service)
-        return info.types if info is not None else ()
+        return types_of(self.hub.graph, "service", service)
 
     def action_types(self, action: str) -> tuple[str, ...]:
         """The types that one action has now."""
-        info = self.hub.graph.actions().get(action)
-        return info.types if info is not None else ()
+        return types_of(self.hub.graph, "action", action)
 
     @staticmethod
     def _seen(endpoint: EndpointInfo, mine: bool) -> EndpointInfo:

@@ -82,11 +82,12 @@ class _OpChannel(Channel):
         self.done = done
 
     def put(self, sample: Outgoing) -> None:
-        """Send it now, if nothing was sent in this turn of the event loop and the link takes it."""
+        """Send what is small now, if nothing was sent in this turn of the event loop and the link takes it."""
         if self.closed:
             self.queue.lost[Lost.UNSENT] += 1
         else:
-            self.sender.put(self, sample, at_once=True)
+            small = not self.is_slow(sample, "") and len(sample.payload) <= _BULK_BYTES
+            self.sender.put(self, sample, at_once=small)
 
     def pick(self, sample: Outgoing) -> str:
         """Operations have their encoding inside."""

@@ -229,7 +229,7 @@ class RecordSender(Sender):
 
     def _pump(self) -> None:
         connection = self.connection
-        while connection.writable:
+        while connection.writable and (self.outbox.messages or any(self._cursors)):
             frame = self._gather()
             if frame is None:
                 break
@@ -276,6 +276,8 @@ class RecordSender(Sender):
         return part
 
     def _next(self) -> _Cursor | None:
+        if not self.outbox.messages and not any(self._cursors):
+            return None
         waiting = iter(self.outbox.lanes())
         urgent = next(waiting, LANES)
         for lane in range(LANES):

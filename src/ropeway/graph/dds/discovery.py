@@ -124,6 +124,21 @@ class Discovery:
         """Every service, with its servers and clients; those of actions, too."""
         return {name: self._service_info(name, service) for name, service in sorted(self._services.items())}
 
+    def types_of(self, kind: str, name: str) -> tuple[str, ...]:
+        """The types that one topic or service has now, or one action."""
+        if kind == "action":
+            info = self.actions().get(name)
+            return info.types if info is not None else ()
+        if kind == "topic" and is_of_action(name):
+            return ()
+        found = (self._topics if kind == "topic" else self._services).get(name)
+        if found is None:
+            return ()
+        first, second = found.publishers.values(), found.subscriptions.values()
+        if kind == "service":
+            first, second = second, first
+        return tuple(dict.fromkeys(endpoint.name.type for endpoint in (*first, *second)))
+
     def actions(self) -> dict[str, ActionInfo]:
         """Every action: who takes and sends goals, and who else publishes or reads feedback."""
         found: dict[str, _Action] = {}

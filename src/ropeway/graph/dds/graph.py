@@ -265,6 +265,10 @@ class DdsGraph:
         """Every action in the domain, ours too."""
         return self._discovery.actions() if self._discovery else {}
 
+    def types_of(self, kind: str, name: str) -> tuple[str, ...]:
+        """See ``ropeway.graph.base.types_of``."""
+        return self._discovery.types_of(kind, name) if self._discovery else ()
+
     def nodes(self) -> dict[str, NodeInfo]:
         """Every node of ROS in the domain, ours too."""
         return self._discovery.nodes() if self._discovery else {}

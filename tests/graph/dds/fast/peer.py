@@ -47,8 +47,8 @@ def service_type(args: argparse.Namespace) -> Any:
 
 
 def fibonacci() -> Any:
-    """The action of the tutorials."""
-    return importlib.import_module("action_tutorials_interfaces.action").Fibonacci
+    """The action that is served and used."""
+    return importlib.import_module("example_interfaces.action").Fibonacci
 
 
 def serve(node: Node, args: argparse.Namespace) -> None:
@@ -114,7 +114,7 @@ def act(node: Node, args: argparse.Namespace) -> ActionServer:
                 handle.canceled()
                 return cls.Result(sequence=numbers)
             numbers.append(numbers[index] + numbers[index - 1])
-            handle.publish_feedback(cls.Feedback(partial_sequence=numbers))
+            handle.publish_feedback(cls.Feedback(sequence=numbers))
             time.sleep(args.delay)
         handle.succeed()
         return cls.Result(sequence=numbers)

@@ -111,7 +111,9 @@ class _Call:
         until = min(self._until, time.monotonic() + timeout_s)
         try:
             while (frame := frames.get(timeout=max(0.0, until - time.monotonic()))).op != op:
-                pass
+                if frame.op == Op.REFUSED:
+                    self._failed = frame.body.decode()
+                    return None
         except queue.Empty:
             return None
         return frame
