@@ -34,7 +34,7 @@ def test_passes() -> None:
     ("change", "text"),
     [
         ("hook._SERTYPE_NAME = 40", "the name of a type is not where it should be"),
-        ("hook._FROM_TYPE['seq'] += 8", "a writer's state is not where it should be"),
+        ("hook._FROM_TYPE['seq'] += 8", "a writer's number does not count"),
         ("hook._FROM_TYPE['keyhash'] = hook._FROM_TYPE['readers'] + 16", "is not where it should be"),
         ("hook._WRITER_GUID = 12", "a writer is not found behind its handle"),
         ("hook._GET_SIZE = 0", "the table of functions is another one"),
@@ -56,10 +56,12 @@ def test_finds(change: str, text: str) -> None:
 
 def test_no_loopback() -> None:
     """Where no network can be used, the self-test says so."""
-    said = run(
-        "selfcall._xml = lambda tag: '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"none0\"/></Interfaces></General></Domain></CycloneDDS>'; print(selfcall.wrong())"
-    )
-    assert "cannot start" in said
+    code = """
+    xml = selfcall._xml
+    selfcall._xml = lambda tag: xml(tag).replace('name="lo"', 'name="none0"')
+    print(selfcall.wrong())
+    """
+    assert "cannot start" in run(code)
 
 
 def test_errors_stay_inside() -> None:

@@ -48,14 +48,15 @@ class Surroundings:
 
     ``little_endian(type, payload)`` turns what big-endian machines send, and may raise ``TypesError``; ``type_hash``
     gives ``RIHS01_…`` of a type or ``""``; ``node_of(guid)`` names the node of an endpoint; ``drop(service, reason,
-    count)`` counts what got lost; ``neighbours()`` gives the GUIDs of the endpoints of Fast DDS nodes.
+    count)`` counts what got lost; ``neighbours()`` gives the GUIDs of the endpoints of Fast DDS nodes, which services
+    then wait for, and some time more.
     """
 
     little_endian: Callable[[str, bytes], bytes] = lambda type, payload: payload
     type_hash: Callable[[str], str] = lambda type: ""
     node_of: Callable[[bytes], str] = lambda guid: ""
     drop: Callable[[str, Undelivered, int], None] = lambda service, reason, count: None
-    neighbours: Callable[[], Iterable[bytes]] = lambda: ()
+    neighbours: Callable[[], Iterable[bytes]] | None = None
 
 
 class FastRpc:
@@ -157,7 +158,8 @@ class FastRpc:
     # From the helper --------------------------------------------------------------------------------------------
 
     def _on_up(self) -> None:
-        self.helper.send(Frame(Op.EXPECT, body=b"".join(self.around.neighbours())))
+        if self.around.neighbours is not None:
+            self.helper.send(Frame(Op.EXPECT, body=b"".join(self.around.neighbours())))
         for part in self._ends.values():
             if isinstance(part, FastClient):
                 part.on_up()
