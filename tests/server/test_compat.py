@@ -15,11 +15,12 @@ import pytest
 
 from ropeway.errors import AccessDenied
 from ropeway.graph.base import SEQ_NONE, Sample
-from ropeway.graph.calls import Request
+from ropeway.graph.calls import ActionHandlers, Request
 from ropeway.graph.memory import MemoryPublisher
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.server.access import Access
 from tests.contract.conftest import Inbox, until
+from tests.contract.test_actions import FIBONACCI, count
 from tests.contract.test_services import ADD, add
 from tests.contract.test_topics import STRING, sample, text
 from tests.server.client import BINARY, Client
@@ -343,6 +344,89 @@ async def test_ros_sharp(place: Place) -> None:
     send(op="publish", id="/chatter:2", topic="/chatter", msg={"data": "gone"})
     await client.nothing()
     assert place.complaints == {}
+
+
+# ── what rosbridge takes, besides ──────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize("type", ["std_msgs/srv/String", "std_msgs/action/String", "/std_msgs//msg/String/"])
+async def test_middle_of_a_message_type(place: Place, type: str) -> None:
+    """The middle part of a type says nothing that the operation does not say."""
+    client = await place.client()
+    client.send({"op": "advertise", "topic": "/t", "type": type})
+    await until(lambda: "/t" in place.robot.topics())
+    assert place.robot.topics()["/t"].types == (STRING,)
+    client.send({"op": "subscribe", "topic": "/t", "type": type})
+    client.send(said("x", "/t"))
+    assert await client.json() == heard("x", "/t")
+    assert place.complaints == {}
+
+
+async def test_middle_of_other_types(place: Place) -> None:
+    """Services and actions are found, too, by a type with another middle part."""
+    client = await place.client()
+    client.send({"op": "advertise_service", "service": "/s", "type": "std_srvs/msg/Trigger"})
+    client.send({"op": "advertise_action", "action": "/a", "type": "example_interfaces/msg/Fibonacci"})
+    await until(lambda: "/s" in place.robot.services() and "/a" in place.robot.actions())
+    assert place.robot.services()["/s"].types == ("std_srvs/srv/Trigger",)
+    assert place.robot.actions()["/a"].types == ("example_interfaces/action/Fibonacci",)
+    other = await place.client()
+    other.send({"op": "send_action_goal", "action": "/a", "action_type": "example_interfaces/srv/Fibonacci"})
+    asked = await client.json()
+    assert (asked["op"], asked["action_type"]) == ("send_action_goal", "example_interfaces/msg/Fibonacci")
+
+
+@pytest.mark.parametrize(
+    ("qos", "wanted"),
+    [
+        ({"durability": "transient_local"}, QoS(durability="transient_local", depth=1)),
+        ({"durability": "best_available"}, QoS(durability="transient_local", depth=1)),
+        ({"durability": "transient_local", "depth": 7}, QoS(durability="transient_local", depth=7)),
+        ({"reliability": "best_effort", "liveliness": "manual"}, QoS(reliability="best_effort")),
+    ],
+    ids=str,
+)
+async def test_qos_of_a_publisher(place: Place, qos: dict[str, Any], wanted: QoS) -> None:
+    """Who keeps messages for late readers keeps one unless told; the best durability is that; the unknown is ignored."""
+    client = await place.client()
+    client.send({"op": "advertise", "topic": "/t", "type": "std_msgs/String", "qos": qos})
+    await until(lambda: "/t" in place.robot.topics())
+    assert [p.qos for p in place.robot.topics()["/t"].publishers] == [wanted]
+
+
+async def test_topics_of_an_action(place: Place) -> None:
+    """The feedback and the status of an action can be read without telling their types."""
+    await place.robot.create_action_server("/fib", FIBONACCI, ActionHandlers(count))
+    client = await place.client()
+    client.send({"op": "subscribe", "topic": "/fib/_action/feedback"})
+    client.send({"op": "subscribe", "topic": "fib/_action/status"})
+    client.send({"op": "send_action_goal", "action": "/fib", "action_type": FIBONACCI, "args": [2]})
+    heard: dict[str, Any] = {}
+    while "action_result" not in heard or heard.get("fib/_action/status") != [4]:
+        got = await client.json()
+        if got["op"] == "action_result":
+            heard["action_result"] = got
+        elif got["topic"] == "fib/_action/status":
+            heard[got["topic"]] = [goal["status"] for goal in got["msg"]["status_list"]]
+        else:
+            heard[got["topic"]] = got["msg"]["feedback"]
+    assert heard["/fib/_action/feedback"] == {"sequence": [0, 1]}
+    client.send({"op": "subscribe", "topic": "/fib/_action/nothing"})
+    await client.nothing()
+
+
+async def test_true_is_a_number(place: Place) -> None:
+    """A float field takes true and false for 1 and 0, an integer field does not."""
+    inbox = Inbox()
+    await place.robot.create_subscription("/f", "std_msgs/msg/Float64", None, inbox)
+    client = await place.client()
+    client.send({"op": "advertise", "topic": "/f", "type": "std_msgs/Float64"})
+    client.send({"op": "advertise", "topic": "/i", "type": "std_msgs/Int64"})
+    client.send({"op": "publish", "topic": "/f", "msg": {"data": True}})
+    client.send({"op": "publish", "topic": "/i", "msg": {"data": True}})
+    (got,) = await inbox.wait(1)
+    assert got.payload == b"\0\1\0\0" + struct.pack("<d", 1.0)
+    await until(lambda: place.complaints)
 
 
 # ── who may do what ────────────────────────────────────────────────────────────────────────────────────────────────

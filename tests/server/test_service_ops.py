@@ -67,6 +67,9 @@ async def test_answers_byte_for_byte(place: Place) -> None:
         ('"args":[]', 0),
         ('"args":null', 0),
         ('"args":""', 0),
+        ('"args":"text"', 0),
+        ('"args":7', 0),
+        ('"args":true', 0),
         ('"args":{"a":1},"compression":"png"', 1),
         ('"args":{"a":1},"type":"no type at all"', 1),
         ('"args":{"a":1},"type":7', 1),
@@ -77,7 +80,7 @@ async def test_answers_byte_for_byte(place: Place) -> None:
     ],
 )
 async def test_arguments(place: Place, args: str, sum: int) -> None:
-    """Arguments are an object, or a list in the order of the fields; what is left out has its default."""
+    """Arguments are an object, or a list in the order of the fields; what is left out, or is neither, has defaults."""
     await serve(place)
     client = await place.client()
     client.send('{"op":"call_service","service":"/add",' + args + "}")
@@ -89,7 +92,7 @@ async def test_arguments(place: Place, args: str, sum: int) -> None:
     }
 
 
-@pytest.mark.parametrize("id", ["text", 7, 1.5, None, True, ["a", {"b": None}], "\u2603", 2**53 + 1])
+@pytest.mark.parametrize("id", ["text", 7, 1.5, "", True, ["a", {"b": None}], "\u2603", 2**53 + 1])
 async def test_ids(place: Place, id: Any) -> None:
     """An id comes back as it was sent, whatever it is."""
     await serve(place)
@@ -105,6 +108,8 @@ async def test_ids(place: Place, id: Any) -> None:
     ("service", "more", "id"),
     [
         ("add", "", ""),
+        ("add", ',"id":null', ""),
+        ("/add#old", ',"id":null', ',"id":"old"'),
         ("/add#old", "", ',"id":"old"'),
         ("add#old", ',"id":"new"', ',"id":"new"'),
         ("/add#", "", ',"id":""'),

@@ -34,9 +34,9 @@ REGISTRY = probe_registry()
         ),
         (
             "std_msgs/Float64",
-            {"data": True},
+            {"data": "1"},
             "data",
-            "std_msgs/Float64 message requires a double for field data, but got a <class 'bool'>",
+            "std_msgs/Float64 message requires a double for field data, but got a <class 'str'>",
         ),
         (
             "std_msgs/Bool",

@@ -213,8 +213,8 @@ SENT: list[tuple[ops.Op, str]] = [
         '{"op":"call_service","id":"svc:0","service":"/s","type":"a/B","args":{},"compression":"cbor"}',
     ),
     (
-        ops.ServiceResponse(service="/s#1", values={"ok": True}, result=True, id=None),
-        '{"op":"service_response","service":"/s#1","values":{"ok":true},"result":true,"id":null}',
+        ops.ServiceResponse(service="/s#1", values={"ok": True}, result=True, id=0),
+        '{"op":"service_response","service":"/s#1","values":{"ok":true},"result":true,"id":0}',
     ),
     (
         ops.ServiceResponse(service="/s", values="Service /s does not exist", result=False),
@@ -297,9 +297,11 @@ def test_operations_are_written_in_the_order_of_their_protocol(op: ops.Op, text:
 
 
 def test_an_id_is_absent_or_echoed_verbatim() -> None:
-    """An absent id differs from null, and every JSON value is an id."""
+    """Every JSON value but null is an id; null is none, and does not hide the one behind an old client's name."""
     assert not ops.present(ops.parse({"op": "unsubscribe", "topic": "/t"}).id)
-    for id in (None, "", 0, 1.5, "é", 2**80, [1, "a"], {"a": {"b": None}}):
+    assert not ops.present(ops.parse({"op": "unsubscribe", "topic": "/t", "id": None}).id)
+    assert ops.parse({"op": "call_service", "service": "/s#7", "id": None}).id == "7"
+    for id in ("", 0, 1.5, "é", 2**80, [1, "a"], {"a": {"b": None}}):
         op = ops.parse({"op": "unsubscribe", "topic": "/t", "id": id})
         assert ops.present(op.id)
         assert json.loads(ops.dumps(op.to_dict()))["id"] == id

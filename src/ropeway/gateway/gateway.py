@@ -136,6 +136,9 @@ class Gateway:
                 params_timeout_s=settings.clients.params_timeout_s,
                 silence_s=settings.clients.silence_s,
                 ping_interval_s=settings.clients.ping_interval_s,
+                cancel_goals=settings.clients.cancel_goals,
+                publish_clients=settings.clients.publish_clients,
+                publish_rosout=settings.clients.publish_rosout,
             )
             stack.push_async_callback(server.close)
             self.servers.append(server)

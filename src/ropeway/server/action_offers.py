@@ -211,6 +211,8 @@ class TakenGoal:
             self.end(Outcome(GoalStatus.ABORTED, None, text_of(error)))
             raise
         known = op.status in (GoalStatus.SUCCEEDED, GoalStatus.CANCELED)
+        if op.status == GoalStatus.CANCELED and not self.goal.cancelled.is_set() and not self._session.gateway:
+            known = False  # ROS 2 lets nothing end as cancelled that nobody asked to cancel
         self.end(Outcome(GoalStatus(op.status) if known else GoalStatus.ABORTED, payload))
 
     @property

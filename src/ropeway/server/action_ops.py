@@ -21,7 +21,7 @@ from ropeway.errors import (
 from ropeway.graph.base import resolve_name
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ClientGoal, Goal, GoalStatus, Outcome
 from ropeway.server.action_offers import OfferedAction, TakenGoal
-from ropeway.server.bodies import codec_of, decode_body, failure_note, passage, text_of
+from ropeway.server.bodies import codec_of, decode_args, failure_note, passage, text_of, type_of
 from ropeway.tasks import end
 from ropeway.wire import ops
 
@@ -41,15 +41,16 @@ _LEAVE_S: Final = 2.0  # how long the goals of a client that left may take to be
 class ActionOps:
     """The goals and the actions of one client."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, *, cancel_goals: bool = True) -> None:
         self.session = session
+        self._cancel_goals = cancel_goals
         self.goals: set[SentGoal] = set()
         self.offered: dict[str, OfferedAction] = {}  # by the name that the client gave
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def leave(self) -> None:
-        """The client has left: its goals are cancelled, its actions withdrawn."""
-        for goal in list(self.goals):
+        """The client has left: its goals are cancelled, unless they may go on, and its actions withdrawn."""
+        for goal in list(self.goals) if self._cancel_goals else ():
             self._start(goal.cancel(), f"cancel goal of {goal.name}")
         cancelling = [task for task in self._tasks if not task.done()]
         if cancelling:
@@ -123,7 +124,7 @@ class ActionOps:
         session = self.session
         name = resolve_name(op.action)
         session.access.check("advertise_action", name)
-        type = session.registry.canonical(op.type, "action")
+        type = type_of(session, op.type, "action")
         if type.split("/")[1] != "action":
             raise InvalidTypeName(op.type)
         session.learn(type, op.ropeway)
@@ -216,14 +217,14 @@ class SentGoal:
         extra = op.ropeway or {}
         name = resolve_name(op.name)
         session.access.check("send_action_goal", name)
-        type = session.registry.canonical(op.action_type, "action")
+        type = type_of(session, op.action_type, "action")
         if type.split("/")[1] != "action":
             raise InvalidTypeName(op.action_type)
         session.learn(type, extra)
         types = session.view.action_types(name)
         if types and type not in types:
             raise TypeConflict(name, types[0], type)
-        payload = decode_body(session, op.args, op.compression, type + "_Goal")
+        payload = decode_args(session, op.args, op.compression, type + "_Goal")
         codecs = [codec_of(session, type + part) for part in ("_Result", "_Feedback")]
         encoding = str(extra.get("encoding") or "auto")
         client = await session.view.create_action_client(name, type)

@@ -15,7 +15,20 @@ if TYPE_CHECKING:
     from ropeway.server.session import Session
     from ropeway.types import MessageCodec
 
-__all__ = ["codec_of", "decode_body", "failure_note", "passage", "text_of"]
+__all__ = ["codec_of", "decode_args", "decode_body", "failure_note", "passage", "text_of", "type_of"]
+
+
+def type_of(session: Session, name: str, kind: str) -> str:
+    """The full name of the type of ``kind`` (msg, srv, action) that a client named. Raises ``InvalidTypeName``.
+
+    A middle part that leads nowhere counts for nothing with rosbridge: ``std_srvs/msg/Trigger`` is a service, too.
+    """
+    registry = session.registry
+    if session.peer.dialect is ROSBRIDGE and not registry.has(name, kind):
+        parts = [part for part in name.split("/") if part]
+        if len(parts) == 3 and parts[1] != kind and registry.has(f"{parts[0]}/{kind}/{parts[2]}"):
+            return registry.canonical(f"{parts[0]}/{kind}/{parts[2]}", kind)
+    return registry.canonical(name, kind)
 
 
 def codec_of(session: Session, type: str) -> MessageCodec | None:
@@ -47,6 +60,16 @@ def decode_body(session: Session, value: Any, compression: str | None, type: str
         short = short_name(type)
         raise ValueMismatch(type, "", f"Expected a JSON object for type {short} but received a {value.__class__}")
     return wire_codec.decode_value(value, compression, codec, limit_bytes=limit_bytes)
+
+
+def decode_args(session: Session, value: Any, compression: str | None, type: str) -> bytes:
+    """The CDR of the ``args`` of a request. Raises ``TypesError`` or ``MessageTooBig``.
+
+    What is neither an object nor a list asks for nothing in particular, as rosbridge has it.
+    """
+    if session.peer.dialect is ROSBRIDGE and not isinstance(value, (dict, list)):
+        value = None
+    return decode_body(session, value, compression, type)
 
 
 def text_of(error: Exception) -> str:

@@ -69,6 +69,7 @@ class RosbridgeServer:
         call_timeout_s: float = DEFAULT_TIMEOUT_S,
         silence_s: float | None = _CLIENT_SILENCE_S,
         ping_interval_s: float = _CLIENT_PING_S,
+        cancel_goals: bool = True,
     ) -> None:
         self.hub, self.registry = hub, registry
         self.gateway_id, self.name = gateway_id, name
@@ -81,7 +82,7 @@ class RosbridgeServer:
         self.denied: Counter[str] = Counter()  # by rule, of all clients
         self.refused: Counter[str] = Counter()  # who was not let in, by status and reason
         self.call_timeout_s, self.silence_s = call_timeout_s, silence_s
-        self.ping_interval_s = ping_interval_s
+        self.ping_interval_s, self.cancel_goals = ping_interval_s, cancel_goals
         self.rosapi = Rosapi(hub, registry, params_timeout_s=params_timeout_s, globs=rosapi_globs or self.door.globs)
         self._pages = Pages(reasons, lambda origin: self.door.knows_origin(origin))
         self._complaints = Complaints("server")
@@ -185,6 +186,7 @@ class RosbridgeServer:
             unregister_timeout_s=self.unregister_timeout_s,
             on_advertised=self._advertised,
             call_timeout_s=self.call_timeout_s,
+            cancel_goals=self.cancel_goals,
             access=Access(role, self.door.globs, client=connection.peer, tally=self.denied),
             rosapi=self.rosapi,
         )

@@ -24,7 +24,7 @@ from ropeway.errors import (
 from ropeway.graph.base import Delivery, resolve_name
 from ropeway.graph.calls import Request
 from ropeway.graph.rosbridge.notes import call_note, received
-from ropeway.server.bodies import codec_of, decode_body, failure_note, passage, text_of
+from ropeway.server.bodies import codec_of, decode_args, decode_body, failure_note, passage, text_of, type_of
 from ropeway.tasks import end
 from ropeway.wire import ops
 
@@ -115,7 +115,7 @@ class ServiceOps:
         type, known = self._type(op, name)
         session.learn(type, extra)
         codec = codec_of(session, type + "_Response")
-        payload = decode_body(session, op.args, op.compression, type + "_Request")
+        payload = decode_args(session, op.args, op.compression, type + "_Request")
         timeout_s = self._timeout_s(op.timeout)
         request = Request(payload, timeout_s=timeout_s, **passage(session, extra))
         client = await self._client(name, type)
@@ -198,7 +198,7 @@ class ServiceOps:
         session = self.session
         name = resolve_name(op.service)
         session.access.check("advertise_service", name)
-        type = session.registry.canonical(op.type, "srv")
+        type = type_of(session, op.type, "srv")
         if type.split("/")[1] != "srv":
             raise InvalidTypeName(op.type)
         session.learn(type, op.ropeway)

@@ -69,6 +69,7 @@ class Session:
     numbers beyond 2**53.
 
     ``call_timeout_s``: how long a call waits whose client gives no ``timeout``, 0 and below for as long as may be.
+    ``cancel_goals``: the goals of a client that leaves are cancelled; those of a gateway always are.
     """
 
     def __init__(
@@ -82,6 +83,7 @@ class Session:
         unregister_timeout_s: float,
         on_advertised: Callable[[str], Awaitable[None]],
         call_timeout_s: float = DEFAULT_TIMEOUT_S,
+        cancel_goals: bool = True,
         access: Access | None = None,
         rosapi: Rosapi | None = None,
     ) -> None:
@@ -97,7 +99,7 @@ class Session:
         self.remote: dict[str, str] = {}
         self.topics = TopicOps(self, unregister_timeout_s=unregister_timeout_s, on_advertised=on_advertised)
         self.services = ServiceOps(self, call_timeout_s=call_timeout_s)
-        self.actions = ActionOps(self)
+        self.actions = ActionOps(self, cancel_goals=cancel_goals or self.gateway)
         self._waiting: deque[ops.Op | Retire] = deque()
         self._wake = asyncio.Event()
         self._paused = False

@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import GraphError, InvalidOperation, RopewayError, TypeConflict, TypesError
 from ropeway.graph.base import resolve_name
 from ropeway.qos import QoS
+from ropeway.server.bodies import type_of
 from ropeway.server.topics import TopicIn, TopicOut, topic_status
 from ropeway.tasks import end
 from ropeway.wire import ops
@@ -27,6 +28,7 @@ _TOPICS_LIMIT: Final = 4096  # of one client, in both directions
 _IDS_LIMIT: Final = 1024  # of one topic of one client
 _DEPTH_LIMIT: Final = 100_000
 _RAW: Final = ("cbor-raw", "rawzip")
+_POLICIES: Final = ("history", "depth", "reliability", "durability", "deadline", "lifespan")
 
 
 class TopicOps:
@@ -140,7 +142,7 @@ class TopicOps:
         session = self.session
         name = resolve_name(op.topic)
         session.access.check("publish", name)
-        type = session.registry.canonical(op.type)
+        type = type_of(session, op.type, "msg")
         session.learn(type, op.ropeway)
         known = self.inputs.get(op.topic) if number is None else self.input_channels.get(number)
         if known is not None and known.publisher is not None and known.topic == op.topic:
@@ -171,13 +173,25 @@ class TopicOps:
 
     def _publisher_qos(self, op: ops.Advertise) -> QoS:
         if op.qos is not None:
-            return QoS.parse(op.qos)
+            qos = self._asked_qos(op.qos)
+            if qos.durability == "best_available":  # for a writer, that is the most that it can offer
+                qos = replace(qos, durability="transient_local")
+            if qos.transient_local and "depth" not in op.qos and not self.session.gateway:
+                qos = replace(qos, depth=1)  # ROS 2's default: late readers get the last message, and not ten
+            return qos
         if self.session.peer.dialect is ROSGW or self.session.gateway:
             return QoS()
         if op.latch:
             return QoS(durability="transient_local", depth=1)
         depth = min(max(op.queue_size, 1), _DEPTH_LIMIT)  # 0 stands for the least, as in ROS 2
         return QoS(durability="transient_local", depth=depth, lifespan_s=1.0)
+
+    def _asked_qos(self, asked: Mapping[str, Any]) -> QoS:
+        """The profile that a client asks for; rosbridge takes no notice of policies that it does not know."""
+        known = {key: value for key, value in asked.items() if key in _POLICIES}
+        if len(known) != len(asked):
+            self.session.inform(f"unknown qos policies are ignored: {', '.join(sorted(set(asked) - set(known)))[:200]}")
+        return QoS.parse(known)
 
     async def unadvertise(self, op: ops.Unadvertise) -> None:
         """The client publishes a topic no more."""
@@ -242,13 +256,13 @@ class TopicOps:
         session = self.session
         name = resolve_name(op.topic)
         session.access.check("subscribe", name)
-        if not op.type and not session.view.types(name):
+        if not op.type and not self._types(name):
             self._wait_for_birth(op)
             return
-        type = session.registry.canonical(op.type) if op.type else self._inferred(op.topic)
+        type = type_of(session, op.type, "msg") if op.type else self._inferred(op.topic)
         session.learn(type, op.ropeway)
         self._check_type(name, type)
-        qos = QoS.parse(op.qos) if op.qos is not None else None
+        qos = self._asked_qos(op.qos) if op.qos is not None else None
         number = self._channel(op.ropeway)
         if number is not None:
             output = self.output_channels.get(number)
@@ -363,13 +377,25 @@ class TopicOps:
         if count >= _TOPICS_LIMIT:
             raise InvalidOperation("", f"a client may have {_TOPICS_LIMIT} topics at most")
 
+    def _types(self, name: str) -> tuple[str, ...]:
+        """The types that a topic has now; those of an action have them from it."""
+        view = self.session.view
+        types = view.types(name)
+        action, mark, part = name.rpartition("/_action/")
+        if types or not mark:
+            return types
+        found = view.action_types(action)
+        if part == "feedback":
+            return tuple(f"{type}_FeedbackMessage" for type in found)
+        return ("action_msgs/msg/GoalStatusArray",) if found and part == "status" else ()
+
     def _check_type(self, name: str, type: str) -> None:
-        types = self.session.view.types(name)
+        types = self._types(name)
         if types and type not in types:
             raise TopicTypeConflict(name, types[0], type)
 
     def _inferred(self, topic: str) -> str:
-        types = self.session.view.types(resolve_name(topic))
+        types = self._types(resolve_name(topic))
         if not types:
             raise UnknownTopicError(topic)
         return types[0]

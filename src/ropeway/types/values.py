@@ -106,10 +106,10 @@ def text(value: Any, bound: int) -> bytes:
 
 
 def real(value: Any) -> float:
-    """A float from an int, ``None`` (NaN) or a numpy number."""
+    """A float from an int, a bool (as rosbridge takes them), ``None`` (NaN) or a numpy number."""
     if value is None:
         return math.nan
-    if isinstance(value, bool) or not (isinstance(value, (int, float)) or _is_numpy(value, "iuf")):
+    if not (isinstance(value, (int, float)) or _is_numpy(value, "iuf")):
         raise Misfit
     return float(value)
 

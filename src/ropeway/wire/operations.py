@@ -49,7 +49,7 @@ class _Absent:
 
 
 ABSENT: Final = _Absent()
-"""The id of an operation that has none. (``null`` is an id.)"""
+"""The id of an operation that has none."""
 
 
 def present(id: object) -> bool:

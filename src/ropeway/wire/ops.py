@@ -103,7 +103,7 @@ def parse(message: Mapping[Any, Any]) -> Op:
     read = _READERS.get(op) if isinstance(op, str) else None
     if read is not None:
         return read(_Fields(message, op))
-    id = message.get("id", ABSENT)
+    id = _id_of(message)
     if op is ABSENT:
         reason = "Received a message without an op.  All messages require 'op' field with value one of: "
         raise InvalidOperation("", f"{reason}{list(ALLOWED)}", id=id)
@@ -120,6 +120,12 @@ def _show(value: object) -> str:
     return str(value)[:100] if type(value) in _SCALARS else f"<{type(value).__name__}>"
 
 
+def _id_of(message: Mapping[Any, Any]) -> Any:
+    """The id, whatever it is; ``null`` is none, as rosbridge has it: it is not repeated in answers."""
+    id = message.get("id")
+    return ABSENT if id is None else id
+
+
 class _Fields:
     """The fields of one operation, checked as they are asked for."""
 
@@ -127,7 +133,7 @@ class _Fields:
 
     def __init__(self, message: Mapping[Any, Any], op: str) -> None:
         self._message, self._op = message, op
-        self.id = message.get("id", ABSENT)
+        self.id = _id_of(message)
         if self.id is not ABSENT and type(self.id) not in _SCALARS:
             try:
                 orjson.dumps(self.id)
@@ -325,7 +331,7 @@ def _action_result(f: _Fields) -> ActionResult:
 
 
 def _fragment(f: _Fields) -> Fragment:
-    if f.id is ABSENT or f.id is None:
+    if f.id is ABSENT:
         raise f.invalid("received invalid fragment! No message ID found.")
     data, num, total = f.raw("data"), f.raw("num"), f.raw("total")
     if (

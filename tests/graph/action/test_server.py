@@ -331,6 +331,18 @@ async def test_close_ends_handlers(scene: Scene) -> None:
     assert ended.is_set()
 
 
+async def test_asked_while_closing(scene: Scene) -> None:
+    """Who sent a goal just before the server closes, and asks for its result only then, learns that it was aborted."""
+    served = await scene.serve()
+    id = new_id()
+    await scene.send(id)
+    await until(lambda: scene.worker.goals)
+    closing = asyncio.create_task(served.close())
+    await asyncio.sleep(0.05)
+    assert await scene.result(id) == (GoalStatus.ABORTED, sequence())
+    await closing
+
+
 async def test_late_feedback(scene: Scene) -> None:
     """Feedback of a goal that has ended is dropped and counted."""
     await scene.serve()

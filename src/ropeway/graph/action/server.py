@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections import OrderedDict, deque
+from collections.abc import Iterable
 from typing import Final
 
 from ropeway.errors import DecodeError, RopewayError
@@ -36,6 +38,7 @@ _KEPT_BYTES: Final = 64 << 20  # … with results of so many bytes in total …
 _KEPT_S: Final = 900.0  # … for so long, as in ROS 2 up to Iron; later distributions keep them 10 s
 _EARLY_FEEDBACK: Final = 256  # before a goal is accepted; the oldest goes first
 _CLOSE_S: Final = 2.0  # how long closing waits for the answers to those who wait for results
+_ASK_S: Final = 1.0  # who wants the result of a goal asks for it so soon after it was accepted
 
 
 class _Tracked:
@@ -47,6 +50,8 @@ class _Tracked:
         self.status = GoalStatus.ACCEPTED
         self.response: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         self.work: asyncio.Task[None] | None = None
+        self.taken_s = asyncio.get_running_loop().time()
+        self.asked = asyncio.Event()  # somebody asks for its result
         self.ended_s = 0.0
 
 
@@ -100,6 +105,7 @@ class ComposedActionServer:
         for tracked in under_way:
             self._finish(tracked, Outcome(GoalStatus.ABORTED, None, "the action server was closed"))
         await end(*(tracked.work for tracked in under_way))
+        await self._be_asked(under_way)
         if self._waiting:
             self._all_answered.clear()
             try:
@@ -115,6 +121,15 @@ class ComposedActionServer:
         if self._expiry is not None:
             self._expiry.cancel()
         self._ended.clear()
+
+    async def _be_asked(self, goals: Iterable[_Tracked]) -> None:
+        """Those who sent a goal a moment ago come to ask for its result: they are not left without an answer."""
+        loop = asyncio.get_running_loop()
+        for tracked in goals:
+            if not tracked.asked.is_set() and tracked.taken_s + _ASK_S > loop.time():
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout_at(tracked.taken_s + _ASK_S):
+                        await tracked.asked.wait()
 
     # ── send_goal ──────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -219,6 +234,7 @@ class ComposedActionServer:
         if tracked is None:
             return self._parts.result(GoalStatus.UNKNOWN, None)
         self._waiting += 1
+        tracked.asked.set()
         try:
             await asyncio.wait({tracked.response})
         finally:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import sys
 import time
 from typing import Any
 
@@ -21,7 +22,8 @@ from rclpy.node import Node
 
 def say(**what: Any) -> None:
     """Tell the test something."""
-    print(json.dumps(what), flush=True)
+    sys.stdout.write(json.dumps(what) + "\n")  # at once, since several threads come here
+    sys.stdout.flush()
 
 
 def arguments() -> argparse.Namespace:

@@ -25,11 +25,11 @@ async def echo(request: Request) -> bytes:
     return request.payload
 
 
-def rpc_of(graph: DdsGraph) -> FastRpc:
+def rpc_of(graph: DdsGraph, *, everyone: bool = True) -> FastRpc:
     """The part under test, which is to hear us though we are no Fast DDS node."""
     assert graph._fast is not None
     rpc = graph._fast._rpc
-    rpc.helper._order["everyone"] = True
+    rpc.helper._order["everyone"] = everyone
     return rpc
 
 
@@ -43,13 +43,14 @@ async def test_nothing_without_need(join: Join) -> None:
 
 
 async def test_serves(join: Join, domain: int) -> None:
-    """With the first Fast DDS node services are served to its kind, those that come later too, until they are closed."""
+    """With the first Fast DDS node services are served to its kind, those that come later, too; until they close."""
     graph = await join("ours", gateway_id="ours")
-    rpc = rpc_of(graph)
-    early = await graph.create_service("/early", ADD, echo)
+    rpc, helper = rpc_of(graph), graph.helper
+    assert helper is not None
+    early = await helper.create_service("/early", ADD, echo)
     graph._on_discovered([NODE])
     await until(lambda: rpc.available)
-    await graph.create_service("/late", ADD, echo)
+    await helper.create_service("/late", ADD, echo)
     other = FastRpc("other", domain, make_profile("other", "lo"), everyone=True)
     assert await other.start()
     for name in ("/early", "/late"):
@@ -64,7 +65,7 @@ async def test_serves(join: Join, domain: int) -> None:
 
 
 async def test_unseen(join: Join, domain: int) -> None:
-    """The process, its endpoints and its participant are nobody's to see, call or wait for; Cyclone DDS is served once."""
+    """The process and its endpoints are nobody's to see, call or wait for, and nodes of Cyclone DDS are served once."""
     near, far = await join("near", gateway_id="near"), await join("far", gateway_id="far")
     asked = []
 
@@ -73,8 +74,9 @@ async def test_unseen(join: Join, domain: int) -> None:
         return request.payload
 
     await far.create_service("/add", ADD, ask)
-    far._on_discovered([NODE])
-    await until(lambda: rpc_of(far).available)
+    assert far._fast is not None
+    far._fast.on_discovered([NODE])
+    await until(lambda: rpc_of(far, everyone=False).available)
     client = await near.create_client("/add", ADD)
     assert await client.wait_available(10)
     assert await client.call(Request(b"\0\1\0\0" + bytes(16))) == b"\0\1\0\0" + bytes(16)
@@ -127,7 +129,8 @@ async def test_expects(join: Join, domain: int, monkeypatch: pytest.MonkeyPatch)
     rpc = rpc_of(graph)
     assert graph._discovery is not None
     monkeypatch.setattr(graph._discovery, "guids", lambda prefix: [prefix + bytes(14)])
-    await graph.create_service("/add", ADD, echo)
+    assert graph.helper is not None
+    await graph.helper.create_service("/add", ADD, echo)
     graph._on_discovered([NODE])
     await until(lambda: rpc.available)
     other = FastRpc("other", domain, make_profile("other", "lo"), everyone=True)

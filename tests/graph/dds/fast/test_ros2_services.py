@@ -130,7 +130,7 @@ async def test_served_late(world: World) -> None:
 
 
 async def test_called(world: World) -> None:
-    """Two clients of ours call one Fast DDS node at once, from the first call on, and neither gets the other's answers."""
+    """Two clients of ours call one Fast DDS node at once; none gets the other's answers, and no call is lost."""
     await world.node("serve", "/add")
     clients = [await (await world.graph(name)).create_client("/add", ADD) for name in ("one", "two")]
 
