@@ -87,7 +87,7 @@ class Machine:
                     await asyncio.sleep(0.01)
         except TimeoutError:
             raise AssertionError(
-                f"{self.order['name']}: not within {timeout_s:g} s\n{''.join(self.log[-20:])}"
+                f"{self.order['name']}: not within {timeout_s:g} s\n{''.join(self.log[-20:])}\n{[e for e in self.events if 'status' not in e][-20:]}"
             ) from None
 
     def kill(self) -> None:

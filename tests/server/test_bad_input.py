@@ -88,10 +88,10 @@ BAD: dict[str, tuple[bytes, dict[str, int]]] = {
     ),
     "not advertised": (json_frame(said("x", "/never")), {"publish": 1}),
     # profiles
-    "qos policy": (json_frame({**CHATTER, "topic": "/x", "qos": {"speed": 1}}), {"advertise": 1}),
+    "qos policy": (json_frame({**CHATTER, "topic": "/x", "qos": {"speed": 1, "depth": -1}}), {"advertise": 1}),
     "qos depth": (json_frame({**CHATTER, "topic": "/x", "qos": {"depth": 2**40}}), {"advertise": 1}),
     "qos duration": (json_frame(listen("/x", qos={"lifespan": {"secs": [], "nsecs": {}}})), {"subscribe": 1}),
-    "qos keys": (cbor(listen("/x", qos={1: 2, "a": 3})), {"subscribe": 1}),
+    "qos keys": (cbor(listen("/x", qos={1: 2, "depth": "a"})), {"subscribe": 1}),
     # messages
     "unknown field": (json_frame({**PUBLISH, "msg": {"datum": "x"}}), {"publish": 1}),
     "wrong field": (json_frame({**PUBLISH, "msg": {"data": 5}}), {"publish": 1}),

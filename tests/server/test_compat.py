@@ -387,7 +387,7 @@ async def test_middle_of_other_types(place: Place) -> None:
     ids=str,
 )
 async def test_qos_of_a_publisher(place: Place, qos: dict[str, Any], wanted: QoS) -> None:
-    """Who keeps messages for late readers keeps one unless told; the best durability is that; the unknown is ignored."""
+    """Who keeps messages for late readers keeps one unless told; what is unknown is ignored."""
     client = await place.client()
     client.send({"op": "advertise", "topic": "/t", "type": "std_msgs/String", "qos": qos})
     await until(lambda: "/t" in place.robot.topics())

@@ -338,7 +338,7 @@ async def test_binary_frames(place: Place) -> None:
     client.send_pieces(BINARY, json.dumps({**call, "compression": "none", "type": "x" * 3000}).encode(), 1024)
     got = await client.receive()
     assert got.text
-    assert got.json == {"op": "service_response", "service": "/add", "values": {"sum": 3}, "result": True, "id": None}
+    assert got.json == {"op": "service_response", "service": "/add", "values": {"sum": 3}, "result": True}
 
 
 # ── serving ────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -607,7 +607,7 @@ async def test_two_providers(place: Place) -> None:
         ('"type":"std_srvs/Empty"', "operation"),
         ('"service":"/s","type":"std_srvs/Unheard"', "advertise_service"),
         ('"service":"/s","type":"std_msgs/msg/String"', "advertise_service"),
-        ('"service":"/s","type":"std_srvs/action/Empty"', "advertise_service"),
+        ('"service":"/s","type":"std_srvs/action/Unheard"', "advertise_service"),
         ('"service":"/s","type":"nonsense"', "advertise_service"),
         ('"service":"/s s","type":"std_srvs/Empty"', "advertise_service"),
     ],

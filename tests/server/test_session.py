@@ -155,9 +155,9 @@ async def test_unknown_topic(place: Place) -> None:
 async def test_ids_of_an_advertisement(place: Place) -> None:
     """A topic stays until its last registration goes; the same id counts once, an unknown one not at all."""
     client = await place.client()
-    for id in ("a", "a", "b", 7, None):
+    for id in ("a", "a", "b", 7, 0):
         client.send({**CHATTER, "id": id})
-    for id in ("a", "other", None, 7):
+    for id in ("a", "other", 0, 7):
         client.send({"op": "unadvertise", "topic": "/chatter", "id": id})
     client.send({**CHATTER, "topic": "/marker", "id": "m"})
     client.send({"op": "unadvertise", "topic": "/marker", "id": "m"})
@@ -168,12 +168,13 @@ async def test_ids_of_an_advertisement(place: Place) -> None:
     await until(lambda: not publishers(place))
 
 
-async def test_unadvertise_without_an_id(place: Place) -> None:
-    """Without an id, all registrations of the client end at once."""
+@pytest.mark.parametrize("more", [{}, {"id": None}], ids=str)
+async def test_unadvertise_without_an_id(place: Place, more: dict[str, Any]) -> None:
+    """Without an id, or with null, all registrations of the client end at once."""
     client = await place.client()
-    for id in ("a", "b"):
+    for id in ("a", "b", None):
         client.send({**CHATTER, "id": id})
-    client.send({"op": "unadvertise", "topic": "/chatter"})
+    client.send({"op": "unadvertise", "topic": "/chatter", **more})
     await client.done()
     await until(lambda: not publishers(place))
 

@@ -26,7 +26,7 @@ GOOD: list[tuple[dict[str, Any], ops.Op]] = [
     ),
     (
         {"op": "advertise", "topic": "/t", "type": "a/B", "latch": None, "queue_size": None, "qos": None, "id": None},
-        ops.Advertise(topic="/t", type="a/B", id=None),
+        ops.Advertise(topic="/t", type="a/B"),
     ),
     (
         {"op": "advertise", "topic": "/t", "type": "a/B", "queue_size": "x", "compression": "rawzip"},
@@ -78,7 +78,7 @@ GOOD: list[tuple[dict[str, Any], ops.Op]] = [
     ),
     (
         {"op": "advertise_service", "service": "/s", "type": "a/B", "id": None},
-        ops.AdvertiseService(service="/s", type="a/B", id=None),
+        ops.AdvertiseService(service="/s", type="a/B"),
     ),
     ({"op": "unadvertise_service", "service": "/s"}, ops.UnadvertiseService(service="/s")),
     (

@@ -67,6 +67,7 @@ async def answer(name: str, running: Running, work: Awaitable[bytes], timeout_s:
             with running.call():
                 return await work
     except CallError:
+        await asyncio.sleep(0)  # who calls again at once must not keep the provider from leaving
         raise
     except Exception as error:  # a handler is somebody else's code; its failure is this call's
         if limit.expired():

@@ -189,9 +189,11 @@ class TopicOps:
     def _asked_qos(self, asked: Mapping[str, Any]) -> QoS:
         """The profile that a client asks for; rosbridge takes no notice of policies that it does not know."""
         known = {key: value for key, value in asked.items() if key in _POLICIES}
+        profile = QoS.parse(known)
         if len(known) != len(asked):
-            self.session.inform(f"unknown qos policies are ignored: {', '.join(sorted(set(asked) - set(known)))[:200]}")
-        return QoS.parse(known)
+            unknown = ", ".join(sorted(str(key)[:40] for key in asked if key not in known))
+            self.session.complain("qos", "", f"unknown policies are ignored: {unknown[:200]}")
+        return profile
 
     async def unadvertise(self, op: ops.Unadvertise) -> None:
         """The client publishes a topic no more."""

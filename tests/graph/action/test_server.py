@@ -51,6 +51,7 @@ async def test_cancel_states(scene: Scene) -> None:
     await scene.serve()
     id = new_id()
     await scene.send(id)
+    await until(lambda: told[-1:] == [[2]])
     assert await scene.cancel(id) == (NONE, [id])
     scene.worker.outcome = Outcome(GoalStatus.CANCELED, sequence(2))
     scene.worker.finish.set()
