@@ -89,13 +89,6 @@ class Inbox:
         return self.samples
 
 
-async def until(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
-    """Wait until ``condition()`` holds; discovery has no other signal that every kind of graph shares."""
-    async with asyncio.timeout(timeout_s):
-        while not condition():
-            await asyncio.sleep(0.01)
-
-
 async def open_memory(stack: AsyncExitStack) -> Pair:
     network = f"contract-{next(_numbers)}"
     near, far = MemoryGraph(network, node="/near"), MemoryGraph(network, node="/far")

@@ -20,8 +20,9 @@ from ropeway.graph.calls import (
     Outcome,
     ServerGoal,
 )
+from tests.until import until
 
-from .conftest import Pair, until
+from .conftest import Pair
 
 FIBONACCI = "example_interfaces/action/Fibonacci"
 

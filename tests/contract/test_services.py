@@ -22,8 +22,9 @@ from ropeway.errors import (
 )
 from ropeway.graph.base import GraphEvent
 from ropeway.graph.calls import Client, Request, Service
+from tests.until import until
 
-from .conftest import Pair, until
+from .conftest import Pair
 
 ADD = "example_interfaces/srv/AddTwoInts"
 TEXT = "diagnostic_msgs/srv/AddDiagnostics"

@@ -11,8 +11,9 @@ import pytest
 from ropeway.errors import GraphUnavailable, InvalidName
 from ropeway.graph.base import SEQ_NONE, Graph, Publisher, Sample, Subscription
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
+from tests.until import until
 
-from .conftest import Inbox, Pair, until
+from .conftest import Inbox, Pair
 
 STRING = "std_msgs/msg/String"
 

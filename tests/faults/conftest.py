@@ -86,8 +86,9 @@ class Machine:
                 while not condition():
                     await asyncio.sleep(0.01)
         except TimeoutError:
+            told = [event for event in self.events if "status" not in event][-20:]
             raise AssertionError(
-                f"{self.order['name']}: not within {timeout_s:g} s\n{''.join(self.log[-20:])}\n{[e for e in self.events if 'status' not in e][-20:]}"
+                f"{self.order['name']}: not within {timeout_s:g} s\n{''.join(self.log[-20:])}\n{told}"
             ) from None
 
     def kill(self) -> None:

@@ -22,10 +22,11 @@ from ropeway.gateway.gateway import Gateway
 from ropeway.gateway.supervisor import Supervisor
 from ropeway.link.http import Request
 from ropeway.server.access import EVERYTHING, Role
-from tests.contract.conftest import Inbox, until
+from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample, text
 from tests.gateway.test_tls import Authority, gateway, url
 from tests.server.client import Client, fetch
+from tests.until import until
 
 TOKEN = "a-token-that-must-not-be-seen"
 

@@ -15,8 +15,9 @@ from ropeway.gateway.gateway import Gateway
 from ropeway.graph.base import Sample
 from ropeway.graph.memory import MemoryGraph, _networks
 from ropeway.qos import LATCHED, QoS
-from tests.contract.conftest import Inbox, until
+from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample, text
+from tests.until import until
 
 _numbers = itertools.count()
 

@@ -14,9 +14,9 @@ import pytest
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.dds import DdsGraph
 from ropeway.qos import QoS
-from tests.contract.conftest import until
 from tests.contract.test_topics import STRING, text
 from tests.faults.conftest import Machine
+from tests.until import until
 
 _domains = itertools.cycle(range(110, 120))
 HZ = 50.0

@@ -28,9 +28,9 @@ from ropeway.graph.memory import MemoryGraph
 from ropeway.qos import QoS
 from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import until
 from tests.contract.test_topics import STRING, text
 from tests.server.client import Client
+from tests.until import until
 
 _domains = itertools.cycle(range(100, 110))
 _numbers = itertools.count()

@@ -29,8 +29,9 @@ from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.link.connection import Limits
 from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import Inbox, until
+from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample, text
+from tests.until import until
 
 _numbers = itertools.count()
 NOW = datetime.datetime.now(datetime.UTC)

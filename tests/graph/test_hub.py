@@ -16,8 +16,9 @@ from ropeway.graph.base import Sample
 from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
-from tests.contract.conftest import Inbox, until
+from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample, text
+from tests.until import until
 
 _numbers = itertools.count()
 

@@ -21,8 +21,8 @@ from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, Pro
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.graph.dds import DdsGraph
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import until
 from tests.graph.dds.calls import ADD, TRIGGER, Adder, add, called
+from tests.until import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rclpy") is None:

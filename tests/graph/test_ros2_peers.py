@@ -22,8 +22,9 @@ from ropeway.graph.base import Publisher, Sample
 from ropeway.graph.dds import DdsGraph
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import Inbox, until
+from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample
+from tests.until import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rclpy") is None:

@@ -26,9 +26,10 @@ from ropeway.types import TypeRegistry
 from ropeway.wire import codec, png
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.wire.fragment import Fragmenter
-from tests.contract.conftest import Inbox, until
+from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample, text
 from tests.server.test_fuzz import Hostile
+from tests.until import until
 
 REGISTRY = TypeRegistry()
 OWN = "my_msgs/msg/Own"

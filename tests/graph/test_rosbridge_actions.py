@@ -18,11 +18,11 @@ from ropeway.link.connection import Limits
 from ropeway.types import TypeRegistry
 from ropeway.wire import ops
 from ropeway.wire.dialect import ROSGW
-from tests.contract.conftest import until
 from tests.contract.test_actions import FIBONACCI, Worker, order, sequence
 from tests.graph.gateways import ScriptedGateway
 from tests.graph.test_rosbridge import Cloud, FakeServer
 from tests.graph.test_rosbridge_services import connect, heard, played
+from tests.until import until
 
 REGISTRY = TypeRegistry()
 
@@ -266,7 +266,7 @@ async def test_serves_on_a_plain_server(stack: AsyncExitStack, fake: FakeServer)
     ]
     ask(fake, None, args={"order": 2})
     (_, second) = await heard(fake, "action_result", 2)
-    assert (second["id"], second["status"]) == (None, 6)
+    assert ("id" in second, second["status"]) == (False, 6)
     assert len(fake.ops("action_feedback")) == 1
     fake.say({"op": "send_action_goal", "action": "/none", "action_type": FIBONACCI, "id": 5})
     third = (await heard(fake, "action_result", 3))[-1]

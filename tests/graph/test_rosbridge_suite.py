@@ -21,7 +21,8 @@ from ropeway.graph.dds import DdsGraph
 from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
 from ropeway.qos import LATCHED, QoS
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import Inbox, until
+from tests.contract.conftest import Inbox
+from tests.until import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rosbridge_library") is None:

@@ -13,8 +13,8 @@ from ropeway.graph.base import EndpointInfo, Sample, TopicInfo
 from ropeway.graph.seen import Seen
 from ropeway.graph.standby import Standby
 from ropeway.qos import QoS
-from tests.contract.conftest import until
 from tests.contract.test_topics import STRING, text
+from tests.until import until
 
 US = "m"  # our id; the smaller one speaks
 

@@ -19,9 +19,9 @@ from ropeway.wire import ops
 from ropeway.wire.codec import decode_value
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.wire.records import RecordWriter
-from tests.contract.conftest import until
 from tests.contract.test_topics import STRING, text
 from tests.link.test_peer import REGISTRY, Link, Setting, sample
+from tests.until import until
 
 CODEC = REGISTRY.codec(STRING)
 

@@ -15,8 +15,8 @@ import pytest
 from ropeway.errors import ConnectFailed
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.websocket import Server, connect, listen
-from tests.contract.conftest import until
 from tests.server.client import BINARY, CLOSE, CONTINUATION, PING, PONG, TEXT, Client, ClosedByServer, frame
+from tests.until import until
 
 QUIET = Limits(ping_interval_s=None, max_message_bytes=100_000, open_timeout_s=1.0)
 

@@ -17,9 +17,9 @@ from ropeway.link.connection import Connection, Limits
 from ropeway.link.front import Admission
 from ropeway.link.http import MAX_HEAD_BYTES, Request, Response, reply
 from ropeway.link.websocket import Server, listen
-from tests.contract.conftest import until
 from tests.gateway.test_tls import Authority
 from tests.server.client import CLOSE, Client
+from tests.until import until
 
 UPGRADE = (
     "GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: {connection}\r\n"

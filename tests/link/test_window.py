@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from ropeway.link.window import Window, tcp_info
-from tests.contract.conftest import until
+from tests.until import until
 
 
 @pytest.fixture

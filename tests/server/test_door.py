@@ -11,8 +11,8 @@ import pytest
 from ropeway.link.http import Request, Response, parse_head
 from ropeway.server.access import EVERYTHING, Role
 from ropeway.server.door import CertificateRule, Door, TokenRule, given_token, subprotocol
-from tests.contract.conftest import until
 from tests.server.conftest import Place
+from tests.until import until
 
 OPERATOR = Role("operator", {"publish": ("*",), "call_service": ("*",)})
 VIEWER = Role("viewer", {"subscribe": ("*",)})

@@ -13,8 +13,8 @@ from ropeway.qos import LATCHED
 from ropeway.server import RosbridgeServer
 from ropeway.server.presence import COUNT_TYPE, LIST_TYPE, Presence, ip_address
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import until
 from tests.server.conftest import Place
+from tests.until import until
 
 _registry = TypeRegistry()
 _numbers = itertools.count()

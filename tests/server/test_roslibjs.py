@@ -20,11 +20,12 @@ from ropeway.errors import CallFailed
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.qos import LATCHED, QoS
-from tests.contract.conftest import Inbox, until
+from tests.contract.conftest import Inbox
 from tests.contract.test_actions import FIBONACCI, Worker, count, order, ordered, sequence
 from tests.contract.test_services import ADD, add, addends, total
 from tests.server.conftest import Place
 from tests.server.peers import Peers, peers
+from tests.until import until
 
 PROGRAM = Path(__file__).parents[1] / "js" / "client.mjs"
 NODE = shutil.which("node")

@@ -17,11 +17,12 @@ import pytest
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.calls import ActionHandlers, Outcome, Request, ServerGoal
 from ropeway.qos import LATCHED, QoS
-from tests.contract.conftest import Inbox, until
+from tests.contract.conftest import Inbox
 from tests.contract.test_actions import FIBONACCI, Worker, count, ordered
 from tests.contract.test_services import ADD, add, addends, total
 from tests.server.conftest import Place
 from tests.server.peers import Peers, peers
+from tests.until import until
 
 if importlib.util.find_spec("roslibpy") is None:
     pytest.skip("needs roslibpy", allow_module_level=True)

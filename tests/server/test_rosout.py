@@ -14,8 +14,8 @@ from ropeway.graph.base import Sample
 from ropeway.graph.memory import MemoryGraph
 from ropeway.server.rosout import LOG_QOS, LOG_TYPE, Rosout
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import until
 from tests.server.conftest import Place
+from tests.until import until
 
 _registry = TypeRegistry()
 _numbers = itertools.count()

@@ -8,7 +8,7 @@ import time
 
 from ropeway.graph.base import Sample
 from ropeway.server.throttle import Throttle
-from tests.contract.conftest import until
+from tests.until import until
 
 
 class Place:

@@ -234,7 +234,7 @@ def test_json_takes_what_rosbridge_takes() -> None:
 
 
 def test_cbor_rules() -> None:
-    """CBOR has bytes for octets, tags for other sequences of numbers, and plain lists for arrays of fixed size."""
+    """CBOR has bytes for octets, tags for other sequences of numbers, and plain lists for arrays and bounded ones."""
     codec = REGISTRY.codec("probe/Sequences")
     found = codec.cbor(
         codec.encode({name: [1] for name in codec.fields if name[:3] in ("int", "uin", "flo", "cha", "byt")})
@@ -246,6 +246,11 @@ def test_cbor_rules() -> None:
         "float32": 85, "float64": 86,
     }  # fmt: skip
     assert found["uint16_values"].value == b"\1\0"
+    bounded = REGISTRY.codec("probe/Bounded")
+    found = bounded.cbor(bounded.encode({"uint8_values": [1, 2], "float64_values": [1.5], "int16_values": [-1]}))
+    assert (found["uint8_values"], found["float64_values"], found["int16_values"]) == ([1, 2], [1.5], [-1])
+    found = bounded.cbor(bounded.encode({"float32_values": [math.nan, math.inf]}))
+    assert dumps(found["float32_values"]) == b"\x82\xfb\x7f\xf8" + bytes(6) + b"\xfb\x7f\xf0" + bytes(6)
     fixed = REGISTRY.codec("probe/Arrays")
     found = fixed.cbor(fixed.encode({}))
     assert found["uint8_values"] == [0, 0, 0]

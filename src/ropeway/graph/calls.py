@@ -200,8 +200,8 @@ class ServerGoal:
     """A goal as its provider sees it.
 
     ``feedback(payload)`` sends the CDR of ``pkg/action/Name_Feedback``; look it up at each use. What is given before
-    the goal is accepted is sent right after. ``cancelled`` is set when somebody asked for its end and the provider agreed.
-    ``accept``, ``execute`` and ``cancel`` get one and the same object.
+    the goal is accepted is sent right after. ``cancelled`` is set when somebody asked for its end and the provider
+    agreed. ``accept``, ``execute`` and ``cancel`` get one and the same object.
     """
 
     payload: bytes

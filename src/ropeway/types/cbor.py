@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import cbor2
 
-__all__ = ["WideFloat", "dumps", "wide"]
+__all__ = ["WideFloat", "dumps", "plain_numbers", "wide"]
 
 _HALF: Final = b"\xf9"
 _DOUBLE: Final = struct.Struct(">cd").pack
@@ -27,6 +27,12 @@ class WideFloat(float):
 def wide(value: float) -> float:
     """``value``, as a ``WideFloat`` if it is not finite."""
     return value if math.isfinite(value) else WideFloat(value)
+
+
+def plain_numbers(raw: bytes, start: int, count: int, code: str) -> list[Any]:
+    """``count`` little-endian numbers as a list."""
+    found = list(struct.unpack_from(f"<{count}{code}", raw, start))
+    return list(map(wide, found)) if code in "fd" and not math.isfinite(sum(found)) else found
 
 
 def dumps(value: Any) -> bytes:

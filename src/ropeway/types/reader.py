@@ -8,7 +8,7 @@ flavour     uint8[], char[]            other numbers                fixed arrays
 ==========  =========================  ===========================  ==================
 ``object``  bytes                      numpy (little-endian view)   as sequences
 ``json``    base64 (bounded: numbers)  what orjson writes           as sequences
-``cbor``    bytes                      tag of RFC 8746              list of numbers
+``cbor``    bytes (bounded: numbers)   tag of RFC 8746 (likewise)   list of numbers
 ``rosgw``   bytes                      bytes                        bytes
 ==========  =========================  ===========================  ==================
 
@@ -244,6 +244,8 @@ class _Source:
             if base in ("uint8", "char", "byte"):
                 return f"list({cut})"
             return f"{self.constant('json_numbers', values.json_numbers)}(raw, {start}, {count}, {CODES[base]!r})"
+        if self.flavour == "cbor" and type.kind == "sequence" and type.size and base != "byte":
+            return f"{self.constant('plain_numbers', cbor.plain_numbers)}(raw, {start}, {count}, {CODES[base]!r})"
         if base in ("uint8", "char", "byte") or self.flavour == "rosgw":
             return cut
         if self.flavour == "cbor":

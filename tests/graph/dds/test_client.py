@@ -16,10 +16,11 @@ from ropeway.graph.dds.records import Peer
 from ropeway.graph.dds.rpc import Header
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
+from tests.until import until
 
 from .calls import ADD, Adder, add, addends, called, total
 from .conftest import Join
-from .helpers import process, until
+from .helpers import process
 
 FAST = Peer(b"\x01\x0f" + bytes(14))
 

@@ -8,9 +8,10 @@ import time
 from ropeway.graph.base import Undelivered
 from ropeway.graph.dds.courier import Courier
 from ropeway.qos import QoS
+from tests.until import until
 
 from .conftest import Join
-from .helpers import STRING, Inbox, message, text, until
+from .helpers import STRING, Inbox, message, text
 
 BIG = "x" * (3 << 20)
 

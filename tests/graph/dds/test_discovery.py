@@ -13,8 +13,9 @@ from ropeway.graph.dds.discovery import Discovery
 from ropeway.graph.dds.nodes import NodeEntities
 from ropeway.graph.dds.records import EndpointRecord, Gone, Joined, NodesRecord
 from ropeway.qos import QoS
+from tests.until import until
 
-from .helpers import DDS_STRING, STRING, until
+from .helpers import DDS_STRING, STRING
 
 P1, P2 = b"\1" * 16, b"\2" * 16
 

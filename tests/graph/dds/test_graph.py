@@ -18,9 +18,10 @@ from ropeway.graph.dds import DdsGraph
 from ropeway.graph.dds import raw as raw_module
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
+from tests.until import until
 
 from .conftest import Join
-from .helpers import STRING, Inbox, message, text, until
+from .helpers import STRING, Inbox, message, text
 
 KEEP_ALL = QoS(history="keep_all")
 

@@ -10,9 +10,10 @@ import pytest
 
 from ropeway.graph.base import Sample
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
+from tests.until import until
 
 from .conftest import Join
-from .helpers import STRING, Inbox, message, process, text, until
+from .helpers import STRING, Inbox, message, process, text
 
 READER = """
     import hashlib

@@ -10,9 +10,10 @@ import pytest
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.dds.pump import run_in_thread
 from ropeway.qos import QoS
+from tests.until import until
 
 from .conftest import Join
-from .helpers import STRING, Inbox, message, until
+from .helpers import STRING, Inbox, message
 
 
 async def test_call(join: Join) -> None:

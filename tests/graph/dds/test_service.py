@@ -14,10 +14,10 @@ from ropeway.graph.dds import DdsGraph, rpc
 from ropeway.graph.dds import service as module
 from ropeway.graph.dds.rpc import Header
 from ropeway.types import TypeRegistry
+from tests.until import until
 
 from .calls import ADD, TRIGGER, Adder, add, addends, called, total
 from .conftest import Join
-from .helpers import until
 
 CYCLONE, FAST = b"\x01\x10" + bytes(14), b"\x01\x0f" + bytes(14)
 EMPTY = b"\0\1\0\0\0"

@@ -8,10 +8,10 @@ import pytest
 
 from ropeway.gateway import config
 from ropeway.gateway.gateway import Gateway
-from tests.contract.conftest import until
 from tests.contract.test_actions import FIBONACCI
 from tests.contract.test_services import ADD
 from tests.contract.test_topics import STRING
+from tests.until import until
 
 from .conftest import World
 

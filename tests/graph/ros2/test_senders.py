@@ -6,7 +6,7 @@ import threading
 from functools import partial
 
 from ropeway.graph.ros2.senders import Senders
-from tests.contract.conftest import until
+from tests.until import until
 
 
 def senders() -> Senders:

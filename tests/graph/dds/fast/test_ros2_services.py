@@ -21,7 +21,7 @@ from ropeway.errors import ProviderLost
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.graph.dds import DdsGraph
 from ropeway.types import TypeRegistry
-from tests.graph.dds.helpers import until
+from tests.until import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rclpy") is None:
