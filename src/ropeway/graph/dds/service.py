@@ -159,6 +159,14 @@ class DdsService(Ends):
             self._graph.drops[self.service, Undelivered.ENCODE] += 1
             self._warn("a request fails and cannot be answered: %s", error)
             return
+        if writer not in self._callers and not await self._matched(writer):
+            return
+        if not self._callers[writer].ours:
+            await pace.turn()
+        await self._reply(join(header, response))
+
+    async def _matched(self, writer: bytes) -> bool:
+        """Wait until the one who asked reads answers; false for one that does not, or has left."""
         try:
             async with asyncio.timeout(_MATCH_S):
                 while writer not in self._callers:
@@ -167,10 +175,8 @@ class DdsService(Ends):
             if any(peer.guid == writer for peer in self._writers):
                 self._graph.drops[self.service, Undelivered.WRITE] += 1
                 self._warn("a client that asks reads no answers: %s", writer.hex())
-            return  # who has left needs none
-        if not self._callers[writer].ours:
-            await pace.turn()
-        await self._reply(join(header, response))
+            return False  # who has left needs none
+        return True
 
     async def answer(self, request: Request) -> bytes:
         """What the handler says, or the default response with its error. Raises ``UnknownType`` where that is unknown.

@@ -72,6 +72,8 @@ class Calls:
 
     async def link(self, deadline: float) -> Peer:
         """The peer, as soon as it can be called. Raises ``GraphUnavailable`` at the deadline (time of the loop)."""
+        if (peer := self.peer) is not None:
+            return peer
         try:
             async with asyncio.timeout_at(deadline):
                 while (peer := self.peer) is None:
