@@ -27,6 +27,9 @@
     ├── LinkError                 a connection between two gateways
     │   ├── ConnectFailed         nobody answered, or the answer was a refusal
     │   └── OutboxFull            more calls and answers wait for the link than it may hold
+    ├── OverlayError              the global overlay
+    │   ├── IdentityError         a bundle, certificate or key that cannot be used
+    │   └── SealError             what came sealed or signed is refused
     ├── AccessDenied              a role, a glob or a limit of the server does not allow it
     └── BagUnreadable             a recording that is missing, damaged or of an unknown kind
 
@@ -34,6 +37,8 @@ An error carries what a program needs as attributes and says in its text what a 
 """
 
 from __future__ import annotations
+
+import enum
 
 __all__ = [
     "AccessDenied",
@@ -47,6 +52,7 @@ __all__ = [
     "GoalRejected",
     "GraphError",
     "GraphUnavailable",
+    "IdentityError",
     "InvalidDefinition",
     "InvalidFrame",
     "InvalidName",
@@ -56,8 +62,10 @@ __all__ = [
     "MessageTooBig",
     "NotServed",
     "OutboxFull",
+    "OverlayError",
     "ProviderLost",
     "RopewayError",
+    "SealError",
     "TypeConflict",
     "TypesError",
     "UnknownType",
@@ -254,6 +262,26 @@ class OutboxFull(LinkError):
         super().__init__(
             f"{address}: {waiting_bytes} bytes of calls and answers wait for the link, which may hold {limit_bytes}"
         )
+
+
+class OverlayError(RopewayError):
+    """The global overlay."""
+
+
+class IdentityError(OverlayError):
+    """A bundle, a certificate or a key that cannot be used; ``reason`` says why and what to do."""
+
+    def __init__(self, what: str, reason: str) -> None:
+        self.what, self.reason = what, reason
+        super().__init__(f"{what}: {reason}")
+
+
+class SealError(OverlayError):
+    """What came sealed or signed is refused; ``reason`` is a ``ropeway.overlay.refusal.Refusal``."""
+
+    def __init__(self, reason: enum.Enum, detail: str = "") -> None:
+        self.reason, self.detail = reason, detail
+        super().__init__(f"{reason.value}{f': {detail}' if detail else ''}")
 
 
 class AccessDenied(RopewayError):

@@ -1,0 +1,27 @@
+"""Why the overlay refuses something; every refusal is counted under one of these."""
+
+from __future__ import annotations
+
+import enum
+
+__all__ = ["Refusal"]
+
+
+class Refusal(enum.Enum):
+    """A reason, as a phrase for people."""
+
+    UNKNOWN_CA = "its certificate is not of this fleet"
+    EXPIRED = "it has expired"
+    NOT_YET_VALID = "it is not valid yet; compare the clocks"
+    REVOKED = "its certificate was revoked"
+    WRONG_PURPOSE = "its certificate was issued for another purpose"
+    BAD_SIGNATURE = "its signature does not match"
+    BAD_TAG = "it was altered, or sealed with another key"
+    REPLAYED = "it came before"
+    TOO_OLD = "it is older than what is still expected"
+    TRUNCATED = "it is cut short"
+    WRONG_NAME = "it belongs to another name"
+    NO_RIGHT = "its sender has no right to do this"
+    NO_KEY = "its key is not known here"
+    UNKNOWN_SENDER = "its sender is not known here"
+    MALFORMED = "it is not in the expected form"
