@@ -16,12 +16,16 @@ from ropeway.graph.base import Graph, Sample
 from ropeway.graph.dds import DdsGraph
 from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
+from ropeway.graph.overlay import OverlayGraph
 from ropeway.graph.ros2 import Ros2Graph
 from ropeway.graph.rosbridge import RosbridgeGraph
+from ropeway.overlay.node import OverlayNode
 from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
 from tests.graph.ros2.network import isolated_ros2
 from tests.isolation import isolated_dds
+from tests.overlay.fleet import free_endpoint, member
+from tests.until import until
 
 _numbers = itertools.count()
 _types = TypeRegistry()
@@ -128,6 +132,21 @@ async def open_ros2(stack: AsyncExitStack) -> Pair:
     return Pair(near, far, stack)
 
 
+async def open_overlay(stack: AsyncExitStack) -> Pair:
+    """Two members of one fleet, linked directly over TLS on the loopback interface."""
+    where = free_endpoint()
+    near = OverlayNode(member("near"), routers=(), listen=(where,))
+    graphs = [OverlayGraph(near)]
+    await graphs[0].open()
+    stack.push_async_callback(graphs[0].close)
+    far = OverlayNode(member("far"), routers=(where,), listen=())
+    graphs.append(OverlayGraph(far))
+    await graphs[1].open()
+    stack.push_async_callback(graphs[1].close)
+    await until(lambda: near.membership.gateways() and far.membership.gateways())
+    return Pair(*graphs, stack)
+
+
 async def open_rosbridge(stack: AsyncExitStack, *, plain: bool = False) -> Pair:
     """Two clients of one server, on a network of its own."""
     graph = MemoryGraph(f"contract-{next(_numbers)}")
@@ -150,6 +169,7 @@ KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
     "memory": open_memory,
     "hub": open_hub,
     "dds": open_dds,
+    "overlay": open_overlay,
     "rosbridge": open_rosbridge,
 }
 if importlib.util.find_spec("rclpy") is not None:

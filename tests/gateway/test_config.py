@@ -313,7 +313,9 @@ def test_every_fault_is_reported_in_one_line() -> None:
     assert said["remotes[0].publish[4]"] == "expected an object, got 3"
     assert said["remotes[0].subscribe"] == "expected a list, got an object"
     assert 'did you mean "expose-service"?' in said["remotes[0].expose-servce"]
-    assert said["remotes[1].address"] == "this key is missing; expected ws://host:port or wss://host:port"
+    assert said["remotes[1].address"] == (
+        "this key is missing; expected ws://host:port or wss://host:port, or overlay: everybody in the overlay"
+    )
     assert 'did you mean "address"?' in said["remotes[1].adress"]
     assert said["remotes[0].publish[1]"] == (
         "the same task as remotes[0].publish[0] (topic /a, std_msgs/msg/String, ws://h:9090); keep one"

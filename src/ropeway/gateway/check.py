@@ -19,6 +19,7 @@ from pydantic_core import ErrorDetails
 from ropeway.gateway.address import default_graph, is_loopback, is_secure, parse_graph, parse_link, parse_listen
 from ropeway.gateway.auth_model import ALL
 from ropeway.gateway.model import OPERATIONS, Document, Item, RemoteConfig
+from ropeway.gateway.overlay_model import OVERLAY
 from ropeway.gateway.suggest import did_you_mean, nearest, one_of, show, unknown_key
 
 __all__ = ["check", "json_path", "route_key"]
@@ -217,6 +218,7 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
     for index, remote in _objects(full.get("remotes")):
         path = f"remotes[{index}]"
         problems += _remote(remote, path, graphs)
+        problems += _overlay(remote, path, gateway)
         if _inactive(remote):
             continue
         for key, where, said in _tasks(remote, path, graphs):
@@ -281,6 +283,19 @@ def _remote(remote: Mapping[str, Any], path: str, graphs: object) -> Iterable[Pr
     if graph is not None and isinstance(graphs, list | tuple) and graph not in graphs:
         near = did_you_mean(graph, [g for g in graphs if isinstance(g, str)])
         yield f"{path}.graph", f"expected one of gateway.graphs ({', '.join(map(str, graphs))}), got {graph}{near}"
+
+
+def _overlay(remote: Mapping[str, Any], path: str, gateway: Mapping[str, Any]) -> Iterable[Problem]:
+    """What only a remote in the overlay has, and what it has not."""
+    there = remote.get("address") == OVERLAY
+    if there and gateway.get("overlay") is None and not _inactive(remote):
+        yield f"{path}.address", 'the overlay needs gateway.overlay with an "identity"; ropeway keys issue writes one'
+    for key in ("tls", "token") if there else ("unique", "readers", "callers", "automatic"):
+        if remote.get(key) is not None:
+            what = (
+                "is not for the overlay, where certificates say who is who" if there else 'needs "address": "overlay"'
+            )
+            yield f"{path}.{key}", what
 
 
 def _inactive(remote: Mapping[str, Any]) -> bool:

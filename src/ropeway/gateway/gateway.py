@@ -7,25 +7,30 @@ import logging
 import os
 import ssl
 from contextlib import AsyncExitStack
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.bridge.action import ActionBridge
-from ropeway.bridge.service import ServiceBridge
-from ropeway.bridge.topic import TopicBridge
 from ropeway.gateway.address import is_loopback, is_secure
 from ropeway.gateway.allocator import keep_freed_memory
 from ropeway.gateway.auth import make_door, read_secret
+from ropeway.gateway.automatic import Automatic
+from ropeway.gateway.bridges import make_bridge
 from ropeway.gateway.config import Config, Route
 from ropeway.gateway.counts import summed
 from ropeway.gateway.model import RemoteConfig
+from ropeway.gateway.overlay_model import OVERLAY
+from ropeway.gateway.remote import LinkRemote, OverlayRemote, Remote
 from ropeway.gateway.tls import client_context, reload_server_context, server_context
 from ropeway.graph.factory import open_graph
 from ropeway.graph.hub import Hub, View
-from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
+from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.link.connection import Limits
 from ropeway.server import RosbridgeServer
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
+
+if TYPE_CHECKING:
+    from ropeway.graph.overlay import OverlayGraph
+    from ropeway.overlay.node import OverlayNode
 
 __all__ = ["Gateway"]
 
@@ -34,37 +39,6 @@ log = logging.getLogger("ropeway.gateway")
 _METERS_S: Final = 1.0
 
 _NEED_DISCOVERY: Final = ("subscribe", "reserve-service", "reserve-action")  # what is there matters
-
-Bridge = TopicBridge | ServiceBridge | ActionBridge
-
-
-class Remote:
-    """One remote: its link and the bridges over it."""
-
-    def __init__(self, config: RemoteConfig, graph: RosbridgeGraph) -> None:
-        self.config, self.graph = config, graph
-        self.bridges: list[tuple[Route, Bridge]] = []
-
-    def status(self) -> dict[str, Any]:
-        """The link, for people and programs."""
-        peer = self.graph.peer
-        bytes_in, bytes_out = self.graph.traffic
-        pace = peer.connection.flow.pace.bytes_per_s if peer is not None else None
-        return {
-            "address": self.config.address,
-            "title": self.config.title,
-            "state": self.graph.state.value,
-            "error": self.graph.last_error,
-            "gateway": self.graph.remote.get("name", ""),
-            "connections": self.graph.connections,
-            "rtt_ms": None if peer is None or peer.rtt_s is None else round(1e3 * peer.rtt_s, 3),
-            "pace_bps": None if pace is None else round(8 * pace),
-            "bytes_in": bytes_in,
-            "bytes_out": bytes_out,
-            "complaints": {}
-            if peer is None
-            else {f"{kind} {topic}".strip(): n for (kind, topic), n in peer.complaints.counts.items()},
-        }
 
 
 class Gateway:
@@ -89,6 +63,7 @@ class Gateway:
         self.hubs: dict[str, Hub] = {}
         self.servers: list[RosbridgeServer] = []
         self.remotes: list[Remote] = []
+        self.node: OverlayNode | None = None
         self._node = node or config.gateway.name
         self._reuse_port = reuse_port
         self._stack = AsyncExitStack()
@@ -156,71 +131,79 @@ class Gateway:
         routes: dict[int, list[Route]] = {}
         for route in self.config.routes():
             routes.setdefault(id(route.remote), []).append(route)
-        for index, remote_config in enumerate(self.config.remotes):
-            mine = routes.get(id(remote_config), [])
-            if not remote_config.active or not mine:
+        for index, config in enumerate(self.config.remotes):
+            mine = routes.get(id(config), [])
+            if not config.active or not (mine or config.automatic):
                 continue
-            graph = RosbridgeGraph(
-                remote_config.address,
-                registry=self.registry,
-                limits=limits,
-                ssl_context=client_context(remote_config.tls, f"remotes[{index}].tls"),
-                headers=_credentials(remote_config, f"remotes[{index}].token"),
-                gateway_id=self.gateway_id,
-                name=self.config.gateway.name,
-                wait=False,
-                watch=any(r.operation in _NEED_DISCOVERY for r in mine),
-                ask_rosapi=False,
-            )
-            await graph.open()
-            stack.push_async_callback(graph.close)
-            remote = Remote(remote_config, graph)
+            remote: Remote
+            if config.address == OVERLAY:
+                remote = OverlayRemote(config, self._overlay_graph(config))
+            else:
+                remote = LinkRemote(config, self._link(config, index, mine, limits))
+            await remote.graph.open()
+            stack.push_async_callback(remote.graph.close)
             self.remotes.append(remote)
             views: dict[str, View] = {}
             for route in mine:
-                view = views.get(route.graph)
-                if view is None:
-                    view = views[route.graph] = self.hubs[route.graph].view(remote_config.address)
-                    stack.push_async_callback(view.close)
-                bridge = self._bridge(route, view, graph)
+                view = self._view(stack, views, route.graph, config)
+                bridge = make_bridge(route, view, remote.graph)
                 await bridge.start()
                 stack.push_async_callback(bridge.close)
                 remote.bridges.append((route, bridge))
+            if config.automatic is not None and isinstance(remote, OverlayRemote):
+                url = config.graph or self.config.gateway.graphs[0]
+                view = self._view(stack, views, url, config)
+                remote.automatic = Automatic(view, remote.graph, config, f"remotes[{index}].automatic", url)
+                await remote.automatic.start()
+                stack.push_async_callback(remote.automatic.close)
 
-    @staticmethod
-    def _bridge(route: Route, local: View, remote: RosbridgeGraph) -> Bridge:
-        near, far = (local, route.name), (remote, route.remote_name)
-        inward = route.operation in ("subscribe", "reserve-service", "reserve-action")
-        (source, source_name), (target, target_name) = (far, near) if inward else (near, far)
-        if route.kind == "topic":
-            return TopicBridge(
-                source,
-                target,
-                source_name,
-                target_name,
-                route.type,
-                qos=route.qos,
-                delivery=route.delivery,
-                limit=not inward,
-            )
-        kind = ServiceBridge if route.kind == "service" else ActionBridge
-        return kind(
-            source,
-            target,
-            source_name,
-            target_name,
-            route.type,
-            timeout_s=route.timeout_s,
-            delivery=route.delivery,
+    def _view(self, stack: AsyncExitStack, views: dict[str, View], url: str, config: RemoteConfig) -> View:
+        view = views.get(url)
+        if view is None:
+            view = views[url] = self.hubs[url].view(config.address)
+            stack.push_async_callback(view.close)
+        return view
+
+    def _link(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> RosbridgeGraph:
+        return RosbridgeGraph(
+            config.address,
+            registry=self.registry,
+            limits=limits,
+            ssl_context=client_context(config.tls, f"remotes[{index}].tls"),
+            headers=_credentials(config, f"remotes[{index}].token"),
+            gateway_id=self.gateway_id,
+            name=self.config.gateway.name,
+            wait=False,
+            watch=any(r.operation in _NEED_DISCOVERY for r in routes),
+            ask_rosapi=False,
+        )
+
+    def _overlay_graph(self, config: RemoteConfig) -> OverlayGraph:
+        from ropeway.graph.overlay import OverlayGraph  # loads Zenoh, which others do not need
+        from ropeway.overlay.identity import Identity
+        from ropeway.overlay.names import Metadata
+        from ropeway.overlay.node import OverlayNode
+
+        settings = self.config.gateway.overlay
+        assert settings is not None
+        if self.node is None:
+            self.node = OverlayNode(Identity.load(settings.identity), routers=settings.routers, listen=settings.listen)
+        about = Metadata(settings.author, settings.maintainer, settings.description, config.unique or "")
+        everybody = ("*",)
+        return OverlayGraph(
+            self.node,
+            metadata=about,
+            readers=everybody if config.readers is None else config.readers,
+            callers=everybody if config.callers is None else config.callers,
+            registry=self.registry,
         )
 
     async def _update_meters(self) -> None:
         while True:
             await asyncio.sleep(_METERS_S)
             for remote in self.remotes:
-                for _, bridge in remote.bridges:
-                    if isinstance(bridge, TopicBridge):
-                        bridge.meter.update()
+                for bridge in remote.topics():
+                    bridge.meter.update()
 
     def missing(self) -> list[str]:
         """Why the gateway is not ready for clients, in sentences; empty once all graphs and listeners are up."""
@@ -264,9 +247,7 @@ class Gateway:
                 for listener in server.listeners
             ],
             "remotes": [remote.status() for remote in self.remotes],
-            "routes": [
-                route_status(route, bridge, remote.graph) for remote in self.remotes for route, bridge in remote.bridges
-            ],
+            "routes": [row for remote in self.remotes for row in remote.routes()],
             "access": summed(server.status() for server in self.servers),
             "sessions": [session.status() for server in self.servers for session in server.sessions],
         }
@@ -284,51 +265,3 @@ def _credentials(remote: RemoteConfig, path: str) -> dict[str, str]:
     if not is_secure(remote.address) and not is_loopback(remote.address):
         log.warning("%s: the token travels in clear; wss:// would hide it", remote.address)
     return {"Authorization": f"Bearer {read_secret(remote.token, path)}"}
-
-
-def route_status(route: Route, bridge: Bridge, graph: RosbridgeGraph) -> dict[str, Any]:
-    """One row of the table of routes."""
-    common = {
-        "path": route.path,
-        "operation": route.operation,
-        "name": route.name,
-        "remote_name": route.remote_name,
-        "address": route.remote.address,
-        "type": route.type,
-        "state": bridge.state if graph.state is LinkState.CONNECTED else graph.state.value,
-    }
-    if isinstance(bridge, TopicBridge):
-        return common | _topic_status(route, bridge)
-    return common | {
-        "error": bridge.error or (f"offered by {bridge.taken_by}" if bridge.taken_by else ""),
-        "encoding": route.delivery.encoding,
-        "requests": sum(bridge.counts.values()),
-        "under_way": bridge.under_way,
-        "ended": dict(bridge.counts),
-        "took_ms": None if bridge.took_s is None else round(1e3 * bridge.took_s, 3),
-    }
-
-
-def _topic_status(route: Route, bridge: TopicBridge) -> dict[str, Any]:
-    meter = bridge.meter
-    drops: dict[str, int] = {reason.value: n for reason, n in bridge.drops.items() if n}
-    delay, encoding = meter.delay_s, route.delivery.encoding
-    publisher = bridge.publisher
-    channel = getattr(publisher, "channel", None)
-    if channel is not None:
-        encoding = channel.used
-    for reason, n in getattr(publisher, "lost", {}).items():
-        if n:
-            drops[reason.value] = n
-    if delay is None:
-        delay = getattr(publisher, "remote_delay_s", None)
-    return {
-        "error": bridge.error or getattr(publisher, "refused", ""),
-        "encoding": encoding,
-        "messages": meter.messages,
-        "bytes": meter.bytes,
-        "rate_hz": round(meter.rate_hz, 2),
-        "bandwidth_bps": round(meter.rate_bps),
-        "delay_ms": None if delay is None else round(1e3 * delay, 3),
-        "drops": drops,
-    }

@@ -23,6 +23,7 @@ from ropeway.errors import InvalidName, InvalidTypeName
 from ropeway.gateway.address import default_graph, parse_graph, parse_link, parse_listen
 from ropeway.gateway.auth_model import AuthConfig, GlobsConfig, Secret
 from ropeway.gateway.fields import ExistingPath, Many, Model
+from ropeway.gateway.overlay_model import OVERLAY, AutomaticConfig, OverlayConfig
 from ropeway.gateway.suggest import one_of, show, unknown_key
 from ropeway.graph.base import Delivery, resolve_name
 from ropeway.qos import QoS
@@ -84,6 +85,10 @@ def _node_part(value: str) -> str:
     if not _PART.fullmatch(value):
         raise ValueError(f"expected letters, digits and _, not starting with a digit, got {show(value)}")
     return value
+
+
+def _address(value: str) -> str:
+    return OVERLAY if value == OVERLAY else parse_link(value)
 
 
 def _url_path(value: str) -> str:
@@ -306,7 +311,9 @@ class ListenTls(Model):
 class RemoteConfig(Model):
     """One other gateway (or rosbridge server) and what crosses to and from it."""
 
-    address: Annotated[str, AfterValidator(parse_link)] = Field(description="ws://host:port or wss://host:port")
+    address: Annotated[str, AfterValidator(_address)] = Field(
+        description="ws://host:port or wss://host:port, or overlay: everybody in the overlay"
+    )
     title: str = Field("", description="for people")
     active: Switch = Field(True, description="false: parsed and checked, but not started")
     graph: Annotated[str, AfterValidator(parse_graph)] | None = Field(
@@ -315,6 +322,18 @@ class RemoteConfig(Model):
     local_namespace: Namespace = Field("/", description="stands before every local name")
     remote_namespace: Namespace = Field("/", description="stands before every remote name")
     tls: RemoteTls | None = None
+    unique: str | None = Field(
+        None, description="overlay: makes other global names of the same names, for a deployment that stands apart"
+    )
+    readers: Many[str] | None = Field(
+        None, description="overlay: patterns of the members that may read what is published; left out: all"
+    )
+    callers: Many[str] | None = Field(
+        None, description="overlay: patterns of the members that may call what is exposed; left out: all"
+    )
+    automatic: AutomaticConfig | None = Field(
+        None, description="overlay: topics are offered and fetched as the local graph needs"
+    )
     token: Secret | None = Field(None, description='shown to the remote: {"env": "NAME"} or {"file": "PATH"}')
     publish: Many[TopicItem] = Field((), description="topics sent to the remote")
     subscribe: Many[TopicItem] = Field((), description="topics fetched from the remote")
@@ -384,6 +403,7 @@ class GatewayConfig(Model):
     globs: GlobsConfig = Field(
         default_factory=lambda: GlobsConfig.model_validate({}), description="rosbridge's globs, for all clients"
     )
+    overlay: OverlayConfig | None = Field(None, description="membership of the overlay, for remotes with that address")
     clients: ClientsConfig = Field(
         default_factory=lambda: ClientsConfig.model_validate({}), description="how rosbridge clients are served"
     )

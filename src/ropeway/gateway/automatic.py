@@ -1,0 +1,130 @@
+"""Automatic mode: topics cross the overlay as the local graph needs them (FogROS2-SGC thesis, 3.6).
+
+A topic with publishers here and no subscriber is offered; one with subscribers here and no publisher is fetched; one
+with both, or neither, is left alone. It is decided again whenever the graph changes, and taken back when the reason
+goes. Only what a pattern allows and none denies is shared.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Iterable
+from fnmatch import fnmatchcase
+from typing import Final
+
+from ropeway.bridge.topic import TopicBridge
+from ropeway.gateway.bridges import make_topic_bridge
+from ropeway.gateway.check import route_key
+from ropeway.gateway.config import Route
+from ropeway.gateway.model import RemoteConfig
+from ropeway.graph.base import NO_HINTS, EndpointInfo, Graph, TopicInfo, resolve_name
+from ropeway.tasks import end
+
+__all__ = ["Automatic", "wanted"]
+
+log = logging.getLogger("ropeway.gateway")
+
+_SETTLE_S: Final = 0.2  # nodes come with all their topics at once
+_NEVER: Final = ("/rosout", "/parameter_events", "/client_count", "/connected_clients")
+"""What every ROS network has of its own; allowed only by its full name."""
+
+
+def _others(endpoints: Iterable[EndpointInfo]) -> bool:
+    """True if one of them is of an ordinary node: gateways follow what there is, and are no reason."""
+    return any(not endpoint.local and not endpoint.gateway for endpoint in endpoints)
+
+
+def wanted(topic: TopicInfo) -> str | None:
+    """What to do with a topic: ``publish`` it to the overlay, ``subscribe`` it from there, or nothing."""
+    published, read = _others(topic.publishers), _others(topic.subscriptions)
+    if published == read:
+        return None
+    return "publish" if published else "subscribe"
+
+
+class Automatic:
+    """Keeps the right topics bridged between ``local`` and ``remote``."""
+
+    def __init__(self, local: Graph, remote: Graph, config: RemoteConfig, path: str, graph: str) -> None:
+        assert config.automatic is not None
+        self._local, self._remote, self._config = local, remote, config
+        self._allow, self._deny = config.automatic.allow, config.automatic.deny
+        self._path, self._graph = path, graph
+        self._bridges: dict[str, tuple[Route, TopicBridge]] = {}
+        self._task: asyncio.Task[None] | None = None
+
+    def bridges(self) -> list[tuple[Route, TopicBridge]]:
+        """What is bridged now."""
+        return list(self._bridges.values())
+
+    def allows(self, name: str) -> bool:
+        """Whether a topic may be shared."""
+        if name in _NEVER and name not in self._allow:
+            return False
+        allowed = any(fnmatchcase(name, pattern) for pattern in self._allow)
+        return allowed and not any(fnmatchcase(name, pattern) for pattern in self._deny)
+
+    async def start(self) -> None:
+        """Decide now, and at each change."""
+        self._task = asyncio.create_task(self._run(), name=self._path)
+
+    async def close(self) -> None:
+        """Take everything back."""
+        await end(self._task)
+        for name in list(self._bridges):
+            await self._end(name)
+
+    async def _run(self) -> None:
+        changed = asyncio.Event()
+        changed.set()
+
+        async def watch() -> None:
+            async for event in self._local.changes():
+                if event.kind in ("publisher", "subscription"):
+                    changed.set()
+
+        async with asyncio.TaskGroup() as group:
+            group.create_task(watch(), name=f"{self._path}: changes")
+            while True:
+                await changed.wait()
+                await asyncio.sleep(_SETTLE_S)
+                changed.clear()
+                await self._decide()
+
+    async def _decide(self) -> None:
+        topics = self._local.topics()
+        for name, (route, _) in list(self._bridges.items()):
+            topic = topics.get(name)
+            if topic is None or topic.type != route.type or wanted(topic) != route.operation:
+                log.info("%s: %s is not shared any more", self._path, name)
+                await self._end(name)
+        for name, topic in topics.items():
+            operation = wanted(topic)
+            if operation is not None and name not in self._bridges and topic.type and self.allows(name):
+                await self._begin(name, topic.type, operation)
+
+    async def _begin(self, name: str, type: str, operation: str) -> None:
+        config = self._config
+        remote_name = resolve_name(name.lstrip("/"), config.remote_namespace)
+        route = Route(
+            remote=config,
+            operation=operation,
+            kind="topic",
+            name=name,
+            remote_name=remote_name,
+            type=type,
+            delivery=NO_HINTS,
+            qos=None,
+            path=self._path,
+            key=route_key(operation, config.address, self._graph, name, remote_name, type),
+            graph=self._graph,
+        )
+        bridge = make_topic_bridge(route, self._local, self._remote)
+        self._bridges[name] = (route, bridge)
+        await bridge.start()
+        log.info("%s: %s (%s) is %s", self._path, name, type, "offered" if operation == "publish" else "fetched")
+
+    async def _end(self, name: str) -> None:
+        _, bridge = self._bridges.pop(name)
+        await bridge.close()

@@ -1,0 +1,169 @@
+"""One remote of a running gateway: the graph on its side, the bridges to it, and how they are."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from ropeway.bridge.action import ActionBridge
+from ropeway.bridge.service import ServiceBridge
+from ropeway.bridge.topic import TopicBridge
+from ropeway.gateway.automatic import Automatic
+from ropeway.gateway.config import Route
+from ropeway.gateway.model import RemoteConfig
+from ropeway.graph.base import Graph
+from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
+
+if TYPE_CHECKING:
+    from ropeway.graph.overlay import OverlayGraph
+
+__all__ = ["Bridge", "LinkRemote", "OverlayRemote", "Remote"]
+
+Bridge = TopicBridge | ServiceBridge | ActionBridge
+
+
+class Remote:
+    """A remote, whatever it is reached by."""
+
+    graph: Graph
+
+    def __init__(self, config: RemoteConfig) -> None:
+        self.config = config
+        self.bridges: list[tuple[Route, Bridge]] = []
+
+    @property
+    def state(self) -> str:
+        """One word; ``connected`` where data can flow."""
+        raise NotImplementedError
+
+    def status(self) -> dict[str, Any]:
+        """The remote, for people and programs."""
+        raise NotImplementedError
+
+    def routes(self) -> list[dict[str, Any]]:
+        """One row per bridge."""
+        return [_route(route, bridge, self.state) for route, bridge in self.bridges]
+
+    def topics(self) -> list[TopicBridge]:
+        """The bridges that are metered."""
+        return [bridge for _, bridge in self.bridges if isinstance(bridge, TopicBridge)]
+
+
+class LinkRemote(Remote):
+    """A gateway or a rosbridge server at an address."""
+
+    def __init__(self, config: RemoteConfig, graph: RosbridgeGraph) -> None:
+        super().__init__(config)
+        self.graph: RosbridgeGraph = graph
+
+    @property
+    def state(self) -> str:
+        """One word; ``connected`` where data can flow."""
+        return "connected" if self.graph.state is LinkState.CONNECTED else self.graph.state.value
+
+    def status(self) -> dict[str, Any]:
+        """The link, for people and programs."""
+        peer = self.graph.peer
+        bytes_in, bytes_out = self.graph.traffic
+        pace = peer.connection.flow.pace.bytes_per_s if peer is not None else None
+        return {
+            "address": self.config.address,
+            "title": self.config.title,
+            "state": self.state,
+            "error": self.graph.last_error,
+            "gateway": self.graph.remote.get("name", ""),
+            "connections": self.graph.connections,
+            "rtt_ms": None if peer is None or peer.rtt_s is None else round(1e3 * peer.rtt_s, 3),
+            "pace_bps": None if pace is None else round(8 * pace),
+            "bytes_in": bytes_in,
+            "bytes_out": bytes_out,
+            "complaints": {}
+            if peer is None
+            else {f"{kind} {topic}".strip(): n for (kind, topic), n in peer.complaints.counts.items()},
+        }
+
+
+class OverlayRemote(Remote):
+    """Everybody in the overlay."""
+
+    def __init__(self, config: RemoteConfig, graph: OverlayGraph) -> None:
+        super().__init__(config)
+        self.graph: OverlayGraph = graph
+        self.automatic: Automatic | None = None
+
+    @property
+    def state(self) -> str:
+        """One word; ``connected`` where a router or another member is linked with us."""
+        fabric = self.graph.node.fabric
+        return "connected" if fabric.routers() or fabric.peers() else "connecting"
+
+    def status(self) -> dict[str, Any]:
+        """The overlay as this member sees it."""
+        return {
+            "address": self.config.address,
+            "title": self.config.title,
+            "state": self.state,
+            "error": "",
+            "overlay": self.graph.node.status(),
+        }
+
+    def routes(self) -> list[dict[str, Any]]:
+        """One row per bridge, those that were made automatically, too."""
+        found = super().routes()
+        if self.automatic is not None:
+            found += [_route(route, bridge, self.state) for route, bridge in self.automatic.bridges()]
+        return found
+
+    def topics(self) -> list[TopicBridge]:
+        """The bridges that are metered."""
+        found = super().topics()
+        if self.automatic is not None:
+            found += [bridge for _, bridge in self.automatic.bridges()]
+        return found
+
+
+def _route(route: Route, bridge: Bridge, state: str) -> dict[str, Any]:
+    """One row of the table of routes."""
+    common = {
+        "path": route.path,
+        "operation": route.operation,
+        "name": route.name,
+        "remote_name": route.remote_name,
+        "address": route.remote.address,
+        "type": route.type,
+        "state": bridge.state if state == "connected" else state,
+    }
+    if isinstance(bridge, TopicBridge):
+        return common | _topic(route, bridge)
+    return common | {
+        "error": bridge.error or (f"offered by {bridge.taken_by}" if bridge.taken_by else ""),
+        "encoding": route.delivery.encoding,
+        "requests": sum(bridge.counts.values()),
+        "under_way": bridge.under_way,
+        "ended": dict(bridge.counts),
+        "took_ms": None if bridge.took_s is None else round(1e3 * bridge.took_s, 3),
+    }
+
+
+def _topic(route: Route, bridge: TopicBridge) -> dict[str, Any]:
+    meter = bridge.meter
+    drops: dict[str, int] = {reason.value: n for reason, n in bridge.drops.items() if n}
+    delay, encoding = meter.delay_s, route.delivery.encoding
+    publisher = bridge.publisher
+    channel = getattr(publisher, "channel", None)
+    if channel is not None:
+        encoding = channel.used
+    for reason, n in getattr(publisher, "lost", {}).items():
+        if n:
+            drops[reason.value] = n
+    if delay is None:
+        delay = getattr(publisher, "remote_delay_s", None)
+    return {
+        "error": bridge.error or getattr(publisher, "refused", ""),
+        "encoding": encoding,
+        "messages": meter.messages,
+        "bytes": meter.bytes,
+        "rate_hz": round(meter.rate_hz, 2),
+        "bandwidth_bps": round(meter.rate_bps),
+        "delay_ms": None if delay is None else round(1e3 * delay, 3),
+        "drops": drops,
+    }

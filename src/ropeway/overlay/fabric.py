@@ -1,0 +1,314 @@
+"""The data plane as the rest of the overlay sees it: one Zenoh session, on the event loop.
+
+Zenoh calls back in threads of its own. What comes is handed to the loop in batches; what goes out goes through one
+thread per lane, because a congested link blocks who writes to it, and only those of its own lane.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any, Final, Generic, TypeVar
+
+import zenoh
+
+from ropeway.errors import GraphUnavailable
+
+__all__ = ["Asked", "Fabric", "Handle", "Inlet"]
+
+log = logging.getLogger("ropeway.overlay")
+
+_CLOSE_S: Final = 5.0
+_PRIORITIES: Final = (
+    zenoh.Priority.REAL_TIME,
+    zenoh.Priority.INTERACTIVE_HIGH,
+    zenoh.Priority.INTERACTIVE_LOW,
+    zenoh.Priority.DATA_HIGH,
+    zenoh.Priority.DATA,
+    zenoh.Priority.DATA_LOW,
+    zenoh.Priority.DATA_LOW,
+    zenoh.Priority.BACKGROUND,
+)
+
+T = TypeVar("T")
+Handle = Callable[[], None]
+"""Called to end what was declared; may be called again."""
+
+
+class Inlet(Generic[T]):
+    """Takes from any thread, gives on the loop, in batches and in order.
+
+    ``limit_bytes`` bounds what may wait for the loop; above, the oldest goes and ``on_lost`` is told.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        deliver: Callable[[list[T]], None],
+        *,
+        limit_bytes: int = 256 << 20,
+        on_lost: Callable[[T], None] | None = None,
+    ) -> None:
+        self._loop, self._deliver = loop, deliver
+        self._limit_bytes, self._on_lost = limit_bytes, on_lost
+        self._waiting: deque[tuple[T, int]] = deque()
+        self._bytes = 0
+        self._scheduled = False
+        self.closed = False
+
+    def put(self, item: T, size: int = 0) -> None:
+        """Hand over one item of ``size`` bytes; from any thread."""
+        if self.closed:
+            return
+        self._waiting.append((item, size))
+        self._bytes += size
+        if not self._scheduled:
+            self._scheduled = True
+            with contextlib.suppress(RuntimeError):  # the loop has closed
+                self._loop.call_soon_threadsafe(self._give)
+
+    def _give(self) -> None:
+        self._scheduled = False
+        waiting, batch = self._waiting, []
+        while waiting:
+            item, size = waiting.popleft()
+            self._bytes -= size
+            if self._bytes > self._limit_bytes and self._on_lost is not None:
+                self._on_lost(item)
+            else:
+                batch.append(item)
+        if batch and not self.closed:
+            self._deliver(batch)
+
+
+class Asked:
+    """A query that somebody asks us; answered at most once, and given up when it is let go."""
+
+    __slots__ = ("_query", "payload")
+
+    def __init__(self, query: zenoh.Query) -> None:
+        self._query: zenoh.Query | None = query
+        self.payload = bytes(query.payload) if query.payload is not None else b""
+
+    def part(self, payload: bytes) -> None:
+        """One answer of several."""
+        if self._query is not None:
+            with contextlib.suppress(zenoh.ZError):  # who asked has left
+                self._query.reply(self._query.key_expr, payload)
+
+    def done(self) -> None:
+        """No more answers come."""
+        query, self._query = self._query, None
+        if query is not None:
+            query.drop()  # type: ignore[no-untyped-call]
+
+    def answer(self, payload: bytes) -> None:
+        """The only answer."""
+        self.part(payload)
+        self.done()
+
+
+class Fabric:
+    """One Zenoh session. ``gateway`` is its id, 16 bytes, which is also ours in the overlay."""
+
+    def __init__(self, config: zenoh.Config, gateway: bytes) -> None:
+        self.gateway = gateway
+        self._config = config
+        self._session: zenoh.Session | None = None
+        self._lanes: dict[int, ThreadPoolExecutor] = {}
+        self._loop: asyncio.AbstractEventLoop
+
+    async def open(self) -> None:
+        """Start the session; it goes on trying to reach its routers. Raises ``GraphUnavailable``."""
+        self._loop = asyncio.get_running_loop()
+        try:
+            self._session = await asyncio.to_thread(zenoh.open, self._config)
+        except zenoh.ZError as error:
+            raise GraphUnavailable("overlay", f"Zenoh cannot start: {error}") from error
+
+    async def close(self) -> None:
+        """End the session; nothing is delivered after this returns."""
+        session, self._session = self._session, None
+        if session is not None:
+            try:
+                async with asyncio.timeout(_CLOSE_S):
+                    await asyncio.to_thread(session.close)
+            except TimeoutError:
+                log.warning("overlay: Zenoh did not close within %g s", _CLOSE_S)
+        for lane in self._lanes.values():
+            lane.shutdown(wait=False, cancel_futures=True)
+        self._lanes.clear()
+
+    @property
+    def session(self) -> zenoh.Session:
+        """The session. Raises ``GraphUnavailable`` where there is none."""
+        if self._session is None:
+            raise GraphUnavailable("overlay", "it is not open")
+        return self._session
+
+    # ── hearing ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def subscribe(self, key: str, callback: Callable[[str, zenoh.ZBytes], None]) -> Handle:
+        """Have ``callback(key, payload)`` called in Zenoh's thread for what is put under ``key``."""
+
+        def take(sample: zenoh.Sample) -> None:
+            callback(str(sample.key_expr), sample.payload)
+
+        return self._ender(self.session.declare_subscriber(key, zenoh.handlers.Callback(take, indirect=False)))
+
+    def hear(self, key: str, callback: Callable[[str, bytes], None]) -> Handle:
+        """The same on the loop, for small payloads."""
+
+        def deliver(batch: list[tuple[str, bytes]]) -> None:
+            for item in batch:
+                callback(*item)
+
+        inlet: Inlet[tuple[str, bytes]] = Inlet(self._loop, deliver)
+        end = self.subscribe(key, lambda k, payload: inlet.put((k, bytes(payload))))
+
+        def close() -> None:
+            inlet.closed = True
+            end()
+
+        return close
+
+    def watch(self, key: str, callback: Callable[[str, bool], None]) -> Handle:
+        """Have ``callback(key, alive)`` called on the loop for tokens that come and go, and are there now."""
+
+        def deliver(batch: list[tuple[str, bool]]) -> None:
+            for item in batch:
+                callback(*item)
+
+        inlet: Inlet[tuple[str, bool]] = Inlet(self._loop, deliver)
+
+        def take(sample: zenoh.Sample) -> None:
+            inlet.put((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+
+        end = self._ender(
+            self.session.liveliness().declare_subscriber(
+                key, zenoh.handlers.Callback(take, indirect=False), history=True
+            )
+        )
+
+        def close() -> None:
+            inlet.closed = True
+            end()
+
+        return close
+
+    def serve(self, key: str, callback: Callable[[Asked], None]) -> Handle:
+        """Have ``callback`` called on the loop for each query of ``key``."""
+
+        def deliver(batch: list[zenoh.Query]) -> None:
+            for query in batch:
+                callback(Asked(query))
+
+        inlet: Inlet[zenoh.Query] = Inlet(self._loop, deliver)
+
+        def take(query: zenoh.Query) -> None:
+            inlet.put(query)
+
+        queryable = self.session.declare_queryable(key, zenoh.handlers.Callback(take, indirect=False), complete=True)
+        end = self._ender(queryable)
+
+        def close() -> None:
+            inlet.closed = True
+            end()
+
+        return close
+
+    def token(self, key: str) -> Handle:
+        """Show that we are alive under ``key``."""
+        return self._ender(self.session.liveliness().declare_token(key))
+
+    @staticmethod
+    def _ender(declared: Any) -> Handle:
+        kept = [declared]
+
+        def end() -> None:
+            while kept:
+                with contextlib.suppress(zenoh.ZError):  # the session has closed
+                    kept.pop().undeclare()
+
+        return end
+
+    # ── telling ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def tell(self, key: str, payload: bytes) -> None:
+        """Put a small note; lost where the link is congested."""
+        self.session.put(
+            key,
+            payload,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+        )
+
+    def put(self, lane: int, key: str, payload: bytes) -> None:
+        """Put data; waits while the link is congested, so call it in the thread of the lane (``in_lane``)."""
+        self.session.put(
+            key, payload, congestion_control=zenoh.CongestionControl.BLOCK, priority=_PRIORITIES[lane], express=True
+        )
+
+    def in_lane(self, lane: int, work: Callable[[], T]) -> asyncio.Future[T]:
+        """Run ``work`` in the thread of a lane, in order."""
+        executor = self._lanes.get(lane)
+        if executor is None:
+            executor = self._lanes[lane] = ThreadPoolExecutor(1, thread_name_prefix=f"overlay-lane-{lane}")
+        return self._loop.run_in_executor(executor, work)
+
+    async def ask(self, key: str, payload: bytes, timeout_s: float, *, lane: int = 1) -> list[bytes]:
+        """Every answer to a query, once all who can answer have; fewer, or none, after ``timeout_s``."""
+        answers: list[bytes] = []
+        done: asyncio.Future[None] = self._loop.create_future()
+
+        def finish() -> None:
+            if not done.done():
+                done.set_result(None)
+
+        def take(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                answers.append(bytes(reply.ok.payload))
+
+        def dropped() -> None:
+            with contextlib.suppress(RuntimeError):  # the loop has closed
+                self._loop.call_soon_threadsafe(finish)
+
+        cancel = zenoh.CancellationToken()
+        get = partial(
+            self.session.get,
+            key,
+            zenoh.handlers.Callback(take, dropped, indirect=False),
+            payload=payload,
+            timeout=timeout_s,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=_PRIORITIES[lane],
+            express=True,
+            cancellation_token=cancel,
+        )
+        try:
+            if len(payload) > 1 << 16:
+                await asyncio.to_thread(get)
+            else:
+                get()
+            await done
+        finally:
+            if not done.done():
+                cancel.cancel()  # type: ignore[no-untyped-call]
+        return answers
+
+    # ── where ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def routers(self) -> list[str]:
+        """The routers that we are connected to now, by Zenoh id."""
+        return [str(zid) for zid in self.session.info.routers_zid()]
+
+    def peers(self) -> list[str]:
+        """The gateways that we are connected to directly, by Zenoh id."""
+        return [str(zid) for zid in self.session.info.peers_zid()]

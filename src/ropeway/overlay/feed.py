@@ -1,0 +1,336 @@
+"""The reading side of one global name: what its publishers put is opened once and given to every reader here.
+
+Packets are opened in Zenoh's own thread, so that a link is read no faster than its data can be checked. A packet whose
+key is not here yet waits, within bounds, while the key is asked for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Protocol
+
+import zenoh
+
+from ropeway.errors import CallError, RopewayError, SealError
+from ropeway.overlay.advert import Advertisement
+from ropeway.overlay.certificate import Certificate
+from ropeway.overlay.fabric import Fabric, Handle, Inlet
+from ropeway.overlay.follower import Follower
+from ropeway.overlay.item import Item, unpack
+from ropeway.overlay.refusal import Refusal
+from ropeway.overlay.rpc import RemoteError, Rpc
+from ropeway.overlay.seal import Grant, Opener
+from ropeway.tasks import end
+
+__all__ = ["Feed", "Reader", "Stream", "data_key"]
+
+log = logging.getLogger("ropeway.overlay")
+
+_HOLD_BYTES: Final = 64 << 20
+_ASK_S: Final = 2.0
+_AGAIN_S: Final = 1.0
+_REMEMBERED: Final = 4096
+
+
+def data_key(name: bytes, endpoint: bytes | None = None) -> str:
+    """Where a publisher puts what it has under a name; for ``None`` all of them."""
+    return f"rw/d/{name.hex()}/{endpoint.hex() if endpoint is not None else '*'}"
+
+
+class Reader(Protocol):
+    """Who reads a name here."""
+
+    endpoint: bytes
+
+    @property
+    def reliable(self) -> bool:
+        """True where a gap is asked for."""
+
+    @property
+    def history(self) -> bool:
+        """True where what was published before is wanted."""
+
+    def received(self, stream: Stream, items: Sequence[Item]) -> None:
+        """Messages came, in order."""
+
+    def overrun(self, count: int) -> None:
+        """So many messages were lost because the event loop was behind."""
+
+
+class Stream:
+    """What one publisher sends us."""
+
+    def __init__(self, feed: Feed, advert: Advertisement, certificate: Certificate) -> None:
+        self.advert, self.certificate = advert, certificate
+        self.lock = threading.Lock()
+        self.opener = Opener(advert.global_name, advert.endpoint, certificate.verify_signature)
+        self.readers: dict[Reader, Follower | None] = {}
+        self._feed = feed
+        self._held: deque[bytes] = deque()
+        self._held_bytes = 0
+        self._epoch = -1
+        self._keying: asyncio.Task[None] | None = None
+        self._recovering: set[asyncio.Task[None]] = set()
+
+    # ── keys ───────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def want_key(self) -> None:
+        """Ask the publisher for its keys, until it gives or refuses them."""
+        if self._keying is None:
+            self._keying = asyncio.create_task(self._ask_key(), name=f"key of {self.advert.name}")
+
+    async def _ask_key(self) -> None:
+        feed = self._feed
+        try:
+            while True:
+                try:
+                    waiting = [reader for reader, follower in self.readers.items() if follower is None]
+                    request = {"op": "key", "of": self.advert.endpoint, "for": [r.endpoint for r in waiting]}
+                    self._granted(await feed.rpc.ask(self.advert.gateway, request, _ASK_S), waiting)
+                    if not self._wants_key():
+                        return
+                    continue
+                except SealError as error:
+                    feed.refused(self.certificate.name, error)
+                except RemoteError as error:
+                    if error.word == "SealError":
+                        feed.denied(self.advert, error.text)
+                        await asyncio.sleep(10 * _AGAIN_S)
+                        continue
+                except CallError as error:
+                    log.debug("overlay: no key of %s yet: %s", self.advert.name, error)
+                await asyncio.sleep(_AGAIN_S)
+        finally:
+            self._keying = None
+
+    def _wants_key(self) -> bool:
+        return bool(self._held) or None in self.readers.values()
+
+    def _granted(self, answer: Any, waiting: Sequence[Reader]) -> None:
+        if not isinstance(answer, dict) or type(answer.get("n")) is not int or type(answer.get("g")) is not bytes:
+            raise SealError(Refusal.MALFORMED, "a grant")
+        grant = Grant.from_cbor(answer["g"])
+        with self.lock:
+            self.opener.add(grant)
+        self._epoch = grant.current.epoch
+        for reader in waiting:
+            if reader in self.readers:
+                self._follow(reader, answer["n"])
+        held, self._held, self._held_bytes = self._held, deque(), 0
+        for raw in held:
+            self.take(raw)
+
+    # ── readers ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def join(self, reader: Reader) -> None:
+        """One more reads it: from what the publisher sends once it knows of this reader."""
+        if reader not in self.readers:
+            self.readers[reader] = None
+            self.want_key()
+
+    def _follow(self, reader: Reader, newest: int) -> None:
+        qos = self.advert.qos
+        reliable = reader.reliable and (qos is None or qos.reliable)
+        had = self._feed.had.pop((reader.endpoint, self.advert.endpoint), None)
+        if had is not None and reliable:  # it read this publisher before a cut
+            follower = Follower(reliable=True, history=False, start=min(had, newest))
+            follower.told(newest)
+        else:
+            history = reader.history and qos is not None and qos.transient_local
+            follower = Follower(reliable=reliable, history=history, start=newest)
+        self.readers[reader] = follower
+        self._recover(reader, follower)
+
+    def _recover(self, reader: Reader, follower: Follower) -> None:
+        if follower.missing is not None and not follower.asked:
+            follower.asked = True
+            task = asyncio.create_task(self._ask_missing(reader, follower), name=f"missing of {self.advert.name}")
+            self._recovering.add(task)
+            task.add_done_callback(self._recovering.discard)
+
+    async def _ask_missing(self, reader: Reader, follower: Follower) -> None:
+        assert follower.missing is not None
+        after, upto = follower.missing
+        request = {"op": "history", "of": self.advert.endpoint, "after": after, "upto": upto}
+        items: list[Item] = []
+        for last in (False, False, True):
+            try:
+                answer = await self._feed.rpc.ask(self.advert.gateway, request, _ASK_S, lane=4)
+                items = [unpack(raw) for raw in answer]
+                break
+            except SealError as error:
+                self._feed.refused(self.certificate.name, error)
+                break
+            except RopewayError as error:
+                log.debug("overlay: what is missing of %s cannot be had: %s", self.advert.name, error)
+                if not last:
+                    await asyncio.sleep(_AGAIN_S)
+        if self.readers.get(reader) is follower:
+            self._give(reader, follower.recovered(items))
+            self._recover(reader, follower)
+
+    def leave(self, reader: Reader) -> None:
+        """One less reads it."""
+        self.readers.pop(reader, None)
+
+    def remember(self) -> None:
+        """Keep in mind what each reader had: the publisher may come back."""
+        for reader, follower in self.readers.items():
+            if follower is not None:
+                self._feed.had[reader.endpoint, self.advert.endpoint] = follower.last
+        while len(self._feed.had) > _REMEMBERED:
+            del self._feed.had[next(iter(self._feed.had))]
+
+    def told(self, newest: int) -> None:
+        """The publisher says which message was its newest."""
+        for reader, follower in self.readers.items():
+            if follower is not None:
+                follower.told(newest)
+                self._recover(reader, follower)
+
+    # ── data ───────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def take(self, raw: bytes) -> None:
+        """A packet, on the loop: one that could not be opened when it came."""
+        try:
+            with self.lock:
+                if not self.opener.knows(raw):
+                    self._hold(raw)
+                    return
+                opened = self.opener.open(raw)
+            self.opened(opened.epoch, [unpack(item) for item in opened.items])
+        except SealError as error:
+            self._feed.refused(self.certificate.name, error)
+
+    def _hold(self, raw: bytes) -> None:
+        self._held.append(raw)
+        self._held_bytes += len(raw)
+        while self._held_bytes > _HOLD_BYTES:
+            self._held_bytes -= len(self._held.popleft())
+            self._feed.refused(self.certificate.name, SealError(Refusal.NO_KEY, self.advert.name))
+        self.want_key()
+
+    def opened(self, epoch: int, items: Sequence[Item]) -> None:
+        """Messages that were checked."""
+        if epoch != self._epoch:  # the next key is in use: the one after it is wanted
+            self._epoch = epoch
+            self.want_key()
+        for reader, follower in list(self.readers.items()):
+            if follower is None:
+                continue
+            lost = follower.lost
+            self._give(reader, follower.arrived(items))
+            if follower.missing is not None:
+                self._recover(reader, follower)
+            elif follower.lost != lost:
+                self._feed.missed += follower.lost - lost
+
+    def _give(self, reader: Reader, items: Sequence[Item]) -> None:
+        if items:
+            reader.received(self, items)
+
+    async def close(self) -> None:
+        """Ask for nothing more."""
+        await end(self._keying, *self._recovering)
+
+
+class Feed:
+    """One name as it is read here. ``refused`` is told of each packet that is not believed."""
+
+    def __init__(
+        self,
+        fabric: Fabric,
+        rpc: Rpc,
+        name: bytes,
+        refused: Callable[[str, SealError], None],
+        denied: Callable[[Advertisement, str], None],
+    ) -> None:
+        self.fabric, self.rpc, self.name = fabric, rpc, name
+        self.refused, self.denied = refused, denied
+        self.missed = 0
+        self.had: dict[tuple[bytes, bytes], int] = {}
+        self.readers: list[Reader] = []
+        self.streams: dict[bytes, Stream] = {}
+        self._inlet: Inlet[tuple[Stream, bytes | SealError | tuple[int, list[Item]]]]
+        self._end: Handle | None = None
+        self._closing: set[asyncio.Task[None]] = set()
+
+    def open(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Read from now on."""
+        self._inlet = Inlet(loop, self._deliver, on_lost=self._overrun)
+        self._end = self.fabric.subscribe(data_key(self.name), self._came)
+
+    async def close(self) -> None:
+        """Read no more."""
+        self._inlet.closed = True
+        if self._end is not None:
+            self._end()
+        for stream in self.streams.values():
+            await stream.close()
+        self.streams.clear()
+        await end(*self._closing)
+
+    def follow(self, adverts: Mapping[bytes, tuple[Advertisement, Certificate]]) -> None:
+        """Follow these publishers and no others."""
+        for endpoint in [*self.streams.keys() - adverts.keys()]:
+            stream = self.streams.pop(endpoint)
+            stream.remember()
+            task = asyncio.create_task(stream.close(), name="end of a stream")
+            self._closing.add(task)
+            task.add_done_callback(self._closing.discard)
+        for endpoint, (advert, certificate) in adverts.items():
+            if endpoint not in self.streams:
+                self.streams[endpoint] = Stream(self, advert, certificate)
+
+    def _came(self, key: str, payload: zenoh.ZBytes) -> None:
+        """A packet, in Zenoh's thread."""
+        endpoint = bytes.fromhex(key.rsplit("/", 1)[1]) if _is_hex(key.rsplit("/", 1)[1]) else b""
+        stream = self.streams.get(endpoint)
+        if stream is None or not stream.readers:
+            return
+        raw = bytes(payload)
+        try:
+            with stream.lock:
+                if not stream.opener.knows(raw):
+                    self._inlet.put((stream, raw), len(raw))
+                    return
+                opened = stream.opener.open(raw)
+            self._inlet.put((stream, (opened.epoch, [unpack(item) for item in opened.items])), len(raw))
+        except SealError as error:
+            self._inlet.put((stream, error))
+
+    def _deliver(self, batch: list[tuple[Stream, bytes | SealError | tuple[int, list[Item]]]]) -> None:
+        at = 0
+        while at < len(batch):
+            stream, what = batch[at]
+            at += 1
+            if isinstance(what, SealError):
+                self.refused(stream.certificate.name, what)
+            elif isinstance(what, bytes):
+                stream.take(what)
+            else:
+                epoch, items = what
+                while at < len(batch) and batch[at][0] is stream and isinstance(batch[at][1], tuple):
+                    following = batch[at][1]
+                    assert isinstance(following, tuple)
+                    if following[0] != epoch:
+                        break
+                    items += following[1]
+                    at += 1
+                stream.opened(epoch, items)
+
+    def _overrun(self, lost: tuple[Stream, object]) -> None:
+        stream, what = lost
+        count = len(what[1]) if isinstance(what, tuple) else 1
+        for reader in list(stream.readers):
+            with contextlib.suppress(ReferenceError):
+                reader.overrun(count)
+
+
+def _is_hex(text: str) -> bool:
+    return len(text) == 32 and all(c in "0123456789abcdef" for c in text)

@@ -1,0 +1,354 @@
+"""Who is in the overlay, and what each advertises: every gateway keeps a copy of everybody's list.
+
+A gateway shows a liveliness token, and each second puts a signed heartbeat with the version of its list. A change is
+put as a delta; who finds a version that it does not have asks for the whole list. Nothing is believed that is not
+signed by a certificate of the fleet; a gateway that was not heard of for ``LEASE_S`` is gone, whatever a router says.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from ropeway.errors import SealError
+from ropeway.overlay.certificate import Certificate
+from ropeway.overlay.fabric import Asked, Fabric, Handle
+from ropeway.overlay.identity import Identity
+from ropeway.overlay.note import NoteKey
+from ropeway.overlay.refusal import Refusal
+from ropeway.overlay.rib import Rib
+from ropeway.overlay.trust import Trust
+from ropeway.tasks import end
+
+__all__ = ["LEASE_S", "Membership"]
+
+log = logging.getLogger("ropeway.overlay")
+
+LEASE_S: Final = 8.0
+"""A gateway that was not heard of for so long is gone."""
+
+_BEAT_S: Final = 1.0
+_SUSPECT_S: Final = 3.0  # a token that is gone may come back by another router
+_SKEW_NS: Final = 120 * 10**9
+_CHUNK: Final = 500  # advertisements in one note
+_ASK_S: Final = 5.0
+_TAILS: Final = 512
+
+_SHAPES: Final[Mapping[str, Mapping[str, type]]] = {
+    "heartbeat": {"t": int, "v": int, "w": dict},
+    "delta": {"v": int, "add": list, "del": list},
+    "hello": {"c": bytes, "n": str, "t": int, "v": int, "of": int},
+    "adverts": {"t": int, "a": list},
+}
+
+
+@dataclass(slots=True)
+class _Gateway:
+    """What we know of another gateway."""
+
+    certificate: Certificate | None = None
+    name: str = ""
+    version: int = -1
+    told_ns: int = 0  # the sender's clock, of its newest heartbeat
+    heard: float = 0.0
+    suspect: float | None = None
+    sync: asyncio.Task[None] | None = None
+    wanted: int = -1
+    tails: dict[bytes, int] = field(default_factory=dict)
+
+
+class Membership:
+    """Tells others what we advertise, and fills ``rib`` with what they do.
+
+    ``tails()`` gives the newest number of each reliable publisher of ours that was active lately; ``on_tails`` gets
+    those of others, so that readers know what they miss. ``refused`` is told of everything that is not believed.
+    """
+
+    def __init__(
+        self,
+        fabric: Fabric,
+        identity: Identity,
+        trust: Trust,
+        rib: Rib,
+        notes: NoteKey,
+        *,
+        tails: Callable[[], dict[bytes, int]],
+        on_tails: Callable[[bytes, dict[bytes, int]], None],
+        refused: Callable[[str, SealError], None],
+    ) -> None:
+        self._fabric, self._identity, self._trust = fabric, identity, trust
+        self._rib, self._notes = rib, notes
+        self._tails, self._on_tails, self._refused = tails, on_tails, refused
+        self._own: dict[bytes, bytes] = {}  # endpoint: sealed advertisement
+        self._added: dict[bytes, bytes] = {}
+        self._removed: list[bytes] = []
+        self._version = 0
+        self._scheduled = False
+        self._known: dict[bytes, _Gateway] = {}
+        self._ends: list[Handle] = []
+        self._beat: asyncio.Task[None] | None = None
+        self._loop: asyncio.AbstractEventLoop
+        self._me = fabric.gateway.hex()
+
+    async def open(self) -> None:
+        """Show ourselves, and look for others."""
+        self._loop = asyncio.get_running_loop()
+        fabric = self._fabric
+        self._ends += [
+            fabric.serve(f"rw/m/{self._me}", self._list),
+            fabric.hear("rw/h/*", self._heard),
+            fabric.hear("rw/a/*", self._changed),
+            fabric.token(f"rw/l/{self._me}"),
+            fabric.watch("rw/l/*", self._token),
+        ]
+        self._beat = asyncio.create_task(self._keep_beating(), name="overlay heartbeat")
+
+    async def close(self) -> None:
+        """Say good-bye."""
+        await end(self._beat, *(known.sync for known in self._known.values()))
+        if self._ends:
+            self._fabric.tell(f"rw/h/{self._me}", self._note("heartbeat", self._heartbeat(bye=True)))
+        for handle in self._ends:
+            handle()
+        self._ends.clear()
+
+    # ── what we tell ───────────────────────────────────────────────────────────────────────────────────────────
+
+    def advertise(self, endpoint: bytes, raw: bytes) -> None:
+        """Tell the others of an endpoint, with everything else that changes in this turn of the loop."""
+        self._own[endpoint] = self._added[endpoint] = raw
+        self._schedule()
+
+    def withdraw(self, endpoint: bytes) -> None:
+        """Tell the others that it is gone."""
+        if self._own.pop(endpoint, None) is None:
+            return
+        if self._added.pop(endpoint, None) is None:
+            self._removed.append(endpoint)
+        self._schedule()
+
+    def _schedule(self) -> None:
+        if not self._scheduled:
+            self._scheduled = True
+            self._loop.call_soon(self._tell)
+
+    def _tell(self) -> None:
+        self._scheduled = False
+        if not self._ends:
+            return
+        added, removed = list(self._added.values()), self._removed
+        self._added, self._removed = {}, []
+        while added or removed:
+            self._version += 1
+            body = {"v": self._version, "add": added[:_CHUNK], "del": removed[: 16 * _CHUNK]}
+            added, removed = added[_CHUNK:], removed[16 * _CHUNK :]
+            self._fabric.tell(f"rw/a/{self._me}", self._note("delta", body))
+
+    def _note(self, kind: str, body: object) -> bytes:
+        return self._notes.seal(self._fabric.gateway, kind, body, self._identity.sign)
+
+    def _heartbeat(self, *, bye: bool = False) -> dict[str, Any]:
+        tails = self._tails()
+        if len(tails) > _TAILS:
+            tails = dict(list(tails.items())[:_TAILS])
+        beat: dict[str, Any] = {"t": time.time_ns(), "v": self._version, "w": tails}
+        if bye:
+            beat["bye"] = True
+        return beat
+
+    async def _keep_beating(self) -> None:
+        while True:
+            self._fabric.tell(f"rw/h/{self._me}", self._note("heartbeat", self._heartbeat()))
+            await asyncio.sleep(_BEAT_S)
+            self._expire()
+
+    def _list(self, asked: Asked) -> None:
+        """Somebody wants the whole list."""
+        adverts = list(self._own.values())
+        hello = {
+            "c": self._identity.certificate.der,
+            "n": self._identity.name,
+            "t": time.time_ns(),
+            "v": self._version - bool(self._added or self._removed),  # what waits comes as a delta, too
+            "of": len(adverts),
+        }
+        asked.part(self._note("hello", hello))
+        for at in range(0, len(adverts), _CHUNK):
+            asked.part(self._note("adverts", {"t": hello["t"], "a": adverts[at : at + _CHUNK]}))
+        asked.done()
+
+    # ── what we hear ───────────────────────────────────────────────────────────────────────────────────────────
+
+    def gateways(self) -> dict[bytes, _Gateway]:
+        """The others, by id; those without a certificate are being asked who they are."""
+        return {id: known for id, known in self._known.items() if known.certificate is not None}
+
+    def certificate(self, gateway: bytes) -> Certificate | None:
+        """Whose gateway it is, ``None`` where we do not know."""
+        known = self._known.get(gateway)
+        return known.certificate if known is not None else None
+
+    def _token(self, key: str, alive: bool) -> None:
+        gateway = _gateway_of(key)
+        if gateway is None or gateway == self._fabric.gateway:
+            return
+        known = self._known.get(gateway)
+        if alive:
+            if known is None:
+                self._sync(gateway, self._known.setdefault(gateway, _Gateway(heard=self._loop.time())))
+            else:
+                known.suspect = None
+        elif known is not None:
+            known.suspect = self._loop.time()
+
+    def _heard(self, key: str, raw: bytes) -> None:
+        gateway = _gateway_of(key)
+        if gateway is None or gateway == self._fabric.gateway:
+            return
+        known = self._known.get(gateway)
+        if known is None:
+            known = self._known[gateway] = _Gateway(heard=self._loop.time())
+        if known.certificate is None:
+            self._sync(gateway, known)
+            return
+        body = self._read(raw, gateway, "heartbeat", known)
+        if body is None:
+            return
+        told_ns, version = body["t"], body["v"]
+        if told_ns <= known.told_ns:
+            self._refused(known.name, SealError(Refusal.REPLAYED, "a heartbeat"))
+            return
+        if body.get("bye"):
+            self.gone(gateway)
+            return
+        known.told_ns, known.heard, known.suspect = told_ns, self._loop.time(), None
+        if version != known.version:
+            known.wanted = version
+            self._sync(gateway, known)
+        if body["w"]:
+            self._on_tails(gateway, body["w"])
+
+    def _changed(self, key: str, raw: bytes) -> None:
+        gateway = _gateway_of(key)
+        known = self._known.get(gateway) if gateway is not None else None
+        if gateway is None or known is None or known.certificate is None:
+            return  # it is being asked for everything
+        if known.sync is not None:
+            known.wanted = max(known.wanted, known.version + 1)
+            return
+        body = self._read(raw, gateway, "delta", known)
+        if body is None or body["v"] <= known.version:
+            return
+        if body["v"] != known.version + 1:
+            known.wanted = body["v"]
+            self._sync(gateway, known)
+            return
+        known.version = body["v"]
+        found = self._rib.read_all(gateway, known.certificate, body["add"])
+        self._rib.apply(gateway, known.certificate, found, body["del"])
+
+    def _read(self, raw: bytes, gateway: bytes, kind: str, known: _Gateway) -> dict[str, Any] | None:
+        assert known.certificate is not None
+        certificate = known.certificate
+        try:
+            body = self._notes.open(raw, gateway, kind, _SHAPES[kind], lambda _: self._trust.check(certificate.der))
+        except SealError as error:
+            self._refused(known.name, error)
+            return None
+        return body
+
+    def _sync(self, gateway: bytes, known: _Gateway) -> None:
+        if known.sync is None:
+            known.sync = asyncio.create_task(self._ask(gateway, known), name=f"list of {gateway.hex()[:8]}")
+
+    async def _ask(self, gateway: bytes, known: _Gateway) -> None:
+        """Ask a gateway for its whole list, until we have what it had when it was asked."""
+        try:
+            while self._known.get(gateway) is known:
+                answers = await self._fabric.ask(f"rw/m/{gateway.hex()}", b"", _ASK_S)
+                try:
+                    version = await self._take_list(gateway, known, answers)
+                except SealError as error:
+                    self._refused(known.name or f"gateway {gateway.hex()[:8]}", error)
+                    version = None
+                if version is not None:
+                    known.version = version
+                    if known.wanted <= version:
+                        return
+                else:
+                    await asyncio.sleep(_BEAT_S)
+        finally:
+            known.sync = None
+
+    async def _take_list(self, gateway: bytes, known: _Gateway, answers: list[bytes]) -> int | None:
+        if not answers:
+            return None
+
+        hello = self._notes.open(
+            answers[0], gateway, "hello", _SHAPES["hello"], lambda body: self._trust.check(body["c"])
+        )
+        certificate = self._trust.check(hello["c"])
+        if abs(hello["t"] - time.time_ns()) > _SKEW_NS:
+            raise SealError(Refusal.TOO_OLD, f"{certificate.name} tells a time that is far from ours")
+        raws: list[bytes] = []
+        for answer in answers[1:]:
+            body = self._notes.open(answer, gateway, "adverts", _SHAPES["adverts"], lambda _: certificate)
+            if body["t"] != hello["t"]:
+                raise SealError(Refusal.REPLAYED, "a list")
+            raws += body["a"]
+        if len(raws) != hello["of"]:
+            raise SealError(Refusal.TRUNCATED, "a list")
+        adverts = await asyncio.to_thread(self._rib.read_all, gateway, certificate, raws)
+        if self._known.get(gateway) is not known:
+            return None
+        first = known.certificate is None
+        known.certificate, known.name = certificate, certificate.name
+        known.told_ns = max(known.told_ns, hello["t"])
+        known.heard = self._loop.time()
+        self._rib.replace(gateway, certificate, adverts)
+        if first:
+            log.info("overlay: %s has joined with %d names", known.name, self._rib.count(gateway))
+        return int(hello["v"])
+
+    # ── who goes ───────────────────────────────────────────────────────────────────────────────────────────────
+
+    def gone(self, gateway: bytes) -> None:
+        """Forget a gateway and what it advertised."""
+        known = self._known.pop(gateway, None)
+        if known is None:
+            return
+        if known.sync is not None:
+            known.sync.cancel()
+        if known.certificate is not None:
+            log.info("overlay: %s has left", known.name)
+        self._rib.gone(gateway)
+
+    def recheck(self) -> None:
+        """Forget those whose certificates are good no longer."""
+        for gateway, known in list(self._known.items()):
+            if known.certificate is None:
+                continue
+            try:
+                self._trust.check(known.certificate.der)
+            except SealError as error:
+                self._refused(known.name, error)
+                self.gone(gateway)
+
+    def _expire(self) -> None:
+        now = self._loop.time()
+        for gateway, known in list(self._known.items()):
+            lost = known.suspect is not None and now - known.suspect > _SUSPECT_S
+            if lost or now - known.heard > LEASE_S:
+                self.gone(gateway)
+
+
+def _gateway_of(key: str) -> bytes | None:
+    try:
+        gateway = bytes.fromhex(key.rsplit("/", 1)[-1])
+    except ValueError:
+        return None
+    return gateway if len(gateway) == 16 else None

@@ -1,0 +1,332 @@
+"""One member of the overlay in this process: its session, its identity, and what it knows of the others.
+
+Several graphs may share a node (remotes of one gateway that differ in their metadata). The node itself knows no
+topics: publishers register their ``Source``, services their ``Provider``, and readers a ``Feed``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from ropeway.errors import CallFailed, NotServed, RopewayError, SealError
+from ropeway.overlay.advert import VERB_OF, Advertisement, advert_key, make_advert
+from ropeway.overlay.certificate import Certificate
+from ropeway.overlay.fabric import Asked, Fabric, Handle
+from ropeway.overlay.feed import Feed
+from ropeway.overlay.identity import Identity
+from ropeway.overlay.membership import Membership
+from ropeway.overlay.note import NoteKey
+from ropeway.overlay.refusal import Refusal
+from ropeway.overlay.rib import Rib
+from ropeway.overlay.rpc import Rpc
+from ropeway.overlay.source import Source
+from ropeway.overlay.trust import Trust
+from ropeway.overlay.zenoh_config import peer_config
+from ropeway.tasks import end
+
+__all__ = ["OverlayNode", "Policy", "Provider", "new_endpoint"]
+
+log = logging.getLogger("ropeway.overlay")
+
+_CHECK_S: Final = 5.0
+_ACTIVE_S: Final = 15.0
+
+Policy = Callable[[str, str, Certificate], bool]
+"""Whether ``(verb, ROS name, certificate)`` is allowed here, beyond what the certificate says."""
+
+
+class Provider(Protocol):
+    """A service that is served here."""
+
+    endpoint: bytes
+
+    async def answer_remote(self, caller: Certificate, request: Mapping[str, Any]) -> Any:
+        """Answer a call."""
+
+
+def new_endpoint() -> bytes:
+    """16 random bytes that name a publisher, a subscription, a service or a client."""
+    return os.urandom(16)
+
+
+class OverlayNode:
+    """A member: ``identity`` is its bundle.
+
+    ``routers`` and ``listen`` are Zenoh endpoints (``tls/host:7447``); left out, the routers are those of the bundle,
+    and direct links are taken on every interface at a free port, with mutual authentication as everywhere. ``policy``
+    is asked beyond certificates. ``rotate_s``: content keys serve so long.
+    """
+
+    def __init__(
+        self,
+        identity: Identity,
+        *,
+        routers: Sequence[str] | None = None,
+        listen: Sequence[str] = ("tls/[::]:0",),
+        policy: Policy | None = None,
+        rotate_s: float = 600.0,
+    ) -> None:
+        if identity.name_secret is None:
+            raise SealError(Refusal.WRONG_PURPOSE, f"{identity.name} is a router, which reads and writes nothing")
+        self.identity = identity
+        self.trust = Trust(identity.ca, identity.crl)
+        self.secret = identity.name_secret
+        self.gateway = _gateway_id()
+        self.routers = tuple(identity.routers if routers is None else routers)
+        self.listen = tuple(listen)
+        self.rotate_s = rotate_s
+        self.refusals: Counter[tuple[str, Refusal]] = Counter()
+        self.denials: dict[str, str] = {}
+        self.policy = policy or (lambda verb, name, certificate: True)
+        config = peer_config(identity, gateway=self.gateway, connect=self.routers, listen=self.listen)
+        self.fabric = Fabric(config, self.gateway)
+        self.rib = Rib(self.secret, refused=self.refused)
+        self.rpc = Rpc(self.fabric, identity, self.trust, self.refused)
+        self.membership = Membership(
+            self.fabric,
+            identity,
+            self.trust,
+            self.rib,
+            NoteKey(self.secret),
+            tails=self._tails,
+            on_tails=self._on_tails,
+            refused=self.refused,
+        )
+        self.sources: dict[bytes, Source] = {}
+        self.on_granted: dict[bytes, Callable[[Sequence[bytes]], None]] = {}
+        self.providers: dict[bytes, Provider] = {}
+        self.feeds: dict[bytes, Feed] = {}
+        self._advert_key = advert_key(self.secret)
+        self._ends: list[Handle] = []
+        self._checking: asyncio.Task[None] | None = None
+        self._opened = 0
+        self._opening = asyncio.Lock()
+
+    # ── life ───────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def open(self) -> None:
+        """Join the overlay, or have one more user of it here. Raises ``IdentityError`` or ``GraphUnavailable``."""
+        async with self._opening:
+            if not self._opened:
+                self.trust.check(self.identity.certificate.der)
+                await self.fabric.open()
+                self.rpc.answers("key", self._answer_key)
+                self.rpc.answers("history", self._answer_history)
+                self.rpc.answers("call", self._answer_call)
+                self.rpc.answers("ping", self._answer_ping)
+                self.rpc.open()
+                self._ends.append(self.fabric.serve("rw/crl", self._tell_crl))
+                self._ends.append(self.fabric.hear("rw/crl", lambda _, raw: self._take_crl(raw)))
+                await self.membership.open()
+                self._checking = asyncio.create_task(self._keep_checking(), name="overlay checks")
+            self._opened += 1
+
+    async def close(self) -> None:
+        """Have one user less; the last one leaves the overlay."""
+        async with self._opening:
+            self._opened = max(self._opened - 1, 0)
+            if self._opened or self._checking is None:
+                return
+            await end(self._checking)
+            self._checking = None
+            for feed in list(self.feeds.values()):
+                await feed.close()
+            self.feeds.clear()
+            await self.membership.close()
+            await self.rpc.close()
+            for handle in self._ends:
+                handle()
+            self._ends.clear()
+            await self.fabric.close()
+
+    async def _keep_checking(self) -> None:
+        try:
+            for raw in await self.fabric.ask("rw/crl", b"", 2.0):
+                self._take_crl(raw)
+        except RopewayError as error:
+            log.debug("overlay: nobody told which certificates are revoked: %s", error)
+        while True:
+            await asyncio.sleep(_CHECK_S)
+            self.recheck()
+
+    def recheck(self) -> None:
+        """See who lost its right: by revocation, by time. Keys that have served their time are replaced, too."""
+        self.membership.recheck()
+        self.rpc.recheck()
+        for source in self.sources.values():
+            source.recheck(self._good)
+
+    def _good(self, certificate: Certificate) -> bool:
+        try:
+            self.trust.check(certificate.der)
+        except SealError:
+            return False
+        return True
+
+    # ── who is believed ────────────────────────────────────────────────────────────────────────────────────────
+
+    def refused(self, who: str, error: SealError) -> None:
+        """Count something that is not believed."""
+        assert isinstance(error.reason, Refusal)
+        self.refusals[who, error.reason] += 1
+        level = logging.WARNING if self.refusals[who, error.reason] == 1 else logging.DEBUG
+        log.log(level, "overlay: refused what comes from %s: %s", who, error)
+
+    def denied(self, advert: Advertisement, text: str) -> None:
+        """A publisher does not give us its key."""
+        if self.denials.get(advert.name) != text:
+            log.warning("overlay: %s cannot be read: %s", advert.name, text)
+            self.denials[advert.name] = text
+
+    def _take_crl(self, raw: bytes) -> None:
+        try:
+            newer = self.trust.update(raw)
+        except SealError as error:
+            self.refused("a revocation list", error)
+            return
+        if newer:
+            log.info("overlay: revocation list %d is in force", self.trust.crl_number)
+            self.recheck()
+
+    def _tell_crl(self, asked: Asked) -> None:
+        asked.answer(self.trust.crl)
+
+    # ── what we advertise ──────────────────────────────────────────────────────────────────────────────────────
+
+    def advertise(self, advert: Advertisement) -> None:
+        """Tell everybody of an endpoint. Raises ``SealError`` where our own certificate does not allow it."""
+        verb = VERB_OF[advert.kind]
+        if not self.identity.certificate.rights.may(verb, advert.name):
+            raise SealError(
+                Refusal.NO_RIGHT, f"the certificate of {self.identity.name} has no right to {verb} {advert.name}"
+            )
+        self.membership.advertise(advert.endpoint, make_advert(advert, self.identity, self._advert_key))
+
+    def withdraw(self, endpoint: bytes) -> None:
+        """Tell everybody that it is gone."""
+        self.membership.withdraw(endpoint)
+
+    # ── publishers and readers ─────────────────────────────────────────────────────────────────────────────────
+
+    def feed(self, name: bytes) -> Feed:
+        """What is published under a name, read from now on."""
+        feed = self.feeds.get(name)
+        if feed is None:
+            feed = self.feeds[name] = Feed(self.fabric, self.rpc, name, self.refused, self.denied)
+            feed.open(asyncio.get_running_loop())
+        return feed
+
+    async def release(self, feed: Feed) -> None:
+        """A reader has left; the last one ends the feed."""
+        if not feed.readers and self.feeds.get(feed.name) is feed:
+            del self.feeds[feed.name]
+            await feed.close()
+
+    def follow(self, feed: Feed) -> None:
+        """Have a feed read all publishers of its name, whatever their QoS; readers join those that suit them."""
+        found: dict[bytes, tuple[Advertisement, Certificate]] = {}
+        for advert in self.rib.by_name(feed.name, "publisher"):
+            certificate = self.membership.certificate(advert.gateway)
+            if certificate is not None:
+                found[advert.endpoint] = (advert, certificate)
+        feed.follow(found)
+
+    def _tails(self) -> dict[bytes, int]:
+        now = time.monotonic()
+        return {endpoint: source.number for endpoint, source in self.sources.items() if now - source.active < _ACTIVE_S}
+
+    def _on_tails(self, gateway: bytes, tails: Mapping[Any, Any]) -> None:
+        for feed in self.feeds.values():
+            for endpoint, stream in feed.streams.items():
+                newest = tails.get(endpoint)
+                if type(newest) is int and stream.advert.gateway == gateway:
+                    stream.told(newest)
+
+    # ── what we answer ─────────────────────────────────────────────────────────────────────────────────────────
+
+    def _source(self, request: Mapping[str, Any]) -> Source:
+        source = self.sources.get(request["of"])
+        if source is None:
+            raise CallFailed("key", "this publisher has gone")
+        return source
+
+    async def _answer_key(self, peer: Certificate, request: Mapping[str, Any]) -> Any:
+        source = self._source(request)
+        granted = source.grant(peer)
+        on_granted = self.on_granted.get(source.endpoint)
+        if on_granted is not None:
+            on_granted([bytes(endpoint) for endpoint in request["for"]])
+        return granted
+
+    async def _answer_history(self, peer: Certificate, request: Mapping[str, Any]) -> Any:
+        upto = request["upto"]
+        return self._source(request).history(peer, int(request["after"]), None if upto is None else int(upto))
+
+    async def _answer_call(self, peer: Certificate, request: Mapping[str, Any]) -> Any:
+        provider = self.providers.get(request["of"])
+        if provider is None:
+            raise NotServed(str(request.get("name", "")))
+        return await provider.answer_remote(peer, request)
+
+    async def _answer_ping(self, peer: Certificate, request: Mapping[str, Any]) -> Any:
+        return time.time_ns()
+
+    # ── where the others are ───────────────────────────────────────────────────────────────────────────────────
+
+    def path(self, gateway: bytes) -> str:
+        """``direct`` where a gateway is linked with ours, else ``routed``."""
+        return "direct" if gateway.hex() in self.fabric.peers() else "routed"
+
+    async def ping(self, gateway: bytes, timeout_s: float = 2.0) -> float:
+        """The round-trip time to another gateway, in seconds, over its sealed channel."""
+        await self.rpc.ask(gateway, {"op": "ping"}, timeout_s)  # opens the channel
+        began = time.perf_counter()
+        await self.rpc.ask(gateway, {"op": "ping"}, timeout_s)
+        return time.perf_counter() - began
+
+    def status(self) -> dict[str, Any]:
+        """Everything as it stands, as JSON."""
+        certificate = self.identity.certificate
+        peers = set(self.fabric.peers())
+        return {
+            "name": self.identity.name,
+            "fleet": self.identity.fleet,
+            "gateway": self.gateway.hex(),
+            "expires": certificate.not_after.isoformat(),
+            "routers": self.fabric.routers(),
+            "revocations": self.trust.crl_number,
+            "gateways": [
+                {
+                    "name": known.name,
+                    "gateway": gateway.hex(),
+                    "path": "direct" if gateway.hex() in peers else "routed",
+                    "names": self.rib.count(gateway),
+                }
+                for gateway, known in sorted(self.membership.gateways().items(), key=lambda item: item[1].name)
+            ],
+            "denied": dict(self.denials),
+            "missed": sum(feed.missed for feed in self.feeds.values()),
+            "refused": [
+                {"who": who, "reason": reason.value, "count": count} for (who, reason), count in self.refusals.items()
+            ],
+        }
+
+
+def load_identity(path: str | Path) -> Identity:
+    """The identity in a bundle file. Raises ``IdentityError``."""
+    return Identity.load(Path(path))
+
+
+def _gateway_id() -> bytes:
+    """16 random bytes; Zenoh takes an id without leading zeros, whichever end it counts from."""
+    raw = bytearray(os.urandom(16))
+    raw[0] |= 0x80
+    raw[15] |= 1
+    return bytes(raw)

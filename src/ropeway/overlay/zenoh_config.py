@@ -1,0 +1,98 @@
+"""How Zenoh is set up: mutual TLS and nothing else, small queues, quick to come back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Sequence
+from typing import Any, Final
+
+import zenoh
+
+from ropeway.overlay.identity import Identity
+
+__all__ = ["KEYS", "peer_config", "router_config"]
+
+KEYS: Final = "rw/**"
+"""All that travels in an overlay lies under this key expression."""
+
+_LEASE_MS: Final = 4000
+_MESSAGES: Final = (
+    "put",
+    "delete",
+    "declare_subscriber",
+    "query",
+    "declare_queryable",
+    "reply",
+    "liveliness_token",
+    "declare_liveliness_subscriber",
+    "liveliness_query",
+)
+
+
+def peer_config(identity: Identity, *, gateway: bytes, connect: Sequence[str], listen: Sequence[str]) -> zenoh.Config:
+    """For a gateway: it links with routers, and with every other gateway that it can reach."""
+    return _config(identity, "peer", connect, listen, {"id": gateway.hex()})
+
+
+def router_config(
+    identity: Identity, *, connect: Sequence[str], listen: Sequence[str], denied: Collection[str] = ()
+) -> zenoh.Config:
+    """For a router. ``denied`` are names in certificates that may do nothing."""
+    rules: list[dict[str, Any]] = [
+        {
+            "id": "overlay",
+            "messages": list(_MESSAGES),
+            "flows": ["ingress", "egress"],
+            "permission": "allow",
+            "key_exprs": [KEYS],
+        }
+    ]
+    subjects: list[dict[str, Any]] = [{"id": "everybody"}]
+    policies: list[dict[str, Any]] = [{"rules": ["overlay"], "subjects": ["everybody"]}]
+    if denied:
+        rules.append({**rules[0], "id": "revoked", "permission": "deny"})
+        subjects.append({"id": "revoked", "cert_common_names": sorted(denied)})
+        policies.append({"rules": ["revoked"], "subjects": ["revoked"]})
+    access = {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+    return _config(identity, "router", connect, listen, {"access_control": access})
+
+
+def _config(
+    identity: Identity, mode: str, connect: Sequence[str], listen: Sequence[str], more: dict[str, Any]
+) -> zenoh.Config:
+    tls = identity.tls() | {
+        "enable_mtls": True,
+        "verify_name_on_connect": False,  # names say nothing about place; that it is of the fleet is what counts
+        "close_link_on_expiration": True,
+    }
+    options: dict[str, Any] = {
+        "mode": mode,
+        "connect/endpoints": list(connect),
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5},
+        "listen/endpoints": list(listen),
+        "listen/exit_on_failure": True,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": True,
+        "open/return_conditions/connect_scouted": False,
+        "open/return_conditions/declares": False,
+        "adminspace/enabled": False,
+        "timestamping/enabled": False,
+        "transport/link/protocols": ["tls", "quic", "tcp"],
+        "transport/link/tls": tls,
+        "transport/link/tx/lease": _LEASE_MS,
+        "transport/link/tx/keep_alive": 4,
+        "transport/shared_memory/enabled": False,
+        **more,
+    }
+    config = zenoh.Config()
+    for key, value in options.items():
+        config.insert_json5(key, json.dumps(value))
+    return config

@@ -1,0 +1,33 @@
+"""Fleets and members for tests."""
+
+from __future__ import annotations
+
+import itertools
+import socket
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from ropeway.overlay.fleet import Fleet
+from ropeway.overlay.identity import Identity
+
+_numbers = itertools.count()
+
+
+@cache
+def fleet(name: str = "tests", algorithm: str = "ed25519") -> Fleet:
+    """A fleet that all tests of a run share."""
+    return Fleet.create(name, Path(tempfile.mkdtemp()) / name, algorithm=algorithm)
+
+
+def member(name: str = "robot", of: Fleet | None = None, **options: Any) -> Identity:
+    """A new member; a number makes its name its own."""
+    return (of or fleet()).issue(f"{name}{next(_numbers)}", **options)
+
+
+def free_endpoint() -> str:
+    """A Zenoh endpoint on the loopback interface that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tls/127.0.0.1:{probe.getsockname()[1]}"
