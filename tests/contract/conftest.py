@@ -143,7 +143,7 @@ async def open_overlay(stack: AsyncExitStack) -> Pair:
     graphs.append(OverlayGraph(far))
     await graphs[1].open()
     stack.push_async_callback(graphs[1].close)
-    await until(lambda: near.membership.gateways() and far.membership.gateways())
+    await until(lambda: near.membership.gateways() and far.membership.gateways(), 30)
     return Pair(*graphs, stack)
 
 

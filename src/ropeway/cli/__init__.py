@@ -21,6 +21,10 @@ VERBS = {
     "action": "ropeway.cli.action",
     "node": "ropeway.cli.node",
     "param": "ropeway.cli.param",
+    "keys": "ropeway.cli.keys",
+    "name": "ropeway.cli.name",
+    "overlay": "ropeway.cli.overlay",
+    "router": "ropeway.cli.router",
     "play": "ropeway.cli.play",
     "demo": "ropeway.cli.demo",
 }

@@ -93,8 +93,7 @@ class OverlayRemote(Remote):
     @property
     def state(self) -> str:
         """One word; ``connected`` where a router or another member is linked with us."""
-        fabric = self.graph.node.fabric
-        return "connected" if fabric.routers() or fabric.peers() else "connecting"
+        return "connected" if self.graph.node.fabric.links() else "connecting"
 
     def status(self) -> dict[str, Any]:
         """The overlay as this member sees it."""

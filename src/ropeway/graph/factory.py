@@ -1,4 +1,5 @@
-"""Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ws://host:9090``, ``memory:x``.
+"""Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ws://host:9090``, ``memory:x``,
+``overlay:robot1.ropeway``.
 
 ``ros2`` goes through the installed rclpy, in the domain of ``ROS_DOMAIN_ID`` unless it names one. ``auto`` is ``ros2``
 where rclpy can be imported, because ROS 2 is sourced, and else ``dds`` in the same domain.
@@ -6,6 +7,7 @@ where rclpy can be imported, because ROS 2 is sourced, and else ``dds`` in the s
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
 
@@ -57,9 +59,29 @@ def make_graph(
         from ropeway.graph.memory import MemoryGraph
 
         return MemoryGraph(parts.path or "default", node=f"/{name}", registry=registry)
+    if scheme == "overlay":
+        return _overlay(url, parts.path or parts.netloc, query, registry)
     raise GraphUnavailable(
-        url, "is no graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, ws://host:9090 or wss://host"
+        url,
+        "is no graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, ws://host:9090, wss://host or "
+        "overlay:NAME.ropeway",
     )
+
+
+def _overlay(url: str, bundle: str, query: dict[str, str], registry: TypeRegistry | None) -> Graph:
+    """The overlay as the owner of a bundle; ``?router=`` and ``?unique=`` stand behind it."""
+    from ropeway.graph.overlay import OverlayGraph  # loads Zenoh
+    from ropeway.overlay.identity import Identity
+    from ropeway.overlay.names import Metadata
+    from ropeway.overlay.node import OverlayNode
+
+    bundle = bundle or os.environ.get("ROPEWAY_IDENTITY", "")
+    if not bundle:
+        raise GraphUnavailable(url, "whose overlay? write overlay:NAME.ropeway, a bundle that ropeway keys issue wrote")
+    router, unique = query.pop("router", None), query.pop("unique", "")
+    _no_more(url, query)
+    node = OverlayNode(Identity.load(bundle), routers=None if router is None else router.split(","), listen=())
+    return OverlayGraph(node, metadata=Metadata(unique=unique), registry=registry, label=url)
 
 
 async def open_graph(
@@ -88,5 +110,7 @@ def _domain(url: str) -> int:
 
 def _no_more(url: str, query: dict[str, str]) -> None:
     if query:
-        known = "; known is interface" if url.startswith("dds") else ""
+        known = {"dds": "; known is interface", "overlay": "; known are router and unique"}.get(
+            url.partition(":")[0], ""
+        )
         raise GraphUnavailable(url, f"{next(iter(query))!r} is no option of this kind of graph{known}")

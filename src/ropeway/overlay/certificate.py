@@ -19,6 +19,7 @@ from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rights import Rights
 
 __all__ = [
+    "DENIED",
     "MEMBER",
     "RIGHTS",
     "ROUTER",
@@ -32,6 +33,9 @@ __all__ = [
 _ARC: Final = "2.25.114302843702948562374012342190733265517"  # made of a random UUID, as X.667 allows to anybody
 RIGHTS: Final = x509.ObjectIdentifier(f"{_ARC}.1")
 """The extension with the rights of a member, as JSON."""
+
+DENIED: Final = x509.ObjectIdentifier(f"{_ARC}.4")
+"""The extension of a revocation list with the names that have no certificate any more, as JSON: routers go by names."""
 
 MEMBER: Final = x509.ObjectIdentifier(f"{_ARC}.2")
 ROUTER: Final = x509.ObjectIdentifier(f"{_ARC}.3")

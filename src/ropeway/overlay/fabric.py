@@ -19,9 +19,12 @@ import zenoh
 
 from ropeway.errors import GraphUnavailable
 
-__all__ = ["Asked", "Fabric", "Handle", "Inlet"]
+__all__ = ["CRL_KEY", "Asked", "Fabric", "Handle", "Inlet"]
 
 log = logging.getLogger("ropeway.overlay")
+
+CRL_KEY: Final = "rw/crl"
+"""Where the fleet's revocation list is told and asked for."""
 
 _CLOSE_S: Final = 5.0
 _PRIORITIES: Final = (
@@ -303,12 +306,27 @@ class Fabric:
                 cancel.cancel()  # type: ignore[no-untyped-call]
         return answers
 
+    async def linked(self, timeout_s: float) -> bool:
+        """Wait until a router or another gateway is linked with us; false when the time is over."""
+        changed = asyncio.Event()
+        changed.set()
+        inlet: Inlet[None] = Inlet(self._loop, lambda _: changed.set())
+        listener = self.session.info.declare_transport_events_listener(lambda _: inlet.put(None))
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not self.links():
+                    await changed.wait()
+                    changed.clear()
+        except TimeoutError:
+            return False
+        finally:
+            inlet.closed = True
+            if listener is not None:
+                listener.undeclare()  # type: ignore[no-untyped-call]
+        return True
+
     # ── where ──────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def routers(self) -> list[str]:
-        """The routers that we are connected to now, by Zenoh id."""
-        return [str(zid) for zid in self.session.info.routers_zid()]
-
-    def peers(self) -> list[str]:
-        """The gateways that we are connected to directly, by Zenoh id."""
-        return [str(zid) for zid in self.session.info.peers_zid()]
+    def links(self) -> set[str]:
+        """The routers and gateways that we are linked with now, by Zenoh id."""
+        return {str(zid) for zid in self.session.info.routers_zid()}

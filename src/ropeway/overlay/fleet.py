@@ -26,11 +26,11 @@ from cryptography.hazmat.primitives.serialization import Encoding, load_pem_priv
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from ropeway.errors import IdentityError
-from ropeway.overlay.certificate import MEMBER, RIGHTS, ROUTER, Certificate, PrivateKey, common_name
+from ropeway.overlay.certificate import DENIED, MEMBER, RIGHTS, ROUTER, Certificate, PrivateKey, common_name
 from ropeway.overlay.identity import Identity, bundle_text, private_pem, write_private
 from ropeway.overlay.rights import EVERYTHING, Rights
 
-__all__ = ["ALGORITHMS", "Fleet", "new_key", "valid_name"]
+__all__ = ["ALGORITHMS", "Fleet", "make_request", "new_key", "valid_name"]
 
 ALGORITHMS: Final = ("ed25519", "rsa")
 
@@ -51,7 +51,9 @@ def valid_name(name: str) -> str:
 
 
 def new_key(algorithm: str) -> PrivateKey:
-    """A private key of one of ``ALGORITHMS``."""
+    """A private key of one of ``ALGORITHMS``. Raises ``IdentityError`` for another."""
+    if algorithm not in ALGORITHMS:
+        raise IdentityError(algorithm, f"expected one of {', '.join(ALGORITHMS)}")
     return Ed25519PrivateKey.generate() if algorithm == "ed25519" else generate_private_key(65537, _RSA_BITS)
 
 
@@ -78,15 +80,13 @@ class Fleet:
     def create(cls, name: str, directory: Path, *, algorithm: str = "ed25519", routers: Sequence[str] = ()) -> Fleet:
         """Make a fleet in a directory that does not exist yet."""
         valid_name(name)
-        if algorithm not in ALGORITHMS:
-            raise IdentityError(name, f"expected one of {', '.join(ALGORITHMS)}, got {algorithm}")
+        key = new_key(algorithm)
         try:
             directory.mkdir(mode=0o700, parents=True)
         except FileExistsError:
             raise IdentityError(str(directory), "it exists already; a fleet is never made anew in place") from None
         except OSError as error:
             raise IdentityError(str(directory), f"it cannot be made: {error.strerror}") from error
-        key = new_key(algorithm)
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
         now = datetime.datetime.now(datetime.UTC)
         ca = (
@@ -168,7 +168,7 @@ class Fleet:
         certificate = self._certify(name, key, role, rights, days)
         secret = self.name_secret if role == "member" else None
         return bundle_text(
-            certificate, self.ca, secret, self._routers(routers), self._crl_der(), key=None, fleet=self.name
+            certificate, self.ca, secret, self._routers(routers), self.crl_der(), key=None, fleet=self.name
         )
 
     def renew(self, name: str, *, days: float = 365.0) -> Identity:
@@ -188,12 +188,16 @@ class Fleet:
         for row in self._record["issued"]:
             if row["name"] == name:
                 row["revoked"] = True
-        number = self.crl.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
-        revoked = [*(entry.serial_number for entry in self.crl), *serials]
-        self.crl = _crl(self.ca, self._key, number + 1, revoked)
-        (self.directory / "crl.pem").write_bytes(self.crl.public_bytes(Encoding.PEM))
+        self._renew_crl([*(entry.serial_number for entry in self.crl), *serials])
         self._save()
         return serials
+
+    def _renew_crl(self, serials: Sequence[int]) -> None:
+        number = self.crl.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
+        alive = {row["name"] for row in self._record["issued"] if not row.get("revoked")}
+        denied = sorted({row["name"] for row in self._record["issued"]} - alive)
+        self.crl = _crl(self.ca, self._key, number + 1, serials, denied)
+        (self.directory / "crl.pem").write_bytes(self.crl.public_bytes(Encoding.PEM))
 
     def _free(self, name: str) -> str:
         valid_name(name)
@@ -211,12 +215,13 @@ class Fleet:
 
     def _identity(self, certificate: Certificate, key: PrivateKey, role: str, routers: Sequence[str]) -> Identity:
         secret = self.name_secret if role == "member" else None
-        return Identity(certificate, key, self.ca, secret, self._routers(routers), self._crl_der())
+        return Identity(certificate, key, self.ca, secret, self._routers(routers), self.crl_der())
 
     def _routers(self, routers: Sequence[str]) -> tuple[str, ...]:
         return tuple(routers) or self.routers
 
-    def _crl_der(self) -> bytes:
+    def crl_der(self) -> bytes:
+        """The revocation list, for the overlay."""
         return self.crl.public_bytes(Encoding.DER)
 
     def _certify(self, name: str, key: Any, role: str, rights: Rights | None, days: float) -> Certificate:
@@ -256,6 +261,8 @@ class Fleet:
                 "rights": json.loads(rights.to_json()) if role == "member" else {},
             }
         )
+        if any(row["name"] == name and row.get("revoked") for row in self._record["issued"]):
+            self._renew_crl([entry.serial_number for entry in self.crl])  # the name is in use again
         self._save()
         return certificate
 
@@ -264,6 +271,13 @@ class Fleet:
         new = path.with_suffix(".new")
         new.write_text(json.dumps(self._record, indent=1) + "\n")
         new.replace(path)
+
+
+def make_request(name: str, key: PrivateKey) -> str:
+    """A certificate signing request for a machine that keeps its key, as PEM. Raises ``IdentityError``."""
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, valid_name(name))])
+    made = x509.CertificateSigningRequestBuilder().subject_name(subject).sign(key, _hash(key))
+    return made.public_bytes(Encoding.PEM).decode()
 
 
 def _hash(key: PrivateKey) -> hashes.SHA256 | None:
@@ -284,7 +298,9 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
     )
 
 
-def _crl(ca: x509.Certificate, key: PrivateKey, number: int, serials: Sequence[int]) -> x509.CertificateRevocationList:
+def _crl(
+    ca: x509.Certificate, key: PrivateKey, number: int, serials: Sequence[int], denied: Sequence[str] = ()
+) -> x509.CertificateRevocationList:
     now = datetime.datetime.now(datetime.UTC)
     built = (
         x509.CertificateRevocationListBuilder()
@@ -292,6 +308,7 @@ def _crl(ca: x509.Certificate, key: PrivateKey, number: int, serials: Sequence[i
         .last_update(now - _BACKDATED)
         .next_update(now + datetime.timedelta(days=_CRL_DAYS))
         .add_extension(x509.CRLNumber(number), critical=False)
+        .add_extension(x509.UnrecognizedExtension(DENIED, json.dumps(list(denied)).encode()), critical=False)
     )
     for serial in serials:
         entry = x509.RevokedCertificateBuilder().serial_number(serial).revocation_date(now - _BACKDATED).build()

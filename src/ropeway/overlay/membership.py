@@ -32,6 +32,7 @@ LEASE_S: Final = 8.0
 """A gateway that was not heard of for so long is gone."""
 
 _BEAT_S: Final = 1.0
+_AGAIN_S: Final = 0.02  # a way to a new gateway is there a moment after its token
 _SUSPECT_S: Final = 3.0  # a token that is gone may come back by another router
 _SKEW_NS: Final = 120 * 10**9
 _CHUNK: Final = 500  # advertisements in one note
@@ -39,7 +40,7 @@ _ASK_S: Final = 5.0
 _TAILS: Final = 512
 
 _SHAPES: Final[Mapping[str, Mapping[str, type]]] = {
-    "heartbeat": {"t": int, "v": int, "w": dict},
+    "heartbeat": {"t": int, "v": int, "w": dict, "r": int},
     "delta": {"v": int, "add": list, "del": list},
     "hello": {"c": bytes, "n": str, "t": int, "v": int, "of": int},
     "adverts": {"t": int, "a": list},
@@ -65,7 +66,8 @@ class Membership:
     """Tells others what we advertise, and fills ``rib`` with what they do.
 
     ``tails()`` gives the newest number of each reliable publisher of ours that was active lately; ``on_tails`` gets
-    those of others, so that readers know what they miss. ``refused`` is told of everything that is not believed.
+    those of others, so that readers know what they miss. ``on_newer_crl`` is called where somebody has a newer
+    revocation list than we. ``refused`` is told of everything that is not believed.
     """
 
     def __init__(
@@ -78,11 +80,13 @@ class Membership:
         *,
         tails: Callable[[], dict[bytes, int]],
         on_tails: Callable[[bytes, dict[bytes, int]], None],
+        on_newer_crl: Callable[[], None],
         refused: Callable[[str, SealError], None],
     ) -> None:
         self._fabric, self._identity, self._trust = fabric, identity, trust
         self._rib, self._notes = rib, notes
         self._tails, self._on_tails, self._refused = tails, on_tails, refused
+        self._on_newer_crl = on_newer_crl
         self._own: dict[bytes, bytes] = {}  # endpoint: sealed advertisement
         self._added: dict[bytes, bytes] = {}
         self._removed: list[bytes] = []
@@ -93,6 +97,7 @@ class Membership:
         self._beat: asyncio.Task[None] | None = None
         self._loop: asyncio.AbstractEventLoop
         self._me = fabric.gateway.hex()
+        self._news = asyncio.Event()
 
     async def open(self) -> None:
         """Show ourselves, and look for others."""
@@ -115,6 +120,12 @@ class Membership:
         for handle in self._ends:
             handle()
         self._ends.clear()
+
+    async def settled(self) -> None:
+        """Wait until every gateway that is seen has told its list, and at least one was seen."""
+        while not self._known or any(known.certificate is None for known in self._known.values()):
+            self._news.clear()
+            await self._news.wait()
 
     # ── what we tell ───────────────────────────────────────────────────────────────────────────────────────────
 
@@ -155,7 +166,7 @@ class Membership:
         tails = self._tails()
         if len(tails) > _TAILS:
             tails = dict(list(tails.items())[:_TAILS])
-        beat: dict[str, Any] = {"t": time.time_ns(), "v": self._version, "w": tails}
+        beat: dict[str, Any] = {"t": time.time_ns(), "v": self._version, "w": tails, "r": self._trust.crl_number}
         if bye:
             beat["bye"] = True
         return beat
@@ -229,6 +240,8 @@ class Membership:
         if version != known.version:
             known.wanted = version
             self._sync(gateway, known)
+        if body["r"] > self._trust.crl_number:
+            self._on_newer_crl()
         if body["w"]:
             self._on_tails(gateway, body["w"])
 
@@ -267,6 +280,7 @@ class Membership:
 
     async def _ask(self, gateway: bytes, known: _Gateway) -> None:
         """Ask a gateway for its whole list, until we have what it had when it was asked."""
+        pause_s = _AGAIN_S
         try:
             while self._known.get(gateway) is known:
                 answers = await self._fabric.ask(f"rw/m/{gateway.hex()}", b"", _ASK_S)
@@ -280,7 +294,8 @@ class Membership:
                     if known.wanted <= version:
                         return
                 else:
-                    await asyncio.sleep(_BEAT_S)
+                    await asyncio.sleep(pause_s)
+                    pause_s = min(2 * pause_s, _BEAT_S)
         finally:
             known.sync = None
 
@@ -310,6 +325,7 @@ class Membership:
         known.told_ns = max(known.told_ns, hello["t"])
         known.heard = self._loop.time()
         self._rib.replace(gateway, certificate, adverts)
+        self._news.set()
         if first:
             log.info("overlay: %s has joined with %d names", known.name, self._rib.count(gateway))
         return int(hello["v"])
@@ -326,6 +342,7 @@ class Membership:
         if known.certificate is not None:
             log.info("overlay: %s has left", known.name)
         self._rib.gone(gateway)
+        self._news.set()
 
     def recheck(self) -> None:
         """Forget those whose certificates are good no longer."""

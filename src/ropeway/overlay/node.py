@@ -7,18 +7,18 @@ topics: publishers register their ``Source``, services their ``Provider``, and r
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final, Protocol
 
 from ropeway.errors import CallFailed, NotServed, RopewayError, SealError
 from ropeway.overlay.advert import VERB_OF, Advertisement, advert_key, make_advert
 from ropeway.overlay.certificate import Certificate
-from ropeway.overlay.fabric import Asked, Fabric, Handle
+from ropeway.overlay.fabric import CRL_KEY, Asked, Fabric, Handle
 from ropeway.overlay.feed import Feed
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.membership import Membership
@@ -28,7 +28,7 @@ from ropeway.overlay.rib import Rib
 from ropeway.overlay.rpc import Rpc
 from ropeway.overlay.source import Source
 from ropeway.overlay.trust import Trust
-from ropeway.overlay.zenoh_config import peer_config
+from ropeway.overlay.zenoh_config import gateway_config, gateway_id
 from ropeway.tasks import end
 
 __all__ = ["OverlayNode", "Policy", "Provider", "new_endpoint"]
@@ -36,6 +36,7 @@ __all__ = ["OverlayNode", "Policy", "Provider", "new_endpoint"]
 log = logging.getLogger("ropeway.overlay")
 
 _CHECK_S: Final = 5.0
+_ASK_CRL_S: Final = 20.0
 _ACTIVE_S: Final = 15.0
 
 Policy = Callable[[str, str, Certificate], bool]
@@ -78,14 +79,14 @@ class OverlayNode:
         self.identity = identity
         self.trust = Trust(identity.ca, identity.crl)
         self.secret = identity.name_secret
-        self.gateway = _gateway_id()
+        self.gateway = gateway_id()
         self.routers = tuple(identity.routers if routers is None else routers)
         self.listen = tuple(listen)
         self.rotate_s = rotate_s
         self.refusals: Counter[tuple[str, Refusal]] = Counter()
         self.denials: dict[str, str] = {}
         self.policy = policy or (lambda verb, name, certificate: True)
-        config = peer_config(identity, gateway=self.gateway, connect=self.routers, listen=self.listen)
+        config = gateway_config(identity, gateway=self.gateway, connect=self.routers, listen=self.listen)
         self.fabric = Fabric(config, self.gateway)
         self.rib = Rib(self.secret, refused=self.refused)
         self.rpc = Rpc(self.fabric, identity, self.trust, self.refused)
@@ -97,6 +98,7 @@ class OverlayNode:
             NoteKey(self.secret),
             tails=self._tails,
             on_tails=self._on_tails,
+            on_newer_crl=lambda: self._ask_crl.set(),
             refused=self.refused,
         )
         self.sources: dict[bytes, Source] = {}
@@ -106,6 +108,7 @@ class OverlayNode:
         self._advert_key = advert_key(self.secret)
         self._ends: list[Handle] = []
         self._checking: asyncio.Task[None] | None = None
+        self._ask_crl = asyncio.Event()
         self._opened = 0
         self._opening = asyncio.Lock()
 
@@ -122,8 +125,8 @@ class OverlayNode:
                 self.rpc.answers("call", self._answer_call)
                 self.rpc.answers("ping", self._answer_ping)
                 self.rpc.open()
-                self._ends.append(self.fabric.serve("rw/crl", self._tell_crl))
-                self._ends.append(self.fabric.hear("rw/crl", lambda _, raw: self._take_crl(raw)))
+                self._ends.append(self.fabric.serve(CRL_KEY, self._tell_crl))
+                self._ends.append(self.fabric.hear(CRL_KEY, lambda _, raw: self._take_crl(raw)))
                 await self.membership.open()
                 self._checking = asyncio.create_task(self._keep_checking(), name="overlay checks")
             self._opened += 1
@@ -147,14 +150,25 @@ class OverlayNode:
             await self.fabric.close()
 
     async def _keep_checking(self) -> None:
+        """Ask for revocations, now and then and when somebody has newer ones; see who lost its right meanwhile."""
+        loop = asyncio.get_running_loop()
+        asked = float("-inf")
+        while True:
+            if self._ask_crl.is_set() or loop.time() - asked > _ASK_CRL_S:
+                self._ask_crl.clear()
+                asked = loop.time()
+                await self._ask_for_crl()
+            self.recheck()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_CHECK_S):
+                    await self._ask_crl.wait()
+
+    async def _ask_for_crl(self) -> None:
         try:
-            for raw in await self.fabric.ask("rw/crl", b"", 2.0):
+            for raw in await self.fabric.ask(CRL_KEY, b"", 2.0):
                 self._take_crl(raw)
         except RopewayError as error:
             log.debug("overlay: nobody told which certificates are revoked: %s", error)
-        while True:
-            await asyncio.sleep(_CHECK_S)
-            self.recheck()
 
     def recheck(self) -> None:
         """See who lost its right: by revocation, by time. Keys that have served their time are replaced, too."""
@@ -186,6 +200,8 @@ class OverlayNode:
             self.denials[advert.name] = text
 
     def _take_crl(self, raw: bytes) -> None:
+        if not raw:
+            return
         try:
             newer = self.trust.update(raw)
         except SealError as error:
@@ -282,7 +298,7 @@ class OverlayNode:
 
     def path(self, gateway: bytes) -> str:
         """``direct`` where a gateway is linked with ours, else ``routed``."""
-        return "direct" if gateway.hex() in self.fabric.peers() else "routed"
+        return "direct" if gateway.hex() in self.fabric.links() else "routed"
 
     async def ping(self, gateway: bytes, timeout_s: float = 2.0) -> float:
         """The round-trip time to another gateway, in seconds, over its sealed channel."""
@@ -291,25 +307,38 @@ class OverlayNode:
         await self.rpc.ask(gateway, {"op": "ping"}, timeout_s)
         return time.perf_counter() - began
 
+    async def rtt_ms(self, gateway: bytes) -> float | None:
+        """The same in milliseconds, ``None`` where there is no answer."""
+        try:
+            return round(1e3 * await self.ping(gateway), 3)
+        except RopewayError:
+            return None
+
+    def owner(self, gateway: bytes) -> str:
+        """The name in the certificate of a gateway, ``""`` where it is not known."""
+        certificate = self.membership.certificate(gateway)
+        return certificate.name if certificate is not None else ""
+
     def status(self) -> dict[str, Any]:
         """Everything as it stands, as JSON."""
         certificate = self.identity.certificate
-        peers = set(self.fabric.peers())
+        links = self.fabric.links()
+        known = self.membership.gateways()
         return {
             "name": self.identity.name,
             "fleet": self.identity.fleet,
             "gateway": self.gateway.hex(),
             "expires": certificate.not_after.isoformat(),
-            "routers": self.fabric.routers(),
+            "routers": sorted(links - {gateway.hex() for gateway in known}),
             "revocations": self.trust.crl_number,
             "gateways": [
                 {
-                    "name": known.name,
+                    "name": other.name,
                     "gateway": gateway.hex(),
-                    "path": "direct" if gateway.hex() in peers else "routed",
+                    "path": "direct" if gateway.hex() in links else "routed",
                     "names": self.rib.count(gateway),
                 }
-                for gateway, known in sorted(self.membership.gateways().items(), key=lambda item: item[1].name)
+                for gateway, other in sorted(known.items(), key=lambda item: item[1].name)
             ],
             "denied": dict(self.denials),
             "missed": sum(feed.missed for feed in self.feeds.values()),
@@ -317,16 +346,3 @@ class OverlayNode:
                 {"who": who, "reason": reason.value, "count": count} for (who, reason), count in self.refusals.items()
             ],
         }
-
-
-def load_identity(path: str | Path) -> Identity:
-    """The identity in a bundle file. Raises ``IdentityError``."""
-    return Identity.load(Path(path))
-
-
-def _gateway_id() -> bytes:
-    """16 random bytes; Zenoh takes an id without leading zeros, whichever end it counts from."""
-    raw = bytearray(os.urandom(16))
-    raw[0] |= 0x80
-    raw[15] |= 1
-    return bytes(raw)

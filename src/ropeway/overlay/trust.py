@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import json
 import threading
 from typing import Final
 
@@ -12,7 +13,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtensionOID
 
 from ropeway.errors import SealError
-from ropeway.overlay.certificate import Certificate
+from ropeway.overlay.certificate import DENIED, Certificate
 from ropeway.overlay.refusal import Refusal
 
 __all__ = ["Trust"]
@@ -25,13 +26,17 @@ def _now() -> datetime.datetime:
 
 
 class Trust:
-    """The authority ``ca`` of a fleet, and its newest revocation list. Safe to use from several threads."""
+    """The authority ``ca`` of a fleet, and its newest revocation list. Safe to use from several threads.
+
+    ``denied`` are the names that have no certificate any more.
+    """
 
     def __init__(self, ca: x509.Certificate, crl: bytes = b"") -> None:
         self._ca = ca
         self._known: dict[bytes, Certificate] = {}
         self._lock = threading.Lock()
         self._revoked: frozenset[int] = frozenset()
+        self.denied: frozenset[str] = frozenset()
         self.crl = b""
         self.crl_number = 0
         if crl:
@@ -78,6 +83,7 @@ class Trust:
             found = x509.load_pem_x509_crl(crl) if pem else x509.load_der_x509_crl(crl)
             number = found.extensions.get_extension_for_oid(ExtensionOID.CRL_NUMBER).value
             signed = found.is_signature_valid(self._ca.public_key())  # type: ignore[arg-type]
+            denied = _denied(found)
         except (ValueError, TypeError, x509.ExtensionNotFound) as error:
             raise SealError(Refusal.MALFORMED, "a revocation list") from error
         if not signed:
@@ -87,5 +93,15 @@ class Trust:
             if number.crl_number <= self.crl_number:
                 return False
             self._revoked = frozenset(entry.serial_number for entry in found)
+            self.denied = denied
             self.crl, self.crl_number = found.public_bytes(Encoding.DER), number.crl_number
         return True
+
+
+def _denied(crl: x509.CertificateRevocationList) -> frozenset[str]:
+    try:
+        found = crl.extensions.get_extension_for_oid(DENIED).value
+    except x509.ExtensionNotFound:
+        return frozenset()
+    assert isinstance(found, x509.UnrecognizedExtension)
+    return frozenset(map(str, json.loads(found.value)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Collection, Sequence
 from typing import Any, Final
 
@@ -10,7 +11,7 @@ import zenoh
 
 from ropeway.overlay.identity import Identity
 
-__all__ = ["KEYS", "peer_config", "router_config"]
+__all__ = ["KEYS", "gateway_config", "gateway_id", "router_config"]
 
 KEYS: Final = "rw/**"
 """All that travels in an overlay lies under this key expression."""
@@ -29,9 +30,24 @@ _MESSAGES: Final = (
 )
 
 
-def peer_config(identity: Identity, *, gateway: bytes, connect: Sequence[str], listen: Sequence[str]) -> zenoh.Config:
-    """For a gateway: it links with routers, and with every other gateway that it can reach."""
-    return _config(identity, "peer", connect, listen, {"id": gateway.hex()})
+def gateway_id() -> bytes:
+    """A new id: 16 random bytes; Zenoh takes an id without leading zeros, whichever end it counts from."""
+    raw = bytearray(os.urandom(16))
+    raw[0] |= 0x80
+    raw[15] |= 1
+    return bytes(raw)
+
+
+def gateway_config(
+    identity: Identity, *, gateway: bytes, connect: Sequence[str], listen: Sequence[str]
+) -> zenoh.Config:
+    """For a gateway: it links with routers, and with every other gateway that it can reach.
+
+    To Zenoh it is a router like the others: those of its kinds that are not, peers, get nothing through a router that
+    stands between them.
+    """
+    more = {"id": gateway.hex(), "scouting/gossip/autoconnect": {"router": ["router"]}}
+    return _config(identity, connect, listen, more)
 
 
 def router_config(
@@ -60,19 +76,17 @@ def router_config(
         "subjects": subjects,
         "policies": policies,
     }
-    return _config(identity, "router", connect, listen, {"access_control": access})
+    return _config(identity, connect, listen, {"access_control": access, "scouting/gossip/autoconnect": {"router": []}})
 
 
-def _config(
-    identity: Identity, mode: str, connect: Sequence[str], listen: Sequence[str], more: dict[str, Any]
-) -> zenoh.Config:
+def _config(identity: Identity, connect: Sequence[str], listen: Sequence[str], more: dict[str, Any]) -> zenoh.Config:
     tls = identity.tls() | {
         "enable_mtls": True,
         "verify_name_on_connect": False,  # names say nothing about place; that it is of the fleet is what counts
         "close_link_on_expiration": True,
     }
     options: dict[str, Any] = {
-        "mode": mode,
+        "mode": "router",
         "connect/endpoints": list(connect),
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
@@ -81,6 +95,7 @@ def _config(
         "listen/exit_on_failure": True,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
+        "scouting/delay": 0,
         "open/return_conditions/connect_scouted": False,
         "open/return_conditions/declares": False,
         "adminspace/enabled": False,

@@ -1,0 +1,45 @@
+"""Joining the overlay for a look."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from ropeway.errors import GraphUnavailable
+from ropeway.graph.overlay import OverlayGraph
+from ropeway.overlay.identity import Identity
+from ropeway.overlay.node import OverlayNode
+
+__all__ = ["RoutersOption", "joined"]
+
+RoutersOption = Annotated[
+    list[str] | None,
+    typer.Option("--router", "-r", help="A router to use instead of those of the bundle.", show_default=False),
+]
+
+_LINK_S: Final = 5.0
+
+
+@asynccontextmanager
+async def joined(identity: Path, routers: list[str] | None, spin_time_s: float) -> AsyncIterator[OverlayGraph]:
+    """The overlay, once it has told what there is, or ``spin_time_s`` are over."""
+    node = OverlayNode(Identity.load(identity), routers=routers, listen=())
+    graph = OverlayGraph(node)
+    await graph.open()
+    try:
+        if not await node.fabric.linked(_LINK_S):
+            where = ", ".join(node.routers) or "none: name one with --router"
+            raise GraphUnavailable("overlay", f"no router can be reached ({where})")
+        try:
+            async with asyncio.timeout(spin_time_s):
+                await node.membership.settled()
+        except TimeoutError:
+            pass
+        yield graph
+    finally:
+        await graph.close()
