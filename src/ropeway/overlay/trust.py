@@ -8,7 +8,7 @@ import threading
 from typing import Final
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtensionOID
 
@@ -52,7 +52,7 @@ class Trust:
             certificate = Certificate(der)
             try:
                 certificate.x509.verify_directly_issued_by(self._ca)
-            except (ValueError, TypeError, InvalidSignature) as error:
+            except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm) as error:
                 raise SealError(Refusal.UNKNOWN_CA, certificate.name) from error
             with self._lock:
                 if len(self._known) >= _CACHED:
@@ -84,7 +84,7 @@ class Trust:
             number = found.extensions.get_extension_for_oid(ExtensionOID.CRL_NUMBER).value
             signed = found.is_signature_valid(self._ca.public_key())  # type: ignore[arg-type]
             denied = _denied(found)
-        except (ValueError, TypeError, x509.ExtensionNotFound) as error:
+        except (ValueError, TypeError, UnsupportedAlgorithm, x509.ExtensionNotFound) as error:
             raise SealError(Refusal.MALFORMED, "a revocation list") from error
         if not signed:
             raise SealError(Refusal.UNKNOWN_CA, "a revocation list")
