@@ -78,6 +78,7 @@ def test_who_may() -> None:
     assert refused(lambda: respond(TWO, THERE, Initiator(router, THERE).hello, TRUST)) is Refusal.WRONG_PURPOSE
 
 
+@pytest.mark.filterwarnings("ignore:Parsed a serial number")
 def test_random_bytes() -> None:
     """Whatever comes as a hello, a reply or a packet is refused with a reason."""
     rng = random.Random(3)

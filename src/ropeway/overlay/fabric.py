@@ -329,4 +329,4 @@ class Fabric:
 
     def links(self) -> set[str]:
         """The routers and gateways that we are linked with now, by Zenoh id."""
-        return {str(zid) for zid in self.session.info.routers_zid()}
+        return {str(zid) for zid in self._session.info.routers_zid()} if self._session is not None else set()

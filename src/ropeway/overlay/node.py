@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol
 
-from ropeway.errors import CallFailed, NotServed, RopewayError, SealError
+from ropeway.errors import CallFailed, IdentityError, NotServed, RopewayError, SealError
 from ropeway.overlay.advert import VERB_OF, Advertisement, advert_key, make_advert
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.fabric import CRL_KEY, Asked, Fabric, Handle
@@ -70,12 +70,12 @@ class OverlayNode:
         identity: Identity,
         *,
         routers: Sequence[str] | None = None,
-        listen: Sequence[str] = ("tls/[::]:0",),
+        listen: Sequence[str] = ("tls/0.0.0.0:0",),
         policy: Policy | None = None,
         rotate_s: float = 600.0,
     ) -> None:
         if identity.name_secret is None:
-            raise SealError(Refusal.WRONG_PURPOSE, f"{identity.name} is a router, which reads and writes nothing")
+            raise IdentityError(identity.name, "it is a router, which reads and writes nothing; take a member's bundle")
         self.identity = identity
         self.trust = Trust(identity.ca, identity.crl)
         self.secret = identity.name_secret

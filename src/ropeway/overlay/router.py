@@ -170,10 +170,12 @@ class Router:
             log.warning("router: the revocation list cannot be kept in %s: %s", self._state, error)
 
 
-async def push_crl(identity: Identity, crl: bytes, *, routers: Sequence[str] | None = None) -> int:
+async def push_crl(
+    identity: Identity, crl: bytes, *, routers: Sequence[str] | None = None, link_s: float = _LINK_S
+) -> int:
     """Tell the overlay of a revocation list; how many routers and gateways have it now.
 
-    Raises ``GraphUnavailable`` where no router can be reached.
+    Raises ``GraphUnavailable`` where no router can be reached within ``link_s``.
     """
     number = Trust(identity.ca, crl).crl_number
     where = tuple(identity.routers if routers is None else routers)
@@ -181,15 +183,16 @@ async def push_crl(identity: Identity, crl: bytes, *, routers: Sequence[str] | N
     fabric = Fabric(gateway_config(identity, gateway=gateway, connect=where, listen=()), gateway)
     await fabric.open()
     try:
-        if not await fabric.linked(_LINK_S):
+        if not await fabric.linked(link_s):
             raise GraphUnavailable("overlay", f"none of {', '.join(where) or 'no router'} can be reached")
-        have = 0
-        for _ in range(3):
+        pause_s, have = 0.05, 0
+        while not have and pause_s < 4.0:  # a link is there a moment before the way beyond it
             await asyncio.to_thread(fabric.put, 1, CRL_KEY, crl)
             answers = await fabric.ask(CRL_KEY, b"", _ASK_S)
             have = sum(Trust(identity.ca, raw).crl_number >= number for raw in answers if raw)
-            if have:
-                break
+            if not have:
+                await asyncio.sleep(pause_s)
+                pause_s *= 2
         return have
     finally:
         await fabric.close()

@@ -31,6 +31,8 @@ __all__ = ["OverlayClient", "OverlayService"]
 
 LONGEST_S: Final = 86_400.0
 _REMEMBERED: Final = 1024
+_AGAIN_S: Final = 0.02
+_NO_WAY_S: Final = 3.0  # a link that was cut may come back, or a router be replaced by another
 
 
 class OverlayService:
@@ -137,26 +139,10 @@ class OverlayClient:
             raise NotServed(self.service)
         provider = self.provider()
         assert provider is not None
-        left_s = max(deadline - loop.time(), 0.001)
-        ask = self._graph.node.rpc.ask(
-            provider.gateway,
-            {
-                "op": "call",
-                "of": provider.endpoint,
-                "name": self.service,
-                "id": request.id,
-                "via": list(request.via),
-                "caller": request.caller or self._graph.node.identity.name,
-                "timeout": left_s,
-                "payload": bytes(request.payload),
-            },
-            left_s,
-            lane=self._graph.lane,
-        )
-        task = asyncio.create_task(ask, name=f"call {self.service}")
+        task = asyncio.create_task(self._ask(provider, request, deadline), name=f"call {self.service}")
         self._asking[task] = provider.endpoint
         try:
-            done, _ = await asyncio.wait({task}, timeout=left_s)
+            done, _ = await asyncio.wait({task}, timeout=max(deadline - loop.time(), 0.001))
             if not done:
                 raise CallTimeout(self.service, timeout_s)
             if task.cancelled():
@@ -173,6 +159,32 @@ class OverlayClient:
         finally:
             del self._asking[task]
             await end(task)
+
+    async def _ask(self, provider: Advertisement, request: Request, deadline: float) -> bytes:
+        """Ask a provider. Where there is no way to it just now, ask again for a while: it carries a call out once."""
+        loop = asyncio.get_running_loop()
+        pause_s, given_up = _AGAIN_S, 0.0
+        while True:
+            left_s = max(deadline - loop.time(), 0.001)
+            asked = {
+                "op": "call",
+                "of": provider.endpoint,
+                "name": self.service,
+                "id": request.id,
+                "via": list(request.via),
+                "caller": request.caller or self._graph.node.identity.name,
+                "timeout": left_s,
+                "payload": bytes(request.payload),
+            }
+            try:
+                answer: bytes = await self._graph.node.rpc.ask(provider.gateway, asked, left_s, lane=self._graph.lane)
+                return answer
+            except ProviderLost:
+                given_up = given_up or loop.time() + _NO_WAY_S
+                if loop.time() >= given_up:
+                    raise
+            await asyncio.sleep(pause_s)
+            pause_s = min(2 * pause_s, _NO_WAY_S / 8)
 
     async def close(self) -> None:
         """See ``Client``."""
