@@ -87,8 +87,8 @@ def test_random_bytes() -> None:
     reply, _ = respond(TWO, THERE, began.hello, TRUST)
     for _ in range(3000):
         raw = bytearray(rng.choice((began.hello, reply, near.seal(b"x"), rng.randbytes(60))))
-        for _ in range(rng.randrange(1, 4)):
-            raw[rng.randrange(len(raw))] ^= 1 << rng.randrange(8)
+        for at in rng.sample(range(len(raw)), rng.randrange(1, 4)):
+            raw[at] ^= 1 << rng.randrange(8)
         refused(lambda raw=raw: respond(TWO, THERE, bytes(raw), TRUST))
         refused(lambda raw=raw: began.finish(bytes(raw), TRUST))
         refused(lambda raw=raw: far.open(bytes(raw)))

@@ -119,4 +119,5 @@ def test_random_bytes() -> None:
             raw[rng.randrange(len(raw))] ^= 1 << rng.randrange(8)
         if rng.random() < 0.2:
             del raw[rng.randrange(len(raw)) :]
-        refused(trust, bytes(raw))
+        if raw != robot.certificate.der:  # two flips of one bit
+            refused(trust, bytes(raw))
