@@ -1,0 +1,96 @@
+"""``ropeway router``, ``ropeway overlay`` and ``overlay:`` graphs, as a user has them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Ropeway
+from tests.overlay.fleet import free_endpoint
+
+
+class Place:
+    """A fleet in a directory, with a running router."""
+
+    def __init__(self, directory: Path, ropeway: Ropeway, environment: dict[str, str]) -> None:
+        self.directory, self._ropeway, self._environment = directory, ropeway, environment
+        self.endpoint = free_endpoint()
+
+    def file(self, name: str) -> str:
+        return str(self.directory / name)
+
+    def run(self, *words: str) -> str:
+        result = self._ropeway(*words)
+        assert result.returncode == 0, result.stderr
+        return result.stdout
+
+    def start(self, *words: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "ropeway", *words]
+        return subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=self._environment
+        )
+
+
+@pytest.fixture
+def place(tmp_path: Path, ropeway: Ropeway, environment: dict[str, str]) -> Iterator[Place]:
+    place = Place(tmp_path, ropeway, {**os.environ, **environment})
+    fleet = place.file("acme")
+    place.run("keys", "init", "acme", "--directory", fleet, "--connect", place.endpoint)
+    for name, *more in (("router1", "--router"), ("robot",), ("cloud",)):
+        place.run("keys", "issue", name, "--fleet", fleet, "--output", place.file(f"{name}.ropeway"), *more)
+    router = place.start("router", "-i", place.file("router1.ropeway"), "-l", place.endpoint, "--json")
+    assert router.stdout is not None
+    assert "listens" in json.loads(router.stdout.readline())["event"]
+    yield place
+    router.send_signal(signal.SIGTERM)
+    _, errors = router.communicate(timeout=20)
+    assert router.returncode == 0
+    assert "router1 has ended" in errors
+
+
+def test_as_a_user(place: Place) -> None:
+    """A topic published with one bundle is listed, traced and read with another, over a router."""
+    robot = place.start(
+        "topic", "pub", "/chatter", "std_msgs/msg/String", "{data: hi}", "-r", "20",
+        "-g", f"overlay:{place.file('robot.ropeway')}",
+    )  # fmt: skip
+    graph, identity = f"overlay:{place.file('cloud.ropeway')}", place.file("cloud.ropeway")
+    try:
+        spin = ("--spin-time", "15")
+        assert "data: hi" in place.run("topic", "echo", "/chatter", "--once", "-g", graph, *spin)
+        listed = json.loads(place.run("overlay", "list", "-i", identity, "--json", *spin).splitlines()[0])
+        assert (listed["name"], listed["member"]) == ("/chatter", "robot")
+        name = place.run("name", "/chatter", "std_msgs/msg/String", "-i", identity).strip()
+        assert listed["global"] == name
+        for wanted in ("/chatter", name[:20]):
+            said = place.run("overlay", "trace", wanted, "-i", identity, *spin)
+            assert "sealed by    robot" in said
+        status = json.loads(place.run("overlay", "status", "-i", identity, "--json", *spin))
+        assert [(g["name"], g["rtt_ms"] is not None) for g in status["gateways"]] == [("robot", True)]
+        assert len(status["routers"]) == 1
+    finally:
+        robot.terminate()
+        robot.communicate(timeout=20)
+
+
+def test_mistakes(place: Place, ropeway: Ropeway) -> None:
+    """What is no bundle, no router or no endpoint says what to do, with exit status 1 or 2."""
+    nowhere = ropeway("overlay", "status", "-i", place.file("cloud.ropeway"), "-r", free_endpoint())
+    assert (nowhere.returncode, "no router can be reached" in nowhere.stderr) == (1, True)
+    missing = ropeway("overlay", "trace", "/nobody", "-i", place.file("cloud.ropeway"))
+    assert (missing.returncode, "nobody advertises /nobody" in missing.stderr) == (1, True)
+    endpoint = ropeway("router", "-i", place.file("router1.ropeway"), "-l", "tcp/0.0.0.0:1")
+    assert (endpoint.returncode, "tls/host:7447" in endpoint.stderr) == (2, True)
+    member = ropeway("router", "-i", place.file("cloud.ropeway"))
+    assert (member.returncode, "--router" in member.stderr) == (1, True)
+    graph = ropeway("topic", "list", "-g", "overlay:nobody.ropeway")
+    assert (graph.returncode, "keys issue" in graph.stderr) == (1, True)
+    option = ropeway("topic", "list", "-g", f"overlay:{place.file('cloud.ropeway')}?colour=red")
+    assert "router and unique" in option.stderr

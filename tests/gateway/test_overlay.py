@@ -1,0 +1,159 @@
+"""Gateways that meet in the overlay, each with a network of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ropeway.errors import ConfigError
+from ropeway.gateway import config
+from ropeway.gateway.gateway import Gateway
+from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
+from ropeway.graph.memory import MemoryGraph
+from ropeway.overlay.identity import write_private
+from ropeway.qos import LATCHED, QoS
+from tests.contract.conftest import Inbox
+from tests.contract.test_topics import STRING, sample
+from tests.overlay.conftest import Site
+from tests.overlay.conftest import site as site
+from tests.overlay.fleet import member
+from tests.until import until
+
+from .test_calls import ADD, FIBONACCI, add, pair, sequence, total
+from .test_gateway import World
+from .test_gateway import world as world
+
+
+class Overlay:
+    """Gateways that are members, behind one router."""
+
+    def __init__(self, world: World, site: Site, directory: Path) -> None:
+        self.world, self.site, self.directory = world, site, directory
+        self.gateways: list[Gateway] = []
+
+    async def join(self, name: str, **remote: Any) -> MemoryGraph:
+        """A gateway with one remote, the overlay; gives a robot on its network."""
+        bundle = self.directory / f"{name}.ropeway"
+        write_private(bundle, member(name).to_text())
+        overlay = {"identity": str(bundle), "routers": [self.site.endpoint], "listen": []}
+        gateway = await self.world.gateway(
+            name, [{"address": "overlay", **remote}], overlay=overlay, listen=[], insecure=True
+        )
+        self.gateways.append(gateway)
+        return await self.world.robot(name)
+
+
+@pytest.fixture
+def overlay(world: World, site: Site, tmp_path: Path) -> Overlay:
+    return Overlay(world, site, tmp_path)
+
+
+def item(name: str, type: str = STRING, **more: Any) -> dict[str, Any]:
+    return {"name": name, "type": type, **more}
+
+
+async def test_topics_both_ways(overlay: Overlay) -> None:
+    """What one gateway publishes to the overlay another subscribes from it, with its QoS, renamed where asked."""
+    robot = await overlay.join("robot", publish=[item("/map", remote_name="/robot/map")], subscribe=[item("/cmd")])
+    cloud = await overlay.join("cloud", subscribe=[item("/robot/map")], publish=[item("/cmd")])
+    maps, commands = Inbox(), Inbox()
+    publisher = await robot.create_publisher("/map", STRING, LATCHED)
+    publisher.publish(sample("kept"))
+    await cloud.create_subscription("/robot/map", STRING, None, maps)
+    await maps.wait(1, 30)
+    await until(lambda: [p.qos.transient_local for p in cloud.topics()["/robot/map"].publishers] == [True])
+    await robot.create_subscription("/cmd", STRING, QoS(), commands)
+    order = await cloud.create_publisher("/cmd", STRING)
+    await until(lambda: order.subscribers, 30)
+    row = overlay.gateways[0].status()
+    assert row["remotes"][0]["state"] == "connected"
+    assert [g["name"] for g in row["remotes"][0]["overlay"]["gateways"]] != []
+    await until(lambda: overlay.gateways[1].status()["routes"][0]["state"] == "active", 30)
+    order.publish(sample("go"))
+    await commands.wait(1, 30)
+
+
+async def test_services_and_actions(overlay: Overlay) -> None:
+    """A service and an action that one gateway exposes are reserved by another, and used as if they were local."""
+    types = {"expose-service": [item("/add", ADD)], "expose-action": [item("/fib", FIBONACCI)]}
+    robot = await overlay.join("robot", **types)
+    cloud = await overlay.join("cloud", **{key.replace("expose", "reserve"): value for key, value in types.items()})
+    await robot.create_service("/add", ADD, add)
+
+    async def execute(goal: ServerGoal) -> Outcome:
+        goal.feedback(sequence(1))
+        return Outcome(GoalStatus.SUCCEEDED, sequence(1, 1, 2))
+
+    await robot.create_action_server("/fib", FIBONACCI, ActionHandlers(execute))
+    client = await cloud.create_client("/add", ADD)
+    assert await client.wait_available(30)
+    assert total(await client.call(Request(pair(40, 2)), 10)) == 42
+    user = await cloud.create_action_client("/fib", FIBONACCI)
+    assert await user.wait_available(30)
+    heard: list[bytes] = []
+    goal = await user.send_goal(Goal(b"\0\1\0\0\3\0\0\0"), on_feedback=heard.append, timeout_s=10)
+    outcome = await goal.result(10)
+    assert (outcome.status, outcome.payload) == (GoalStatus.SUCCEEDED, sequence(1, 1, 2))
+    await until(lambda: heard == [sequence(1)])
+
+
+async def test_automatic(overlay: Overlay) -> None:
+    """A topic with publishers here is offered, one with readers here is fetched; both or none are left alone."""
+    shared = {"automatic": {"allow": ["/shared/*", "/both"], "deny": ["/shared/secret"]}}
+    robot, cloud = await overlay.join("robot", **shared), await overlay.join("cloud", **shared)
+    inbox = Inbox()
+    publisher = await robot.create_publisher("/shared/a", STRING)
+    for name in ("/shared/secret", "/private"):
+        await robot.create_publisher(name, STRING)
+    await robot.create_publisher("/both", STRING)
+    await robot.create_subscription("/both", STRING, QoS(), lambda _: None)
+    reader = await cloud.create_subscription("/shared/a", STRING, QoS(), inbox)
+    await until(lambda: publisher.subscribers, 30)
+    publisher.publish(sample("hello"))
+    await inbox.wait(1, 30)
+    offered = {row["name"]: row["operation"] for row in overlay.gateways[0].status()["routes"]}
+    fetched = {row["name"]: row["operation"] for row in overlay.gateways[1].status()["routes"]}
+    assert (offered, fetched) == ({"/shared/a": "publish"}, {"/shared/a": "subscribe"})
+    await reader.close()
+    await until(lambda: not overlay.gateways[1].status()["routes"], 30)
+    await robot.create_subscription("/shared/a", STRING, QoS(), lambda _: None)
+    await until(lambda: not overlay.gateways[0].status()["routes"], 30)
+    await publisher.close()
+    await until(lambda: [r["operation"] for r in overlay.gateways[0].status()["routes"]] == ["subscribe"], 30)
+
+
+async def test_nothing_is_allowed(overlay: Overlay) -> None:
+    """Without anything allowed, automatic mode shares nothing."""
+    robot = await overlay.join("robot", automatic={})
+    watcher = await overlay.join("cloud", automatic={"allow": ["*"]})
+    await robot.create_publisher("/a", STRING)
+    publisher = await watcher.create_publisher("/b", STRING)
+    await until(lambda: overlay.gateways[1].status()["routes"], 30)
+    assert overlay.gateways[0].status()["routes"] == []
+    assert publisher.subscribers == 0
+
+
+@pytest.mark.parametrize(
+    ("remote", "gateway", "path", "said"),
+    [
+        ({"address": "overlay"}, {}, "remotes[0].address", "ropeway keys issue"),
+        ({"address": "ws://a", "automatic": {}}, {}, "remotes[0].automatic", '"address": "overlay"'),
+        ({"address": "ws://a", "unique": "x"}, {}, "remotes[0].unique", '"address": "overlay"'),
+        ({"address": "overlay", "token": {"env": "X"}}, {}, "remotes[0].token", "certificates say who is who"),
+        ({"address": "overlay", "automatic": {"allow": ["camera"]}}, {}, "remotes[0].automatic.allow[0]", "/camera/*"),
+        ({"address": "ws://a"}, {"overlay": {"identity": "nowhere"}}, "gateway.overlay.identity", "existing file"),
+        (
+            {"address": "ws://a"},
+            {"overlay": {"identity": __file__, "routers": ["tcp/a:1"]}},
+            "gateway.overlay.routers[0]",
+            "tls/router.example:7447",
+        ),
+    ],
+)
+def test_faults(remote: dict[str, Any], gateway: dict[str, Any], path: str, said: str) -> None:
+    """What does not go together is told with its path and what to write."""
+    with pytest.raises(ConfigError) as caught:
+        config.parse({"gateway": gateway, "remotes": [remote]})
+    assert said in dict(caught.value.problems)[path]
