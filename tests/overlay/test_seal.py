@@ -42,17 +42,17 @@ def test_round_trip(sizes: list[int]) -> None:
     source = sealer()
     reader = opener(source.grant())
     items = [os.urandom(size) for size in sizes]
-    packet = source.seal(items)
+    packet = source.seal([[item] for item in items])
     assert reader.knows(packet)
     opened = reader.open(packet)
-    assert (opened.first, opened.items, opened.epoch) == (1, items, source.epoch)
+    assert (opened.first, [bytes(i) for i in opened.items], opened.epoch) == (1, items, source.epoch)
     assert source.counter == len(sizes)
     assert peek(packet)[:3] == (source.epoch, 1, len(sizes))
 
 
 def test_nothing_shows() -> None:
     """A packet holds neither the payload nor the name."""
-    packet = sealer().seal([b"the secret payload"])
+    packet = sealer().seal([[b"the secret payload"]])
     assert b"secret" not in packet
     assert NAME not in packet
 
@@ -63,9 +63,9 @@ def test_rsa() -> None:
     source = Sealer(NAME, PUBLISHER, owner.sign)
     reader = Opener(NAME, PUBLISHER, owner.certificate.verify_signature)
     reader.add(source.grant())
-    packet = source.seal([b"data"])
+    packet = source.seal([[b"data"]])
     assert reader.open(packet).items == [b"data"]
-    other = bytearray(source.seal([b"data"]))
+    other = bytearray(source.seal([[b"data"]]))
     other[30] ^= 1
     assert reason(reader, bytes(other)) is Refusal.BAD_SIGNATURE
 
@@ -74,7 +74,7 @@ def test_replays_and_order() -> None:
     """Packets may come in another order, each once; a replay is told from what is too old."""
     source = sealer()
     reader = opener(source.grant())
-    packets = [source.seal([b"%d" % i]) for i in range(10)]
+    packets = [source.seal([[b"%d" % i]]) for i in range(10)]
     random.Random(1).shuffle(packets)
     assert sorted(reader.open(packet).first for packet in packets) == list(range(1, 11))
     for packet in packets:
@@ -86,7 +86,7 @@ def test_replays_and_order() -> None:
 def test_other_name_or_publisher() -> None:
     """A packet that is put under another name, or as another publisher's, is refused."""
     source = sealer()
-    packet, grant = source.seal([b"x"]), Grant(*_keys(source), 0)
+    packet, grant = source.seal([[b"x"]]), Grant(*_keys(source), 0)
     assert reason(opener(grant, name=bytes(32)), packet) is Refusal.BAD_SIGNATURE
     assert reason(opener(grant, publisher=bytes(16)), packet) is Refusal.BAD_SIGNATURE
 
@@ -102,18 +102,18 @@ def test_reader_cannot_forge() -> None:
     reader = opener(source.grant())
     forger = Sealer(NAME, PUBLISHER, member("reader").sign)
     forger._use(*_keys(source))
-    assert reason(reader, forger.seal([b"forged"])) is Refusal.BAD_SIGNATURE
+    assert reason(reader, forger.seal([[b"forged"]])) is Refusal.BAD_SIGNATURE
     unsigned = Sealer(NAME, PUBLISHER, None)
     unsigned._use(*_keys(source))
-    assert reason(reader, unsigned.seal([b"forged"])) is Refusal.BAD_SIGNATURE
-    assert reader.open(source.seal([b"real"])).items == [b"real"]
+    assert reason(reader, unsigned.seal([[b"forged"]])) is Refusal.BAD_SIGNATURE
+    assert reader.open(source.seal([[b"real"]])).items == [b"real"]
 
 
 def test_refused_packets_change_nothing() -> None:
     """What is refused does not move the window: the real packet of that number is still taken."""
     source = sealer()
     reader = opener(source.grant())
-    packet = source.seal([b"x"])
+    packet = source.seal([[b"x"]])
     for at in range(0, len(packet), 7):
         altered = bytearray(packet)
         altered[at] ^= 0x40
@@ -125,13 +125,13 @@ def test_rotation() -> None:
     """The next key is known before it is used; the one after it has to be asked for, and the old one still opens."""
     source = sealer()
     reader = opener(source.grant())
-    first = source.seal([b"1"])
+    first = source.seal([[b"1"]])
     source.rotate()
-    second = source.seal([b"2"])
+    second = source.seal([[b"2"]])
     assert reader.open(second).items == [b"2"]
     assert reader.open(first).items == [b"1"]
     source.rotate()
-    third = source.seal([b"3"])
+    third = source.seal([[b"3"]])
     assert not reader.knows(third)
     assert reason(reader, third) is Refusal.NO_KEY
     reader.add(source.grant())
@@ -143,14 +143,14 @@ def test_renewal() -> None:
     source = sealer()
     reader = opener(source.grant())
     source.renew()
-    assert reason(reader, source.seal([b"x"])) is Refusal.NO_KEY
+    assert reason(reader, source.seal([[b"x"]])) is Refusal.NO_KEY
 
 
 def test_keys_are_few() -> None:
     """A reader keeps the keys around the current one, and no others."""
     source = sealer()
     reader = opener(source.grant())
-    first = source.seal([b"x"])
+    first = source.seal([[b"x"]])
     for _ in range(5):
         source.rotate()
         reader.add(source.grant())
@@ -172,7 +172,7 @@ def test_every_bit_counts(data: st.DataObject) -> None:
     """A packet with any bit flipped, or cut anywhere, is refused with a reason."""
     source = sealer()
     reader = opener(source.grant())
-    packet = source.seal([b"some message", b"another"])
+    packet = source.seal([[b"some ", b"message"], [b"another"]])
     if data.draw(st.booleans()):
         packet = packet[: data.draw(st.integers(0, len(packet) - 1))]
     else:

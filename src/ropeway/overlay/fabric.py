@@ -251,7 +251,18 @@ class Fabric:
             priority=zenoh.Priority.INTERACTIVE_HIGH,
         )
 
-    def put(self, lane: int, key: str, payload: bytes) -> None:
+    def short(self, key: str) -> zenoh.KeyExpr:
+        """A key that goes over each link once, and as a number from then on; see ``forget``."""
+        made: zenoh.KeyExpr = self.session.declare_keyexpr(key)
+        return made
+
+    def forget(self, key: zenoh.KeyExpr) -> None:
+        """Take a short key back."""
+        if self._session is not None:
+            with contextlib.suppress(zenoh.ZError):
+                self._session.undeclare(key)
+
+    def put(self, lane: int, key: str | zenoh.KeyExpr, payload: bytes) -> None:
         """Put data; waits while the link is congested, so call it in the thread of the lane (``in_lane``)."""
         self.session.put(
             key, payload, congestion_control=zenoh.CongestionControl.BLOCK, priority=_PRIORITIES[lane], express=True

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 from ropeway.errors import SealError
 from ropeway.overlay.refusal import Refusal
 
-__all__ = ["RAW", "RELAYED", "ZSTD", "Item", "pack", "unpack"]
+__all__ = ["RAW", "RELAYED", "ZSTD", "Item", "head", "pack", "unpack"]
 
 RELAYED: Final = 1
 """The flag of a message whose origin was lost on the way here."""
@@ -39,9 +39,14 @@ class Item(NamedTuple):
     payload: bytes
 
 
+def head(item: Item) -> bytes:
+    """What stands before the payload."""
+    return _HEAD.pack(*item[:6])
+
+
 def pack(item: Item) -> bytes:
     """The bytes of a message."""
-    return _HEAD.pack(*item[:6]) + item.payload
+    return head(item) + item.payload
 
 
 def unpack(raw: bytes | memoryview) -> Item:

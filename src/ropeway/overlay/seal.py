@@ -153,8 +153,8 @@ class Sealer:
         """What to hand to who may read."""
         return Grant(self._current, self._next, self.counter)
 
-    def seal(self, items: Sequence[bytes]) -> bytes:
-        """One packet with these messages, 1 to 65,535 of them."""
+    def seal(self, items: Sequence[Sequence[bytes]]) -> bytes:
+        """One packet with these messages, 1 to 65,535 of them, each in as many pieces as it comes in."""
         if self._packets >= _PACKETS:
             self.rotate()
         self._packets += 1
@@ -162,7 +162,7 @@ class Sealer:
         epoch = self._current.epoch
         flags = 0 if self._sign is None else _SIGNED
         head = _HEAD.pack(_MAGIC, _VERSION, flags, 0, epoch, first, len(items), self._signature_bytes)
-        plain = b"".join(part for item in items for part in (_LENGTH.pack(len(item)), item))
+        plain = b"".join(part for item in items for part in (_LENGTH.pack(sum(map(len, item))), *item))
         about = self._about + head
         sealed = self._cipher.encrypt(_NONCE.pack(epoch, first), plain, about)
         if self._sign is None:
@@ -181,7 +181,7 @@ class Opened(NamedTuple):
     """What a packet held; ``first`` is the counter of the first message."""
 
     first: int
-    items: list[bytes]
+    items: list[memoryview]
     epoch: int
 
 
@@ -241,9 +241,9 @@ class Opener:
         return Opened(head.first, items, head.epoch)
 
 
-def _split(plain: bytes, count: int) -> list[bytes]:
-    items: list[bytes] = []
-    at, size = 0, len(plain)
+def _split(plain: bytes, count: int) -> list[memoryview]:
+    items: list[memoryview] = []
+    at, size, view = 0, len(plain), memoryview(plain)
     for _ in range(count):
         if at + 4 > size:
             raise SealError(Refusal.MALFORMED, "a batch")
@@ -251,7 +251,7 @@ def _split(plain: bytes, count: int) -> list[bytes]:
         at += 4
         if at + length > size:
             raise SealError(Refusal.MALFORMED, "a batch")
-        items.append(plain[at : at + length])
+        items.append(view[at : at + length])
         at += length
     if at != size:
         raise SealError(Refusal.MALFORMED, "a batch")

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from ropeway.errors import SealError
 from ropeway.overlay.certificate import Certificate
-from ropeway.overlay.item import Item, pack
+from ropeway.overlay.item import Item, head, pack
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.seal import Sealer
 
@@ -70,9 +70,9 @@ class Source:
 
     def seal(self, items: Sequence[Item]) -> bytes:
         """One packet."""
-        packed = [pack(item) for item in items]
+        pieces = [(head(item), item.payload) for item in items]
         with self._lock:
-            return self._sealer.seal(packed)
+            return self._sealer.seal(pieces)
 
     def grant(self, reader: Certificate) -> dict[str, Any]:
         """The keys, for somebody who may read. Raises ``SealError`` for others."""

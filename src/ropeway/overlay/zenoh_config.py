@@ -104,6 +104,7 @@ def _config(identity: Identity, connect: Sequence[str], listen: Sequence[str], m
         "transport/link/tls": tls,
         "transport/link/tx/lease": _LEASE_MS,
         "transport/link/tx/keep_alive": 4,
+        "transport/link/tx/queue/batching/enabled": False,  # what is sent is batched already, and would wait
         "transport/shared_memory/enabled": False,
         **more,
     }

@@ -17,6 +17,8 @@ from ropeway.overlay.item import RAW, RELAYED, Item
 from ropeway.overlay.source import Source
 
 if TYPE_CHECKING:
+    import zenoh
+
     from ropeway.graph.overlay.graph import OverlayGraph
 
 __all__ = ["OverlayPublisher"]
@@ -40,6 +42,7 @@ class OverlayPublisher:
         self._granted: set[bytes] = set()
         self._readers: set[bytes] = set()
         self._had_readers = False
+        self._short: zenoh.KeyExpr | None = None
         self._demand: list[Callable[[int], None]] = []
         qos = advert.qos
         keep_all = qos.history == "keep_all"
@@ -79,6 +82,12 @@ class OverlayPublisher:
             self._graph.sender.put(self.queue, sample)
         elif self.qos.transient_local or (self._had_readers and self.qos.reliable):
             self.source.add(self.item(sample))
+
+    def wire_key(self) -> zenoh.KeyExpr:
+        """The key to put under, in its short form once something is sent."""
+        if self._short is None:
+            self._short = self._graph.node.fabric.short(self.key)
+        return self._short
 
     def item(self, sample: Sample) -> Item:
         """A sample as it goes into a packet."""
@@ -126,3 +135,5 @@ class OverlayPublisher:
         self.closed = True
         await self._graph.sender.flush(self.queue)
         self._graph.remove_publisher(self)
+        if self._short is not None:
+            self._graph.node.fabric.forget(self._short)

@@ -111,4 +111,4 @@ class Sender:
     def _send(self, lane: int, jobs: Sequence[Job]) -> None:
         """In the lane's thread."""
         for publisher, items in jobs:
-            self._graph.node.fabric.put(lane, publisher.key, publisher.source.seal(items))
+            self._graph.node.fabric.put(lane, publisher.wire_key(), publisher.source.seal(items))

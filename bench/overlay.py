@@ -1,0 +1,544 @@
+"""The overlay: what names, seals and routers cost beside plain Zenoh and beside the bare link.
+
+``--part`` names one of names, join, throughput, link. The last needs root and a program that joins two namespaces by a
+link with delay, named in ROPEWAY_LINK (``PROGRAM --a NAMESPACE ADDRESS --b NAMESPACE ADDRESS --delay-ms N --rate-mbit
+N``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import uvloop
+import zenoh
+
+from bench.netns import Process
+from bench.report import table
+from ropeway.gateway.allocator import keep_freed_memory
+from ropeway.graph.base import SEQ_NONE, Delivery, Sample
+from ropeway.graph.overlay import OverlayGraph
+from ropeway.overlay.fleet import Fleet
+from ropeway.overlay.identity import Identity, write_private
+from ropeway.overlay.node import OverlayNode
+from ropeway.qos import QoS
+
+TYPE = "std_msgs/msg/UInt8MultiArray"
+ME = ("-m", "bench.overlay")
+PORT = 17447
+KEEP = QoS(history="keep_all")
+
+
+def sample(payload: bytes) -> Sample:
+    """A message of any bytes; nobody decodes it."""
+    return Sample(payload, TYPE, time.time_ns(), bytes(16), SEQ_NONE)
+
+
+def bundles(directory: Path, *names: str) -> dict[str, str]:
+    """A fleet of these members; a name with router in it is one."""
+    fleet = Fleet.create("bench", directory / "bench")
+    made = {}
+    for name in names:
+        path = directory / f"{name}.ropeway"
+        write_private(path, fleet.issue(name, role="router" if "router" in name else "member").to_text())
+        made[name] = str(path)
+    return made
+
+
+def node_of(args: argparse.Namespace) -> OverlayNode:
+    """The member that a role runs as."""
+    routers = args.connect.split(",") if args.connect else []
+    listen = args.listen.split(",") if args.listen else []
+    return OverlayNode(Identity.load(args.identity), routers=routers, listen=listen)
+
+
+def report(**figures: Any) -> None:
+    """One line for whoever measures."""
+    print(json.dumps(figures), flush=True)
+
+
+# ── roles: the overlay ─────────────────────────────────────────────────────────────────────────────────────────────
+
+
+async def echo(args: argparse.Namespace) -> None:
+    """Send back what comes."""
+    graph = OverlayGraph(node_of(args))
+    await graph.open()
+    back = await graph.create_publisher("/pong", TYPE)
+    await graph.create_subscription(
+        "/ping", TYPE, QoS(), lambda batch: [back.publish(sample(s.payload)) for s in batch]
+    )
+    print("ready", flush=True)
+    await asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
+    await graph.close()
+
+
+async def ping(args: argparse.Namespace) -> None:
+    """Round trips, one after the other."""
+    began = time.perf_counter()
+    graph = OverlayGraph(node_of(args))
+    await graph.open()
+    came: asyncio.Queue[int] = asyncio.Queue()
+    await graph.create_subscription("/pong", TYPE, QoS(), lambda batch: [came.put_nowait(1) for _ in batch])
+    publisher = await graph.create_publisher("/ping", TYPE)
+    wanted = asyncio.Event()
+    publisher.on_demand(lambda count: wanted.set() if count else None)
+    async with asyncio.timeout(30):
+        await wanted.wait()
+        while not graph.node.feeds or not any(
+            f is not None
+            for feed in graph.node.feeds.values()
+            for s in feed.streams.values()
+            for f in s.readers.values()
+        ):
+            await asyncio.sleep(0.002)
+    first = None
+    out: dict[str, Any] = {}
+    for size in map(int, args.sizes.split(",")):
+        payload = os.urandom(size)
+        times = []
+        for _ in range(args.count):
+            t = time.perf_counter()
+            publisher.publish(sample(payload))
+            async with asyncio.timeout(10):
+                await came.get()
+            times.append(time.perf_counter() - t)
+            first = first or time.perf_counter() - began
+        out[str(size)] = [1e3 * float(np.percentile(times, q)) for q in (50, 99)]
+    report(rtt=out, first_s=first)
+    await graph.close()
+
+
+async def sink(args: argparse.Namespace) -> None:
+    """Count what comes."""
+    graph = OverlayGraph(node_of(args))
+    await graph.open()
+    got = [0, 0]
+    times = [0.0, 0.0]
+
+    def take(batch: Any) -> None:
+        if not got[0]:
+            times[0] = time.perf_counter()
+        got[0] += len(batch)
+        got[1] += sum(len(s.payload) for s in batch)
+        times[1] = time.perf_counter()
+
+    began = time.perf_counter()
+    await graph.create_subscription("/flood", TYPE, KEEP if args.reliable else QoS(depth=1), take)
+    print("ready", flush=True)
+    while not got[0]:
+        await asyncio.sleep(0.001)
+    report(join_ms=1e3 * (times[0] - began))
+    await asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
+    lost = sum(feed.missed for feed in graph.node.feeds.values())
+    seconds = times[1] - times[0]
+    report(count=got[0], rate=got[0] / seconds, mb_s=got[1] / seconds / 1e6, cpu=time.process_time(), lost=lost)
+    await graph.close()
+
+
+async def source(args: argparse.Namespace) -> None:
+    """Send flat out: as many as the lane takes."""
+    graph = OverlayGraph(node_of(args))
+    await graph.open()
+    publisher = await graph.create_publisher("/flood", TYPE, KEEP, delivery=Delivery())
+    wanted = asyncio.Event()
+    publisher.on_demand(lambda count: wanted.set() if count else None)
+    print("ready", flush=True)
+    await wanted.wait()
+    payload = os.urandom(args.size)
+    publisher.source._depth = 0  # nothing is kept, as plain Zenoh keeps nothing
+    end, count = time.perf_counter() + args.seconds, 0
+    cpu = time.process_time()
+    while time.perf_counter() < end:
+        while publisher.queue.bytes < 8 << 20:
+            for _ in range(max(1, min(200, 200_000 // args.size))):
+                publisher.publish(sample(payload))
+                count += 1
+        await asyncio.sleep(0.005)  # a loop that spins would keep the lane from running
+    await graph.sender.flush(publisher.queue)
+    report(count=count, cpu=time.process_time() - cpu)
+    await graph.close()
+
+
+# ── roles: plain Zenoh, and the bare link ──────────────────────────────────────────────────────────────────────────
+
+
+def plain(args: argparse.Namespace) -> zenoh.Session:
+    """A session without TLS, as it comes."""
+    config = zenoh.Config()
+    config.insert_json5("mode", json.dumps(args.mode))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("scouting/gossip/enabled", "false")
+    config.insert_json5("transport/shared_memory/enabled", "false")  # the other end may be anywhere
+    config.insert_json5("listen/endpoints", json.dumps(args.listen.split(",") if args.listen else []))
+    config.insert_json5("connect/endpoints", json.dumps(args.connect.split(",") if args.connect else []))
+    return zenoh.open(config)
+
+
+def zsink(args: argparse.Namespace) -> None:
+    """Count what comes."""
+    session = plain(args)
+    got = [0, 0]
+    times = [0.0, 0.0]
+
+    def take(s: zenoh.Sample) -> None:
+        if not got[0]:
+            times[0] = time.perf_counter()
+        got[0] += 1
+        got[1] += len(bytes(s.payload))
+        times[1] = time.perf_counter()
+
+    session.declare_subscriber("flood", zenoh.handlers.Callback(take, indirect=True))
+    print("ready", flush=True)
+    sys.stdin.readline()
+    seconds = times[1] - times[0]
+    report(count=got[0], rate=got[0] / seconds, mb_s=got[1] / seconds / 1e6, cpu=time.process_time())
+    session.close()
+
+
+def zsource(args: argparse.Namespace) -> None:
+    """Send flat out."""
+    session = plain(args)
+    publisher = session.declare_publisher("flood", congestion_control=zenoh.CongestionControl.BLOCK)
+    print("ready", flush=True)
+    while not publisher.matching_status.matching:
+        time.sleep(0.01)
+    payload, count = os.urandom(args.size), 0
+    cpu, end = time.process_time(), time.perf_counter() + args.seconds
+    while time.perf_counter() < end:
+        publisher.put(payload)
+        count += 1
+    time.sleep(0.5)
+    report(count=count, cpu=time.process_time() - cpu)
+    session.close()
+
+
+def zrouter(args: argparse.Namespace) -> None:
+    """Carry it."""
+    session = plain(args)
+    print("ready", flush=True)
+    sys.stdin.readline()
+    session.close()
+
+
+def tcp_echo(args: argparse.Namespace) -> None:
+    """Send back what comes, over a bare connection."""
+    with socket.create_server((args.host, PORT + 1)) as server:
+        print("ready", flush=True)
+        connection, _ = server.accept()
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        while head := _exactly(connection, 4):
+            connection.sendall(head + _exactly(connection, *struct.unpack("!I", head)))
+
+
+def tcp_ping(args: argparse.Namespace) -> None:
+    """Round trips over a bare connection."""
+    out = {}
+    with socket.create_connection((args.host, PORT + 1)) as connection:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for size in map(int, args.sizes.split(",")):
+            message, times = struct.pack("!I", size) + os.urandom(size), []
+            for _ in range(args.count):
+                t = time.perf_counter()
+                connection.sendall(message)
+                _exactly(connection, 4 + size)
+                times.append(time.perf_counter() - t)
+            out[str(size)] = [1e3 * float(np.percentile(times, q)) for q in (50, 99)]
+    report(rtt=out)
+
+
+def _exactly(connection: socket.socket, size: int) -> bytes:
+    parts = []
+    while size:
+        part = connection.recv(size)
+        if not part:
+            return b""
+        parts.append(part)
+        size -= len(part)
+    return b"".join(parts)
+
+
+# ── what is measured ───────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def member(name: str, where: dict[str, str], role: str, *more: str, namespace: str | None = None) -> Process:
+    """A role as a member, in a process of its own."""
+    return Process(namespace, *ME, role, "--identity", where[name], *more, quiet=False)
+
+
+def tell(process: Process) -> None:
+    """Tell a role to come to an end."""
+    assert process._popen.stdin is not None
+    process._popen.stdin.write("\n")
+    process._popen.stdin.flush()
+
+
+def throughput(as_json: bool, seconds: float) -> None:
+    """1 kB and 305 kB flat out, direct and over one router, beside plain Zenoh."""
+    rows: list[list[Any]] = []
+    for size in (1024, 305_000):
+        for path in ("direct", "router"):
+            figures = {}
+            for kind in ("plain", "sealed"):
+                with tempfile.TemporaryDirectory() as directory:
+                    where = bundles(Path(directory), "near", "far", "router1")
+                    figures[kind] = _flood(kind, path, size, seconds, where)
+            sealed, bare = figures["sealed"], figures["plain"]
+            key = "rate" if size < 10_000 else "mb_s"
+            rows.append(
+                [
+                    size,
+                    path,
+                    "msg/s" if key == "rate" else "MB/s",
+                    bare[key],
+                    sealed[key],
+                    sealed[key] / bare[key],
+                    1e6 * (sealed["cpu"] - bare["cpu"]),
+                    sealed["lost"],
+                ]
+            )
+    heads = ["bytes", "path", "unit", "plain Zenoh", "sealed", "ratio (>= 0.5)", "added CPU, us/message", "lost"]
+    table("throughput", heads, rows, as_json=as_json)
+
+
+def _flood(kind: str, path: str, size: int, seconds: float, where: dict[str, str]) -> dict[str, float]:
+    scheme = "tls" if kind == "sealed" else "tcp"
+    endpoint = f"{scheme}/127.0.0.1:{PORT}"
+    running: list[Process] = []
+    try:
+        if path == "router":
+            words = ["-m", "ropeway", "router", "-i", where["router1"], "-l", endpoint, "--json"]
+            if kind == "plain":
+                words = [*ME, "zrouter", "--mode", "router", "--listen", endpoint]
+            running.append(Process(None, *words))
+            running[0].line()
+        listen, connect = ("--listen", endpoint), ("--connect", endpoint)
+        far = connect if path == "router" else listen
+        flood = ("--size", str(size), "--seconds", str(seconds))
+        if kind == "sealed":
+            sink = member("far", where, "sink", *far, "--reliable")
+            sink.line()
+            source = member("near", where, "source", *connect, *flood)
+        else:
+            mode = ("--mode", "client" if path == "router" else "peer")
+            sink = Process(None, *ME, "zsink", *mode, *far)
+            sink.line()
+            source = Process(None, *ME, "zsource", *mode, *connect, *flood)
+        running += [sink, source]
+        source.line()
+        sent = json.loads(source.line())
+        time.sleep(1)
+        tell(sink)
+        lines = sink.finish(30).splitlines()
+        got: dict[str, float] = json.loads(lines[-1])
+        got["cpu"] = (got["cpu"] + sent["cpu"]) / max(got["count"], 1)
+        return got
+    finally:
+        for process in running:
+            process.stop()
+
+
+def join(as_json: bool) -> None:
+    """A reader that joins a running publisher, and a member's cold start; on loopback."""
+    times, starts = [], []
+    with tempfile.TemporaryDirectory() as directory:
+        names = [f"m{i}" for i in range(12)]
+        where = bundles(Path(directory), "near", "echo", "router1", *names)
+        endpoint = f"tls/127.0.0.1:{PORT}"
+        router = Process(None, "-m", "ropeway", "router", "-i", where["router1"], "-l", endpoint, "--json")
+        router.line()
+        echoing = member("echo", where, "echo", "--connect", endpoint)
+        echoing.line()
+        times = uvloop.run(_joins(where["near"], where["m0"], endpoint))
+        for name in names[1:]:
+            began = time.perf_counter()
+            process = member(name, where, "ping", "--connect", endpoint, "--count", "1", "--sizes", "1024")
+            process.line()
+            starts.append(time.perf_counter() - began)
+            process.stop()
+        for process in (echoing, router):
+            process.stop()
+    heads = ["figure", "p50", "max"]
+    rows = [
+        ["topic join, ms (< 100)", 1e3 * float(np.median(times)), 1e3 * max(times)],
+        ["sealed cold start of a process, s (< 2)", float(np.median(starts)), max(starts)],
+    ]
+    table("joining", heads, rows, as_json=as_json)
+
+
+async def _joins(near: str, far: str, endpoint: str) -> list[float]:
+    graphs = [OverlayGraph(OverlayNode(Identity.load(path), routers=[endpoint], listen=())) for path in (near, far)]
+    for graph in graphs:
+        await graph.open()
+    times = []
+    for number in range(20):
+        name = f"/stream{number}"
+        publisher = await graphs[0].create_publisher(name, TYPE)
+        while name not in graphs[1].topics():
+            await asyncio.sleep(0.001)
+        came = asyncio.Event()
+        began = time.perf_counter()
+        subscription = await graphs[1].create_subscription(name, TYPE, QoS(), lambda _, came=came: came.set())
+        while not came.is_set():
+            publisher.publish(sample(bytes(1024)))
+            await asyncio.sleep(0.001)
+        times.append(time.perf_counter() - began)
+        await subscription.close()
+    for graph in graphs:
+        await graph.close()
+    return times
+
+
+def names(as_json: bool, count: int) -> None:
+    """Many names of one gateway: announcing, finding, and a gateway that joins late."""
+    with tempfile.TemporaryDirectory() as directory:
+        where = bundles(Path(directory), "near", "far", "late", "router1")
+        endpoint = f"tls/127.0.0.1:{PORT}"
+        router = Process(None, "-m", "ropeway", "router", "-i", where["router1"], "-l", endpoint, "--json")
+        router.line()
+        rows = uvloop.run(_names(where, endpoint, count, router))
+        router.stop()
+    table(f"{count} names of one gateway", ["figure", "value"], rows, as_json=as_json)
+
+
+async def _names(where: dict[str, str], endpoint: str, count: int, router: Process) -> list[list[Any]]:
+    import psutil
+
+    rss = psutil.Process().memory_info
+    graphs = {
+        name: OverlayGraph(OverlayNode(Identity.load(where[name]), routers=[endpoint], listen=()))
+        for name in ("near", "far", "late")
+    }
+    near, far, late = graphs.values()
+    for graph in (near, far):
+        await graph.open()
+    while not (near.node.membership.gateways() and far.node.membership.gateways()):
+        await asyncio.sleep(0.01)
+    before, routed = rss().rss, router.memory_bytes()
+    began = time.perf_counter()
+    for number in range(count):
+        await near.create_publisher(f"/name{number}", TYPE)
+    announced = time.perf_counter() - began
+    while far.node.rib.count(near.node.gateway) < count:
+        await asyncio.sleep(0.01)
+    known = time.perf_counter() - began
+    grown = rss().rss - before
+    began = time.perf_counter()
+    for number in range(1000):
+        target = far._global("publisher", f"/name{number * 7 % count}", TYPE)
+        assert far.node.rib.by_name(target, "publisher")
+    resolved = (time.perf_counter() - began) / 1000
+    began = time.perf_counter()
+    await late.open()
+    while late.node.rib.count(near.node.gateway) < count:
+        await asyncio.sleep(0.01)
+    joined = time.perf_counter() - began
+    rows: list[list[Any]] = [
+        ["announce, ms each (< 1)", 1e3 * announced / count],
+        ["until another gateway has it, ms each", 1e3 * known / count],
+        ["resolve, ms each (< 1)", 1e3 * resolved],
+        ["a gateway that joins has all, s (< 3)", joined],
+        ["memory of both gateways, MB", grown / 1e6],
+        ["memory of the router, MB", (router.memory_bytes() - routed) / 1e6],
+    ]
+    for graph in graphs.values():
+        await graph.close()
+    return rows
+
+
+def link(as_json: bool, delay_ms: float, mbit: float, count: int) -> None:
+    """Round trips over a link with delay, beside a bare connection on the same link."""
+    program = os.environ.get("ROPEWAY_LINK")
+    if not program:
+        print("link: skipped; name a program in ROPEWAY_LINK")
+        return
+    a, b, near_ip, far_ip = "rwla", "rwlb", "10.78.0.1", "10.78.0.2"
+    words = ["--a", a, near_ip, "--b", b, far_ip, "--delay-ms", str(delay_ms), "--rate-mbit", str(mbit)]
+    process = subprocess.Popen([sys.executable, program, *words], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    process.stdout.readline()
+    running: list[Process] = []
+    figures: dict[str, dict[str, list[float]]] = {}
+    sizes = "1024,8192"
+    try:
+        with tempfile.TemporaryDirectory() as directory:
+            where = bundles(Path(directory), "near", "far")
+            for run in ("bare", "sealed"):
+                if run == "bare":
+                    far = Process(b, *ME, "tcp_echo", "--host", far_ip)
+                    far.line()
+                    near = Process(a, *ME, "tcp_ping", "--host", far_ip, "--sizes", sizes, "--count", str(count))
+                else:
+                    endpoint = f"tls/{far_ip}:{PORT}"
+                    far = member("far", where, "echo", "--listen", endpoint, namespace=b)
+                    far.line()
+                    more = ("--connect", endpoint, "--sizes", sizes, "--count", str(count))
+                    near = member("near", where, "ping", *more, namespace=a)
+                running += [far, near]
+                figures[run] = json.loads(near.finish(120).splitlines()[-1])["rtt"]
+                far.stop()
+    finally:
+        for made in running:
+            made.stop()
+        process.terminate()
+        process.wait()
+        for namespace in (a, b):
+            subprocess.run(["ip", "netns", "del", namespace], check=False, capture_output=True)
+    rows = []
+    for size in sizes.split(","):
+        bare, sealed = figures["bare"][size], figures["sealed"][size]
+        rows.append([int(size), bare[0], sealed[0], sealed[0] - bare[0], sealed[1] - bare[1]])
+    heads = ["bytes", "bare p50 ms", "sealed p50 ms", "added p50 ms (<= 2)", "added p99 ms"]
+    table(f"round trip at {delay_ms:g} ms one way and {mbit:g} Mbit/s", heads, rows, as_json=as_json)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    roles = {"echo": echo, "ping": ping, "sink": sink, "source": source}
+    plain_roles = {"zsink": zsink, "zsource": zsource, "zrouter": zrouter, "tcp_echo": tcp_echo, "tcp_ping": tcp_ping}
+    parser.add_argument("role", nargs="?", default="measure", choices=["measure", *roles, *plain_roles])
+    parser.add_argument("--part", default="names,join,throughput,link")
+    parser.add_argument("--identity")
+    parser.add_argument("--connect", default="")
+    parser.add_argument("--listen", default="")
+    parser.add_argument("--host", default="127.0.0.1")
+    parser.add_argument("--mode", default="peer")
+    parser.add_argument("--size", type=int, default=1024)
+    parser.add_argument("--sizes", default="1024")
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--names", type=int, default=10_000)
+    parser.add_argument("--seconds", type=float, default=4.0)
+    parser.add_argument("--reliable", action="store_true")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    keep_freed_memory()  # as gateways do
+    if args.role in roles:
+        uvloop.run(roles[args.role](args))
+    elif args.role in plain_roles:
+        plain_roles[args.role](args)
+    else:
+        parts = args.part.split(",")
+        if "names" in parts:
+            names(args.json, args.names)
+        if "join" in parts:
+            join(args.json)
+        if "throughput" in parts:
+            throughput(args.json, args.seconds)
+        if "link" in parts:
+            link(args.json, 35.0, 5.0, args.count)
+
+
+if __name__ == "__main__":
+    main()
