@@ -148,9 +148,9 @@ def _topic(route: Route, bridge: TopicBridge) -> dict[str, Any]:
     drops: dict[str, int] = {reason.value: n for reason, n in bridge.drops.items() if n}
     delay, encoding = meter.delay_s, route.delivery.encoding
     publisher = bridge.publisher
-    channel = getattr(publisher, "channel", None)
-    if channel is not None:
-        encoding = channel.used
+    way = getattr(publisher, "channel", None) or getattr(publisher, "packing", None)
+    if way is not None:
+        encoding = way.used
     for reason, n in getattr(publisher, "lost", {}).items():
         if n:
             drops[reason.value] = n

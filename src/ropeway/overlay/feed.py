@@ -16,21 +16,23 @@ from typing import Any, Final, Protocol
 
 import zenoh
 
-from ropeway.errors import CallError, RopewayError, SealError
+from ropeway.errors import CallError, DecodeError, MessageTooBig, RopewayError, SealError
 from ropeway.overlay.advert import Advertisement
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.fabric import Fabric, Handle, Inlet
 from ropeway.overlay.follower import Follower
-from ropeway.overlay.item import Item, unpack
+from ropeway.overlay.item import RAW, ZSTD, Item, unpack
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rpc import RemoteError, Rpc
 from ropeway.overlay.seal import Grant, Opener
 from ropeway.tasks import end
+from ropeway.wire import filters
 
-__all__ = ["Feed", "Reader", "Stream", "data_key"]
+__all__ = ["Feed", "Reader", "Stream", "data_key", "read_item"]
 
 log = logging.getLogger("ropeway.overlay")
 
+_LARGEST_BYTES: Final = 1 << 30
 _HOLD_BYTES: Final = 64 << 20
 _ASK_S: Final = 2.0
 _AGAIN_S: Final = 1.0
@@ -40,6 +42,17 @@ _REMEMBERED: Final = 4096
 def data_key(name: bytes, endpoint: bytes | None = None) -> str:
     """Where a publisher puts what it has under a name; for ``None`` all of them."""
     return f"rw/d/{name.hex()}/{endpoint.hex() if endpoint is not None else '*'}"
+
+
+def read_item(raw: bytes | memoryview) -> Item:
+    """A message, its payload as it was published. Raises ``SealError``."""
+    item = unpack(raw)
+    if item.encoding != ZSTD:
+        return item
+    try:
+        return item._replace(encoding=RAW, payload=filters.decode(item.payload, _LARGEST_BYTES))
+    except (DecodeError, MessageTooBig) as error:
+        raise SealError(Refusal.MALFORMED, str(error)) from error
 
 
 class Reader(Protocol):
@@ -161,7 +174,7 @@ class Stream:
         for last in (False, False, True):
             try:
                 answer = await self._feed.rpc.ask(self.advert.gateway, request, _ASK_S, lane=4)
-                items = [unpack(raw) for raw in answer]
+                items = [read_item(raw) for raw in answer]
                 break
             except SealError as error:
                 self._feed.refused(self.certificate.name, error)
@@ -203,7 +216,7 @@ class Stream:
                     self._hold(raw)
                     return
                 opened = self.opener.open(raw)
-            self.opened(opened.epoch, [unpack(item) for item in opened.items])
+            self.opened(opened.epoch, [read_item(item) for item in opened.items])
         except SealError as error:
             self._feed.refused(self.certificate.name, error)
 
@@ -300,7 +313,7 @@ class Feed:
                     self._inlet.put((stream, raw), len(raw))
                     return
                 opened = stream.opener.open(raw)
-            self._inlet.put((stream, (opened.epoch, [unpack(item) for item in opened.items])), len(raw))
+            self._inlet.put((stream, (opened.epoch, [read_item(item) for item in opened.items])), len(raw))
         except SealError as error:
             self._inlet.put((stream, error))
 

@@ -14,6 +14,8 @@ from ropeway.errors import CallError, CallFailed, ProviderLost
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample
 from ropeway.graph.calls import Request
 from ropeway.graph.overlay import OverlayGraph
+from ropeway.graph.overlay.packing import Packing
+from ropeway.overlay.item import RAW, Item
 from ropeway.overlay.names import Metadata
 from ropeway.overlay.node import OverlayNode
 from ropeway.overlay.router import Router
@@ -309,6 +311,37 @@ async def test_commands_first(site: Site) -> None:
     orders.publish(text("stop"))
     await command.wait(1)
     await bulk.wait(1, 50)
+
+
+@pytest.mark.parametrize("encoding", ["zstd", "zip", "rawzip", "none", "auto"])
+async def test_encodings(site: Site, encoding: str) -> None:
+    """Whatever encoding is configured, a message arrives byte for byte; those that compress send less."""
+    near, far = await site.join(), await site.join()
+    inbox = Inbox()
+    await far.create_subscription("/a", STRING, QoS(history="keep_all"), inbox)
+    publisher = await near.create_publisher("/a", STRING, QoS(history="keep_all"), delivery=Delivery(encoding=encoding))
+    await until(lambda: publisher.subscribers)
+    for message in (text("short"), text("long " * 50_000)):
+        publisher.publish(message)
+    await inbox.wait(2)
+    assert [s.payload for s in inbox.samples] == [text("short").payload, text("long " * 50_000).payload]
+    assert publisher.packing.on == (encoding in ("zstd", "zip", "rawzip"))
+
+
+def test_packing_follows_the_path() -> None:
+    """Where what was sent took long, the next is compressed; where the path is fast again, it is not."""
+    packing = Packing(STRING, "auto")
+    packing.sent(100, 10.0)
+    assert not packing.on
+    packing.sent(1_000_000, 1.0)
+    assert packing.used == "zstd"
+    item = Item(1, 0, 0, bytes(16), 0, RAW, b"x" * 10_000)
+    assert len(packing.pack(item).payload) < 1000
+    assert packing.pack(item._replace(payload=b"short")).encoding == RAW
+    for _ in range(10):
+        packing.sent(1_000_000, 0.001)
+    assert packing.used == "cbor-raw"
+    assert packing.pack(item) == item
 
 
 async def test_keys_rotate(site: Site) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample, Undelivered
 from ropeway.graph.overlay.matching import matches
+from ropeway.graph.overlay.packing import Packing
 from ropeway.link.outbox import Lost, Queue
 from ropeway.overlay.advert import Advertisement
 from ropeway.overlay.feed import data_key
@@ -42,6 +43,7 @@ class OverlayPublisher:
         self._granted: set[bytes] = set()
         self._readers: set[bytes] = set()
         self._had_readers = False
+        self.packing = Packing(self.type, delivery.encoding)
         self._short: zenoh.KeyExpr | None = None
         self._demand: list[Callable[[int], None]] = []
         qos = advert.qos

@@ -111,4 +111,7 @@ class Sender:
     def _send(self, lane: int, jobs: Sequence[Job]) -> None:
         """In the lane's thread."""
         for publisher, items in jobs:
-            self._graph.node.fabric.put(lane, publisher.wire_key(), publisher.source.seal(items))
+            packet = publisher.source.seal([publisher.packing.pack(item) for item in items])
+            began = time.perf_counter()
+            self._graph.node.fabric.put(lane, publisher.wire_key(), packet)
+            publisher.packing.sent(len(packet), time.perf_counter() - began)
