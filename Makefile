@@ -3,7 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-BENCHES = paper loopback urgent big start readers services clients
+BENCHES = paper loopback urgent big start readers services clients overlay
 export PYTHON
 
 .PHONY: help demo test lint bench clean

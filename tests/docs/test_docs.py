@@ -23,9 +23,10 @@ def blocks() -> list[tuple[str, str, str]]:
 
 
 @pytest.mark.parametrize(("name", "kind", "text"), blocks())
-def test_configurations(name: str, kind: str, text: str) -> None:
-    """Every configuration in the documents is accepted."""
-    config.parse(json.loads(text) if kind == "json" else yaml.safe_load(text), name)
+def test_configurations(name: str, kind: str, text: str, tmp_path: Path) -> None:
+    """Every configuration in the documents is accepted, where the files are that it names."""
+    (tmp_path / "robot1.ropeway").touch()
+    config.parse(json.loads(text) if kind == "json" else yaml.safe_load(text), name, directory=tmp_path)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)

@@ -48,6 +48,10 @@ def router_command(
     crl: Annotated[
         Path | None, typer.Option("--crl", help="A revocation list (crl.pem of the fleet), read again as it changes.")
     ] = None,
+    state: Annotated[
+        Path | None,
+        typer.Option("--state", help="Where the newest list is kept; left out, beside the bundle.", show_default=False),
+    ] = None,
     log_level: Annotated[str, typer.Option("--log-level", help=f"{', '.join(LEVELS)}.")] = "info",
     as_json: JsonOption = False,
 ) -> None:
@@ -59,18 +63,18 @@ def router_command(
             fail(f"{endpoint!r} is no endpoint of a router; write tls/host:7447 or quic/host:7447", 2)
     if crl is not None and not crl.exists():
         fail(f"{crl} does not exist", 2)
-    run(_serve(Identity.load(identity), identity, where, connect or [], crl, as_json))
+    kept = state or identity.with_name(f"{identity.name}.crl")
+    run(_serve(Identity.load(identity), kept, where, connect or [], crl, as_json))
 
 
 async def _serve(
-    identity: Identity, path: Path, listen: list[str], connect: list[str], crl: Path | None, as_json: bool
+    identity: Identity, state: Path, listen: list[str], connect: list[str], crl: Path | None, as_json: bool
 ) -> None:
     from ropeway.overlay.router import Router
 
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    state = path.with_name(f"{path.name}.crl")
 
     def say(text: str) -> None:
         log.info("router %s: %s", identity.name, text)
