@@ -1,14 +1,15 @@
 """The overlay: what names, seals and routers cost beside plain Zenoh and beside the bare link.
 
-``--part`` names one of names, join, throughput, link. The last needs root and a program that joins two namespaces by a
-link with delay, named in ROPEWAY_LINK (``PROGRAM --a NAMESPACE ADDRESS --b NAMESPACE ADDRESS --delay-ms N --rate-mbit
-N``).
+``--part`` names some of names, join, throughput, big, link, fleet. The last two need root and a program that joins
+two namespaces by a link with delay, named in ROPEWAY_LINK (``PROGRAM --a NAMESPACE ADDRESS --b NAMESPACE ADDRESS
+--delay-ms N --rate-mbit N``).
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import json
 import os
 import socket
@@ -16,7 +17,9 @@ import struct
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -457,44 +460,204 @@ async def _names(where: dict[str, str], endpoint: str, count: int, router: Proce
     return rows
 
 
-def link(as_json: bool, delay_ms: float, mbit: float, count: int) -> None:
-    """Round trips over a link with delay, beside a bare connection on the same link."""
+def big(as_json: bool, count: int = 20) -> None:
+    """13 MB messages over a router, every byte compared."""
+    with tempfile.TemporaryDirectory() as directory:
+        where = bundles(Path(directory), "near", "far", "router1")
+        endpoint = f"tls/127.0.0.1:{PORT}"
+        router = Process(None, "-m", "ropeway", "router", "-i", where["router1"], "-l", endpoint, "--json")
+        router.line()
+        intact, took = uvloop.run(_big(where, endpoint, count))
+        router.stop()
+    heads = ["messages", "intact (20 of 20)", "MB/s"]
+    table("13 MB messages over a router", heads, [[count, intact, 13 * count / took]], as_json=as_json)
+
+
+async def _big(where: dict[str, str], endpoint: str, count: int) -> tuple[int, float]:
+    near, far = (
+        OverlayGraph(OverlayNode(Identity.load(where[name]), routers=[endpoint], listen=())) for name in ("near", "far")
+    )
+    for graph in (near, far):
+        await graph.open()
+    came: asyncio.Queue[bytes] = asyncio.Queue()
+    await far.create_subscription("/big", TYPE, QoS(depth=2), lambda batch: [came.put_nowait(s.payload) for s in batch])
+    publisher = await near.create_publisher("/big", TYPE, QoS(depth=2))
+    while not publisher.subscribers:
+        await asyncio.sleep(0.01)
+    intact, took = 0, 0.0
+    for _ in range(count):
+        payload = os.urandom(13_000_000)
+        began = time.perf_counter()
+        publisher.publish(sample(payload))
+        async with asyncio.timeout(20):
+            intact += await came.get() == payload
+        took += time.perf_counter() - began
+    for graph in (near, far):
+        await graph.close()
+    return intact, took
+
+
+async def hub(args: argparse.Namespace) -> None:
+    """Answer each robot's image with an action, to that robot."""
+    graph = OverlayGraph(node_of(args))
+    await graph.open()
+    for robot in range(args.count):
+        back = await graph.create_publisher(f"/robot{robot}/act", TYPE)
+        await graph.create_subscription(
+            f"/robot{robot}/image",
+            TYPE,
+            QoS(depth=1),
+            lambda batch, back=back: [back.publish(sample(bytes(64))) for _ in batch],
+        )
+    print("ready", flush=True)
+    await asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
+    await graph.close()
+
+
+async def fleet(args: argparse.Namespace) -> None:
+    """Robots of one fleet step together: each sends its image, and all wait for all answers."""
+    bundles_of = args.identity.split(",")
+    graphs, publishers, queues = [], [], []
+    for robot, bundle in enumerate(bundles_of):
+        graph = OverlayGraph(OverlayNode(Identity.load(bundle), routers=args.connect.split(","), listen=()))
+        await graph.open()
+        came: asyncio.Queue[int] = asyncio.Queue()
+        await graph.create_subscription(
+            f"/robot{robot}/act", TYPE, QoS(depth=1), lambda batch, came=came: [came.put_nowait(1) for _ in batch]
+        )
+        publishers.append(await graph.create_publisher(f"/robot{robot}/image", TYPE, QoS(depth=1)))
+        graphs.append(graph)
+        queues.append(came)
+    async with asyncio.timeout(30):
+        while not all(p.subscribers for p in publishers):
+            await asyncio.sleep(0.01)
+    await asyncio.sleep(0.5)
+    payload, times = os.urandom(args.size), []
+    for _ in range(30):
+        began = time.perf_counter()
+        for publisher in publishers:
+            publisher.publish(sample(payload))
+        async with asyncio.timeout(20):
+            for came in queues:
+                await came.get()
+        times.append(time.perf_counter() - began)
+    report(step_ms=[1e3 * float(np.percentile(times, q)) for q in (50, 99)])
+    for graph in graphs:
+        await graph.close()
+
+
+def tcp_hub(args: argparse.Namespace) -> None:
+    """The same over bare connections."""
+    with socket.create_server((args.host, PORT + 1)) as server:
+        print("ready", flush=True)
+        threads = []
+        for _ in range(args.count):
+            connection, _ = server.accept()
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            threads.append(threading.Thread(target=_answer_images, args=(connection,)))
+            threads[-1].start()
+        for thread in threads:
+            thread.join()
+
+
+def _answer_images(connection: socket.socket) -> None:
+    while head := _exactly(connection, 4):
+        _exactly(connection, *struct.unpack("!I", head))
+        connection.sendall(bytes(64))
+
+
+def tcp_fleet(args: argparse.Namespace) -> None:
+    """The same over bare connections."""
+    connections = [socket.create_connection((args.host, PORT + 1)) for _ in range(args.count)]
+    message, times = struct.pack("!I", args.size) + os.urandom(args.size), []
+    for _ in range(30):
+        began = time.perf_counter()
+        senders = [threading.Thread(target=c.sendall, args=(message,)) for c in connections]
+        for sender in senders:
+            sender.start()
+        for connection in connections:
+            _exactly(connection, 64)
+        times.append(time.perf_counter() - began)
+        for sender in senders:
+            sender.join()
+    report(step_ms=[1e3 * float(np.percentile(times, q)) for q in (50, 99)])
+    for connection in connections:
+        connection.close()
+
+
+def fleet_step(as_json: bool, robots: int = 4, size: int = 100_000) -> None:
+    """The thesis' fleet step (5.3.1): four robots, a hub, a barrier; beside bare connections on the same link."""
+    rows: list[list[Any]] = []
+    for delay_ms in (1.0, 35.0):
+        steps: dict[str, list[float]] = {}
+        with joined(delay_ms, 0.0) as ends, tempfile.TemporaryDirectory() as directory:
+            if ends is None:
+                return
+            a, b, far_ip = ends
+            names = [f"robot{i}" for i in range(robots)]
+            where = bundles(Path(directory), "hub", *names)
+            endpoint = f"tls/{far_ip}:{PORT}"
+            count = ("--count", str(robots))
+            for run in ("bare", "sealed"):
+                if run == "bare":
+                    far = Process(b, *ME, "tcp_hub", "--host", far_ip, *count)
+                    near = ("tcp_fleet", "--host", far_ip, *count)
+                else:
+                    far = member("hub", where, "hub", "--listen", endpoint, *count, namespace=b)
+                    near = ("fleet", "--identity", ",".join(where[name] for name in names), "--connect", endpoint)
+                far.line()
+                robot = Process(a, *ME, *near, "--size", str(size), quiet=False)
+                steps[run] = json.loads(robot.finish(120).splitlines()[-1])["step_ms"]
+                far.stop()
+        rows.append([delay_ms, steps["bare"][0], steps["sealed"][0], steps["sealed"][1]])
+    heads = ["one way, ms", "bare step p50 ms", "sealed step p50 ms", "p99 ms"]
+    table(f"fleet step: {robots} robots, {size // 1000} kB images", heads, rows, as_json=as_json)
+
+
+@contextlib.contextmanager
+def joined(delay_ms: float, mbit: float) -> Iterator[tuple[str, str, str] | None]:
+    """Two namespaces joined by a link with delay, and the address of the second; ``None`` without a program for it."""
     program = os.environ.get("ROPEWAY_LINK")
     if not program:
-        print("link: skipped; name a program in ROPEWAY_LINK")
+        print("skipped; name a program that joins namespaces in ROPEWAY_LINK")
+        yield None
         return
     a, b, near_ip, far_ip = "rwla", "rwlb", "10.78.0.1", "10.78.0.2"
     words = ["--a", a, near_ip, "--b", b, far_ip, "--delay-ms", str(delay_ms), "--rate-mbit", str(mbit)]
     process = subprocess.Popen([sys.executable, program, *words], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     process.stdout.readline()
-    running: list[Process] = []
-    figures: dict[str, dict[str, list[float]]] = {}
-    sizes = "1024,8192"
     try:
-        with tempfile.TemporaryDirectory() as directory:
-            where = bundles(Path(directory), "near", "far")
-            for run in ("bare", "sealed"):
-                if run == "bare":
-                    far = Process(b, *ME, "tcp_echo", "--host", far_ip)
-                    far.line()
-                    near = Process(a, *ME, "tcp_ping", "--host", far_ip, "--sizes", sizes, "--count", str(count))
-                else:
-                    endpoint = f"tls/{far_ip}:{PORT}"
-                    far = member("far", where, "echo", "--listen", endpoint, namespace=b)
-                    far.line()
-                    more = ("--connect", endpoint, "--sizes", sizes, "--count", str(count))
-                    near = member("near", where, "ping", *more, namespace=a)
-                running += [far, near]
-                figures[run] = json.loads(near.finish(120).splitlines()[-1])["rtt"]
-                far.stop()
+        yield a, b, far_ip
     finally:
-        for made in running:
-            made.stop()
         process.terminate()
         process.wait()
         for namespace in (a, b):
             subprocess.run(["ip", "netns", "del", namespace], check=False, capture_output=True)
+
+
+def link(as_json: bool, delay_ms: float, mbit: float, count: int) -> None:
+    """Round trips over a link with delay, beside a bare connection on the same link."""
+    figures: dict[str, dict[str, list[float]]] = {}
+    sizes = "1024,8192"
+    more = ("--sizes", sizes, "--count", str(count))
+    with joined(delay_ms, mbit) as ends, tempfile.TemporaryDirectory() as directory:
+        if ends is None:
+            return
+        a, b, far_ip = ends
+        where = bundles(Path(directory), "near", "far")
+        endpoint = f"tls/{far_ip}:{PORT}"
+        for run in ("bare", "sealed"):
+            if run == "bare":
+                far = Process(b, *ME, "tcp_echo", "--host", far_ip)
+                far.line()
+                near = Process(a, *ME, "tcp_ping", "--host", far_ip, *more)
+            else:
+                far = member("far", where, "echo", "--listen", endpoint, namespace=b)
+                far.line()
+                near = member("near", where, "ping", "--connect", endpoint, *more, namespace=a)
+            figures[run] = json.loads(near.finish(120).splitlines()[-1])["rtt"]
+            far.stop()
     rows = []
     for size in sizes.split(","):
         bare, sealed = figures["bare"][size], figures["sealed"][size]
@@ -506,10 +669,12 @@ def link(as_json: bool, delay_ms: float, mbit: float, count: int) -> None:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    roles = {"echo": echo, "ping": ping, "sink": sink, "source": source}
-    plain_roles = {"zsink": zsink, "zsource": zsource, "zrouter": zrouter, "tcp_echo": tcp_echo, "tcp_ping": tcp_ping}
+    roles = {"echo": echo, "ping": ping, "sink": sink, "source": source, "hub": hub, "fleet": fleet}
+    zenoh_roles = {"zsink": zsink, "zsource": zsource, "zrouter": zrouter}
+    tcp_roles = {"tcp_echo": tcp_echo, "tcp_ping": tcp_ping, "tcp_hub": tcp_hub, "tcp_fleet": tcp_fleet}
+    plain_roles = {**zenoh_roles, **tcp_roles}
     parser.add_argument("role", nargs="?", default="measure", choices=["measure", *roles, *plain_roles])
-    parser.add_argument("--part", default="names,join,throughput,link")
+    parser.add_argument("--part", default="names,join,throughput,big,link,fleet")
     parser.add_argument("--identity")
     parser.add_argument("--connect", default="")
     parser.add_argument("--listen", default="")
@@ -536,6 +701,10 @@ def main() -> None:
             join(args.json)
         if "throughput" in parts:
             throughput(args.json, args.seconds)
+        if "big" in parts:
+            big(args.json)
+        if "fleet" in parts:
+            fleet_step(args.json)
         if "link" in parts:
             link(args.json, 35.0, 5.0, args.count)
 

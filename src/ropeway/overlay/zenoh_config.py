@@ -16,7 +16,7 @@ __all__ = ["KEYS", "gateway_config", "gateway_id", "router_config"]
 KEYS: Final = "rw/**"
 """All that travels in an overlay lies under this key expression."""
 
-_LEASE_MS: Final = 4000
+_LEASE_MS: Final = 1500  # a link that is dead is known within that
 _MESSAGES: Final = (
     "put",
     "delete",
