@@ -146,6 +146,41 @@ async def test_notes_of_an_attacker(site: Site) -> None:
         await until(lambda: "/c" in far.topics())
 
 
+async def test_keys_that_nobody_has(site: Site) -> None:
+    """Packets that name keys nobody has are refused, and do not make a reader ask for keys without end."""
+    near, far = await site.join(), await site.join()
+    async with attacker(site) as evil:
+        inbox = Inbox()
+        await far.create_subscription("/a", STRING, QoS(), inbox)
+        publisher = await near.create_publisher("/a", STRING)
+        await until(lambda: publisher.subscribers)
+        publisher.publish(text("1"))
+        await inbox.wait(1)
+        await until(lambda: evil.of("rw/d/"))
+        key, packet = evil.of("rw/d/")[0]
+        asked = far.node.rpc.counts["key"]
+        for number in range(200):
+            await evil.put(key, packet[:4] + struct.pack(">I", number) + packet[8:])
+        await until(lambda: far.node.refusals[near.node.identity.name, Refusal.NO_KEY] >= 200)
+        assert far.node.rpc.counts["key"] - asked < 10
+        publisher.publish(text("2"))
+        await inbox.wait(2)
+
+
+async def test_strangers_by_the_hundred(site: Site) -> None:
+    """Heartbeats of gateways that there are not cost a bounded number of questions."""
+    near = await site.join()
+    async with attacker(site) as evil:
+        key, raw = evil.of("rw/h/")[0]
+        for _ in range(500):
+            await evil.put(key.rsplit("/", 1)[0] + "/" + gateway_id().hex(), raw)
+        await until(lambda: len(near.node.membership._known) >= 60)
+        assert len(near.node.membership._known) <= 64
+        far = await site.join(alone=True)
+        await far.create_publisher("/late", STRING)
+        await until(lambda: "/late" in near.topics(), 30)
+
+
 async def test_requests_of_an_attacker(site: Site) -> None:
     """Requests that are altered, recorded or invented are refused, and calls go on."""
     near, far = await site.join(), await site.join()

@@ -36,6 +36,7 @@ _LARGEST_BYTES: Final = 1 << 30
 _HOLD_BYTES: Final = 64 << 20
 _ASK_S: Final = 2.0
 _AGAIN_S: Final = 1.0
+_SPACING_S: Final = 0.5  # between two requests for keys: packets that name keys nobody has cost no more than that
 _REMEMBERED: Final = 4096
 
 
@@ -87,6 +88,7 @@ class Stream:
         self._held: deque[bytes] = deque()
         self._held_bytes = 0
         self._epoch = -1
+        self._granted_at = float("-inf")
         self._keying: asyncio.Task[None] | None = None
         self._recovering: set[asyncio.Task[None]] = set()
 
@@ -98,15 +100,17 @@ class Stream:
             self._keying = asyncio.create_task(self._ask_key(), name=f"key of {self.advert.name}")
 
     async def _ask_key(self) -> None:
-        feed = self._feed
+        feed, loop = self._feed, asyncio.get_running_loop()
         try:
             while True:
+                await asyncio.sleep(max(self._granted_at + _SPACING_S - loop.time(), 0.0))
                 try:
                     waiting = [reader for reader, follower in self.readers.items() if follower is None]
                     request = {"op": "key", "of": self.advert.endpoint, "for": [r.endpoint for r in waiting]}
                     self._granted(await feed.rpc.ask(self.advert.gateway, request, _ASK_S), waiting)
-                    if not self._wants_key():
+                    if None not in self.readers.values():
                         return
+                    self._granted_at = float("-inf")  # who came meanwhile need not wait
                     continue
                 except SealError as error:
                     feed.refused(self.certificate.name, error)
@@ -121,9 +125,6 @@ class Stream:
         finally:
             self._keying = None
 
-    def _wants_key(self) -> bool:
-        return bool(self._held) or None in self.readers.values()
-
     def _granted(self, answer: Any, waiting: Sequence[Reader]) -> None:
         if not isinstance(answer, dict) or type(answer.get("n")) is not int or type(answer.get("g")) is not bytes:
             raise SealError(Refusal.MALFORMED, "a grant")
@@ -134,9 +135,10 @@ class Stream:
         for reader in waiting:
             if reader in self.readers:
                 self._follow(reader, answer["n"])
+        self._granted_at = asyncio.get_running_loop().time()
         held, self._held, self._held_bytes = self._held, deque(), 0
         for raw in held:
-            self.take(raw)
+            self.take(raw, hold=False)
 
     # ── readers ────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -144,6 +146,7 @@ class Stream:
         """One more reads it: from what the publisher sends once it knows of this reader."""
         if reader not in self.readers:
             self.readers[reader] = None
+            self._granted_at = float("-inf")
             self.want_key()
 
     def _follow(self, reader: Reader, newest: int) -> None:
@@ -208,11 +211,11 @@ class Stream:
 
     # ── data ───────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def take(self, raw: bytes) -> None:
-        """A packet, on the loop: one that could not be opened when it came."""
+    def take(self, raw: bytes, *, hold: bool = True) -> None:
+        """A packet, on the loop: one that could not be opened when it came. It may wait for a key, once."""
         try:
             with self.lock:
-                if not self.opener.knows(raw):
+                if hold and not self.opener.knows(raw):
                     self._hold(raw)
                     return
                 opened = self.opener.open(raw)

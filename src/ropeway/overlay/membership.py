@@ -38,6 +38,7 @@ _SKEW_NS: Final = 120 * 10**9
 _CHUNK: Final = 500  # advertisements in one note
 _ASK_S: Final = 5.0
 _TAILS: Final = 512
+_STRANGERS: Final = 64  # ids that are asked who they are at a time
 
 _SHAPES: Final[Mapping[str, Mapping[str, type]]] = {
     "heartbeat": {"t": int, "v": int, "w": dict, "r": int},
@@ -210,11 +211,17 @@ class Membership:
         known = self._known.get(gateway)
         if alive:
             if known is None:
+                if self._crowded():
+                    return
                 self._sync(gateway, self._known.setdefault(gateway, _Gateway(heard=self._loop.time())))
             else:
                 known.suspect = None
         elif known is not None:
             known.suspect = self._loop.time()
+
+    def _crowded(self) -> bool:
+        """True where so many ids wait to be known that they are hardly gateways."""
+        return sum(known.certificate is None for known in self._known.values()) >= _STRANGERS
 
     def _heard(self, key: str, raw: bytes) -> None:
         gateway = _gateway_of(key)
@@ -222,6 +229,8 @@ class Membership:
             return
         known = self._known.get(gateway)
         if known is None:
+            if self._crowded():
+                return
             known = self._known[gateway] = _Gateway(heard=self._loop.time())
         if known.certificate is None:
             self._sync(gateway, known)
