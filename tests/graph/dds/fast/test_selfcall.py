@@ -31,11 +31,11 @@ def test_passes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "text"),
+    ("change", "texts"),
     [
         ("hook._SERTYPE_NAME = 40", "the name of a type is not where it should be"),
         ("hook._FROM_TYPE['seq'] += 8", "a writer's number does not count"),
-        ("hook._FROM_TYPE['keyhash'] = hook._FROM_TYPE['readers'] + 16", "is not where it should be"),
+        ("hook._FROM_TYPE['keyhash'] = hook._FROM_TYPE['readers'] + 16", "is not where it should be|does not tell who waits"),
         ("hook._WRITER_GUID = 12", "a writer is not found behind its handle"),
         ("hook._GET_SIZE = 0", "the table of functions is another one"),
         ("hook._NO_KEY = bytes(16)", "the table of functions has another order"),
@@ -44,14 +44,15 @@ def test_passes() -> None:
         ("hook._MAGIC = bytes(16); hook._KEYHASH_PARAMETER = bytes(4)", "message has moved"),
     ],
 )
-def test_finds(change: str, text: str) -> None:
-    """A library that is laid out in another way is found out, and named."""
+def test_finds(change: str, texts: str) -> None:
+    """A library that is laid out in another way is found out, and named as far as what lies there allows."""
     code = f"""
     {change}
     selfcall._LIMIT_S = 0.5
     print(selfcall.wrong(), dict(hook.faults))
     """
-    assert text in run(code)
+    said = run(code)
+    assert any(text in said for text in texts.split("|")), said
 
 
 def test_no_loopback() -> None:
