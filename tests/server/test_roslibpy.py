@@ -143,15 +143,15 @@ async def test_thirty_clients(run: Run, place: Place) -> None:
         "publish": [{"name": "/from#", "type": STRING, "message": {"data": "here"}}],
     }
     async with run(plan) as program:
-        await until(lambda: sum(len(s.outputs) for s in place.server.sessions) == 30)
+        await until(lambda: sum(len(s.outputs) for s in place.server.sessions) == 30 and publisher.subscribers, 30)
         for number in range(10):
             publisher.publish(sample(place, STRING, {"data": str(number)}))
         program.publish()
         wanted = [{"data": str(number)} for number in range(10)]
-        await program.wait(lambda: len(program.heard("/all")) == 300)
+        await program.wait(lambda: len(program.heard("/all")) == 300, 40)
         assert all(program.heard("/all", client) == wanted for client in range(30))
         for inbox in inboxes:
-            await inbox.wait(1)
+            await inbox.wait(1, 30)
     await until(lambda: not place.server.sessions)
     assert publisher.subscribers == 0
 
