@@ -38,7 +38,15 @@ class Peers:
 
     async def connected(self, count: int = 1) -> None:
         """Wait until so many clients are connected."""
-        await self.wait(lambda: len({s["client"] for s in self.said if "connected" in s}) >= count)
+
+        def there() -> set[int]:
+            return {s["client"] for s in self.said if "connected" in s}
+
+        try:
+            await self.wait(lambda: len(there()) >= count)
+        except TimeoutError:
+            ended = self._process.returncode
+            raise AssertionError(f"of {count} clients {sorted(there())} are connected; exit status {ended}") from None
 
     def publish(self) -> None:
         """Let every client publish once."""

@@ -92,7 +92,7 @@ def main() -> None:
         ros = roslibpy.Ros("127.0.0.1", int(port), transport=transport)
         clients.append(ros)
         ros.on("close", lambda _, n=number: say(client=n, closed=True))
-        ros.on("ready", lambda _, n=number: say(client=n, connected=True))
+        ros.run()  # first: the library may skip one of the handlers that it calls when a connection is ready
         for item in plan.get("subscribe", ()):
             if item.get("client", number) == number:
                 reader = make(ros, number, item)
@@ -105,7 +105,7 @@ def main() -> None:
         for item in plan.get("serve", ()):
             if item.get("client", number) == number:
                 serve(ros, number, item)
-        ros.run()
+        say(client=number, connected=True)
     for line in sys.stdin:
         if line.strip():
             command = json.loads(line)
