@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from ropeway.errors import SealError
 from ropeway.overlay.certificate import Certificate
-from ropeway.overlay.item import Item, head, pack
+from ropeway.overlay.item import RAW, Item, head, pack
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.seal import Sealer
 
@@ -55,10 +55,10 @@ class Source:
         self._readers: dict[bytes, Certificate] = {}
         self._lock = threading.Lock()
 
-    def add(self, item: Item) -> Item:
-        """Give a message its number, and keep it."""
+    def add(self, stamp_ns: int, seq: int, origin: bytes, flags: int, payload: bytes) -> Item:
+        """A message with its number; it is kept."""
         self.number += 1
-        item = item._replace(number=self.number)
+        item = Item(self.number, stamp_ns, seq, origin, flags, RAW, payload)
         if self._depth:
             self.active = time.monotonic()
             kept = self._kept

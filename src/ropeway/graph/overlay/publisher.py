@@ -14,7 +14,7 @@ from ropeway.graph.overlay.packing import Packing
 from ropeway.link.outbox import Lost, Queue
 from ropeway.overlay.advert import Advertisement
 from ropeway.overlay.feed import data_key
-from ropeway.overlay.item import RAW, RELAYED, Item
+from ropeway.overlay.item import RELAYED, Item
 from ropeway.overlay.source import Source
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class OverlayPublisher:
         if self._readers:
             self._graph.sender.put(self.queue, sample)
         elif self.qos.transient_local or (self._had_readers and self.qos.reliable):
-            self.source.add(self.item(sample))
+            self.add(sample)
 
     def wire_key(self) -> zenoh.KeyExpr:
         """The key to put under, in its short form once something is sent."""
@@ -91,10 +91,10 @@ class OverlayPublisher:
             self._short = self._graph.node.fabric.short(self.key)
         return self._short
 
-    def item(self, sample: Sample) -> Item:
-        """A sample as it goes into a packet."""
+    def add(self, sample: Sample) -> Item:
+        """A sample as it goes into a packet, numbered."""
         flags = RELAYED if sample.relayed else 0
-        return Item(0, sample.stamp_ns, sample.seq, sample.origin, flags, RAW, bytes(sample.payload))
+        return self.source.add(sample.stamp_ns, sample.seq, sample.origin, flags, bytes(sample.payload))
 
     @property
     def subscribers(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from collections import deque
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Final, cast
@@ -74,27 +75,39 @@ class Sender:
         self._outbox.clear()
 
     async def _run(self, lane: int) -> None:
+        """Hand over batch after batch; of small messages the next is made ready while one is sealed."""
         wake = self._wake[lane]
+        under_way: deque[tuple[list[Job], asyncio.Future[None]]] = deque()
+        jobs: list[Job] = []
         while True:
-            await wake.wait()
+            if not under_way and not jobs:
+                await wake.wait()
             wake.clear()
-            while jobs := self._gather(lane):
+            jobs, small = self._gather(lane)
+            if jobs:
                 self._busy[lane] = True
-                try:
-                    await self._graph.node.fabric.in_lane(lane, partial(self._send, lane, jobs))
-                except GraphUnavailable:
-                    for publisher, items in jobs:
-                        self._graph.drops[publisher.topic, Undelivered.CLOSED] += len(items)
-                except Exception:  # sealing and sending are libraries' work; one message must not end the lane
-                    log.exception("overlay: %s cannot send", self._graph.name)
-                    for publisher, items in jobs:
-                        self._graph.drops[publisher.topic, Undelivered.WRITE] += len(items)
-                finally:
-                    self._busy[lane] = False
-            self._idle.set()
+                under_way.append((jobs, self._graph.node.fabric.in_lane(lane, partial(self._send, lane, jobs))))
+            while under_way and (not jobs or not small or len(under_way) > 1):
+                await self._sent(*under_way.popleft())
+            if not under_way and not jobs:
+                self._busy[lane] = False
+                self._idle.set()
 
-    def _gather(self, lane: int) -> list[Job]:
-        """What goes in one turn, by publisher."""
+    async def _sent(self, jobs: list[Job], sending: asyncio.Future[None]) -> None:
+        try:
+            await sending
+        except GraphUnavailable:
+            self._lost(jobs, Undelivered.CLOSED)
+        except Exception:  # sealing and sending are libraries' work; one message must not end the lane
+            log.exception("overlay: %s cannot send", self._graph.name)
+            self._lost(jobs, Undelivered.WRITE)
+
+    def _lost(self, jobs: list[Job], reason: Undelivered) -> None:
+        for publisher, items in jobs:
+            self._graph.drops[publisher.topic, reason] += len(items)
+
+    def _gather(self, lane: int) -> tuple[list[Job], bool]:
+        """What goes in one turn, by publisher; and whether it is of small messages."""
         found: dict[OverlayPublisher, list[Item]] = {}
         size = count = 0
         while size < _BATCH_BYTES and count < _BATCH:
@@ -103,10 +116,13 @@ class Sender:
                 break
             queue, sample = taken
             publisher = cast("OverlayPublisher", queue.key)
-            found.setdefault(publisher, []).append(publisher.source.add(publisher.item(sample)))
+            items = found.get(publisher)
+            if items is None:
+                items = found[publisher] = []
+            items.append(publisher.add(sample))
             size += len(sample.payload)
             count += 1
-        return list(found.items())
+        return list(found.items()), size <= 2 * _BATCH_BYTES
 
     def _send(self, lane: int, jobs: Sequence[Job]) -> None:
         """In the lane's thread."""
