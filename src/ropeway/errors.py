@@ -30,6 +30,9 @@
     ├── OverlayError              the global overlay
     │   ├── IdentityError         a bundle, certificate or key that cannot be used
     │   └── SealError             what came sealed or signed is refused
+    ├── StoreError                last values
+    │   ├── StoreUnavailable      a database or a file that cannot be read or written now
+    │   └── ValueRefused          a value that is not kept: too big, too many, or older than what is there
     ├── AccessDenied              a role, a glob or a limit of the server does not allow it
     └── BagUnreadable             a recording that is missing, damaged or of an unknown kind
 
@@ -66,10 +69,13 @@ __all__ = [
     "ProviderLost",
     "RopewayError",
     "SealError",
+    "StoreError",
+    "StoreUnavailable",
     "TypeConflict",
     "TypesError",
     "UnknownType",
     "ValueMismatch",
+    "ValueRefused",
     "WireError",
 ]
 
@@ -282,6 +288,26 @@ class SealError(OverlayError):
     def __init__(self, reason: enum.Enum, detail: str = "") -> None:
         self.reason, self.detail = reason, detail
         super().__init__(f"{reason.value}{f': {detail}' if detail else ''}")
+
+
+class StoreError(RopewayError):
+    """Last values that cannot be had or kept."""
+
+
+class StoreUnavailable(StoreError):
+    """A database or a file that cannot be read or written now. ``url`` names it."""
+
+    def __init__(self, url: str, reason: str) -> None:
+        self.url, self.reason = url, reason
+        super().__init__(f"{url}: {reason}")
+
+
+class ValueRefused(StoreError):
+    """A value that is not kept. ``code`` is a word for programs: ``too-big``, ``full``, ``stale`` or ``name``."""
+
+    def __init__(self, system: str, topic: str, code: str, reason: str) -> None:
+        self.system, self.topic, self.code, self.reason = system, topic, code, reason
+        super().__init__(f"{system}/{topic}: {reason}")
 
 
 class AccessDenied(RopewayError):

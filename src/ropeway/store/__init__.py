@@ -1,0 +1,22 @@
+"""Last values: what every topic said last, kept over restarts and merged between sites."""
+
+from __future__ import annotations
+
+from ropeway.store.entry import Backend, Entry, Key, Versions, as_json, check_name
+from ropeway.store.factory import default_path, is_mongo, make_backend
+from ropeway.store.store import Sink, Store, StoreLimits
+
+__all__ = [
+    "Backend",
+    "Entry",
+    "Key",
+    "Sink",
+    "Store",
+    "StoreLimits",
+    "Versions",
+    "as_json",
+    "check_name",
+    "default_path",
+    "is_mongo",
+    "make_backend",
+]

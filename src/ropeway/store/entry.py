@@ -1,0 +1,146 @@
+"""What the store keeps: the last value of a topic of a system, with where it is from and which version it is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final, Protocol
+
+from ropeway.errors import ValueRefused
+
+__all__ = ["MAX_NAME_BYTES", "Backend", "Entry", "Key", "Versions", "check_name"]
+
+MAX_NAME_BYTES: Final = 200
+"""The longest name of a system or a topic, in UTF-8: a file system takes 255 bytes."""
+
+Key = tuple[str, str]
+"""System and topic."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One value.
+
+    ``version`` grows with every value of a topic (microseconds since 1970, unless clocks are wrong; see
+    ``Versions``), ``origin`` names who wrote it and decides between equal versions. ``stamp_ns`` is when it was
+    written, by the writer's clock. ``type`` is a ROS type name where there is one; ``form`` is ``cdr`` for the bytes
+    of a ROS message and empty for the text (or whatever bytes) of a robot.
+    """
+
+    system: str
+    topic: str
+    data: bytes
+    version: int
+    stamp_ns: int
+    origin: str = ""
+    type: str = ""
+    form: str = ""
+
+    @property
+    def key(self) -> Key:
+        """Where it is kept."""
+        return self.system, self.topic
+
+    @property
+    def order(self) -> tuple[int, str]:
+        """The greater one is the last."""
+        return self.version, self.origin
+
+    def age_s(self, now_ns: int | None = None) -> float:
+        """Seconds since it was written; 0 for one that a clock in the future wrote."""
+        return max((time.time_ns() if now_ns is None else now_ns) - self.stamp_ns, 0) / 1e9
+
+    @property
+    def text(self) -> str | None:
+        """The data as text, ``None`` where it is none."""
+        if self.form:
+            return None
+        try:
+            return self.data.decode()
+        except UnicodeDecodeError:
+            return None
+
+    def at(self, version: int) -> Entry:
+        """The same value as another version."""
+        return replace(self, version=version)
+
+
+class Versions:
+    """Makes versions: a clock that never goes back, whatever the clock of the machine does.
+
+    A version is the time in microseconds, or one more than the greatest that was seen, if that is later. So who
+    has seen a value writes a later one, even if its clock is years behind.
+    """
+
+    def __init__(self, clock_ns: Callable[[], int] = time.time_ns) -> None:
+        self._clock_ns = clock_ns
+        self.last = 0
+
+    def next(self, after: int = 0) -> int:
+        """A version later than all that were made here, and than ``after``."""
+        self.last = max(self._clock_ns() // 1000, self.last + 1, after + 1)
+        return self.last
+
+
+class Backend(Protocol):
+    """Where values are kept over a restart. All methods block, and are called from one thread at a time.
+
+    Everything raises ``StoreUnavailable`` where it cannot be done now; what was done before stays done.
+    """
+
+    url: str
+
+    def open(self) -> None:
+        """Connect, or make the file."""
+
+    def load(self) -> list[Entry]:
+        """Every last value."""
+
+    def write(self, entries: list[Entry], depth: int) -> None:
+        """Keep entries, all or none; one that is older than what is kept becomes history.
+
+        Several of one topic come oldest first. ``depth`` values before the last are kept as history. When this
+        returns, they survive the end of this process.
+        """
+
+    def remove(self, keys: list[Key]) -> None:
+        """Forget topics, with their history."""
+
+    def history(self, key: Key) -> list[Entry]:
+        """The values before the last one, newest first."""
+
+    def close(self) -> None:
+        """Let go; harmless twice."""
+
+
+def check_name(system: str, topic: str) -> None:
+    """Raises ``ValueRefused`` for a name that is empty, too long or has control characters."""
+    for what, name in (("system", system), ("topic", topic)):
+        if not name:
+            raise ValueRefused(system, topic, "name", f"the name of the {what} is empty")
+        if not name.isprintable():
+            raise ValueRefused(system, topic, "name", f"the name of the {what} has characters that cannot be printed")
+        if len(name.encode()) > MAX_NAME_BYTES:
+            raise ValueRefused(
+                system[:40], topic[:40], "name", f"the name of the {what} has more than {MAX_NAME_BYTES} bytes"
+            )
+
+
+def as_json(entry: Entry, **more: Any) -> dict[str, Any]:
+    """An entry for people and programs; data that is no text is in base64 under ``base64``."""
+    import base64
+
+    text = entry.text
+    value = {"data": text} if text is not None else {"base64": base64.b64encode(entry.data).decode()}
+    return {
+        "system": entry.system,
+        "topic": entry.topic,
+        **value,
+        "type": entry.type,
+        "form": entry.form,
+        "version": entry.version,
+        "stamp_ns": entry.stamp_ns,
+        "origin": entry.origin,
+        **more,
+    }

@@ -1,0 +1,42 @@
+"""Stores by URL: ``values.sqlite``, a directory with JSON files, ``mongodb://host/database``, ``memory:``."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Final
+
+from ropeway.store.entry import Backend
+from ropeway.store.files import FilesBackend
+from ropeway.store.sqlite import SqliteBackend
+
+__all__ = ["default_path", "is_mongo", "make_backend"]
+
+_MONGO: Final = re.compile(r"mongodb(\+srv)?://")
+
+
+def is_mongo(url: str) -> bool:
+    """True for the URL of a database elsewhere."""
+    return _MONGO.match(url) is not None
+
+
+def make_backend(url: str) -> Backend:
+    """What keeps values at ``url``: MongoDB for its URLs, JSON files for a directory (or a path with a slash at its
+    end), nothing for ``memory:``, and else an SQLite file.
+    """
+    if is_mongo(url):
+        from ropeway.store.mongo import MongoBackend
+
+        return MongoBackend(url)
+    if url == "memory:":
+        return SqliteBackend(":memory:")
+    if url.endswith("/") or Path(url).expanduser().is_dir():
+        return FilesBackend(url)
+    return SqliteBackend(url)
+
+
+def default_path(name: str) -> str:
+    """Where the values of the gateway ``name`` are kept: under ``XDG_STATE_HOME``, or ``~/.local/state``."""
+    state = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
+    return str(Path(state).expanduser() / "ropeway" / f"{name}.sqlite")

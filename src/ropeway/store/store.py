@@ -1,0 +1,411 @@
+"""The last-value store: what every topic said last, in memory to read and on a disk to keep.
+
+A value is readable at once and *kept* once the backend has written it; who asks for it is told then. Values that come
+while the backend writes go into one group with the next write, so that thousands a second cost a few writes. A
+backend that fails is tried again with what it missed, while values go on being served from memory.
+
+With a ``mirror`` (a database elsewhere) values are kept in the backend here first, and are brought over as soon as
+and whenever the mirror answers; what others wrote there meanwhile is merged by version.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any, Final, Protocol, TypeVar
+
+from ropeway.errors import StoreUnavailable, ValueRefused
+from ropeway.store.entry import Backend, Entry, Key, Versions, check_name
+from ropeway.tasks import end
+
+__all__ = ["Sink", "Store", "StoreLimits"]
+
+log = logging.getLogger("ropeway.store")
+
+_RETRY_S: Final = (0.25, 10.0)  # first and longest pause before a backend is tried again
+_MIRROR_BATCH: Final = 500
+_SWEEP_S: Final = 30.0
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class StoreLimits:
+    """Bounds of a store: bytes of one value, values, bytes of all values together.
+
+    ``max_age_s``: older values are forgotten, ``None`` for never. ``history``: how many values before the last are
+    kept of each topic.
+    """
+
+    max_value_bytes: int = 1 << 20
+    max_values: int = 100_000
+    max_bytes: int = 1 << 30
+    max_age_s: float | None = None
+    history: int = 0
+
+
+class Sink(Protocol):
+    """Who wants to know when values are kept."""
+
+    def kept(self, tokens: list[Any], error: StoreUnavailable | None) -> None:
+        """The values of these tokens survive a crash now, or do not (yet) because of ``error``."""
+
+
+class Store:
+    """Last values by system and topic; ``open`` before use, on the event loop that uses it.
+
+    ``on_change`` callbacks get every entry that became the last one, and the key of one that was removed.
+    """
+
+    def __init__(
+        self,
+        backend: Backend,
+        *,
+        mirror: Backend | None = None,
+        limits: StoreLimits | None = None,
+        clock_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.backend, self.mirror = backend, mirror
+        self.limits = limits or StoreLimits()
+        self.versions = Versions(clock_ns)
+        self.refused: Counter[str] = Counter()
+        self.fault = ""  # why the backend does not keep values now
+        self.mirror_fault = "" if mirror is None else "not connected yet"
+        self.on_change: list[Callable[[Entry | Key], None]] = []
+        self._clock_ns = clock_ns
+        self._entries: dict[Key, Entry] = {}
+        self._bytes = 0
+        self._systems: Counter[str] = Counter()
+        self._dirty: dict[Key, list[Entry]] = {}
+        self._sinks: dict[Sink, list[Any]] = {}
+        self._unmirrored: dict[Key, list[Entry]] = {}
+        self._unmirrored_removals: dict[Key, None] = {}
+        self._wake = asyncio.Event()
+        self._mirror_wake = asyncio.Event()
+        self._idle = asyncio.Event()
+        self._idle.set()
+        self._tasks: list[asyncio.Task[None]] = []
+        self._threads: list[ThreadPoolExecutor] = []
+        self._open = False
+
+    # ── life ───────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def open(self) -> None:
+        """Read what is kept. Raises ``StoreUnavailable`` if the backend cannot be opened; a mirror may be away."""
+        if self._open:
+            return
+        self._threads = [ThreadPoolExecutor(1, thread_name_prefix="store")]
+        try:
+            await self._run(self.backend.open)
+            entries = await self._run(self.backend.load)
+        except StoreUnavailable:
+            self._threads.pop().shutdown()
+            raise
+        for entry in entries:
+            self._insert(entry)
+            self.versions.last = max(self.versions.last, entry.version)
+        self._open = True
+        self._tasks = [
+            asyncio.create_task(self._commit(), name="store commits"),
+            asyncio.create_task(self._sweep(), name="store sweeps"),
+        ]
+        if self.mirror is not None:
+            self._threads.append(ThreadPoolExecutor(1, thread_name_prefix="store mirror"))
+            self._tasks.append(asyncio.create_task(self._mirror(self.mirror), name="store mirror"))
+
+    async def close(self) -> None:
+        """Write what is not kept yet (for up to 5 s), and let go."""
+        if not self._open:
+            return
+        self._open = False
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(5):
+                await self._idle.wait()
+        await end(*self._tasks)
+        if self._dirty:
+            log.error("%s: %d values could not be kept: %s", self.backend.url, len(self._dirty), self.fault)
+        await self._run(self.backend.close)
+        if self.mirror is not None:
+            await self._run(self.mirror.close, 1)
+        for thread in self._threads:
+            thread.shutdown(wait=False)
+
+    # ── values ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def get(self, system: str, topic: str) -> Entry | None:
+        """The last value, ``None`` where there is none (any more)."""
+        entry = self._entries.get((system, topic))
+        return None if entry is None or self._is_old(entry) else entry
+
+    def has_system(self, system: str) -> bool:
+        """True if there is a value of the system."""
+        return system in self._systems
+
+    def entries(self, system: str = "*", topic: str = "*") -> list[Entry]:
+        """The last values whose names fit the patterns, in the order of their names."""
+        if "*" not in system + topic and "?" not in system + topic and "[" not in system + topic:
+            entry = self.get(system, topic)
+            return [] if entry is None else [entry]
+        return sorted(
+            (
+                entry
+                for (one, other), entry in self._entries.items()
+                if fnmatchcase(one, system) and fnmatchcase(other, topic) and not self._is_old(entry)
+            ),
+            key=lambda entry: entry.key,
+        )
+
+    def put(self, entry: Entry, sink: Sink | None = None, token: Any = None) -> bool:
+        """Make it the last value of its topic; false if it is that already.
+
+        ``sink`` is told with ``token`` once it is kept. Raises ``ValueRefused``: ``too-big``, ``full``, ``name``, or
+        ``stale`` where a later value is there (which stays; the older one becomes history where there is any).
+        """
+        key = (entry.system, entry.topic)
+        before = self._entries.get(key)
+        if before is None:
+            self._check_new(entry)
+        elif entry.version <= before.version and entry.order <= before.order:
+            if entry.order == before.order:
+                if sink is not None:
+                    self._promise(sink, token)
+                return False
+            if self.limits.history:
+                self._queue(key, entry)
+            raise self._refuse(entry, "stale", f"version {before.version} is there, which is later")
+        size = len(entry.data)
+        if size > self.limits.max_value_bytes:
+            raise self._refuse(entry, "too-big", f"{size} bytes; a value has {self.limits.max_value_bytes} at most")
+        grown = self._bytes + size - (len(before.data) if before is not None else 0)
+        if grown > self.limits.max_bytes:
+            raise self._refuse(entry, "full", f"all values together have {self.limits.max_bytes} bytes at most")
+        if before is None:
+            self._systems[entry.system] += 1
+        self._entries[key] = entry
+        self._bytes = grown
+        if entry.version > self.versions.last:
+            self.versions.last = entry.version
+        self._queue(key, entry)
+        if sink is not None:
+            self._sinks.setdefault(sink, []).append(token)
+        for callback in self.on_change:
+            callback(entry)
+        return True
+
+    async def remove(self, system: str, topic: str) -> bool:
+        """Forget a topic and its history. True if it was there; raises ``StoreUnavailable``."""
+        key = (system, topic)
+        entry = self._entries.pop(key, None)
+        self._dirty.pop(key, None)
+        self._unmirrored.pop(key, None)
+        if entry is not None:
+            self._forget(entry)
+        await self._run(self.backend.remove, 0, [key])
+        if self.mirror is not None:
+            self._unmirrored_removals[key] = None
+            self._mirror_wake.set()
+        return entry is not None
+
+    async def history(self, system: str, topic: str) -> list[Entry]:
+        """The values before the last one, newest first. Raises ``StoreUnavailable``."""
+        await self.settled()
+        return await self._run(self.backend.history, 0, (system, topic))
+
+    async def settled(self, timeout_s: float = 5.0) -> bool:
+        """Wait until everything is kept; false when the time is over."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(timeout_s):
+                await self._idle.wait()
+                return True
+        return False
+
+    def status(self) -> dict[str, Any]:
+        """How it stands, as JSON."""
+        found: dict[str, Any] = {
+            "url": self.backend.url,
+            "values": len(self._entries),
+            "bytes": self._bytes,
+            "waiting": len(self._dirty),
+            "fault": self.fault,
+            "refused": {code: n for code, n in self.refused.items() if n},
+        }
+        if self.mirror is not None:
+            waiting = len(self._unmirrored) + len(self._unmirrored_removals)
+            found["mirror"] = {"url": self.mirror.url, "waiting": waiting, "fault": self.mirror_fault}
+        return found
+
+    # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _is_old(self, entry: Entry) -> bool:
+        most = self.limits.max_age_s
+        return most is not None and entry.age_s(self._clock_ns()) > most
+
+    def _check_new(self, entry: Entry) -> None:
+        try:
+            check_name(entry.system, entry.topic)
+        except ValueRefused:
+            self.refused["name"] += 1
+            raise
+        if len(self._entries) >= self.limits.max_values:
+            raise self._refuse(entry, "full", f"{self.limits.max_values} values are kept, and no more")
+
+    def _refuse(self, entry: Entry, code: str, reason: str) -> ValueRefused:
+        self.refused[code] += 1
+        return ValueRefused(entry.system, entry.topic, code, reason)
+
+    def _insert(self, entry: Entry) -> None:
+        before = self._entries.get(entry.key)
+        if before is None:
+            self._systems[entry.system] += 1
+        self._entries[entry.key] = entry
+        self._bytes += len(entry.data) - (len(before.data) if before is not None else 0)
+
+    def _forget(self, entry: Entry) -> None:
+        self._bytes -= len(entry.data)
+        self._systems[entry.system] -= 1
+        if not self._systems[entry.system]:
+            del self._systems[entry.system]
+        for callback in self.on_change:
+            callback(entry.key)
+
+    def _queue(self, key: Key, entry: Entry) -> None:
+        if self.limits.history:
+            self._dirty.setdefault(key, []).append(entry)
+        else:
+            self._dirty[key] = [entry]
+        self._idle.clear()
+        self._wake.set()
+
+    def _promise(self, sink: Sink, token: Any) -> None:
+        """Tell when everything that is there now is kept."""
+        self._sinks.setdefault(sink, []).append(token)
+        self._idle.clear()
+        self._wake.set()
+
+    async def _run(self, work: Callable[..., T], thread: int = 0, *args: Any) -> T:
+        return await asyncio.get_running_loop().run_in_executor(self._threads[thread], work, *args)
+
+    async def _commit(self) -> None:
+        pause = _RETRY_S[0]
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            dirty, self._dirty = self._dirty, {}
+            sinks, self._sinks = self._sinks, {}
+            error: StoreUnavailable | None = None
+            if dirty or self.fault:
+                batch = [entry for entries in dirty.values() for entry in entries]
+                try:
+                    await self._run(self.backend.write, 0, batch, self.limits.history)
+                except StoreUnavailable as fault:
+                    error = fault
+            self._tell(sinks, error)
+            if error is None:
+                self._kept(dirty)
+                pause = _RETRY_S[0]
+                continue
+            if str(error) != self.fault:
+                log.error("values are not kept: %s", error)
+            self.fault = str(error)
+            self._restore(dirty)
+            await asyncio.sleep(pause)
+            pause = min(2 * pause, _RETRY_S[1])
+            self._wake.set()
+
+    def _kept(self, dirty: dict[Key, list[Entry]]) -> None:
+        if self.fault:
+            log.info("%s: values are kept again", self.backend.url)
+            self.fault = ""
+        if self.mirror is not None and dirty:
+            self._owe(dirty)
+            self._mirror_wake.set()
+        if not self._dirty and not self._sinks:
+            self._idle.set()
+
+    def _owe(self, entries: dict[Key, list[Entry]]) -> None:
+        most = self.limits.history + 1
+        for key, more in entries.items():
+            owed = self._unmirrored.setdefault(key, [])
+            owed.extend(more)
+            owed.sort(key=lambda entry: entry.order)
+            del owed[:-most]
+
+    def _restore(self, dirty: dict[Key, list[Entry]]) -> None:
+        """What could not be written is written with what came meanwhile."""
+        most = self.limits.history + 1
+        for key, entries in dirty.items():
+            if key in self._entries:
+                self._dirty[key] = [*entries, *self._dirty.get(key, ())][-most:]
+
+    def _tell(self, sinks: dict[Sink, list[Any]], error: StoreUnavailable | None) -> None:
+        for sink, tokens in sinks.items():
+            sink.kept(tokens, error)
+
+    async def _sweep(self) -> None:
+        most = self.limits.max_age_s
+        if most is None:
+            return
+        while True:
+            await asyncio.sleep(min(_SWEEP_S, max(most / 2, 0.05)))
+            old = [entry for entry in self._entries.values() if self._is_old(entry)]
+            for entry in old:
+                with contextlib.suppress(StoreUnavailable):  # the next sweep tries again what is left on the disk
+                    await self.remove(entry.system, entry.topic)
+
+    async def _mirror(self, mirror: Backend) -> None:
+        pause, connected = _RETRY_S[0], False
+        while True:
+            try:
+                if not connected:
+                    await self._run(mirror.open, 1)
+                    self._merge(await self._run(mirror.load, 1))
+                    connected = True
+                    log.info("%s: connected, %d values to bring over", mirror.url, len(self._unmirrored))
+                await self._bring_over(mirror)
+                self.mirror_fault, pause = "", _RETRY_S[0]
+                await self._mirror_wake.wait()
+                self._mirror_wake.clear()
+            except StoreUnavailable as error:
+                if connected or self.mirror_fault in ("", "not connected yet"):
+                    log.warning("%s; values are kept in %s until it is back", error, self.backend.url)
+                self.mirror_fault, connected = str(error), False
+                await asyncio.sleep(pause)
+                pause = min(2 * pause, _RETRY_S[1])
+
+    def _merge(self, theirs: Iterable[Entry]) -> None:
+        """What is later there comes here; what is later here goes there."""
+        known: dict[Key, Entry] = {}
+        for entry in theirs:
+            known[entry.key] = entry
+            if entry.key in self._unmirrored_removals:
+                continue
+            with contextlib.suppress(ValueRefused):
+                self.put(entry)
+        for key, entry in self._entries.items():
+            other = known.get(key)
+            if (other is None or other.order < entry.order) and key not in self._unmirrored:
+                self._unmirrored[key] = [entry]
+
+    async def _bring_over(self, mirror: Backend) -> None:
+        if self._unmirrored_removals:
+            keys = list(self._unmirrored_removals)
+            await self._run(mirror.remove, 1, keys)
+            for key in keys:
+                self._unmirrored_removals.pop(key, None)
+        while self._unmirrored:
+            keys = list(self._unmirrored)[:_MIRROR_BATCH]
+            taken = {key: list(self._unmirrored[key]) for key in keys}
+            batch = [entry for entries in taken.values() for entry in entries]
+            await self._run(mirror.write, 1, batch, self.limits.history)
+            for key, entries in taken.items():
+                left = [entry for entry in self._unmirrored.get(key, ()) if entry not in entries]
+                if left:
+                    self._unmirrored[key] = left
+                else:
+                    self._unmirrored.pop(key, None)

@@ -1,0 +1,120 @@
+"""One contract for all backends: SQLite, JSON files, MongoDB."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from ropeway.errors import StoreUnavailable
+from ropeway.store import Backend, Entry, make_backend
+from tests.store.mongo import mongo_database
+
+
+def entry(data: bytes, version: int, *, system: str = "PEPPER", topic: str = "cmd_vel", origin: str = "n") -> Entry:
+    return Entry(system, topic, data, version, 1_700_000_000_000_000_000 + version, origin, "std_msgs/msg/String")
+
+
+@pytest.fixture(params=["sqlite", "files", "mongo"])
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    if request.param == "sqlite":
+        yield str(tmp_path / "values" / "store.sqlite")
+    elif request.param == "files":
+        yield f"{tmp_path}/values/"
+    else:
+        with mongo_database(tmp_path) as made:
+            yield made
+
+
+@pytest.fixture
+def backend(url: str) -> Iterator[Backend]:
+    made = make_backend(url)
+    made.open()
+    yield made
+    made.close()
+
+
+def test_keeps(backend: Backend, url: str) -> None:
+    """What was written is there for the next who opens it, byte for byte."""
+    values = [
+        entry(b"0.0,0.0,0.0,0.0,0.0,0.0", 1),
+        entry("größe ✓".encode(), 2, topic="text"),
+        entry(bytes(range(256)), 3, system="ALICE", topic="binary"),
+        entry(b"", 4, topic="empty"),
+    ]
+    backend.write(values, 0)
+    backend.close()
+    again = make_backend(url)
+    again.open()
+    assert sorted(again.load(), key=lambda e: e.version) == values
+    again.close()
+
+
+def test_names(backend: Backend) -> None:
+    """Names that a file system or a database has other uses for are kept apart."""
+    systems = ["A/B", "..", ".", "system.x", "$cmd", "a.b", "sys%2Ftem", "Ünï", "A B"]
+    values = [entry(name.encode(), 7, system=name, topic=f"t/{name}.history") for name in systems]
+    backend.write(values, 0)
+    assert sorted(backend.load(), key=lambda e: e.system) == sorted(values, key=lambda e: e.system)
+
+
+def test_last_wins(backend: Backend) -> None:
+    """A later version replaces an earlier one, and an earlier one replaces nothing, in one write or in several."""
+    backend.write([entry(b"1", 1), entry(b"5", 5)], 0)
+    backend.write([entry(b"3", 3)], 0)
+    assert [e.data for e in backend.load()] == [b"5"]
+
+
+def test_ties(backend: Backend) -> None:
+    """Of two values of one version the greater origin's is the last, whichever comes first."""
+    backend.write([entry(b"b", 5, origin="b")], 0)
+    backend.write([entry(b"a", 5, origin="a")], 0)
+    backend.write([entry(b"c", 5, origin="c")], 0)
+    assert [e.data for e in backend.load()] == [b"c"]
+
+
+def test_history(backend: Backend) -> None:
+    """The values before the last are kept up to the depth, newest first, late ones among them."""
+    for version in (1, 2, 3, 5, 4):
+        backend.write([entry(str(version).encode(), version)], 3)
+    assert [e.data for e in backend.load()] == [b"5"]
+    assert [e.data for e in backend.history(("PEPPER", "cmd_vel"))] == [b"4", b"3", b"2"]
+
+
+def test_history_of_one_write(backend: Backend) -> None:
+    """Several values of one topic in one write become history in their order."""
+    backend.write([entry(str(v).encode(), v) for v in range(1, 6)], 2)
+    assert [e.data for e in backend.history(("PEPPER", "cmd_vel"))] == [b"4", b"3"]
+
+
+def test_written_twice(backend: Backend) -> None:
+    """The same entry again changes nothing and becomes no history."""
+    backend.write([entry(b"1", 1)], 2)
+    backend.write([entry(b"1", 1)], 2)
+    assert [e.data for e in backend.load()] == [b"1"]
+    assert backend.history(("PEPPER", "cmd_vel")) == []
+
+
+def test_removes(backend: Backend) -> None:
+    """A topic that is removed is gone with its history; others stay."""
+    backend.write([entry(b"1", 1), entry(b"2", 2), entry(b"x", 1, topic="other")], 2)
+    backend.remove([("PEPPER", "cmd_vel"), ("NOBODY", "nothing")])
+    assert [e.topic for e in backend.load()] == ["other"]
+    assert backend.history(("PEPPER", "cmd_vel")) == []
+
+
+def test_closed(url: str, tmp_path: Path) -> None:
+    """A place that cannot be had is told with its name and no traceback."""
+    (tmp_path / "blocked").write_bytes(b"no directory and no database" * 100)
+    bad = {
+        "mongodb": "mongodb://user:secret@127.0.0.1:9/x",
+        "values/": str(tmp_path / "blocked" / "inside") + "/",
+        "store.s": str(tmp_path / "blocked"),
+    }
+    where = next(bad[key] for key in bad if key in url)
+    backend = make_backend(where)
+    with pytest.raises(StoreUnavailable) as told:
+        backend.open()
+    assert "secret" not in str(told.value)
+    backend.close()

@@ -1,0 +1,283 @@
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ropeway.errors import StoreUnavailable, ValueRefused
+from ropeway.store import Entry, Key, Store, StoreLimits, Versions, default_path, make_backend
+from tests.store.mongo import MongoServer
+from tests.until import until
+
+
+class Flaky:
+    """A backend in memory that can be told to fail, and to wait."""
+
+    def __init__(self) -> None:
+        self.url = "flaky"
+        self.rows: dict[Key, Entry] = {}
+        self.fail = ""
+        self.writes: list[int] = []
+        self.gate = threading.Event()
+        self.gate.set()
+
+    def _check(self) -> None:
+        if self.fail:
+            raise StoreUnavailable(self.url, self.fail)
+
+    def open(self) -> None:
+        self._check()
+
+    def load(self) -> list[Entry]:
+        self._check()
+        return list(self.rows.values())
+
+    def write(self, entries: list[Entry], depth: int) -> None:
+        self.gate.wait(10)
+        self._check()
+        self.writes.append(len(entries))
+        for entry in entries:
+            before = self.rows.get(entry.key)
+            if before is None or before.order < entry.order:
+                self.rows[entry.key] = entry
+
+    def remove(self, keys: list[Key]) -> None:
+        self._check()
+        for key in keys:
+            self.rows.pop(key, None)
+
+    def history(self, key: Key) -> list[Entry]:
+        return []
+
+    def close(self) -> None:
+        pass
+
+
+class Told:
+    def __init__(self) -> None:
+        self.tokens: list[Any] = []
+        self.errors: list[Any] = []
+
+    def kept(self, tokens: list[Any], error: StoreUnavailable | None) -> None:
+        (self.tokens if error is None else self.errors).extend(tokens)
+
+
+def entry(data: bytes, version: int, *, system: str = "PEPPER", topic: str = "cmd_vel", origin: str = "n") -> Entry:
+    return Entry(system, topic, data, version, version * 1000, origin)
+
+
+@pytest.fixture
+async def flaky() -> Flaky:
+    return Flaky()
+
+
+@pytest.fixture
+async def store(flaky: Flaky) -> AsyncIterator[Store]:
+    made = Store(flaky)
+    await made.open()
+    yield made
+    await made.close()
+
+
+async def test_readable_at_once(store: Store, flaky: Flaky) -> None:
+    """A value is readable at once, and whoever asked is told when it is kept."""
+    flaky.gate.clear()
+    told = Told()
+    store.put(entry(b"1", 1), told, "first")
+    value = store.get("PEPPER", "cmd_vel")
+    assert value is not None
+    assert value.data == b"1"
+    assert told.tokens == []
+    flaky.gate.set()
+    await until(lambda: told.tokens == ["first"])
+    assert flaky.rows[("PEPPER", "cmd_vel")].data == b"1"
+
+
+async def test_groups(store: Store, flaky: Flaky) -> None:
+    """What comes while the backend writes is written in one group, the last of each topic only."""
+    flaky.gate.clear()
+    told = Told()
+    store.put(entry(b"0", 1), told, 0)
+    await asyncio.sleep(0.05)
+    for version in range(2, 102):
+        store.put(entry(b"x", version), told, version)
+    flaky.gate.set()
+    await until(lambda: len(told.tokens) == 101)
+    assert flaky.writes == [1, 1]
+
+
+async def test_stale(store: Store) -> None:
+    """Nothing older overwrites a newer value; the same one again is welcome."""
+    store.put(entry(b"2", 2))
+    with pytest.raises(ValueRefused) as refused:
+        store.put(entry(b"1", 1))
+    assert refused.value.code == "stale"
+    assert store.put(entry(b"2", 2)) is False
+    assert store.refused["stale"] == 1
+
+
+async def test_limits(flaky: Flaky) -> None:
+    """Values too big, too many or too much together are refused with the limit, and counted."""
+    store = Store(flaky, limits=StoreLimits(max_value_bytes=10, max_values=3, max_bytes=25))
+    await store.open()
+    for topic in ("a", "b"):
+        store.put(entry(b"x" * 10, 1, topic=topic))
+    codes = []
+    for data, topic in ((b"x" * 11, "a"), (b"x" * 6, "c"), (b"x", "c"), (b"x", "d"), (b"", ""), (b"", "a\n")):
+        try:
+            store.put(entry(data, 2, topic=topic))
+        except ValueRefused as refused:
+            codes.append(refused.code)
+    assert codes == ["too-big", "full", "full", "full", "name"] or codes == ["too-big", "full", "full", "name", "name"]
+    await store.close()
+
+
+async def test_backend_fails(store: Store, flaky: Flaky, caplog: pytest.LogCaptureFixture) -> None:
+    """While the backend fails values are served and whoever asks is told so; when it is back all are kept."""
+    told = Told()
+    flaky.fail = "the disk is full"
+    store.put(entry(b"1", 1), told, 1)
+    await until(lambda: told.errors == [1])
+    assert store.status()["fault"] == "flaky: the disk is full"
+    store.put(entry(b"2", 2, topic="other"), told, 2)
+    kept = store.get("PEPPER", "cmd_vel")
+    assert kept is not None
+    flaky.fail = ""
+    await until(lambda: len(flaky.rows) == 2)
+    await until(lambda: store.status()["fault"] == "")
+    assert caplog.text.count("values are not kept") == 1
+
+
+async def test_mirror(flaky: Flaky) -> None:
+    """A mirror that is away at the start gets everything when it comes, and what is later there comes here."""
+    mirror = Flaky()
+    mirror.url = "mirror"
+    mirror.fail = "is away"
+    mirror.rows[("PEPPER", "theirs")] = entry(b"theirs", 9, topic="theirs")
+    mirror.rows[("PEPPER", "old")] = entry(b"old", 1, topic="old")
+    store = Store(flaky, mirror=mirror)
+    await store.open()
+    changes: list[Any] = []
+    store.on_change.append(changes.append)
+    store.put(entry(b"new", 5, topic="old"))
+    store.put(entry(b"1", 1))
+    await until(lambda: "is away" in store.mirror_fault)
+    assert store.status()["mirror"]["waiting"] == 2
+    mirror.fail = ""
+    await until(lambda: len(mirror.rows) == 3 and not store.mirror_fault)
+    assert mirror.rows[("PEPPER", "old")].data == b"new"
+    theirs = store.get("PEPPER", "theirs")
+    assert theirs is not None
+    assert theirs in changes
+    mirror.fail = "is away again"
+    store.put(entry(b"2", 2))
+    await until(lambda: "again" in store.mirror_fault)
+    mirror.fail = ""
+    await until(lambda: mirror.rows[("PEPPER", "cmd_vel")].data == b"2")
+    await store.remove("PEPPER", "cmd_vel")
+    await until(lambda: ("PEPPER", "cmd_vel") not in mirror.rows)
+    await store.close()
+
+
+async def test_real_mirror(tmp_path: Path) -> None:
+    """A server starts and serves without its MongoDB, catches up when it returns, and loses nothing when it dies."""
+    if MongoServer.program() is None:
+        pytest.skip("no mongod or ferretdb")
+    server = MongoServer(tmp_path / "mongo")
+    store = Store(make_backend(str(tmp_path / "s.sqlite")), mirror=make_backend(server.url))
+    await store.open()
+    try:
+        store.put(entry(b"1", 1))
+        await until(lambda: "does not answer" in store.mirror_fault, 20)
+        await asyncio.to_thread(server.start)
+        await until(lambda: not store.mirror_fault and not store.status()["mirror"]["waiting"], 30)
+        other = make_backend(server.url)
+        await asyncio.to_thread(other.open)
+        assert [e.data for e in await asyncio.to_thread(other.load)] == [b"1"]
+        await asyncio.to_thread(server.stop)
+        store.put(entry(b"2", 2))
+        await until(lambda: store.mirror_fault, 30)
+        await asyncio.to_thread(server.start)
+        await until(lambda: not store.mirror_fault and not store.status()["mirror"]["waiting"], 30)
+        assert [e.data for e in await asyncio.to_thread(other.load)] == [b"2"]
+        other.close()
+    finally:
+        await store.close()
+        server.stop()
+
+
+async def test_age(flaky: Flaky) -> None:
+    """A value that is too old is not given, and is forgotten."""
+    now = 10_000_000_000
+    store = Store(flaky, limits=StoreLimits(max_age_s=1.0), clock_ns=lambda: now)
+    await store.open()
+    store.put(Entry("A", "t", b"1", 1, now))
+    assert store.get("A", "t") is not None
+    now += 1_500_000_000
+    assert store.get("A", "t") is None
+    assert store.entries() == []
+    await until(lambda: not flaky.rows)
+    await store.close()
+
+
+async def test_patterns(store: Store) -> None:
+    """Values are listed by patterns, in the order of their names."""
+    for system in ("B", "A"):
+        for topic in ("odom", "battery"):
+            store.put(entry(b"", 1, system=system, topic=topic))
+    assert [e.key for e in store.entries("A", "odom")] == [("A", "odom")]
+    assert store.entries("A", "nothing") == []
+    assert [e.key for e in store.entries("A", "*")] == [("A", "battery"), ("A", "odom")]
+    assert [e.key for e in store.entries("*", "odom")] == [("A", "odom"), ("B", "odom")]
+    assert store.has_system("A")
+    await store.remove("A", "odom")
+    await store.remove("A", "battery")
+    assert not store.has_system("A")
+
+
+async def test_history(tmp_path: Path) -> None:
+    """With a depth the values before the last can be had; one that comes late is among them, and still refused."""
+    store = Store(make_backend(str(tmp_path / "h.sqlite")), limits=StoreLimits(history=2))
+    await store.open()
+    for version in (1, 2, 4):
+        store.put(entry(str(version).encode(), version))
+    with pytest.raises(ValueRefused):
+        store.put(entry(b"3", 3))
+    assert [e.data for e in await store.history("PEPPER", "cmd_vel")] == [b"3", b"2"]
+    await store.close()
+
+
+async def test_restart(tmp_path: Path) -> None:
+    """Values are there after a restart, and versions go on where they were."""
+    path = str(tmp_path / "r.sqlite")
+    store = Store(make_backend(path))
+    await store.open()
+    store.put(entry(b"1", 9_000_000_000_000_000))
+    await store.close()
+    store = Store(make_backend(path))
+    await store.open()
+    value = store.get("PEPPER", "cmd_vel")
+    assert value is not None
+    assert store.versions.next() > value.version
+    await store.close()
+
+
+def test_versions() -> None:
+    """Versions grow, also when the clock jumps back, and are later than what was seen."""
+    now = 5_000_000
+    versions = Versions(lambda: now)
+    first = versions.next()
+    assert first == 5_000
+    now = 1_000_000
+    assert versions.next() == 5_001
+    assert versions.next(after=9_999) == 10_000
+
+
+def test_default_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a path values are kept under the user's state directory, by the gateway's name."""
+    monkeypatch.setenv("XDG_STATE_HOME", "/state")
+    assert default_path("robot1") == "/state/ropeway/robot1.sqlite"
