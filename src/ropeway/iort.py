@@ -1,0 +1,1271 @@
+"""IoRT nodes: robots of any make that publish and read values as text packets over TCP.
+
+This one file is all that a robot needs: it runs on Python 3.8 and later without any other package, so it can be
+copied. Everything goes on without the server: values are published and read locally and merged when it is back::
+
+    from ropeway.iort import Node
+
+    with Node("TURTLESIM", "iort://cloud.example:7410", directory="values") as node:
+        node.publish("pose", "1.0,2.0,0.5")
+        node.subscribe("cmd_vel", lambda value: print(value.text))
+        print(node.read("battery", system="PEPPER").text, node.mode)
+
+``AsyncNode`` is the same for asyncio. ``python3 iort.py --help`` publishes and reads from a shell.
+
+The packets (Cuadros Zegarra et al. 2024, section 4) begin and end with a percent sign and have fields between slashes.
+Plain ones are those of the paper, and are never escaped::
+
+    %01/SYSTEM/TOPIC/p/DATA%        publish; the server says nothing
+    %01/SYSTEM/TOPIC/s%             read; answered by %ORIGIN/SYSTEM/TOPIC/p/DATA% or %00/SYSTEM/TOPIC/e/why not%
+    %01/SYSTEM/KIND/TOPIC/p/DATA%   with the kind of system, as the paper's Alice has it; it is no part of the name
+
+Those of the upgrade have an operation that begins with a plus, a head of ``key=value`` pairs between commas, and are
+escaped: ``~0`` is a tilde, ``~1`` a slash, ``~2`` a percent sign, ``~3`` a comma and ``~4`` an equals sign::
+
+    %01/NAME/-/+hello/n=1,v=1,token=…%      who I am; answered by +ok with t, the server's time
+    %01/SYSTEM/TOPIC/+pub/n=2,t=…,v=…/DATA% answered by +ok once the value is kept, with its version v
+    %01/SYSTEM/TOPIC/+get/n=3%              answered by +val with t, v, o (origin), k (ROS type)
+    %01/SYSTEM/TOPIC/+sub/n=4,last=1%       every later value comes as +val without n; patterns are allowed
+    %01/SYSTEM/TOPIC/+unsub/n=5%            also +adv, +unadv, +watch, +list, +del, +ping
+
+Every request with a number ``n`` is answered exactly once, by an answer with that number: ``+ok``, ``+val``, or ``+err``
+with a ``code`` and a text. ``t`` is in nanoseconds since 1970, ``v`` grows with every value of a topic.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import json
+import os
+import ssl
+import sys
+import threading
+import time
+from collections import OrderedDict
+from concurrent.futures import TimeoutError as FutureTimeout
+from typing import Any, Awaitable, Callable, Dict, Iterable, List, Mapping, Optional, Tuple, TypeVar, Union, cast
+from urllib.parse import quote, urlsplit
+
+__all__ = [
+    "DEFAULT_PORT",
+    "AsyncNode",
+    "Fault",
+    "Node",
+    "NodeError",
+    "Packet",
+    "Parser",
+    "Value",
+    "escape",
+    "pack",
+    "text_of",
+    "unescape",
+]
+
+DEFAULT_PORT = 7410
+MAX_PACKET_BYTES = 1 << 20
+
+_PERCENT = b"%"
+_PING_S = 2.0
+_SILENCE_S = 7.0
+_CONNECT_S = 3.0
+_PAUSE_S = (0.1, 2.0)
+_WAITING_LIMIT = 4096  # topics whose newest value waits for a slow connection
+_HIGH_BYTES = 1 << 20
+
+
+# ── packets ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+class NodeError(Exception):
+    """A request that was refused or not answered. ``code`` is a word for programs.
+
+    ``timeout``, ``lost``, ``malformed``, ``unknown-system``, ``unknown-topic``, ``denied``, ``login``, ``too-big``,
+    ``full``, ``stale``, ``not-kept``, ``conversion``, ``name``, ``busy`` or ``closed``.
+    """
+
+    def __init__(self, code: str, text: str) -> None:
+        self.code, self.text = code, text
+        super().__init__(text or code)
+
+
+class Fault:
+    """Bytes that are no packet: ``code`` is ``malformed``, ``stray``, ``empty`` or ``too-big``."""
+
+    __slots__ = ("code", "text")
+
+    def __init__(self, code: str, text: str) -> None:
+        self.code, self.text = code, text
+
+    def __repr__(self) -> str:
+        return "Fault({!r}, {!r})".format(self.code, self.text)
+
+
+class Packet:
+    """One packet. ``op`` is ``p``, ``s``, ``e``, or one that begins with a plus; ``system_type`` is Alice's segment."""
+
+    __slots__ = ("data", "head", "id", "op", "system", "system_type", "topic")
+
+    def __init__(
+        self,
+        id: str,
+        system: str,
+        topic: str,
+        op: str,
+        head: Optional[Dict[str, str]] = None,
+        data: bytes = b"",
+        system_type: str = "",
+    ) -> None:
+        self.id, self.system, self.topic, self.op = id, system, topic, op
+        self.head: Dict[str, str] = head if head is not None else {}
+        self.data, self.system_type = data, system_type
+
+    def encode(self) -> bytes:
+        """The bytes on the wire."""
+        return pack(self.id, self.system, self.topic, self.op, self.head, self.data, self.system_type)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Packet) and all(getattr(self, k) == getattr(other, k) for k in Packet.__slots__)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        where = "/".join(part for part in (self.id, self.system, self.system_type, self.topic, self.op) if part)
+        return "<Packet {} {} {} B>".format(where, self.head or "", len(self.data))
+
+
+def escape(text: str) -> str:
+    """A name or a value of a head as it stands in a packet of the upgrade."""
+    if "~" in text:
+        text = text.replace("~", "~0")
+    for plain, escaped in (("/", "~1"), ("%", "~2"), (",", "~3"), ("=", "~4")):
+        if plain in text:
+            text = text.replace(plain, escaped)
+    return text
+
+
+def unescape(text: str) -> str:
+    """The opposite of ``escape``."""
+    if "~" not in text:
+        return text
+    for escaped, plain in (("~4", "="), ("~3", ","), ("~2", "%"), ("~1", "/"), ("~0", "~")):
+        text = text.replace(escaped, plain)
+    return text
+
+
+def pack(
+    id: str,
+    system: str,
+    topic: str,
+    op: str,
+    head: Optional[Mapping[str, object]] = None,
+    data: bytes = b"",
+    system_type: str = "",
+) -> bytes:
+    """The bytes of a packet. Raises ``ValueError`` for what a plain packet cannot hold."""
+    if op[0] == "+":
+        fields = [escape(id), escape(system), escape(topic), op]
+        if head or data:
+            fields.append(",".join(["{}={}".format(key, escape(str(value))) for key, value in (head or {}).items()]))
+        text = "/".join(fields).encode()
+        if data:
+            if b"~" in data:
+                data = data.replace(b"~", b"~0")
+            if _PERCENT in data:
+                data = data.replace(_PERCENT, b"~2")
+            return b"".join((_PERCENT, text, b"/", data, _PERCENT))
+        return b"".join((_PERCENT, text, _PERCENT))
+    names = [id, system, system_type, topic] if system_type else [id, system, topic]
+    for name in names:
+        if not name or "/" in name or "%" in name:
+            raise ValueError("a plain packet cannot hold the name {!r}".format(name))
+    if _PERCENT in data:
+        raise ValueError("a plain packet cannot hold data with a percent sign")
+    text = "/".join([*names, op]).encode()
+    return b"".join((_PERCENT, text, _PERCENT) if op == "s" else (_PERCENT, text, b"/", data, _PERCENT))
+
+
+def _parse(body: bytes) -> Union[Packet, Fault]:
+    parts = body.split(b"/", 5)
+    count = len(parts)
+    if count < 4:
+        return Fault("malformed", "a packet has at least ID/SYSTEM/TOPIC/p or s, with slashes between")
+    op = parts[3]
+    data = b""
+    try:
+        if op == b"p" and count > 4:
+            data = parts[4] if count == 5 else parts[4] + b"/" + parts[5]
+            packet = Packet(parts[0].decode(), parts[1].decode(), parts[2].decode(), "p", None, data)
+        elif op == b"e" and count > 4:
+            data = parts[4] if count == 5 else parts[4] + b"/" + parts[5]
+            packet = Packet(parts[0].decode(), parts[1].decode(), parts[2].decode(), "e", None, data)
+        elif op == b"s" and (count == 4 or (count == 5 and not parts[4])):
+            packet = Packet(parts[0].decode(), parts[1].decode(), parts[2].decode(), "s")
+        elif op[:1] == b"+":
+            return _parse_upgrade(parts, count)
+        elif count > 4 and ((parts[4] == b"p" and count == 6) or (parts[4] == b"s" and (count == 5 or not parts[5]))):
+            packet = Packet(
+                parts[0].decode(),
+                parts[1].decode(),
+                op.decode(),
+                parts[4].decode(),
+                None,
+                parts[5] if count == 6 else b"",
+                parts[2].decode(),
+            )
+        elif op == b"p" or (count == 5 and parts[4] == b"p"):
+            return Fault("malformed", "a publication has data behind its p/")
+        else:
+            return Fault("malformed", "the message identifier is neither p nor s")
+    except UnicodeDecodeError:
+        return Fault("malformed", "names are text in UTF-8")
+    if not packet.id or not packet.system or not packet.topic:
+        return Fault("malformed", "identifier, system and topic may not be empty")
+    return packet
+
+
+def _parse_upgrade(parts: List[bytes], count: int) -> Union[Packet, Fault]:
+    id, system, topic = (unescape(part.decode()) for part in parts[:3])
+    if not id or not system or not topic:
+        return Fault("malformed", "identifier, system and topic may not be empty; a dash stands for none")
+    head: Dict[str, str] = {}
+    if count > 4 and parts[4]:
+        for item in parts[4].decode().split(","):
+            key, equals, value = item.partition("=")
+            if not equals or not key:
+                return Fault("malformed", "a head is key=value,key=value")
+            head[key] = unescape(value)
+    data = b""
+    if count > 5:
+        data = parts[5]
+        if b"~" in data:
+            data = data.replace(b"~2", _PERCENT).replace(b"~1", b"/").replace(b"~0", b"~")
+    return Packet(id, system, topic, parts[3].decode(), head, data)
+
+
+class Parser:
+    """Packets of a stream, however it is cut: feed it what comes.
+
+    A packet of more than ``max_bytes`` is let go as it comes and reported once it ends. Memory is bounded by that.
+    """
+
+    def __init__(self, max_bytes: int = MAX_PACKET_BYTES) -> None:
+        self.max_bytes = max_bytes
+        self._inside = False
+        self._chunks: List[bytes] = []
+        self._size = 0
+        self._too_big = False
+
+    @property
+    def unfinished(self) -> bool:
+        """True in the middle of a packet."""
+        return self._inside and (self._size > 0 or self._too_big)
+
+    def feed(self, data: bytes) -> List[Union[Packet, Fault]]:
+        """What has come whole; empty where nothing has."""
+        pieces = data.split(_PERCENT)
+        found: List[Union[Packet, Fault]] = []
+        last = pieces.pop()
+        for piece in pieces:
+            if self._size or self._too_big:
+                self._keep(piece)
+                piece = b"".join(self._chunks)
+                self._chunks.clear()
+                self._size = 0
+            if self._too_big:
+                self._too_big = False
+                if self._inside:
+                    found.append(Fault("too-big", "a packet has {} bytes at most".format(self.max_bytes)))
+                    self._inside = False
+                else:
+                    found.append(Fault("stray", "bytes between packets"))
+                    self._inside = True
+            elif self._inside:
+                if not piece:
+                    found.append(Fault("empty", "a packet without content"))
+                elif len(piece) > self.max_bytes:
+                    found.append(Fault("too-big", "a packet has {} bytes at most".format(self.max_bytes)))
+                    self._inside = False
+                else:
+                    found.append(_parse(piece))
+                    self._inside = False
+            else:
+                self._inside = True
+                if piece and piece.strip():
+                    if isinstance(_parse(piece), Packet):  # its own percent sign was lost: what follows is no packet
+                        found.append(Fault("malformed", "a packet begins with a percent sign, too"))
+                        self._inside = False
+                    else:
+                        found.append(Fault("stray", "bytes between packets"))
+        if last:
+            self._keep(last)
+        return found
+
+    def _keep(self, piece: bytes) -> None:
+        limit = self.max_bytes if self._inside else 1024
+        if not self._too_big and self._size + len(piece) <= limit:
+            if piece:
+                self._chunks.append(piece)
+                self._size += len(piece)
+                if len(self._chunks) > 4096:  # a byte at a time
+                    self._chunks = [b"".join(self._chunks)]
+        elif self._inside or b"".join((*self._chunks, piece)).strip():
+            self._too_big = True
+            self._chunks.clear()
+            self._size = 0
+
+
+# ── values ─────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+class Value:
+    """A value as it was read.
+
+    ``stamp_ns``: when it was published, by the clock of the server (nanoseconds since 1970). ``version`` grows with
+    every value of a topic; ``origin`` names who published it; ``type`` is its ROS type, where it has one.
+    ``mode`` says where it was read: ``remote``, ``local-server`` or ``local``. ``latest`` marks one that was there
+    before the subscription.
+    """
+
+    __slots__ = ("_offset_ns", "data", "latest", "mode", "origin", "stamp_ns", "system", "topic", "type", "version")
+
+    def __init__(
+        self,
+        system: str,
+        topic: str,
+        data: bytes,
+        version: int,
+        stamp_ns: int,
+        origin: str = "",
+        type: str = "",
+        mode: str = "remote",
+        latest: bool = False,
+        offset_ns: int = 0,
+    ) -> None:
+        self.system, self.topic, self.data = system, topic, data
+        self.version, self.stamp_ns, self.origin, self.type = version, stamp_ns, origin, type
+        self.mode, self.latest = mode, latest
+        self._offset_ns = offset_ns
+
+    @property
+    def text(self) -> str:
+        """The data as text; bytes that are no UTF-8 are shown as question marks."""
+        return self.data.decode(errors="replace")
+
+    @property
+    def floats(self) -> List[float]:
+        """Comma-separated numbers. Raises ``ValueError``."""
+        return [float(part) for part in self.text.split(",")]
+
+    @property
+    def json(self) -> Any:
+        """The parsed JSON text. Raises ``ValueError``."""
+        return json.loads(self.text)
+
+    @property
+    def age_s(self) -> float:
+        """Seconds since it was published."""
+        return max(time.time_ns() + self._offset_ns - self.stamp_ns, 0) / 1e9
+
+    @property
+    def order(self) -> Tuple[int, str]:
+        """The greater one is the last."""
+        return self.version, self.origin
+
+    def __repr__(self) -> str:
+        return "<Value {}/{} {!r} v={} {}>".format(self.system, self.topic, self.text[:40], self.version, self.mode)
+
+
+Content = Union[str, bytes, int, float, Iterable[float], Mapping[str, Any]]
+"""What may be published: text, bytes, a number, numbers (joined with commas), or an object (as JSON)."""
+
+
+def text_of(content: Content) -> bytes:
+    """The bytes that are published for a content."""
+    if isinstance(content, bytes):
+        return content
+    if isinstance(content, str):
+        return content.encode()
+    if isinstance(content, Mapping):
+        return json.dumps(content).encode()
+    if isinstance(content, (int, float)):
+        return repr(content).encode()
+    return ",".join([repr(float(part)) for part in content]).encode()
+
+
+class _Copy:
+    """The node's own copy of what it published and read; ``SYSTEM/TOPIC.json`` under a directory, where one is given."""
+
+    def __init__(self, directory: Optional[str]) -> None:
+        self.directory = os.path.expanduser(directory) if directory else None
+        self.values: Dict[Tuple[str, str], Value] = {}
+        self.pending: "OrderedDict[Tuple[str, str], Value]" = OrderedDict()
+        self.fault = ""
+        if self.directory is not None:
+            os.makedirs(self.directory, exist_ok=True)
+            self._load(self.directory)
+
+    def put(self, value: Value, pending: bool) -> None:
+        key = (value.system, value.topic)
+        self.values[key] = value
+        if pending:
+            self.pending[key] = value
+            self.pending.move_to_end(key)
+        self._write(value, pending)
+
+    def settle(self, key: Tuple[str, str], value: Value) -> None:
+        """The server has the pending value of a topic now."""
+        if self.pending.get(key) is value:
+            del self.pending[key]
+        if self.values.get(key) is value:
+            self._write(value, False)
+
+    def _load(self, directory: str) -> None:
+        for root, _, names in os.walk(directory):
+            for name in sorted(names):
+                if not name.endswith(".json"):
+                    continue
+                try:
+                    with open(os.path.join(root, name), encoding="utf-8") as file:
+                        told = json.load(file)
+                    raw = told.get("base64")
+                    data = told["data"].encode() if raw is None else base64.b64decode(raw)
+                    value = Value(
+                        told["system"],
+                        told["topic"],
+                        data,
+                        int(told["version"]),
+                        int(told["stamp_ns"]),
+                        told.get("origin", ""),
+                        told.get("type", ""),
+                        "local",
+                    )
+                except (OSError, ValueError, KeyError, TypeError, AttributeError):
+                    continue  # not ours, or half of one
+                self.values[value.system, value.topic] = value
+                if told.get("pending"):
+                    self.pending[value.system, value.topic] = value
+
+    def _write(self, value: Value, pending: bool) -> None:
+        if self.directory is None:
+            return
+        told: Dict[str, Any] = {"system": value.system, "topic": value.topic}
+        try:
+            told["data"] = value.data.decode()
+        except UnicodeDecodeError:
+            told["base64"] = base64.b64encode(value.data).decode()
+        told.update(
+            type=value.type,
+            form="",
+            version=value.version,
+            stamp_ns=value.stamp_ns,
+            origin=value.origin,
+            pending=pending,
+        )
+        folder = os.path.join(self.directory, _file_name(value.system))
+        path = os.path.join(folder, _file_name(value.topic) + ".json")
+        try:
+            os.makedirs(folder, exist_ok=True)
+            with open(path + ".tmp", "w", encoding="utf-8") as file:
+                json.dump(told, file)
+            os.replace(path + ".tmp", path)
+            self.fault = ""
+        except OSError as error:  # a full disk: the value is still in memory
+            self.fault = str(error)
+
+
+def _file_name(name: str) -> str:
+    encoded = quote(name, safe=" ()+,=@[]{}")
+    return encoded.replace(".", "%2E") if encoded.startswith(".") else encoded
+
+
+# ── the node ───────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+class _Connection(asyncio.Protocol):
+    """One connection to a server."""
+
+    def __init__(self, node: "AsyncNode", url: str, mode: str, max_bytes: int) -> None:
+        self.node, self.url, self.mode = node, url, mode
+        self.parser = Parser(max_bytes)
+        self.transport: Optional[asyncio.Transport] = None
+        self.lost: "asyncio.Future[None]" = asyncio.get_event_loop().create_future()
+        self.requests: Dict[str, "asyncio.Future[Packet]"] = {}
+        self.last_heard = time.monotonic()
+        self.paused = False
+        self.number = 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport = transport  # type: ignore[assignment]
+        assert self.transport is not None
+        self.transport.set_write_buffer_limits(high=_HIGH_BYTES)
+
+    def pause_writing(self) -> None:
+        self.paused = True
+
+    def resume_writing(self) -> None:
+        self.paused = False
+        self.node._drain(self)
+
+    def data_received(self, data: bytes) -> None:
+        self.last_heard = time.monotonic()
+        for item in self.parser.feed(data):
+            if isinstance(item, Packet):
+                number = item.head.get("n")
+                waiting = self.requests.pop(number, None) if number is not None else None
+                if waiting is not None:
+                    if not waiting.done():
+                        waiting.set_result(item)
+                elif item.op in ("+val", "+evt"):
+                    self.node._pushed(self, item)
+
+    def connection_lost(self, exc: Optional[Exception]) -> None:
+        for waiting in self.requests.values():
+            if not waiting.done():
+                waiting.set_exception(NodeError("lost", "the connection to {} was lost".format(self.url)))
+                waiting.exception()  # whoever waits gets it; nobody else need hear of it
+        self.requests.clear()
+        if not self.lost.done():
+            self.lost.set_result(None)
+
+    def send(self, raw: bytes) -> None:
+        if self.transport is not None and not self.transport.is_closing():
+            self.transport.write(raw)
+
+    def request(self, system: str, topic: str, op: str, head: Dict[str, object], data: bytes = b"") -> Any:
+        """Send, and a future of the answer."""
+        self.number += 1
+        number = str(self.number)
+        future: "asyncio.Future[Packet]" = asyncio.get_event_loop().create_future()
+        if self.transport is None or self.transport.is_closing():
+            future.set_exception(NodeError("lost", "the connection to {} was lost".format(self.url)))
+            return future
+        self.requests[number] = future
+        self.transport.write(pack(self.node.ident, system, topic, op, {"n": number, **head}, data))
+        return future
+
+    async def ask(
+        self, system: str, topic: str, op: str, head: Dict[str, object], data: bytes = b"", timeout_s: float = 5.0
+    ) -> Packet:
+        """Send, and the answer. Raises ``NodeError``."""
+        future = self.request(system, topic, op, head, data)
+        try:
+            answer: Packet = await asyncio.wait_for(future, timeout_s)
+        except asyncio.TimeoutError:
+            raise NodeError("timeout", "{} did not answer within {:g} s".format(self.url, timeout_s)) from None
+        return _checked(answer)
+
+    def close(self) -> None:
+        if self.transport is not None:
+            self.transport.close()
+
+
+def _checked(answer: Packet) -> Packet:
+    if answer.op == "+err":
+        raise NodeError(answer.head.get("code", "refused"), answer.data.decode(errors="replace"))
+    return answer
+
+
+class _Subscription:
+    __slots__ = ("callback", "latest", "seen", "system", "topic")
+
+    def __init__(self, system: str, topic: str, callback: Callable[[Value], Any], latest: bool) -> None:
+        self.system, self.topic, self.callback, self.latest = system, topic, callback, latest
+        self.seen: Dict[Tuple[str, str], Tuple[int, str]] = {}
+
+
+class AsyncNode:
+    """A robot (or a program) with a name, that publishes and reads values; for asyncio. ``Node`` is without.
+
+    ``system``: its name, and the system of topics where none is given. ``server``: ``iort://host:port`` (``iorts://``
+    with TLS). ``local_server``: one on the robot's own network, used while the server is away. ``directory``: where
+    its own copy is kept (``None``: in memory). ``token``: shown to the servers. ``tls``: an ``ssl.SSLContext``, or the
+    path of the authorities to trust. ``on_mode`` is called with ``remote``, ``local-server`` or ``local``.
+    """
+
+    def __init__(
+        self,
+        system: str,
+        server: str,
+        *,
+        local_server: Optional[str] = None,
+        directory: Optional[str] = None,
+        token: Optional[str] = None,
+        tls: Union[None, str, ssl.SSLContext] = None,
+        ident: str = "01",
+        max_packet_bytes: int = MAX_PACKET_BYTES,
+        on_mode: Optional[Callable[[str], None]] = None,
+        on_event: Optional[Callable[[Packet], None]] = None,
+        clock_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.system, self.server, self.local_server, self.ident = system, server, local_server, ident
+        self.origin = "{}.{}".format(system, os.urandom(4).hex())
+        self.on_mode, self.on_event = on_mode, on_event
+        self.last_error = ""
+        self.superseded = 0  # values that a newer one of their topic replaced while the connection was slow
+        self.note = ""  # what the server had to say about this node, such as a second one of its name
+        self._token, self._tls = token, tls
+        self._max_bytes = max_packet_bytes
+        self._clock_ns = clock_ns
+        self._copy = _Copy(directory)
+        self._offset_ns = 0
+        self._version = max([value.version for value in self._copy.values.values()] + [0])
+        self._connection: Optional[_Connection] = None
+        self._mode = "local"
+        self._subscriptions: List[_Subscription] = []
+        self._standing: Dict[Tuple[str, str, str], Dict[str, object]] = {}  # adverts and watches, told again
+        self._waiting: "OrderedDict[Tuple[str, str], Tuple[Value, Any]]" = OrderedDict()
+        self._task: Optional["asyncio.Task[None]"] = None
+        self._changed: Optional[asyncio.Event] = None
+        self._closed = False
+
+    # ── life ───────────────────────────────────────────────────────────────────────────────────────────────────
+
+    @property
+    def mode(self) -> str:
+        """``remote`` (the server answers), ``local-server``, or ``local`` (neither does)."""
+        return self._mode
+
+    @property
+    def pending(self) -> int:
+        """How many topics have a value that the server does not have yet."""
+        return len(self._copy.pending)
+
+    async def open(self, wait_s: float = 0.0) -> "AsyncNode":
+        """Begin to connect, and wait up to ``wait_s`` seconds for it; without a server everything is local."""
+        if self._task is None:
+            self._changed = asyncio.Event()
+            self._task = asyncio.get_event_loop().create_task(self._keep_connected())
+        if wait_s:
+            await self.wait_mode("remote", wait_s)
+        return self
+
+    async def wait_mode(self, mode: str, timeout_s: float) -> bool:
+        """Wait for a mode; false when the time is over."""
+        deadline = time.monotonic() + timeout_s
+        while self._mode != mode:
+            left = deadline - time.monotonic()
+            if left <= 0 or self._changed is None:
+                return False
+            changed = self._changed
+            with contextlib.suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(changed.wait(), left)
+        return True
+
+    async def close(self) -> None:
+        """Leave; what the server does not have yet is kept in the directory, where there is one."""
+        self._closed = True
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+            self._task = None
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
+            await asyncio.wait([connection.lost], timeout=1.0)
+        for _, future in self._waiting.values():
+            if future is not None and not future.done():
+                future.set_exception(NodeError("closed", "the node was closed"))
+                future.exception()
+        self._waiting.clear()
+
+    async def __aenter__(self) -> "AsyncNode":
+        return await self.open(_CONNECT_S)
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    # ── values ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def publish(
+        self, topic: str, content: Content, *, system: Optional[str] = None, type: str = "", timeout_s: float = 5.0
+    ) -> Value:
+        """Publish, and wait until a server keeps it; without one it is kept here, and merged later.
+
+        The value that is returned says by its ``mode`` where it is. Raises ``NodeError`` if the server refuses it.
+        """
+        value = self._made(topic, content, system, type)
+        connection = self._connection
+        if connection is None:
+            value.mode = "local"
+            return value
+        future = self._send(connection, value, wanted=True)
+        try:
+            answer = _checked(await asyncio.wait_for(future, timeout_s))
+        except asyncio.TimeoutError:
+            raise NodeError("timeout", "{} did not answer within {:g} s".format(connection.url, timeout_s)) from None
+        except NodeError as error:
+            if error.code == "lost":
+                value.mode = "local"
+                return value
+            self._refused(value, error)
+            raise
+        if answer.op == "+ok":
+            self._acknowledged(connection, value, answer)
+        value.mode = connection.mode
+        return value
+
+    def publish_nowait(self, topic: str, content: Content, *, system: Optional[str] = None, type: str = "") -> Value:
+        """Publish without waiting. While the connection is slow a newer value of a topic replaces the one that waits."""
+        value = self._made(topic, content, system, type)
+        connection = self._connection
+        if connection is not None:
+            self._send(connection, value, wanted=False)
+        return value
+
+    async def read(self, topic: str, *, system: Optional[str] = None, timeout_s: float = 5.0) -> Value:
+        """The last value; the node's own copy where no server can be reached.
+
+        Raises ``NodeError``: ``unknown-system``, ``unknown-topic``, ``denied``, ``timeout``.
+        """
+        where = system or self.system
+        connection = self._connection
+        if connection is not None:
+            try:
+                answer = await connection.ask(where, topic, "+get", {}, timeout_s=timeout_s)
+            except NodeError as error:
+                own = self._copy.pending.get((where, topic))
+                if error.code in ("unknown-system", "unknown-topic") and own is not None:
+                    return own
+                if error.code != "lost":
+                    raise
+            else:
+                value = self._value(connection, answer)
+                self._learned(value)
+                return self._newest(value)
+        known = self._copy.values.get((where, topic))
+        if known is None:
+            code = "unknown-topic" if any(key[0] == where for key in self._copy.values) else "unknown-system"
+            raise NodeError(code, "no value of {}/{} is known here, and no server can be reached".format(where, topic))
+        return Value(
+            known.system,
+            known.topic,
+            known.data,
+            known.version,
+            known.stamp_ns,
+            known.origin,
+            known.type,
+            "local",
+            offset_ns=self._offset_ns,
+        )
+
+    async def subscribe(
+        self,
+        topic: str,
+        callback: Callable[[Value], Any],
+        *,
+        system: Optional[str] = None,
+        latest: bool = True,
+    ) -> Callable[[], Awaitable[None]]:
+        """Call ``callback`` with every value that others publish; patterns such as ``*`` are allowed.
+
+        ``latest`` begins with the value that is there. After a cut the newest value comes, once. Returns a function
+        that ends it. Raises ``NodeError`` if the server refuses.
+        """
+        subscription = _Subscription(system or self.system, topic, callback, latest)
+        self._subscriptions.append(subscription)
+        connection = self._connection
+        if connection is not None:
+            try:
+                await self._subscribe(connection, subscription)
+            except NodeError as error:
+                if error.code != "lost":
+                    self._subscriptions.remove(subscription)
+                    raise
+
+        async def end() -> None:
+            if subscription not in self._subscriptions:
+                return
+            self._subscriptions.remove(subscription)
+            name = (subscription.system, subscription.topic)
+            connection = self._connection
+            if connection is not None and all((s.system, s.topic) != name for s in self._subscriptions):
+                with contextlib.suppress(NodeError):
+                    await connection.ask(name[0], name[1], "+unsub", {})
+
+        return end
+
+    async def list(self, pattern_system: str = "*", pattern_topic: str = "*") -> List[Dict[str, Any]]:
+        """The last values whose names fit, as JSON objects. Raises ``NodeError``."""
+        answer = await self.request(pattern_system, pattern_topic, "+list", {})
+        found: List[Dict[str, Any]] = json.loads(answer.data.decode())
+        return found
+
+    async def request(
+        self, system: str, topic: str, op: str, head: Dict[str, object], timeout_s: float = 5.0
+    ) -> Packet:
+        """Any request of the protocol, and its answer. Raises ``NodeError``."""
+        connection = self._connection
+        if connection is None:
+            raise NodeError("lost", self.last_error or "no server can be reached")
+        return await connection.ask(system, topic, op, head, timeout_s=timeout_s)
+
+    async def stand(self, system: str, topic: str, op: str, head: Optional[Dict[str, object]]) -> None:
+        """Something that is told to every server again (``+adv``, ``+watch``); with ``None`` no longer."""
+        key = (system, topic, op)
+        if head is None:
+            self._standing.pop(key, None)
+            return
+        self._standing[key] = head
+        if self._connection is not None:
+            try:
+                await self._connection.ask(system, topic, op, head)
+            except NodeError as error:
+                if error.code != "lost":
+                    self._standing.pop(key, None)
+                    raise
+
+    # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _made(self, topic: str, content: Content, system: Optional[str], type: str) -> Value:
+        key = (system or self.system, topic)
+        known = self._copy.values.get(key)
+        now_ns = self._clock_ns() + self._offset_ns
+        self._version = max(now_ns // 1000, self._version + 1, known.version + 1 if known is not None else 0)
+        value = Value(
+            key[0],
+            topic,
+            text_of(content),
+            self._version,
+            now_ns,
+            self.origin,
+            type,
+            "local",
+            offset_ns=self._offset_ns,
+        )
+        self._copy.put(value, True)
+        return value
+
+    def _send(self, connection: _Connection, value: Value, wanted: bool, merge: bool = False) -> Any:
+        key = (value.system, value.topic)
+        if connection.paused and not merge:
+            future = asyncio.get_event_loop().create_future() if wanted else None
+            before = self._waiting.pop(key, None)
+            if before is not None:
+                self.superseded += 1
+                if before[1] is not None and not before[1].done():
+                    before[1].set_result(Packet("00", key[0], key[1], "+superseded"))
+            self._waiting[key] = (value, future)
+            if len(self._waiting) > _WAITING_LIMIT:
+                _, (_, oldest) = self._waiting.popitem(last=False)
+                self.superseded += 1
+                if oldest is not None and not oldest.done():
+                    oldest.set_exception(NodeError("busy", "the connection is too slow for so many topics"))
+            return future
+        head: Dict[str, object] = {"t": value.stamp_ns, "v": value.version, "o": value.origin}
+        if value.type:
+            head["k"] = value.type
+        if merge:
+            head["m"] = 1
+        future = connection.request(value.system, value.topic, "+pub", head, value.data)
+        if not wanted:
+            future.add_done_callback(lambda done: self._acknowledge(connection, value, done))
+        return future
+
+    def _acknowledge(self, connection: _Connection, value: Value, done: Any) -> None:
+        if done.cancelled() or done.exception() is not None:
+            return  # the connection was lost: the value is pending
+        answer = done.result()
+        if answer.op == "+err":
+            self._refused(value, NodeError(answer.head.get("code", ""), answer.data.decode(errors="replace")))
+        else:
+            self._acknowledged(connection, value, answer)
+
+    def _acknowledged(self, connection: _Connection, value: Value, answer: Packet) -> None:
+        version = answer.head.get("v", "")
+        if version.isdigit():
+            value.version = int(version)
+            self._version = max(self._version, value.version)
+        if connection.mode == "remote":
+            self._copy.settle((value.system, value.topic), value)
+
+    def _refused(self, value: Value, error: NodeError) -> None:
+        """The server does not take it: it is not offered again, unless it was only not kept (yet)."""
+        self.last_error = str(error)
+        if error.code not in ("not-kept", "timeout"):
+            self._copy.settle((value.system, value.topic), value)
+
+    def _drain(self, connection: _Connection) -> None:
+        while self._waiting and not connection.paused:
+            _, (value, future) = self._waiting.popitem(last=False)
+            sent = self._send(connection, value, wanted=True)
+            if future is None:
+                sent.add_done_callback(lambda done, value=value: self._acknowledge(connection, value, done))
+            else:
+                sent.add_done_callback(lambda done, future=future: _pass_on(done, future))
+
+    def _value(self, connection: _Connection, packet: Packet) -> Value:
+        head = packet.head
+        return Value(
+            packet.system,
+            packet.topic,
+            packet.data,
+            int(head.get("v", "0")),
+            int(head.get("t", "0")),
+            head.get("o", ""),
+            head.get("k", ""),
+            connection.mode,
+            head.get("last") == "1",
+            self._offset_ns,
+        )
+
+    def _learned(self, value: Value) -> None:
+        key = (value.system, value.topic)
+        known = self._copy.values.get(key)
+        if known is None or known.order < value.order:
+            if key in self._copy.pending and self._copy.pending[key].order < value.order:
+                del self._copy.pending[key]
+            self._copy.put(value, False)
+
+    def _newest(self, value: Value) -> Value:
+        """What a server said, unless this node wrote something later that the server does not have yet."""
+        pending = self._copy.pending.get((value.system, value.topic))
+        return pending if pending is not None and pending.order > value.order else value
+
+    def _pushed(self, connection: _Connection, packet: Packet) -> None:
+        if packet.op == "+evt":
+            if self.on_event is not None:
+                self.on_event(packet)
+            return
+        try:
+            value = self._value(connection, packet)
+        except ValueError:
+            return
+        self._learned(value)
+        key = (value.system, value.topic)
+        for subscription in list(self._subscriptions):
+            if not (_fits(key[0], subscription.system) and _fits(key[1], subscription.topic)):
+                continue
+            if value.latest and not subscription.latest:
+                continue
+            if subscription.seen.get(key, (-1, "")) >= value.order:
+                continue
+            subscription.seen[key] = value.order
+            try:
+                result = subscription.callback(value)
+            except Exception as error:  # the callback is somebody else's
+                self.last_error = "a callback for {}/{} failed: {!r}".format(key[0], key[1], error)
+                asyncio.get_event_loop().call_exception_handler({"message": self.last_error, "exception": error})
+                continue
+            if asyncio.iscoroutine(result):
+                self._spawn(result)
+
+    def _spawn(self, work: Any) -> None:
+        task = asyncio.get_event_loop().create_task(work)
+        _running.add(task)
+        task.add_done_callback(_running.discard)
+
+    async def _subscribe(self, connection: _Connection, subscription: _Subscription) -> None:
+        # after a cut the newest is asked for, whatever was asked first: nothing of the meantime is missed
+        again = bool(subscription.seen)
+        head: Dict[str, object] = {"last": 1 if subscription.latest or again else 0}
+        await connection.ask(subscription.system, subscription.topic, "+sub", head)
+
+    def _set_mode(self, mode: str) -> None:
+        if mode == self._mode:
+            return
+        self._mode = mode
+        changed, self._changed = self._changed, asyncio.Event()
+        if changed is not None:
+            changed.set()
+        if self.on_mode is not None:
+            self.on_mode(mode)
+
+    async def _keep_connected(self) -> None:
+        pause = _PAUSE_S[0]
+        while True:
+            connection = await self._dial(self.server, "remote")
+            if connection is None and self.local_server is not None:
+                connection = await self._dial(self.local_server, "local-server")
+            if connection is None:
+                self._set_mode("local")
+                await asyncio.sleep(pause)
+                pause = min(2 * pause, _PAUSE_S[1])
+                continue
+            pause = _PAUSE_S[0]
+            while connection is not None:
+                connection = await self._live(connection)
+
+    async def _live(self, connection: _Connection) -> Optional[_Connection]:
+        """Stay with a connection until it is lost; the one to the server, if that came back meanwhile."""
+        self._connection = connection
+        self._set_mode(connection.mode)
+        try:
+            await self._take_up(connection)
+            while not connection.lost.done():
+                await asyncio.wait([connection.lost], timeout=_PING_S)
+                if connection.lost.done():
+                    break
+                if time.monotonic() - connection.last_heard > _SILENCE_S:
+                    self.last_error = "{} has been silent for {:g} s".format(connection.url, _SILENCE_S)
+                    break
+                if connection.transport is not None:
+                    connection.send(pack(self.ident, "-", "-", "+ping"))
+                if connection.mode != "remote":
+                    better = await self._dial(self.server, "remote")
+                    if better is not None:
+                        return better
+        finally:
+            if self._connection is connection:
+                self._connection = None
+            if connection.transport is not None:
+                connection.transport.abort()
+        if not self._closed and self._mode == connection.mode:
+            self._set_mode("local")
+        return None
+
+    async def _dial(self, url: str, mode: str) -> Optional[_Connection]:
+        try:
+            parts = urlsplit(url)
+            if parts.scheme not in ("iort", "iorts") or not parts.hostname:
+                raise NodeError("malformed", "{!r} is no address; write iort://host:7410".format(url))
+            connection = _Connection(self, url, mode, self._max_bytes + 4096)
+            loop = asyncio.get_event_loop()
+            await asyncio.wait_for(
+                loop.create_connection(
+                    lambda: connection, parts.hostname, parts.port or DEFAULT_PORT, ssl=self._context(parts.scheme)
+                ),
+                _CONNECT_S,
+            )
+        except asyncio.TimeoutError:
+            self.last_error = "{} did not answer within {:g} s".format(url, _CONNECT_S)
+            return None
+        except (OSError, NodeError) as error:
+            self.last_error = "{}: {}".format(url, error)
+            return None
+        head: Dict[str, object] = {"v": 1, "o": self.origin}
+        if self._token is not None:
+            head["token"] = self._token
+        before = time.time_ns()
+        try:
+            answer = await connection.ask(self.system, "-", "+hello", head, timeout_s=_CONNECT_S)
+            now = answer.head.get("t", "")
+            if now.isdigit():
+                self._offset_ns = int(now) - (before + time.time_ns()) // 2
+            self.note = answer.data.decode(errors="replace")
+        except NodeError as error:
+            self.last_error = "{}: {}".format(url, error)
+            connection.close()
+            return None
+        return connection
+
+    def _context(self, scheme: str) -> Optional[ssl.SSLContext]:
+        if scheme == "iort":
+            return None
+        if isinstance(self._tls, ssl.SSLContext):
+            return self._tls
+        return ssl.create_default_context(cafile=self._tls)
+
+    async def _take_up(self, connection: _Connection) -> None:
+        """Tell a server that was reached what stands, what is subscribed, and what it does not have yet."""
+        try:
+            for (system, topic, op), head in list(self._standing.items()):
+                await connection.ask(system, topic, op, head)
+            for subscription in list(self._subscriptions):
+                try:
+                    await self._subscribe(connection, subscription)
+                except NodeError as error:
+                    if error.code in ("lost", "timeout"):
+                        raise
+                    self.last_error = str(error)
+            waiting = list(self._copy.pending.items())
+            for start in range(0, len(waiting), 64):
+                group = waiting[start : start + 64]
+                sent = [(key, value, self._send(connection, value, True, merge=True)) for key, value in group]
+                for key, value, future in sent:
+                    try:
+                        answer = _checked(await asyncio.wait_for(future, 10.0))
+                    except NodeError as error:
+                        if error.code == "lost":
+                            raise
+                        self._refused(value, error)
+                        if error.code == "stale":
+                            self._learned(self._value(connection, await connection.ask(key[0], key[1], "+get", {})))
+                    else:
+                        self._acknowledged(connection, value, answer)
+        except (NodeError, asyncio.TimeoutError) as error:
+            self.last_error = "{}: {}".format(connection.url, error)
+            connection.close()
+
+
+_running: "set[asyncio.Task[Any]]" = set()
+
+
+def _pass_on(done: Any, future: Any) -> None:
+    if future.done():
+        return
+    if done.cancelled():
+        future.cancel()
+    elif done.exception() is not None:
+        future.set_exception(done.exception())
+    else:
+        future.set_result(done.result())
+
+
+def _fits(name: str, pattern: str) -> bool:
+    if pattern in ("*", name):
+        return True
+    if "*" not in pattern and "?" not in pattern and "[" not in pattern:
+        return False
+    from fnmatch import fnmatchcase
+
+    return fnmatchcase(name, pattern)
+
+
+# ── without asyncio ────────────────────────────────────────────────────────────────────────────────────────────────
+
+T = TypeVar("T")
+
+
+class Node:
+    """``AsyncNode`` for programs without asyncio: it lives in a thread of its own. Arguments are those of ``AsyncNode``.
+
+    Callbacks of subscriptions run in that thread, one after the other: keep them short.
+    """
+
+    def __init__(self, system: str, server: str, **options: Any) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="iort {}".format(system), daemon=True)
+        self._thread.start()
+
+        async def make() -> AsyncNode:
+            return AsyncNode(system, server, **options)
+
+        try:
+            self._node = self._run(make(), 5.0)
+        except BaseException:
+            self._stop()
+            raise
+        self._open = True
+        self._run(self._node.open(), 5.0)
+
+    @property
+    def mode(self) -> str:
+        """``remote`` (the server answers), ``local-server``, or ``local`` (neither does)."""
+        return self._node.mode
+
+    @property
+    def pending(self) -> int:
+        """How many topics have a value that the server does not have yet."""
+        return self._node.pending
+
+    @property
+    def last_error(self) -> str:
+        """Why the server is not reached, or what it refused last."""
+        return self._node.last_error
+
+    def wait_mode(self, mode: str, timeout_s: float) -> bool:
+        """Wait for a mode; false when the time is over."""
+        return self._run(self._node.wait_mode(mode, timeout_s), timeout_s + 5.0)
+
+    def publish(
+        self,
+        topic: str,
+        content: Content,
+        *,
+        system: Optional[str] = None,
+        type: str = "",
+        wait: bool = True,
+        timeout_s: float = 5.0,
+    ) -> Value:
+        """Publish; with ``wait`` until a server keeps it, where one is reached. Raises ``NodeError``."""
+        if wait:
+            work = self._node.publish(topic, content, system=system, type=type, timeout_s=timeout_s)
+            return self._run(work, timeout_s + 5.0)
+
+        async def publish() -> Value:
+            return self._node.publish_nowait(topic, content, system=system, type=type)
+
+        return self._run(publish(), timeout_s)
+
+    def read(self, topic: str, *, system: Optional[str] = None, timeout_s: float = 5.0) -> Value:
+        """The last value; the node's own copy where no server is reached. Raises ``NodeError``."""
+        return self._run(self._node.read(topic, system=system, timeout_s=timeout_s), timeout_s + 5.0)
+
+    def subscribe(
+        self,
+        topic: str,
+        callback: Callable[[Value], Any],
+        *,
+        system: Optional[str] = None,
+        latest: bool = True,
+    ) -> Callable[[], None]:
+        """Call ``callback`` with every value that others publish. Returns a function that ends it."""
+        end = self._run(self._node.subscribe(topic, callback, system=system, latest=latest), 10.0)
+        return lambda: self._run(end(), 10.0)
+
+    def list(self, system: str = "*", topic: str = "*") -> List[Dict[str, Any]]:
+        """The last values whose names fit, as JSON objects. Raises ``NodeError``."""
+        return self._run(self._node.list(system, topic), 10.0)
+
+    def close(self) -> None:
+        """Leave; harmless twice."""
+        if self._open:
+            self._open = False
+            self._run(self._node.close(), 5.0)
+            self._stop()
+
+    def __enter__(self) -> "Node":
+        self.wait_mode("remote", _CONNECT_S)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _run(self, work: Awaitable[T], timeout_s: float) -> T:
+        if not self._thread.is_alive():
+            cast(Any, work).close()
+            raise NodeError("closed", "the node was closed")
+        future = asyncio.run_coroutine_threadsafe(cast(Any, work), self._loop)
+        try:
+            return cast(T, future.result(timeout_s))
+        except FutureTimeout:
+            future.cancel()
+            raise NodeError("timeout", "no answer within {:g} s".format(timeout_s)) from None
+
+    def _stop(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(5.0)
+        if not self._thread.is_alive():
+            self._loop.close()
+
+
+def _main(arguments: List[str]) -> int:
+    """``iort.py SERVER publish|read|watch|list``, for shells on robots."""
+    import argparse
+
+    parser = argparse.ArgumentParser(prog="iort.py", description="publish and read values of robots")
+    parser.add_argument("server", help="iort://host:7410")
+    parser.add_argument("verb", choices=["publish", "read", "watch", "list"])
+    parser.add_argument("name", nargs="?", default="*/*", help="SYSTEM/TOPIC")
+    parser.add_argument("data", nargs="?", help="what to publish")
+    parser.add_argument("--token", default=os.environ.get("ROPEWAY_TOKEN"), help="or ROPEWAY_TOKEN")
+    parser.add_argument("--ca", help="file of the authorities to trust, for iorts://")
+    told = parser.parse_args(arguments)
+    system, _, topic = told.name.partition("/")
+    with Node("shell", told.server, token=told.token, tls=told.ca) as node:
+        if node.mode != "remote":
+            print(node.last_error, file=sys.stderr)
+            return 1
+        try:
+            if told.verb == "publish":
+                node.publish(topic, told.data or "", system=system)
+            elif told.verb == "read":
+                print(node.read(topic, system=system).text)
+            elif told.verb == "list":
+                print(json.dumps(node.list(system, topic), indent=1))
+            else:
+                node.subscribe(topic, lambda v: print(v.system, v.topic, v.text, flush=True), system=system)
+                threading.Event().wait()
+        except NodeError as error:
+            print(error, file=sys.stderr)
+            return 1
+        except KeyboardInterrupt:
+            return 0
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main(sys.argv[1:]))

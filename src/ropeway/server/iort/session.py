@@ -1,0 +1,386 @@
+"""One node's connection: reads packets, answers what asks for an answer, and sends what the node subscribed to."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import re
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from ropeway.errors import AccessDenied, StoreUnavailable, ValueRefused
+from ropeway.graph.iort.space import Endpoint, is_pattern
+from ropeway.iort import Fault, NodeError, Packet, Parser, pack
+from ropeway.server.access import Access
+from ropeway.store import Entry, as_json
+
+if TYPE_CHECKING:
+    from ropeway.server.iort.server import IortServer
+
+__all__ = ["Session"]
+
+log = logging.getLogger("ropeway.server.iort")
+
+_HIGH_BYTES: Final = 256 << 10  # above, values wait, each topic's newest only, and nothing more is read
+_WAITING_BYTES: Final = 16 << 20
+_OURS: Final = "00"  # the identifier of the server
+_FIRST: Final = re.compile(r"[^@.]*")
+
+
+class Session(asyncio.Protocol):
+    """See the module. It is a member of the space."""
+
+    def __init__(self, server: IortServer) -> None:
+        self.server, self.space = server, server.space
+        self.node = ""
+        self.peer = ""
+        self.access: Access | None = None
+        self.upgraded = False
+        self.last_heard = time.monotonic()
+        self.began: float | None = None  # when the packet that is coming in began
+        self.origin = ""
+        self.superseded = 0
+        self._parser = Parser(server.max_packet_bytes)
+        self._transport: asyncio.Transport | None = None
+        self._out: list[bytes] = []
+        self._scheduled = False
+        self._paused = False
+        self._waiting: dict[tuple[str, str], tuple[Entry, bool]] = {}
+        self._waiting_bytes = 0
+        self._watching = False
+
+    # ── what the event loop calls ──────────────────────────────────────────────────────────────────────────────
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """A node connected."""
+        self._transport = cast(asyncio.Transport, transport)
+        self._transport.set_write_buffer_limits(high=_HIGH_BYTES)
+        if not self.server.welcome(self, self._transport):
+            self._transport.close()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It is gone."""
+        self._transport = None
+        self._out.clear()
+        self._waiting.clear()
+        self.server.gone(self)
+
+    def pause_writing(self) -> None:
+        """The node reads slower than we send."""
+        self._paused = True
+        if self._transport is not None:
+            self._transport.pause_reading()
+
+    def resume_writing(self) -> None:
+        """It caught up: the newest value of each topic that waits is sent."""
+        self._paused = False
+        while self._waiting and not self._paused:
+            key = next(iter(self._waiting))
+            entry, latest = self._waiting.pop(key)
+            self._waiting_bytes -= len(entry.data)
+            self._send(self._value(entry, latest))
+            self.flush()
+        if self._transport is not None and not self._paused:
+            self._transport.resume_reading()
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes came."""
+        self.last_heard = now = time.monotonic()
+        for item in self._parser.feed(data):
+            if isinstance(item, Packet):
+                self._packet(item)
+            else:
+                self._fault(item)
+        self.began = (self.began or now) if self._parser.unfinished else None
+        self.flush()
+
+    # ── sending ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def close(self, code: str = "", text: str = "") -> None:
+        """End the connection; ``code`` and ``text`` tell an upgraded node why."""
+        if code and self.upgraded:
+            self._error("", code, text)
+        self.flush()
+        if self._transport is not None:
+            self._transport.close()
+
+    def flush(self) -> None:
+        """Send what was collected, in one write."""
+        self._scheduled = False
+        if self._out and self._transport is not None and not self._transport.is_closing():
+            self._transport.write(b"".join(self._out))
+        self._out.clear()
+
+    def _send(self, raw: bytes) -> None:
+        self._out.append(raw)
+        if not self._scheduled:
+            self._scheduled = True
+            asyncio.get_running_loop().call_soon(self.flush)
+
+    def _error(self, number: str, code: str, text: str) -> None:
+        head = {"n": number, "code": code} if number else {"code": code}
+        self._send(pack(_OURS, "-", "-", "+err", head, text.encode()))
+
+    def _ok(self, number: str, **head: object) -> None:
+        if number:
+            self._send(pack(_OURS, "-", "-", "+ok", {"n": number, **head}))
+
+    def _value(self, entry: Entry, latest: bool, number: str = "") -> bytes:
+        head: dict[str, object] = {"n": number} if number else {}
+        head |= {"t": entry.stamp_ns, "v": entry.version, "o": entry.origin}
+        if entry.type:
+            head["k"] = entry.type
+        if entry.form:
+            head["f"] = entry.form
+        if latest:
+            head["last"] = 1
+        return pack(_OURS, entry.system, entry.topic, "+val", head, entry.data)
+
+    # ── what the space calls ───────────────────────────────────────────────────────────────────────────────────
+
+    def value(self, entry: Entry, latest: bool) -> None:
+        """A value of a topic that the node subscribed to."""
+        if self.access is None or not self.access.allows("subscribe", f"/{entry.system}/{entry.topic}"):
+            return
+        if not self._paused:
+            self._send(self._value(entry, latest))
+            return
+        before = self._waiting.pop(entry.key, None)
+        if before is not None:
+            self._waiting_bytes -= len(before[0].data)
+            self._superseded()
+        self._waiting[entry.key] = (entry, latest)
+        self._waiting_bytes += len(entry.data)
+        while self._waiting_bytes > _WAITING_BYTES and len(self._waiting) > 1:
+            oldest, _ = self._waiting.pop(next(iter(self._waiting)))
+            self._waiting_bytes -= len(oldest.data)
+            self._superseded()
+
+    def _superseded(self) -> None:
+        self.superseded += 1
+        self.server.counts["superseded"] += 1
+
+    def event(self, endpoint: Endpoint, there: bool) -> None:
+        """Somebody began or ceased to publish or read."""
+        if self.access is None or not self.access.allows("subscribe", f"/{endpoint.system}/{endpoint.topic}"):
+            return
+        head = {"kind": endpoint.kind, "here": int(there), "node": endpoint.node, "id": endpoint.id}
+        if endpoint.type:
+            head["k"] = endpoint.type
+        if endpoint.qos:
+            head["q"] = endpoint.qos
+        self._send(pack(_OURS, endpoint.system, endpoint.topic, "+evt", head))
+
+    def kept(self, tokens: list[Any], error: StoreUnavailable | None) -> None:
+        """The store tells which values survive a crash now."""
+        if error is None:
+            answers = [f"%00/-/-/+ok/n={number},v={version}%" for number, version in tokens]
+            self._send("".join(answers).encode())
+            return
+        self.server.counts["not-kept"] += len(tokens)
+        for number, _ in tokens:
+            self._error(number, "not-kept", f"the value is served but not kept yet: {error}")
+
+    # ── packets ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _fault(self, fault: Fault) -> None:
+        self.server.counts[fault.code] += 1
+        if self.upgraded:
+            self._error("", fault.code, fault.text)
+
+    def _packet(self, packet: Packet) -> None:
+        op = packet.op
+        self.server.counts["packets"] += 1
+        number = ""
+        if op[0] == "+":
+            self.upgraded = True
+            number = packet.head.get("n", "")
+            if "," in number or "=" in number or len(number) > 40:
+                self._error("", "malformed", "n is a short number")
+                return
+        try:
+            if op == "p":
+                self._publish_plain(packet)
+            elif op == "s":
+                self._read_plain(packet)
+            elif op == "+pub":
+                self._publish(packet, number)
+            else:
+                handler = _HANDLERS.get(op)
+                if handler is None:
+                    raise NodeError("malformed", f"{op[:20]} is not known here")
+                handler(self, packet, number)
+        except NodeError as error:
+            self._refuse(packet, number, error.code, error.text)
+        except ValueRefused as error:
+            self._refuse(packet, number, error.code, str(error))
+        except AccessDenied as error:
+            self._refuse(packet, number, "denied", str(error))
+
+    def _refuse(self, packet: Packet, number: str, code: str, text: str) -> None:
+        self.server.counts[code] += 1
+        if packet.op == "s":
+            text = text.replace("%", "")
+            self._send(pack(_OURS, packet.system, packet.topic, "e", None, text.encode(), packet.system_type))
+        elif self.upgraded:
+            self._error(number, code, text)
+
+    def _may(self, verb: str, packet: Packet) -> Access:
+        access = self.access
+        if access is None:
+            raise NodeError("login", "who are you? +hello with a token, or a certificate, is needed here")
+        access.check(verb, f"/{packet.system}/{packet.topic}")
+        if access.limited:
+            access.spend(verb, f"/{packet.system}/{packet.topic}", len(packet.data))
+        return access
+
+    def _publish_plain(self, packet: Packet) -> None:
+        self._may("publish", packet)
+        origin = f"{packet.id}@{self.peer}"
+        data = self.server.accept(packet.system, packet.topic, packet.data)
+        self.space.publish(self, packet.system, packet.topic, data, origin=origin)
+
+    def _read_plain(self, packet: Packet) -> None:
+        entry = self._read(packet)
+        if entry.form:
+            raise NodeError("conversion", f"it is a message of {entry.type}, which no map makes text of")
+        id = cast("re.Match[str]", _FIRST.match(entry.origin))[0] or _OURS
+        try:
+            answer = pack(id, packet.system, packet.topic, "p", None, entry.data, packet.system_type)
+        except ValueError as error:
+            raise NodeError("conversion", str(error)) from None
+        self._send(answer)
+
+    def _read(self, packet: Packet) -> Entry:
+        self._may("subscribe", packet)
+        entry = self.space.store.get(packet.system, packet.topic)
+        if entry is not None:
+            return entry
+        if not self.space.store.has_system(packet.system):
+            raise NodeError("unknown-system", f"no value of the system {packet.system} is there")
+        raise NodeError("unknown-topic", f"no value of {packet.system}/{packet.topic} is there")
+
+    def _publish(self, packet: Packet, number: str) -> None:
+        head = packet.head
+        self._may("publish", packet)
+        try:
+            stamp_ns, version = int(head.get("t", "0")), int(head.get("v", "0"))
+        except ValueError:
+            raise NodeError("malformed", "t and v are whole numbers") from None
+        if not (0 <= stamp_ns < 1 << 63 and 0 <= version < 1 << 62):
+            raise NodeError("malformed", "t and v are whole numbers of up to 63 bits")
+        data = packet.data if head.get("f") else self.server.accept(packet.system, packet.topic, packet.data)
+        merge = head.get("m") == "1"
+        origin = head.get("o") or self.origin or f"{packet.id}@{self.peer}"
+        token = [number, version]
+        entry = self.space.publish(
+            self,
+            packet.system,
+            packet.topic,
+            data,
+            origin=origin[:200],
+            stamp_ns=stamp_ns,
+            version=version,
+            merge=merge,
+            type=head.get("k", "")[:200],
+            form=head.get("f", "")[:20],
+            sink=self if number else None,
+            token=token,
+        )
+        token[1] = entry.version
+
+    def _hello(self, packet: Packet, number: str) -> None:
+        note = self.server.hello(self, packet.system, packet.head.get("token"))
+        self.origin = packet.head.get("o", "")[:200] or f"{packet.system}@{self.peer}"
+        answer = {"n": number, "t": time.time_ns(), "max": self.server.max_packet_bytes}
+        self._send(pack(_OURS, "-", "-", "+ok", answer, note.encode()))
+
+    def _get(self, packet: Packet, number: str) -> None:
+        entry = self._read(packet)
+        if number:
+            self._send(self._value(entry, False, number))
+
+    def _subscribe(self, packet: Packet, number: str) -> None:
+        if is_pattern(packet.system) or is_pattern(packet.topic):  # each value is looked at when it comes
+            if self.access is None:
+                self._may("subscribe", packet)
+        else:
+            self._may("subscribe", packet)
+        self._ok(number)
+        latest, head = packet.head.get("last", "1") == "1", packet.head
+        self.space.subscribe(
+            self, packet.system, packet.topic, latest=latest, type=head.get("k", ""), qos=head.get("q", "")
+        )
+
+    def _unsubscribe(self, packet: Packet, number: str) -> None:
+        self.space.unsubscribe(self, packet.system, packet.topic)
+        self._ok(number)
+
+    def _advertise(self, packet: Packet, number: str) -> None:
+        self._may("publish", packet)
+        head = packet.head
+        self.space.advertise(self, packet.system, packet.topic, head.get("k", "")[:200], head.get("q", "")[:2000])
+        self._ok(number)
+
+    def _withdraw(self, packet: Packet, number: str) -> None:
+        self.space.withdraw(self, packet.system, packet.topic)
+        self._ok(number)
+
+    def _watch(self, packet: Packet, number: str) -> None:
+        if self.access is None:
+            self._may("subscribe", packet)
+        self._ok(number)
+        if not self._watching:
+            self._watching = True
+            self.space.watch(self)
+
+    def _list(self, packet: Packet, number: str) -> None:
+        access = self.access
+        if access is None:
+            access = self._may("subscribe", packet)
+        found = [
+            as_json(entry, age_s=round(entry.age_s(), 3))
+            for entry in self.space.store.entries(packet.system, packet.topic)
+            if access.allows("subscribe", f"/{entry.system}/{entry.topic}")
+        ]
+        if number:
+            self._send(pack(_OURS, "-", "-", "+val", {"n": number}, json.dumps(found).encode()))
+
+    def _delete(self, packet: Packet, number: str) -> None:
+        self._may("publish", packet)
+        self.server.spawn(self._deleted(packet, number))
+
+    async def _deleted(self, packet: Packet, number: str) -> None:
+        try:
+            there = await self.space.store.remove(packet.system, packet.topic)
+        except StoreUnavailable as error:
+            self._error(number, "not-kept", str(error))
+        else:
+            if there:
+                self._ok(number)
+            else:
+                self._error(number, "unknown-topic", f"no value of {packet.system}/{packet.topic} is there")
+
+    def _ping(self, packet: Packet, number: str) -> None:
+        self._send(pack(_OURS, "-", "-", "+ok", {"n": number, "t": time.time_ns()} if number else None))
+
+    def _bye(self, packet: Packet, number: str) -> None:
+        self._ok(number)
+        self.close()
+
+
+_HANDLERS: Final[dict[str, Callable[[Session, Packet, str], None]]] = {
+    "+hello": Session._hello,
+    "+get": Session._get,
+    "+sub": Session._subscribe,
+    "+unsub": Session._unsubscribe,
+    "+adv": Session._advertise,
+    "+unadv": Session._withdraw,
+    "+watch": Session._watch,
+    "+list": Session._list,
+    "+del": Session._delete,
+    "+ping": Session._ping,
+    "+bye": Session._bye,
+}
