@@ -10,7 +10,8 @@
     │   ├── InvalidDefinition     a .msg, .srv or .action text cannot be parsed
     │   ├── TypeConflict          one name, two definitions or two types
     │   ├── DecodeError           bytes that are not a message of this type (CDR, ROS 1, CBOR, LZ4, zstd)
-    │   └── ValueMismatch         a JSON or CBOR value that does not fit the field it is meant for
+    │   ├── ValueMismatch         a JSON or CBOR value that does not fit the field it is meant for
+    │   └── ConversionError       a text of a robot, or a message, that its map cannot convert
     ├── WireError                 the rosbridge protocol
     │   ├── InvalidFrame          a frame that is neither JSON nor CBOR, or not an object with an "op"
     │   ├── InvalidOperation      an operation with a missing or ill-typed field, or one nobody knows
@@ -51,6 +52,7 @@ __all__ = [
     "CallTimeout",
     "ConfigError",
     "ConnectFailed",
+    "ConversionError",
     "DecodeError",
     "GoalRejected",
     "GraphError",
@@ -154,6 +156,10 @@ class ValueMismatch(TypesError):
     def __init__(self, type: str, field: str, reason: str) -> None:
         self.type, self.field, self.reason = type, field, reason
         super().__init__(f"{type} message: field {field or '(root)'}: {reason}")
+
+
+class ConversionError(TypesError):
+    """A text of a robot, or a message, that its map cannot convert."""
 
 
 class WireError(RopewayError):

@@ -568,10 +568,12 @@ def _checked(answer: Packet) -> Packet:
 
 
 class _Subscription:
-    __slots__ = ("callback", "latest", "seen", "system", "topic")
+    __slots__ = ("callback", "head", "latest", "seen", "system", "topic")
 
-    def __init__(self, system: str, topic: str, callback: Callable[[Value], Any], latest: bool) -> None:
-        self.system, self.topic, self.callback, self.latest = system, topic, callback, latest
+    def __init__(
+        self, system: str, topic: str, callback: Callable[[Value], Any], latest: bool, head: Mapping[str, object]
+    ) -> None:
+        self.system, self.topic, self.callback, self.latest, self.head = system, topic, callback, latest, head
         self.seen: Dict[Tuple[str, str], Tuple[int, str]] = {}
 
 
@@ -707,9 +709,21 @@ class AsyncNode:
         value.mode = connection.mode
         return value
 
-    def publish_nowait(self, topic: str, content: Content, *, system: Optional[str] = None, type: str = "") -> Value:
-        """Publish without waiting. While the connection is slow a newer value of a topic replaces the one that waits."""
-        value = self._made(topic, content, system, type)
+    def publish_nowait(
+        self,
+        topic: str,
+        content: Content,
+        *,
+        system: Optional[str] = None,
+        type: str = "",
+        stamp_ns: int = 0,
+        origin: str = "",
+    ) -> Value:
+        """Publish without waiting. While the connection is slow a newer value of a topic replaces the one that waits.
+
+        ``stamp_ns`` and ``origin`` are those of who published it first, where this node only passes it on.
+        """
+        value = self._made(topic, content, system, type, stamp_ns, origin)
         connection = self._connection
         if connection is not None:
             self._send(connection, value, wanted=False)
@@ -758,13 +772,14 @@ class AsyncNode:
         *,
         system: Optional[str] = None,
         latest: bool = True,
+        head: Optional[Mapping[str, object]] = None,
     ) -> Callable[[], Awaitable[None]]:
         """Call ``callback`` with every value that others publish; patterns such as ``*`` are allowed.
 
         ``latest`` begins with the value that is there. After a cut the newest value comes, once. Returns a function
-        that ends it. Raises ``NodeError`` if the server refuses.
+        that ends it. Raises ``NodeError`` if the server refuses. ``head`` is told to the server besides.
         """
-        subscription = _Subscription(system or self.system, topic, callback, latest)
+        subscription = _Subscription(system or self.system, topic, callback, latest, head or {})
         self._subscriptions.append(subscription)
         connection = self._connection
         if connection is not None:
@@ -819,7 +834,15 @@ class AsyncNode:
 
     # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _made(self, topic: str, content: Content, system: Optional[str], type: str) -> Value:
+    def _made(
+        self,
+        topic: str,
+        content: Content,
+        system: Optional[str],
+        type: str,
+        stamp_ns: int = 0,
+        origin: str = "",
+    ) -> Value:
         key = (system or self.system, topic)
         known = self._copy.values.get(key)
         now_ns = self._clock_ns() + self._offset_ns
@@ -829,8 +852,8 @@ class AsyncNode:
             topic,
             text_of(content),
             self._version,
-            now_ns,
-            self.origin,
+            stamp_ns or now_ns,
+            origin or self.origin,
             type,
             "local",
             offset_ns=self._offset_ns,
@@ -938,7 +961,7 @@ class AsyncNode:
         for subscription in list(self._subscriptions):
             if not (_fits(key[0], subscription.system) and _fits(key[1], subscription.topic)):
                 continue
-            if value.latest and not subscription.latest:
+            if value.latest and not subscription.latest and key not in subscription.seen:
                 continue
             if subscription.seen.get(key, (-1, "")) >= value.order:
                 continue
@@ -960,7 +983,7 @@ class AsyncNode:
     async def _subscribe(self, connection: _Connection, subscription: _Subscription) -> None:
         # after a cut the newest is asked for, whatever was asked first: nothing of the meantime is missed
         again = bool(subscription.seen)
-        head: Dict[str, object] = {"last": 1 if subscription.latest or again else 0}
+        head: Dict[str, object] = {"last": 1 if subscription.latest or again else 0, **subscription.head}
         await connection.ask(subscription.system, subscription.topic, "+sub", head)
 
     def _set_mode(self, mode: str) -> None:

@@ -15,12 +15,15 @@ import pytest
 from ropeway.graph.base import Graph, Sample
 from ropeway.graph.dds import DdsGraph
 from ropeway.graph.hub import Hub
+from ropeway.graph.iort import IortGraph, LocalLink, RemoteLink, Space
 from ropeway.graph.memory import MemoryGraph
 from ropeway.graph.overlay import OverlayGraph
 from ropeway.graph.ros2 import Ros2Graph
 from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.overlay.node import OverlayNode
 from ropeway.server import RosbridgeServer
+from ropeway.server.iort import IortServer
+from ropeway.store import Store, StoreLimits, make_backend
 from ropeway.types import TypeRegistry
 from tests.graph.ros2.network import isolated_ros2
 from tests.isolation import isolated_dds
@@ -54,17 +57,20 @@ class Abilities:
     ``errors``: a service tells why it failed (else the response with default values comes). ``rejects``: a client
     learns that its goal was rejected when it sends it (else with the outcome). ``refuses_cancel``: a client learns that
     its goal goes on (else the request counts as agreed to). ``pad_alike``: bytes that mean nothing arrive as they were
-    (else there may be some more at the end, and others between the fields).
+    (else there may be some more at the end, and others between the fields). ``calls``: there are services and actions.
     """
 
     errors: bool = True
     rejects: bool = True
     refuses_cancel: bool = True
     pad_alike: bool = True
+    calls: bool = True
 
 
 ABILITIES = {
     "dds": Abilities(errors=False),
+    "iort": Abilities(pad_alike=False, calls=False),
+    "iort-local": Abilities(pad_alike=False, calls=False),
     "ros2": Abilities(errors=False, pad_alike=False),
 }
 """Kinds that cannot say everything, the others can."""
@@ -165,15 +171,64 @@ async def open_rosbridge(stack: AsyncExitStack, *, plain: bool = False) -> Pair:
     return Pair(*ends, stack)
 
 
+async def open_space(stack: AsyncExitStack) -> Space:
+    """Topics of IoRT nodes, kept in memory."""
+    store = Store(make_backend("memory:"), limits=StoreLimits(max_value_bytes=64 << 20))
+    await store.open()
+    stack.push_async_callback(store.close)
+    return Space(store)
+
+
+async def open_iort(stack: AsyncExitStack) -> Pair:
+    """Two nodes of one server."""
+    server = IortServer(await open_space(stack), max_packet_bytes=64 << 20)
+    stack.push_async_callback(server.close)
+    port = await server.listen("iort://127.0.0.1:0")
+    ends = []
+    for name in ("near", "far"):
+        url = f"iort://127.0.0.1:{port}"
+        end = IortGraph(RemoteLink(url, name), name=url)
+        await end.open()
+        stack.push_async_callback(end.close)
+        ends.append(end)
+    return Pair(*ends, stack)
+
+
+async def open_iort_local(stack: AsyncExitStack) -> Pair:
+    """Two members of one space in this process."""
+    space = await open_space(stack)
+    ends = [IortGraph(LocalLink(space, name), name=f"iort:{name}") for name in ("near", "far")]
+    for end in ends:
+        await end.open()
+        stack.push_async_callback(end.close)
+    return Pair(*ends, stack)
+
+
 KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
     "memory": open_memory,
     "hub": open_hub,
+    "iort": open_iort,
+    "iort-local": open_iort_local,
     "dds": open_dds,
     "overlay": open_overlay,
     "rosbridge": open_rosbridge,
 }
 if importlib.util.find_spec("rclpy") is not None:
     KINDS["ros2"] = open_ros2
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Networks without services and actions are not asked for them."""
+
+    def fits(item: pytest.Item) -> bool:
+        kind = getattr(item, "callspec", None) and item.callspec.params.get("pair")  # type: ignore[attr-defined]
+        calls = item.path.name in ("test_services.py", "test_actions.py") and item.path.parent.name == "contract"
+        return not calls or ABILITIES.get(str(kind), Abilities()).calls
+
+    kept = [item for item in items if fits(item)]
+    if len(kept) < len(items):
+        config.hook.pytest_deselected(items=[item for item in items if not fits(item)])
+        items[:] = kept
 
 
 @pytest.fixture(scope="session", autouse=True)
