@@ -658,11 +658,10 @@ class AsyncNode:
     async def close(self) -> None:
         """Leave; what the server does not have yet is kept in the directory, where there is one."""
         self._closed = True
-        if self._task is not None:
-            self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
-            self._task = None
+        task, self._task = self._task, None
+        while task is not None and not task.done():
+            task.cancel()  # again, because wait_for before Python 3.12 may swallow one
+            await asyncio.wait([task], timeout=0.2)
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close()
@@ -998,7 +997,7 @@ class AsyncNode:
 
     async def _keep_connected(self) -> None:
         pause = _PAUSE_S[0]
-        while True:
+        while not self._closed:
             connection = await self._dial(self.server, "remote")
             if connection is None and self.local_server is not None:
                 connection = await self._dial(self.local_server, "local-server")
@@ -1064,6 +1063,8 @@ class AsyncNode:
         before = time.time_ns()
         try:
             answer = await connection.ask(self.system, "-", "+hello", head, timeout_s=_CONNECT_S)
+            if answer.op != "+ok":
+                raise NodeError("malformed", "what answers there is no server of nodes")
             now = answer.head.get("t", "")
             if now.isdigit():
                 self._offset_ns = int(now) - (before + time.time_ns()) // 2

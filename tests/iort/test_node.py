@@ -296,7 +296,7 @@ def test_sync(tmp_path: Path) -> None:
             one.publish("x", "2", wait=False)
             assert one.read("x").text == "2"
             assert [v["topic"] for v in other.list("A", "*")] == ["x"]
-            with pytest.raises(NodeError, match="unknown|no value"):
+            with pytest.raises(NodeError, match="no value"):
                 other.read("nothing")
             server.kill()
             assert other.wait_mode("local", 10)
@@ -330,6 +330,6 @@ def test_shell(tmp_path: Path) -> None:
         server.kill()
         gone = run("read", "PEPPER/cmd_vel")
         assert gone.returncode == 1
-        assert "refused" in gone.stderr.lower()
+        assert server.url in gone.stderr
     finally:
         server.kill()

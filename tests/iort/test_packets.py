@@ -210,5 +210,5 @@ def test_copied_file(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
-    )  # noqa: E501
+    )
     assert done.stdout == "Node\n", done.stderr
