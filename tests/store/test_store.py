@@ -166,7 +166,7 @@ async def test_mirror(flaky: Flaky) -> None:
     store.put(entry(b"new", 5, topic="old"))
     store.put(entry(b"1", 1))
     await until(lambda: "is away" in store.mirror_fault)
-    assert store.status()["mirror"]["waiting"] == 2
+    await until(lambda: store.status()["mirror"]["waiting"] == 2)
     mirror.fail = ""
     await until(lambda: len(mirror.rows) == 3 and not store.mirror_fault)
     assert mirror.rows[("PEPPER", "old")].data == b"new"

@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, Protocol
 
 from ropeway.bridge.meter import Meter
 from ropeway.bridge.pipeline import Drop, Step, build
@@ -23,11 +23,21 @@ from ropeway.graph.base import NO_HINTS, Delivery, Graph, Publisher, Sample, Sub
 from ropeway.qos import DEFAULT, QoS, common_qos
 from ropeway.tasks import end
 
-__all__ = ["TopicBridge"]
+__all__ = ["Keep", "TopicBridge"]
 
 log = logging.getLogger("ropeway.bridge")
 
 _RETRY_S: Final = 2.0  # a side that refused is asked again
+
+
+class Keep(Protocol):
+    """Where the last message of a bridge is kept over restarts."""
+
+    def put(self, sample: Sample) -> None:
+        """It passed."""
+
+    def last(self) -> Sample | None:
+        """The one that passed last, with the stamp of then."""
 
 
 class TopicBridge:
@@ -35,7 +45,8 @@ class TopicBridge:
 
     ``qos=None`` adopts what the source's publishers offer and follows it. ``delivery`` says how the link between
     the two treats the topic; it goes to whichever side is a link. The pipeline's limits are applied on the near
-    side of the link only (``limit``), so that nothing crosses that will be dropped.
+    side of the link only (``limit``), so that nothing crosses that will be dropped. With ``keep`` the last message is
+    kept, and late joiners on the target get it, whether the source has it latched or not.
     """
 
     def __init__(
@@ -49,6 +60,7 @@ class TopicBridge:
         qos: QoS | None = None,
         delivery: Delivery = NO_HINTS,
         limit: bool = True,
+        keep: Keep | None = None,
     ) -> None:
         self.source, self.target = source, target
         self.source_topic, self.target_topic, self.type = source_topic, target_topic, type
@@ -58,6 +70,7 @@ class TopicBridge:
         self.error = ""
         self.publisher: Publisher | None = None
         self.subscription: Subscription | None = None
+        self.keep = keep
         self._asked = qos
         self._steps: list[Step] = build(delivery) if limit else []
         self._changed = asyncio.Event()
@@ -103,6 +116,8 @@ class TopicBridge:
                     break
             else:
                 meter.add(sample, now)
+                if self.keep is not None:
+                    self.keep.put(sample)
                 publisher.publish(sample)
 
     # ── keeping both sides right ───────────────────────────────────────────────────────────────────────────────
@@ -129,6 +144,12 @@ class TopicBridge:
                 self.error = ""
 
     def _wanted_qos(self) -> QoS:
+        qos = self._source_qos()
+        if self.keep is not None and not qos.transient_local:
+            qos = replace(qos, reliability="reliable", durability="transient_local", history="keep_last", depth=1)
+        return qos
+
+    def _source_qos(self) -> QoS:
         if self._asked is not None:
             return self._asked
         known = self.source.topics().get(self.source_topic)
@@ -159,6 +180,9 @@ class TopicBridge:
             self.publisher.on_demand(lambda _: self._changed.set())
             if old is not None:
                 await old.close()
+            last = self.keep.last() if self.keep is not None else None
+            if last is not None:
+                self.publisher.publish(last)
             if old is not None and (old.qos.transient_local or qos.transient_local):
                 await self._stop_reading()  # read again, so that the new publisher gets what is latched
         readers = self.publisher.subscribers

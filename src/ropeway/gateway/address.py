@@ -14,11 +14,23 @@ from urllib.parse import SplitResult, urlsplit
 
 from ropeway.gateway.suggest import did_you_mean
 
-__all__ = ["GRAPHS", "LINKS", "default_graph", "is_loopback", "is_secure", "parse_graph", "parse_link", "parse_listen"]
+__all__ = [
+    "GRAPHS",
+    "LINKS",
+    "default_graph",
+    "is_iort",
+    "is_loopback",
+    "is_secure",
+    "parse_graph",
+    "parse_link",
+    "parse_listen",
+]
 
 DEFAULT_PORT: Final = 9090
 
-LINKS: Final[Mapping[str, int]] = {"ws": DEFAULT_PORT, "wss": DEFAULT_PORT}
+IORT_PORT: Final = 7410
+
+LINKS: Final[Mapping[str, int]] = {"ws": DEFAULT_PORT, "wss": DEFAULT_PORT, "iort": IORT_PORT, "iorts": IORT_PORT}
 """The schemes a remote or a listener may have, and the port where the address names none."""
 
 GRAPHS: Final[Mapping[str, str]] = {
@@ -42,6 +54,8 @@ def parse_link(text: str) -> str:
     if not 1 <= port <= 65535:
         raise ValueError(f'expected a port from 1 to 65535, got "{text}"')
     path = "" if parts.path == "/" else parts.path
+    if parts.scheme in ("iort", "iorts") and (path or parts.query):
+        raise ValueError(f'the address of a server of nodes has no path, got "{text}"')
     return f"{parts.scheme}://{_bracketed(host)}:{port}{path}{'?' + parts.query if parts.query else ''}"
 
 
@@ -88,7 +102,12 @@ def is_loopback(address: str) -> bool:
 
 def is_secure(address: str) -> bool:
     """True for a (parsed) address behind TLS."""
-    return address.startswith("wss:")
+    return address.startswith(("wss:", "iorts:"))
+
+
+def is_iort(address: str) -> bool:
+    """True for the (parsed) address of a server of IoRT nodes."""
+    return address.startswith(("iort:", "iorts:"))
 
 
 def _split(text: str) -> SplitResult:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
-from ropeway.bridge.topic import TopicBridge
+from ropeway.bridge.topic import Keep, TopicBridge
 from ropeway.gateway.config import Route
 from ropeway.graph.base import Graph
 
@@ -13,10 +13,12 @@ __all__ = ["make_bridge", "make_topic_bridge"]
 _INWARD = ("subscribe", "reserve-service", "reserve-action")
 
 
-def make_bridge(route: Route, local: Graph, remote: Graph) -> TopicBridge | ServiceBridge | ActionBridge:
+def make_bridge(
+    route: Route, local: Graph, remote: Graph, keep: Keep | None = None
+) -> TopicBridge | ServiceBridge | ActionBridge:
     """A bridge between two graphs, not started."""
     if route.kind == "topic":
-        return make_topic_bridge(route, local, remote)
+        return make_topic_bridge(route, local, remote, keep)
     source, target, source_name, target_name = _ends(route, local, remote)
     kind = ServiceBridge if route.kind == "service" else ActionBridge
     return kind(
@@ -30,7 +32,7 @@ def make_bridge(route: Route, local: Graph, remote: Graph) -> TopicBridge | Serv
     )
 
 
-def make_topic_bridge(route: Route, local: Graph, remote: Graph) -> TopicBridge:
+def make_topic_bridge(route: Route, local: Graph, remote: Graph, keep: Keep | None = None) -> TopicBridge:
     """The same for a topic."""
     source, target, source_name, target_name = _ends(route, local, remote)
     return TopicBridge(
@@ -42,6 +44,7 @@ def make_topic_bridge(route: Route, local: Graph, remote: Graph) -> TopicBridge:
         qos=route.qos,
         delivery=route.delivery,
         limit=route.operation not in _INWARD,
+        keep=keep,
     )
 
 

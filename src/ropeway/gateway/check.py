@@ -16,7 +16,15 @@ from typing import Any, Final, TypeVar, get_args, get_origin
 from pydantic import AliasChoices, BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ropeway.gateway.address import default_graph, is_loopback, is_secure, parse_graph, parse_link, parse_listen
+from ropeway.gateway.address import (
+    default_graph,
+    is_iort,
+    is_loopback,
+    is_secure,
+    parse_graph,
+    parse_link,
+    parse_listen,
+)
 from ropeway.gateway.auth_model import ALL
 from ropeway.gateway.model import OPERATIONS, Document, Item, RemoteConfig
 from ropeway.gateway.overlay_model import OVERLAY
@@ -207,7 +215,7 @@ def _objects(value: object) -> Iterable[tuple[int, Mapping[str, Any]]]:
 def _sense(full: Mapping[str, Any]) -> list[Problem]:
     gateway = full.get("gateway")
     gateway = gateway if isinstance(gateway, Mapping) else {}
-    problems = [*_listeners(gateway), *_auth(gateway)]
+    problems = [*_listeners(gateway), *_auth(gateway), *_store(gateway, full.get("remotes"))]
     graphs = gateway.get("graphs")
     if graphs is None:
         try:
@@ -219,6 +227,7 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
         path = f"remotes[{index}]"
         problems += _remote(remote, path, graphs)
         problems += _overlay(remote, path, gateway)
+        problems += _iort(remote, path)
         if _inactive(remote):
             continue
         for key, where, said in _tasks(remote, path, graphs):
@@ -242,7 +251,8 @@ def _listeners(gateway: Mapping[str, Any]) -> Iterable[Problem]:
             continue
         where = f"gateway.listen[{number}]"
         if is_secure(address) and not tls:
-            yield where, 'a wss:// listener needs gateway.tls with "certificate" and "key"'
+            scheme = address.partition(":")[0]
+            yield where, f'a {scheme}:// listener needs gateway.tls with "certificate" and "key"'
         guarded = is_loopback(address) or identified or (is_secure(address) and certified)
         if not guarded and gateway.get("insecure") is not True:
             yield (
@@ -296,6 +306,41 @@ def _overlay(remote: Mapping[str, Any], path: str, gateway: Mapping[str, Any]) -
                 "is not for the overlay, where certificates say who is who" if there else 'needs "address": "overlay"'
             )
             yield f"{path}.{key}", what
+
+
+def _iort(remote: Mapping[str, Any], path: str) -> Iterable[Problem]:
+    """What a server of nodes has, and what it has not."""
+    address = _attempt(parse_link, remote.get("address"))
+    if address is None or not is_iort(address):
+        if remote.get("maps"):
+            yield f"{path}.maps", "needs an iort:// address; maps of listeners stand under gateway.iort"
+        return
+    for operation, kind in OPERATIONS.items():
+        if kind != "topic" and remote.get(operation):
+            yield f"{path}.{operation}", "IoRT nodes know neither services nor actions"
+
+
+def _store(gateway: Mapping[str, Any], remotes: object) -> Iterable[Problem]:
+    """One process keeps last values."""
+    if gateway.get("workers", 0) in (0, None):
+        return
+    listen = gateway.get("listen")
+    nodes = any(
+        (address := _attempt(parse_listen, text)) is not None and is_iort(address)
+        for text in (listen if isinstance(listen, list) else [])
+    )
+    stored = any(
+        item.get("store") is True
+        for _, remote in _objects(remotes)
+        for operation, kind in OPERATIONS.items()
+        if kind == "topic"
+        for _, item in _objects(remote.get(operation))
+    )
+    if nodes or stored or gateway.get("store") is not None:
+        yield (
+            "gateway.workers",
+            "last values and IoRT nodes need one process; write 0, or run a second gateway for them",
+        )
 
 
 def _inactive(remote: Mapping[str, Any]) -> bool:

@@ -16,6 +16,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from ropeway.errors import ConfigError
+from ropeway.gateway.address import is_iort
 from ropeway.gateway.check import check, route_key
 from ropeway.gateway.document import read_file
 from ropeway.gateway.model import OPERATIONS, ActionItem, GatewayConfig, Item, RemoteConfig, ServiceItem, TopicItem
@@ -44,6 +45,7 @@ class Route:
     key: str
     graph: str
     timeout_s: float | None = None  # of a call or a goal
+    store: bool = False  # the last message is kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +82,16 @@ class Config:
             key=route_key(operation, remote.address, graph, name, remote_name, item.type),
             graph=graph,
             timeout_s=item.timeout_s if isinstance(item, (ServiceItem, ActionItem)) else None,
+            store=isinstance(item, TopicItem) and item.store,
+        )
+
+    @property
+    def stores(self) -> bool:
+        """True if last values are kept."""
+        return (
+            self.gateway.store is not None
+            or any(map(is_iort, self.gateway.listen))
+            or any(route.store for route in self.routes())
         )
 
     def slice(self, remotes: Iterable[int], *, listen: bool = True) -> Config:

@@ -9,22 +9,27 @@ import ssl
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.gateway.address import is_loopback, is_secure
+from ropeway.gateway.address import is_iort, is_loopback, is_secure
 from ropeway.gateway.allocator import keep_freed_memory
 from ropeway.gateway.auth import make_door, read_secret
 from ropeway.gateway.automatic import Automatic
 from ropeway.gateway.bridges import make_bridge
 from ropeway.gateway.config import Config, Route
 from ropeway.gateway.counts import summed
+from ropeway.gateway.iort_model import StoreConfig
+from ropeway.gateway.keep import Keeper, key_of
 from ropeway.gateway.model import RemoteConfig
+from ropeway.gateway.nodes import Nodes
 from ropeway.gateway.overlay_model import OVERLAY
-from ropeway.gateway.remote import LinkRemote, OverlayRemote, Remote
+from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote
 from ropeway.gateway.tls import client_context, reload_server_context, server_context
 from ropeway.graph.factory import open_graph
 from ropeway.graph.hub import Hub, View
 from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.link.connection import Limits
 from ropeway.server import RosbridgeServer
+from ropeway.server.store import StorePages
+from ropeway.store import Store, default_path, make_backend
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
 
@@ -64,6 +69,8 @@ class Gateway:
         self.servers: list[RosbridgeServer] = []
         self.remotes: list[Remote] = []
         self.node: OverlayNode | None = None
+        self.store: Store | None = None
+        self.nodes: Nodes | None = None
         self._node = node or config.gateway.name
         self._reuse_port = reuse_port
         self._stack = AsyncExitStack()
@@ -96,8 +103,11 @@ class Gateway:
             hub = self.hubs[url] = Hub(graph, gateway_id=self.gateway_id)
             await hub.open()
             stack.push_async_callback(hub.close)
+        if self.config.stores:
+            self.store = await self._open_store(stack)
         limits = Limits(max_message_bytes=settings.max_message_bytes)
-        if settings.listen:
+        links = [url for url in settings.listen if not is_iort(url)]
+        if links:
             server = RosbridgeServer(
                 self.hubs[settings.graphs[0]],
                 self.registry,
@@ -114,18 +124,47 @@ class Gateway:
                 cancel_goals=settings.clients.cancel_goals,
                 publish_clients=settings.clients.publish_clients,
                 publish_rosout=settings.clients.publish_rosout,
+                pages=None if self.store is None else StorePages(self.store, self.registry),
             )
             stack.push_async_callback(server.close)
             self.servers.append(server)
-            for url in settings.listen:
+            for url in links:
                 secure = self._tls if is_secure(url) else None
                 address = url + settings.clients.path.removesuffix("/")
                 await server.listen(address, ssl_context=secure, reuse_port=self._reuse_port)
                 if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
                     log.warning("%s: tokens travel in clear here; wss:// would hide them", url)
+        await self._bring_up_nodes(stack)
         await self._bring_up_remotes(stack, limits)
         meters = asyncio.create_task(self._update_meters(), name="gateway meters")
         stack.push_async_callback(end, meters)
+
+    async def _open_store(self, stack: AsyncExitStack) -> Store:
+        config = self.config.gateway.store or StoreConfig.model_validate({})
+        mirror = None if config.mongodb is None else make_backend(config.mongodb)
+        backend = make_backend(config.path or default_path(self.config.gateway.name))
+        store = Store(backend, mirror=mirror, limits=config.limits())
+        await store.open()
+        stack.push_async_callback(store.close)
+        return store
+
+    async def _bring_up_nodes(self, stack: AsyncExitStack) -> None:
+        """Listen for IoRT nodes, and share what the maps name with the first graph."""
+        settings = self.config.gateway
+        urls = [url for url in settings.listen if is_iort(url)]
+        if not urls:
+            return
+        assert self.store is not None
+        view = self.hubs[settings.graphs[0]].view("iort")
+        stack.push_async_callback(view.close)
+        door = make_door(settings)
+        self.nodes = Nodes(settings.iort, self.store, view, self.registry, door=door, name=settings.name)
+        await self.nodes.open()
+        stack.push_async_callback(self.nodes.close)
+        for url in urls:
+            await self.nodes.listen(url, ssl_context=self._tls if is_secure(url) else None)
+            if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
+                log.warning("%s: tokens travel in clear here; iorts:// would hide them", url)
 
     async def _bring_up_remotes(self, stack: AsyncExitStack, limits: Limits) -> None:
         routes: dict[int, list[Route]] = {}
@@ -138,6 +177,8 @@ class Gateway:
             remote: Remote
             if config.address == OVERLAY:
                 remote = OverlayRemote(config, self._overlay_graph(config))
+            elif is_iort(config.address):
+                remote = self._iort_remote(config, index)
             else:
                 remote = LinkRemote(config, self._link(config, index, mine, limits))
             await remote.graph.open()
@@ -146,7 +187,7 @@ class Gateway:
             views: dict[str, View] = {}
             for route in mine:
                 view = self._view(stack, views, route.graph, config)
-                bridge = make_bridge(route, view, remote.graph)
+                bridge = make_bridge(route, view, remote.graph, self._keeper(route))
                 await bridge.start()
                 stack.push_async_callback(bridge.close)
                 remote.bridges.append((route, bridge))
@@ -163,6 +204,23 @@ class Gateway:
             view = views[url] = self.hubs[url].view(config.address)
             stack.push_async_callback(view.close)
         return view
+
+    def _keeper(self, route: Route) -> Keeper | None:
+        if not route.store:
+            return None
+        assert self.store is not None
+        return Keeper(self.store, *key_of(route.name, self.config.gateway.name), route.type)
+
+    def _iort_remote(self, config: RemoteConfig, index: int) -> IortRemote:
+        from ropeway.graph.iort import IortGraph, Maps, RemoteLink
+
+        token = None if config.token is None else read_secret(config.token, f"remotes[{index}].token")
+        if token is not None and not is_secure(config.address) and not is_loopback(config.address):
+            log.warning("%s: the token travels in clear; iorts:// would hide it", config.address)
+        secure = client_context(config.tls, f"remotes[{index}].tls") if is_secure(config.address) else None
+        link = RemoteLink(config.address, self.config.gateway.name, token=token, ssl_context=secure, wait_s=0.0)
+        maps = Maps([item.as_map() for item in config.maps])
+        return IortRemote(config, IortGraph(link, name=config.address, maps=maps, registry=self.registry), link)
 
     def _link(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> RosbridgeGraph:
         return RosbridgeGraph(
@@ -204,12 +262,15 @@ class Gateway:
             for remote in self.remotes:
                 for bridge in remote.topics():
                     bridge.meter.update()
+            for bridge in self.nodes.bridges.values() if self.nodes is not None else ():
+                bridge.meter.update()
 
     def missing(self) -> list[str]:
         """Why the gateway is not ready for clients, in sentences; empty once all graphs and listeners are up."""
         settings = self.config.gateway
         reasons = [f"{url} is not open" for url in settings.graphs if url not in self.hubs]
         up = sum(len(server.listeners) for server in self.servers)
+        up += 0 if self.nodes is None else len(self.nodes.server.addresses)
         if up < len(settings.listen):
             reasons.append(f"{up} of {len(settings.listen)} listeners are up")
         return reasons
@@ -225,6 +286,8 @@ class Gateway:
             reload_server_context(self._tls, settings.tls)
         for server in self.servers:
             server.replace_door(door)
+        if self.nodes is not None:
+            self.nodes.server.replace_door(door)
         log.info("%s has read its certificates and tokens again", settings.name)
 
     def status(self) -> dict[str, Any]:
@@ -250,6 +313,8 @@ class Gateway:
             "routes": [row for remote in self.remotes for row in remote.routes()],
             "access": summed(server.status() for server in self.servers),
             "sessions": [session.status() for server in self.servers for session in server.sessions],
+            **({} if self.store is None else {"store": self.store.status()}),
+            **({} if self.nodes is None else {"nodes": self.nodes.status()}),
         }
 
     async def wait(self) -> None:

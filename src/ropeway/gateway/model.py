@@ -23,6 +23,7 @@ from ropeway.errors import InvalidName, InvalidTypeName
 from ropeway.gateway.address import default_graph, parse_graph, parse_link, parse_listen
 from ropeway.gateway.auth_model import AuthConfig, GlobsConfig, Secret
 from ropeway.gateway.fields import ExistingPath, Many, Model
+from ropeway.gateway.iort_model import IortConfig, MapItem, StoreConfig, read_maps
 from ropeway.gateway.overlay_model import OVERLAY, AutomaticConfig, OverlayConfig
 from ropeway.gateway.suggest import one_of, show, unknown_key
 from ropeway.graph.base import Delivery, resolve_name
@@ -243,6 +244,9 @@ class TopicItem(Item):
     rate_hz: Seconds | None = Field(None, description="at most so many messages per second; left out: no limit")
     lifespan_s: Seconds | None = Field(None, description="older messages (seconds) are not sent; left out: no limit")
     depth: int | None = Field(None, ge=1, description="how many messages may wait; left out: as the publisher's QoS")
+    store: bool = Field(
+        False, description="true keeps the last message: late joiners get it, and it can be read from the store"
+    )
     qos: Profile = Field(None, description="QoS on the local graph; left out: the publishers' own is adopted")
 
     def delivery(self) -> Delivery:
@@ -312,7 +316,8 @@ class RemoteConfig(Model):
     """One other gateway (or rosbridge server) and what crosses to and from it."""
 
     address: Annotated[str, AfterValidator(_address)] = Field(
-        description="ws://host:port or wss://host:port, or overlay: everybody in the overlay"
+        description="ws://host:port or wss://host:port, overlay: everybody in the overlay, or iort://host:port: a "
+        "server of IoRT nodes"
     )
     title: str = Field("", description="for people")
     active: Switch = Field(True, description="false: parsed and checked, but not started")
@@ -330,6 +335,9 @@ class RemoteConfig(Model):
     )
     callers: Many[str] | None = Field(
         None, description="overlay: patterns of the members that may call what is exposed; left out: all"
+    )
+    maps: Annotated[Many[MapItem], BeforeValidator(read_maps)] = Field(
+        (), description="iort: how topics of nodes are topics of ROS, as in gateway.iort.maps"
     )
     automatic: AutomaticConfig | None = Field(
         None, description="overlay: topics are offered and fetched as the local graph needs"
@@ -393,7 +401,9 @@ class GatewayConfig(Model):
         "any RMW), auto (ros2 where ROS 2 is sourced, else dds); left out: dds with ROS_DOMAIN_ID",
     )
     listen: Many[Annotated[str, AfterValidator(parse_listen)]] = Field(
-        ("ws://127.0.0.1:9090",), description="where other gateways and rosbridge clients connect; [] for nowhere"
+        ("ws://127.0.0.1:9090",),
+        description="where other gateways and rosbridge clients connect (ws, wss) and IoRT nodes (iort, iorts); "
+        "[] for nowhere",
     )
     insecure: bool = Field(False, description="true allows listeners that other machines reach without authentication")
     tls: ListenTls | None = Field(None, description="for wss:// listeners")
@@ -404,6 +414,11 @@ class GatewayConfig(Model):
         default_factory=lambda: GlobsConfig.model_validate({}), description="rosbridge's globs, for all clients"
     )
     overlay: OverlayConfig | None = Field(None, description="membership of the overlay, for remotes with that address")
+    iort: IortConfig = Field(default_factory=lambda: IortConfig.model_validate({}), description="robots of other makes")
+    store: StoreConfig | None = Field(
+        None,
+        description='last values; there also without this where a listener is iort:// or a topic has "store": true',
+    )
     clients: ClientsConfig = Field(
         default_factory=lambda: ClientsConfig.model_validate({}), description="how rosbridge clients are served"
     )

@@ -14,9 +14,10 @@ from ropeway.graph.base import Graph
 from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
 
 if TYPE_CHECKING:
+    from ropeway.graph.iort import IortGraph, RemoteLink
     from ropeway.graph.overlay import OverlayGraph
 
-__all__ = ["Bridge", "LinkRemote", "OverlayRemote", "Remote"]
+__all__ = ["Bridge", "IortRemote", "LinkRemote", "OverlayRemote", "Remote"]
 
 Bridge = TopicBridge | ServiceBridge | ActionBridge
 
@@ -79,6 +80,32 @@ class LinkRemote(Remote):
             "complaints": {}
             if peer is None
             else {f"{kind} {topic}".strip(): n for (kind, topic), n in peer.complaints.counts.items()},
+        }
+
+
+class IortRemote(Remote):
+    """A server of IoRT nodes at an address."""
+
+    def __init__(self, config: RemoteConfig, graph: IortGraph, link: RemoteLink) -> None:
+        super().__init__(config)
+        self.graph: IortGraph = graph
+        self.link = link
+
+    @property
+    def state(self) -> str:
+        """One word; ``connected`` where data can flow."""
+        return "connected" if self.link.connected else "connecting"
+
+    def status(self) -> dict[str, Any]:
+        """The link, for people and programs."""
+        return {
+            "address": self.config.address,
+            "title": self.config.title,
+            "state": self.state,
+            "error": "" if self.link.connected else self.link.node.last_error,
+            "pending": self.link.node.pending,
+            "superseded": self.link.node.superseded,
+            "drops": {f"{topic}: {why.value}": n for (topic, why), n in self.graph.drops.items() if n},
         }
 
 

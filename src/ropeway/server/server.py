@@ -26,6 +26,7 @@ from ropeway.server.presence import Presence, ip_address
 from ropeway.server.rosapi import Globs, Rosapi
 from ropeway.server.rosout import Rosout
 from ropeway.server.session import Session
+from ropeway.server.store import StorePages
 from ropeway.tasks import end
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 
@@ -70,6 +71,7 @@ class RosbridgeServer:
         silence_s: float | None = _CLIENT_SILENCE_S,
         ping_interval_s: float = _CLIENT_PING_S,
         cancel_goals: bool = True,
+        pages: StorePages | None = None,
     ) -> None:
         self.hub, self.registry = hub, registry
         self.gateway_id, self.name = gateway_id, name
@@ -84,7 +86,8 @@ class RosbridgeServer:
         self.call_timeout_s, self.silence_s = call_timeout_s, silence_s
         self.ping_interval_s, self.cancel_goals = ping_interval_s, cancel_goals
         self.rosapi = Rosapi(hub, registry, params_timeout_s=params_timeout_s, globs=rosapi_globs or self.door.globs)
-        self._pages = Pages(reasons, lambda origin: self.door.knows_origin(origin))
+        self._pages = Pages(reasons, lambda origin: self.door.knows_origin(origin), self._more_pages)
+        self._store_pages = pages
         self._complaints = Complaints("server")
         self.presence: Presence | None = None
         self.rosout: Rosout | None = None
@@ -132,6 +135,16 @@ class RosbridgeServer:
                 self.rosout = rosout
         except RopewayError as error:
             log.warning("%s does not take what the server tells about itself: %s", self.hub.graph.name, error)
+
+    def _more_pages(self, request: Request) -> Response | asyncio.Protocol | None:
+        """Pages beyond the server's own: what the store has, for who may read it."""
+        pages = self._store_pages
+        if pages is None or not pages.knows(request.path):
+            return None
+        role = self.door.role_of(request)
+        if not isinstance(role, Role):
+            return role
+        return pages(request, Access(role, self.door.globs, client=request.peer, tally=self.denied))
 
     def _admit(self, request: Request) -> Admission | Response:
         role = self.door.role_of(request)

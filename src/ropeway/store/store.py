@@ -32,6 +32,7 @@ log = logging.getLogger("ropeway.store")
 _RETRY_S: Final = (0.25, 10.0)  # first and longest pause before a backend is tried again
 _MIRROR_BATCH: Final = 500
 _SWEEP_S: Final = 30.0
+_GATHER_S: Final = 0.25  # how long values wait for others where nobody waits for them
 T = TypeVar("T")
 
 
@@ -87,6 +88,7 @@ class Store:
         self._unmirrored: dict[Key, list[Entry]] = {}
         self._unmirrored_removals: dict[Key, None] = {}
         self._wake = asyncio.Event()
+        self._asked = asyncio.Event()  # somebody waits until values are kept
         self._mirror_wake = asyncio.Event()
         self._idle = asyncio.Event()
         self._idle.set()
@@ -124,9 +126,7 @@ class Store:
         if not self._open:
             return
         self._open = False
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(5):
-                await self._idle.wait()
+        await self.settled()
         await end(*self._tasks)
         if self._dirty:
             log.error("%s: %d values could not be kept: %s", self.backend.url, len(self._dirty), self.fault)
@@ -194,6 +194,7 @@ class Store:
         self._queue(key, entry)
         if sink is not None:
             self._sinks.setdefault(sink, []).append(token)
+            self._asked.set()
         for callback in self.on_change:
             callback(entry)
         return True
@@ -219,6 +220,7 @@ class Store:
 
     async def settled(self, timeout_s: float = 5.0) -> bool:
         """Wait until everything is kept; false when the time is over."""
+        self._asked.set()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(timeout_s):
                 await self._idle.wait()
@@ -285,6 +287,7 @@ class Store:
     def _promise(self, sink: Sink, token: Any) -> None:
         """Tell when everything that is there now is kept."""
         self._sinks.setdefault(sink, []).append(token)
+        self._asked.set()
         self._idle.clear()
         self._wake.set()
 
@@ -296,6 +299,10 @@ class Store:
         while True:
             await self._wake.wait()
             self._wake.clear()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_GATHER_S):
+                    await self._asked.wait()
+            self._asked.clear()
             dirty, self._dirty = self._dirty, {}
             sinks, self._sinks = self._sinks, {}
             error: StoreUnavailable | None = None

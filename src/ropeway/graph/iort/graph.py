@@ -250,7 +250,7 @@ class IortGraph:
     def _resolved(self, topic: str, direction: str) -> list[tuple[str, str, Any]]:
         """The maps know best; else a node's topic whose name ROS would not allow may be meant."""
         found = self.maps.at(topic, direction)
-        if len(found) == 1 and found[0][2] is None:
+        if len(found) == 1 and (found[0][2] is None or found[0][2].is_pattern):
             for endpoint in self._endpoints.values():
                 if self._info(endpoint).topic == topic:
                     return [(endpoint.system, endpoint.topic, self.maps.of(endpoint.system, endpoint.topic))]

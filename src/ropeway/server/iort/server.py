@@ -21,6 +21,7 @@ from ropeway.link.http import Request
 from ropeway.server.access import Access, Role
 from ropeway.server.door import Door
 from ropeway.server.iort.session import Session
+from ropeway.store import Entry
 from ropeway.tasks import end
 
 __all__ = ["IortServer"]
@@ -37,8 +38,8 @@ class IortServer:
     """Serves a space to nodes; ``door`` decides who may do what.
 
     ``max_packet_bytes`` bounds one packet. A node has ``unfinished_s`` for each of its packets, and one that speaks
-    the upgrade is given up after ``silence_s`` without a word. ``accept`` may convert what nodes publish, or refuse it
-    by a ``NodeError``.
+    the upgrade is given up after ``silence_s`` without a word. ``render`` makes
+    text of messages of ROS, which nodes cannot read; it raises ``NodeError`` or ``TypesError`` where it cannot.
     """
 
     def __init__(
@@ -50,12 +51,12 @@ class IortServer:
         max_clients: int = _MAX_CLIENTS,
         unfinished_s: float = _UNFINISHED_S,
         silence_s: float = _SILENCE_S,
-        accept: Callable[[str, str, bytes], bytes] | None = None,
+        render: Callable[[Entry], bytes] | None = None,
     ) -> None:
         self.space, self.door = space, door or Door()
         self.max_packet_bytes, self.max_clients = max_packet_bytes, max_clients
         self.unfinished_s, self.silence_s = unfinished_s, silence_s
-        self.accept = accept or (lambda system, topic, data: data)
+        self.render = render or _no_text
         self.sessions: dict[Session, None] = {}
         self.counts: Counter[str] = Counter()
         self.denied: Counter[str] = Counter()
@@ -206,6 +207,10 @@ class IortServer:
                 elif session.upgraded and now - session.last_heard > self.silence_s:
                     self.counts["silent"] += 1
                     session.close("timeout", f"nothing was heard for {self.silence_s:g} s")
+
+
+def _no_text(entry: Entry) -> bytes:
+    raise NodeError("conversion", f"it is a message of {entry.type}, which nobody makes text of here")
 
 
 def _keep_alive(sock: Any) -> None:

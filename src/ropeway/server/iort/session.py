@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from ropeway.errors import AccessDenied, StoreUnavailable, ValueRefused
+from ropeway.errors import AccessDenied, StoreUnavailable, TypesError, ValueRefused
 from ropeway.graph.iort.space import Endpoint, is_pattern
 from ropeway.iort import Fault, NodeError, Packet, Parser, pack
 from ropeway.server.access import Access
@@ -80,7 +80,7 @@ class Session(asyncio.Protocol):
             key = next(iter(self._waiting))
             entry, latest = self._waiting.pop(key)
             self._waiting_bytes -= len(entry.data)
-            self._send(self._value(entry, latest))
+            self._pushed(entry, latest)
             self.flush()
         if self._transport is not None and not self._paused:
             self._transport.resume_reading()
@@ -132,11 +132,25 @@ class Session(asyncio.Protocol):
         head |= {"t": entry.stamp_ns, "v": entry.version, "o": entry.origin}
         if entry.type:
             head["k"] = entry.type
-        if entry.form:
-            head["f"] = entry.form
         if latest:
             head["last"] = 1
-        return pack(_OURS, entry.system, entry.topic, "+val", head, entry.data)
+        return pack(_OURS, entry.system, entry.topic, "+val", head, self._text(entry))
+
+    def _text(self, entry: Entry) -> bytes:
+        """What a node is given. Raises ``NodeError`` where a message of ROS cannot be made text."""
+        if not entry.form:
+            return entry.data
+        try:
+            return self.server.render(entry)
+        except TypesError as error:
+            raise NodeError("conversion", str(error)) from None
+
+    def _pushed(self, entry: Entry, latest: bool) -> None:
+        """Send a value of a subscription."""
+        try:
+            self._send(self._value(entry, latest))
+        except NodeError as error:
+            self.server.counts[error.code] += 1
 
     # ── what the space calls ───────────────────────────────────────────────────────────────────────────────────
 
@@ -145,7 +159,7 @@ class Session(asyncio.Protocol):
         if self.access is None or not self.access.allows("subscribe", f"/{entry.system}/{entry.topic}"):
             return
         if not self._paused:
-            self._send(self._value(entry, latest))
+            self._pushed(entry, latest)
             return
         before = self._waiting.pop(entry.key, None)
         if before is not None:
@@ -239,16 +253,14 @@ class Session(asyncio.Protocol):
     def _publish_plain(self, packet: Packet) -> None:
         self._may("publish", packet)
         origin = f"{packet.id}@{self.peer}"
-        data = self.server.accept(packet.system, packet.topic, packet.data)
-        self.space.publish(self, packet.system, packet.topic, data, origin=origin)
+        self.space.publish(self, packet.system, packet.topic, packet.data, origin=origin)
 
     def _read_plain(self, packet: Packet) -> None:
         entry = self._read(packet)
-        if entry.form:
-            raise NodeError("conversion", f"it is a message of {entry.type}, which no map makes text of")
+        data = self._text(entry)
         id = cast("re.Match[str]", _FIRST.match(entry.origin))[0] or _OURS
         try:
-            answer = pack(id, packet.system, packet.topic, "p", None, entry.data, packet.system_type)
+            answer = pack(id, packet.system, packet.topic, "p", None, data, packet.system_type)
         except ValueError as error:
             raise NodeError("conversion", str(error)) from None
         self._send(answer)
@@ -271,7 +283,6 @@ class Session(asyncio.Protocol):
             raise NodeError("malformed", "t and v are whole numbers") from None
         if not (0 <= stamp_ns < 1 << 63 and 0 <= version < 1 << 62):
             raise NodeError("malformed", "t and v are whole numbers of up to 63 bits")
-        data = packet.data if head.get("f") else self.server.accept(packet.system, packet.topic, packet.data)
         merge = head.get("m") == "1"
         origin = head.get("o") or self.origin or f"{packet.id}@{self.peer}"
         token = [number, version]
@@ -279,13 +290,12 @@ class Session(asyncio.Protocol):
             self,
             packet.system,
             packet.topic,
-            data,
+            packet.data,
             origin=origin[:200],
             stamp_ns=stamp_ns,
             version=version,
             merge=merge,
             type=head.get("k", "")[:200],
-            form=head.get("f", "")[:20],
             sink=self if number else None,
             token=token,
         )

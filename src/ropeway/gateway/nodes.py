@@ -1,0 +1,127 @@
+"""IoRT nodes of a gateway: their listeners, and the bridges between their topics and the local graph."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from typing import TYPE_CHECKING, Any, Final
+
+from ropeway.bridge.topic import TopicBridge
+from ropeway.graph.base import Graph
+from ropeway.graph.iort import IortGraph, LocalLink, Maps, Space
+from ropeway.graph.iort.forms import default_form
+from ropeway.server.iort import IortServer
+from ropeway.tasks import end
+
+if TYPE_CHECKING:
+    import ssl
+
+    from ropeway.gateway.iort_model import IortConfig
+    from ropeway.server.door import Door
+    from ropeway.store import Entry, Store
+    from ropeway.types import TypeRegistry
+
+__all__ = ["Nodes"]
+
+log = logging.getLogger("ropeway.gateway")
+
+_FOUND_LIMIT: Final = 1000  # bridges that patterns may bring about
+
+
+class Nodes:
+    """Serves nodes over ``store``, and shares with ``local`` what the maps name.
+
+    A map of one topic is a bridge (or one each way) from the start; a map with patterns makes one for every topic
+    that a node publishes or subscribes to.
+    """
+
+    def __init__(
+        self, config: IortConfig, store: Store, local: Graph, registry: TypeRegistry, *, door: Door, name: str
+    ) -> None:
+        self.space = Space(store)
+        self.server = IortServer(
+            self.space,
+            door=door,
+            max_packet_bytes=config.max_packet_bytes,
+            max_clients=config.max_nodes,
+            render=self._render,
+        )
+        self.maps = Maps([item.as_map() for item in config.maps])
+        self.graph = IortGraph(LocalLink(self.space, name), name="iort", maps=self.maps, registry=registry)
+        self.bridges: dict[tuple[str, str], TopicBridge] = {}
+        self._local = local
+        self._watch: asyncio.Task[None] | None = None
+
+    async def open(self) -> None:
+        """Join the topics that the maps name. Raises ``TypesError`` for a map that does not fit its type."""
+        for map in self.maps.maps:
+            map.make_form(self.graph.registry)
+        await self.graph.open()
+        for map in self.maps.maps:
+            if not map.is_pattern:
+                name = map.ros_name(map.system, map.topic)
+                for direction in ("in", "out") if map.direction == "both" else (map.direction,):
+                    await self._join(direction, name, map.type)
+        if any(map.is_pattern for map in self.maps.maps):
+            self._watch = asyncio.create_task(self._look_out(), name="topics of nodes")
+
+    async def listen(self, url: str, *, ssl_context: ssl.SSLContext | None) -> None:
+        """Listen for nodes. Raises ``ConnectFailed``."""
+        await self.server.listen(url, ssl_context=ssl_context)
+
+    async def close(self) -> None:
+        """Take everything down."""
+        await end(self._watch)
+        for bridge in self.bridges.values():
+            await bridge.close()
+        await self.server.close()
+        await self.graph.close()
+        self.space.close()
+
+    def status(self) -> dict[str, Any]:
+        """How it stands, as JSON."""
+        return {
+            **self.server.status(),
+            "values": self.space.published,
+            "drops": {f"{topic}: {why.value}": n for (topic, why), n in self.graph.drops.items() if n},
+            "bridges": [
+                {
+                    "direction": direction,
+                    "name": name,
+                    "type": bridge.type,
+                    "state": bridge.state,
+                    "error": bridge.error,
+                    "messages": bridge.meter.messages,
+                    "rate_hz": round(bridge.meter.rate_hz, 2),
+                }
+                for (direction, name), bridge in sorted(self.bridges.items())
+            ],
+        }
+
+    def _render(self, entry: Entry) -> bytes:
+        """A message of ROS as text, by the map of its topic, or as JSON."""
+        map = self.maps.of(entry.system, entry.topic)
+        registry = self.graph.registry
+        fits = map is not None and map.type == entry.type and map.form not in ("codes", "angle")
+        form = map.make_form(registry) if fits and map is not None else default_form(entry.type, registry)
+        return form.text(entry.data) or b""
+
+    async def _join(self, direction: str, name: str, type: str) -> None:
+        if (direction, name) in self.bridges:
+            return
+        source, target = (self.graph, self._local) if direction == "in" else (self._local, self.graph)
+        bridge = self.bridges[direction, name] = TopicBridge(source, target, name, name, type)
+        await bridge.start()
+
+    async def _look_out(self) -> None:
+        async for event in self.graph.changes():
+            if not event.discovered or event.kind not in ("publisher", "subscription"):
+                continue
+            direction = "in" if event.kind == "publisher" else "out"
+            for system, topic, map in self.maps.at(event.name, direction):
+                if map is None or not map.is_pattern:
+                    continue
+                if len(self.bridges) >= _FOUND_LIMIT:
+                    log.warning("%s/%s is not shared: %d topics of nodes are, and no more", system, topic, _FOUND_LIMIT)
+                    continue
+                await self._join(direction, event.name, map.type)

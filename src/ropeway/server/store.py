@@ -1,0 +1,190 @@
+"""Last values over HTTP: ``GET /store``, ``GET /store/SYSTEM``, ``GET /store/SYSTEM/TOPIC``, and ``DELETE`` of one.
+
+``?watch=1`` keeps the connection and sends every later value as a line of JSON; ``?raw=1`` gives the bytes as they
+are, ``?history=1`` the values before, too. Names are percent-encoded; whatever stands behind the system is the topic.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Coroutine
+from fnmatch import fnmatchcase
+from typing import Any, Final, cast
+from urllib.parse import unquote
+
+from ropeway.errors import AccessDenied, StoreUnavailable, TypesError
+from ropeway.link.http import Request, Response, reply
+from ropeway.server.access import Access
+from ropeway.store import Entry, Key, Store, as_json
+from ropeway.types import TypeRegistry
+
+__all__ = ["StorePages", "entry_json"]
+
+_ROOT: Final = "/store"
+_HIGH_BYTES: Final = 4 << 20  # a watcher that reads slower than this is closed
+_HEAD: Final = (
+    b"HTTP/1.1 200 OK\r\nContent-Type: application/x-ndjson\r\nCache-Control: no-store\r\n"
+    b"X-Content-Type-Options: nosniff\r\nConnection: close\r\n\r\n"
+)
+
+
+def entry_json(entry: Entry, registry: TypeRegistry) -> dict[str, Any]:
+    """A value for people and programs; a message of ROS stands under ``message``, if its type is known."""
+    found = as_json(entry, age_s=round(entry.age_s(), 3))
+    if entry.form == "cdr":
+        try:
+            found["message"] = json.loads(registry.codec(entry.type).json(entry.data))
+        except TypesError:
+            return found
+        found.pop("base64", None)
+    return found
+
+
+class StorePages:
+    """Answers requests below ``/store`` for who has the ``access`` to it."""
+
+    def __init__(self, store: Store, registry: TypeRegistry) -> None:
+        self.store, self.registry = store, registry
+
+    def knows(self, path: str) -> bool:
+        """True for its paths."""
+        return path == _ROOT or path.startswith(f"{_ROOT}/")
+
+    def __call__(self, request: Request, access: Access) -> Response | asyncio.Protocol:
+        """The answer, or who goes on with the connection."""
+        parts = request.path.removeprefix(_ROOT).strip("/").split("/", 1)
+        system = unquote(parts[0]) or "*"
+        topic = unquote(parts[1]) if len(parts) > 1 and parts[1] else "*"
+        flags = {key for key, values in request.query.items() if values[-1] not in ("0", "false", "")}
+        if request.method == "DELETE":
+            if "*" in (system, topic):
+                return reply(400, {"error": "name one topic: DELETE /store/SYSTEM/TOPIC"})
+            return self._allowed(access, "publish", system, topic) or _Later(self._remove(system, topic))
+        if request.method not in ("GET", "HEAD"):
+            return reply(405, {"error": f"{request.method} is not known here"}, Allow="GET, HEAD, DELETE")
+        if "watch" in flags and request.method == "GET":
+            return _Watcher(self, access, system, topic)
+        if topic == "*":
+            return self._list(access, system)
+        refused = self._allowed(access, "subscribe", system, topic)
+        if refused is not None:
+            return refused
+        entry = self.store.get(system, topic)
+        if entry is None:
+            what = f"no value of {system}/{topic}" if self.store.has_system(system) else f"no value of {system}"
+            return reply(404, {"error": f"{what} is there"})
+        if "history" in flags:
+            return _Later(self._history(entry))
+        if "raw" in flags:
+            return Response(200, entry.data, {"Content-Type": "application/octet-stream", **_about(entry)})
+        return reply(
+            200, entry_json(entry, self.registry), **{k.replace("-", "_"): v for k, v in _about(entry).items()}
+        )
+
+    def _allowed(self, access: Access, verb: str, system: str, topic: str) -> Response | None:
+        try:
+            access.check(verb, f"/{system}/{topic}")
+        except AccessDenied as error:
+            return reply(403, {"error": str(error)})
+        return None
+
+    def _list(self, access: Access, system: str) -> Response:
+        found = [
+            {key: value for key, value in as_json(entry, age_s=round(entry.age_s(), 3)).items() if key not in _BULK}
+            | {"bytes": len(entry.data)}
+            for entry in self.store.entries(system, "*")
+            if access.allows("subscribe", f"/{entry.system}/{entry.topic}")
+        ]
+        if not found and system != "*" and not self.store.has_system(system):
+            return reply(404, {"error": f"no value of {system} is there"})
+        return reply(200, found)
+
+    async def _remove(self, system: str, topic: str) -> Response:
+        try:
+            there = await self.store.remove(system, topic)
+        except StoreUnavailable as error:
+            return reply(503, {"error": str(error)})
+        return (
+            reply(200, {"removed": True}) if there else reply(404, {"error": f"no value of {system}/{topic} is there"})
+        )
+
+    async def _history(self, entry: Entry) -> Response:
+        try:
+            before = await self.store.history(entry.system, entry.topic)
+        except StoreUnavailable as error:
+            return reply(503, {"error": str(error)})
+        return reply(200, [entry_json(one, self.registry) for one in (entry, *before)])
+
+
+_BULK: Final = ("data", "base64")
+
+
+def _about(entry: Entry) -> dict[str, str]:
+    return {"X-Age-Seconds": f"{entry.age_s():.3f}", "X-Version": str(entry.version)}
+
+
+class _Later(asyncio.Protocol):
+    """An answer that takes a while."""
+
+    def __init__(self, work: Coroutine[Any, Any, Response]) -> None:
+        self._work = work
+        self._task: asyncio.Task[None] | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin."""
+        self._task = asyncio.create_task(self._answer(cast(asyncio.Transport, transport)))
+
+    def data_received(self, data: bytes) -> None:
+        """The head again, and whatever else: ignored."""
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Who asked has left; what was begun is finished."""
+
+    async def _answer(self, transport: asyncio.Transport) -> None:
+        response = await self._work
+        if not transport.is_closing():
+            transport.write(response.encode())
+            transport.close()
+
+
+class _Watcher(asyncio.Protocol):
+    """Sends every value as a line, those that are there first."""
+
+    def __init__(self, pages: StorePages, access: Access, system: str, topic: str) -> None:
+        self._pages, self._access, self._system, self._topic = pages, access, system, topic
+        self._transport: asyncio.Transport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin."""
+        self._transport = cast(asyncio.Transport, transport)
+        self._transport.write(_HEAD)
+        self._pages.store.on_change.append(self._changed)
+        for entry in self._pages.store.entries(self._system, self._topic):
+            self._changed(entry)
+
+    def data_received(self, data: bytes) -> None:
+        """The head again, and whatever else: ignored."""
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Who watched has left."""
+        self._transport = None
+        if self._changed in self._pages.store.on_change:
+            self._pages.store.on_change.remove(self._changed)
+
+    def _changed(self, change: Entry | Key) -> None:
+        transport = self._transport
+        if transport is None or transport.is_closing():
+            return
+        system, topic = change.key if isinstance(change, Entry) else change
+        if not (fnmatchcase(system, self._system) and fnmatchcase(topic, self._topic)):
+            return
+        if not self._access.allows("subscribe", f"/{system}/{topic}"):
+            return
+        if isinstance(change, Entry):
+            value = entry_json(change, self._pages.registry)
+        else:
+            value = {"system": system, "topic": topic, "removed": True}
+        transport.write(json.dumps(value).encode() + b"\n")
+        if transport.get_write_buffer_size() > _HIGH_BYTES:
+            transport.abort()
