@@ -1224,6 +1224,10 @@ class Node:
         """The last values whose names fit, as JSON objects. Raises ``NodeError``."""
         return self._run(self._node.list(system, topic), 10.0)
 
+    def request(self, system: str, topic: str, op: str, head: Dict[str, object]) -> Packet:
+        """Any request of the protocol, and its answer. Raises ``NodeError``."""
+        return self._run(self._node.request(system, topic, op, head), 10.0)
+
     def close(self) -> None:
         """Leave; harmless twice."""
         if self._open:

@@ -139,6 +139,29 @@ async def test_alice(world: World) -> None:
     assert speeds(inbox) == [(-0.2, 0.0), (0.0, -0.5), (0.0, 0.0)]
 
 
+async def test_one_command_for_all(world: World) -> None:
+    """What one node publishes reaches every robot that a map gives the same name in ROS, in the robot's own form."""
+    pc = {"system": "PC", "topic": "cmd_vel", "type": TWIST, "form": "floats", "name": "/cmd_vel", "direction": "in"}
+    codes = {"0": {"linear.x": 0.2}, "1": {"linear.x": -0.2}, "4": {}}
+    alice = {"system": "ALICE", "topic": "MOVE", "type": TWIST, "form": "codes", "codes": codes, "name": "/cmd_vel"}
+    pepper = {"system": "PEPPER", "topic": "cmd_vel", "type": TWIST, "form": "floats", "name": "/cmd_vel"}
+    gateway, robot = await with_nodes(world, [pc, {**alice, "direction": "out"}, {**pepper, "direction": "out"}])
+    inbox = Inbox()
+    await robot.create_subscription("/cmd_vel", TWIST, QoS(), inbox)
+    assert gateway.nodes is not None
+    nodes = gateway.nodes
+    await until(lambda: all(bridge.state == "active" for bridge in nodes.bridges.values()))
+    node = await Raw.connect(nodes_port(gateway))
+    node.send(b"%01/PC/cmd_vel/p/-0.5,0,0,0,0,0%")
+    await inbox.wait(1)
+    store = gateway.store
+    assert store is not None
+    await until(lambda: {e.system: e.text for e in store.entries()}.keys() == {"PC", "ALICE", "PEPPER"})
+    assert (await node.ask(b"%01/ALICE/MOVE/s%")).data == b"1"
+    assert (await node.ask(b"%01/PEPPER/cmd_vel/s%")).data == b"-0.5,0.0,0.0,0.0,0.0,0.0"
+    await node.close()
+
+
 async def test_patterns(world: World) -> None:
     """A map with a pattern shares every topic that a node publishes or reads, under names that ROS allows."""
     gateway, robot = await with_nodes(world, [{"system": "PEPPER", "topic": "*"}])

@@ -21,6 +21,7 @@ VERBS = {
     "action": "ropeway.cli.action",
     "node": "ropeway.cli.node",
     "param": "ropeway.cli.param",
+    "store": "ropeway.cli.store",
     "keys": "ropeway.cli.keys",
     "name": "ropeway.cli.name",
     "overlay": "ropeway.cli.overlay",

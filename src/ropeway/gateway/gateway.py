@@ -155,10 +155,11 @@ class Gateway:
         if not urls:
             return
         assert self.store is not None
-        view = self.hubs[settings.graphs[0]].view("iort")
-        stack.push_async_callback(view.close)
+        views = [self.hubs[settings.graphs[0]].view(user) for user in ("from nodes", "to nodes")]
+        for view in views:
+            stack.push_async_callback(view.close)
         door = make_door(settings)
-        self.nodes = Nodes(settings.iort, self.store, view, self.registry, door=door, name=settings.name)
+        self.nodes = Nodes(settings.iort, self.store, *views, self.registry, door=door, name=settings.name)
         await self.nodes.open()
         stack.push_async_callback(self.nodes.close)
         for url in urls:

@@ -29,14 +29,24 @@ _FOUND_LIMIT: Final = 1000  # bridges that patterns may bring about
 
 
 class Nodes:
-    """Serves nodes over ``store``, and shares with ``local`` what the maps name.
+    """Serves nodes over ``store``, and shares with the local graph what the maps name.
+
+    ``into`` and ``out_of`` are two views of it, so that what one robot publishes another one with another map hears.
 
     A map of one topic is a bridge (or one each way) from the start; a map with patterns makes one for every topic
     that a node publishes or subscribes to.
     """
 
     def __init__(
-        self, config: IortConfig, store: Store, local: Graph, registry: TypeRegistry, *, door: Door, name: str
+        self,
+        config: IortConfig,
+        store: Store,
+        into: Graph,
+        out_of: Graph,
+        registry: TypeRegistry,
+        *,
+        door: Door,
+        name: str,
     ) -> None:
         self.space = Space(store)
         self.server = IortServer(
@@ -49,7 +59,7 @@ class Nodes:
         self.maps = Maps([item.as_map() for item in config.maps])
         self.graph = IortGraph(LocalLink(self.space, name), name="iort", maps=self.maps, registry=registry)
         self.bridges: dict[tuple[str, str], TopicBridge] = {}
-        self._local = local
+        self._into, self._out_of = into, out_of
         self._watch: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
@@ -109,7 +119,7 @@ class Nodes:
     async def _join(self, direction: str, name: str, type: str) -> None:
         if (direction, name) in self.bridges:
             return
-        source, target = (self.graph, self._local) if direction == "in" else (self._local, self.graph)
+        source, target = (self.graph, self._into) if direction == "in" else (self._out_of, self.graph)
         bridge = self.bridges[direction, name] = TopicBridge(source, target, name, name, type)
         await bridge.start()
 

@@ -1,5 +1,5 @@
 """Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ws://host:9090``, ``memory:x``,
-``overlay:robot1.ropeway``.
+``overlay:robot1.ropeway``, ``iort://host:7410``.
 
 ``ros2`` goes through the installed rclpy, in the domain of ``ROS_DOMAIN_ID`` unless it names one. ``auto`` is ``ros2``
 where rclpy can be imported, because ROS 2 is sourced, and else ``dds`` in the same domain.
@@ -59,13 +59,25 @@ def make_graph(
         from ropeway.graph.memory import MemoryGraph
 
         return MemoryGraph(parts.path or "default", node=f"/{name}", registry=registry)
+    if scheme in ("iort", "iorts"):
+        return _iort(url, query, name, registry)
     if scheme == "overlay":
         return _overlay(url, parts.path or parts.netloc, query, registry)
     raise GraphUnavailable(
         url,
-        "is no graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, ws://host:9090, wss://host or "
-        "overlay:NAME.ropeway",
+        "is no graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, ws://host:9090, wss://host, "
+        "iort://host:7410 or overlay:NAME.ropeway",
     )
+
+
+def _iort(url: str, query: dict[str, str], name: str, registry: TypeRegistry | None) -> Graph:
+    """The topics of robots at a server; the token is that of ``ROPEWAY_TOKEN``."""
+    from ropeway.graph.iort import IortGraph, RemoteLink
+
+    _no_more(url, query)
+    address = url.partition("?")[0]
+    link = RemoteLink(address, name, token=os.environ.get("ROPEWAY_TOKEN") or None)
+    return IortGraph(link, name=address, registry=registry)
 
 
 def _overlay(url: str, bundle: str, query: dict[str, str], registry: TypeRegistry | None) -> Graph:

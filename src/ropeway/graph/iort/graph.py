@@ -44,6 +44,7 @@ from ropeway.graph.iort.links import Link
 from ropeway.graph.iort.maps import Maps, ros_name
 from ropeway.graph.iort.parts import Feed, IortPublisher, IortSubscription
 from ropeway.graph.iort.space import Endpoint, is_pattern
+from ropeway.graph.seen import Seen
 from ropeway.qos import DEFAULT, LATCHED, QoS
 from ropeway.store import Entry
 from ropeway.types import TypeRegistry
@@ -55,6 +56,7 @@ log = logging.getLogger("ropeway.graph.iort")
 
 STRING: Final = "std_msgs/msg/String"
 _ODD: Final = re.compile(r"[^A-Za-z0-9_]")
+_HAD_LIMIT: Final = 4096
 _NO_CALLS: Final = "has topics only: IoRT nodes know neither services nor actions"
 
 
@@ -76,6 +78,7 @@ class IortGraph:
         self.subscriptions: list[IortSubscription] = []
         self._feeds: dict[tuple[str, str], Feed] = {}
         self._endpoints: dict[tuple[str, str, str, str], Endpoint] = {}
+        self._had: dict[tuple[str, str], Seen] = {}
         self._changes = Changes()
         self._open = False
 
@@ -213,6 +216,15 @@ class IortGraph:
         return [info.qos for info in known if info.topic == topic]
 
     # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def had(self, system: str, topic: str) -> Seen:
+        """What came of a topic of nodes, which is not sent back there."""
+        found = self._had.get((system, topic))
+        if found is None:
+            if len(self._had) >= _HAD_LIMIT:
+                self._had.clear()
+            found = self._had[system, topic] = Seen()
+        return found
 
     def resolved_out(self, topic: str) -> list[tuple[str, str, Any]]:
         """Where what is published on a ROS name goes."""

@@ -45,6 +45,8 @@ class IortPublisher:
         stamp_ns = sample.seq if sample.seq > _NANOSECONDS else sample.stamp_ns or time.time_ns()
         origin = f"{_ROS}{sample.origin.hex()}{graph.own_mark}"
         for system, topic, form, map in self.targets:
+            if graph.had(system, topic).has(sample):
+                continue  # it came from there
             try:
                 data = form.text(bytes(sample.payload))
             except FAILURES:
@@ -157,10 +159,10 @@ class IortSubscription:
         for delay_s, payload in messages:
             sample = Sample(payload, self.type, time.time_ns(), _origin(entry), entry.stamp_ns)
             if delay_s:
-                timer = self._graph.loop.call_later(delay_s, self._later, sample)
+                timer = self._graph.loop.call_later(delay_s, self._later, feed, sample)
                 self._timers.setdefault(id(feed), []).append(timer)
             else:
-                self._add(sample)
+                self._add(feed, sample)
 
     def _messages(self, entry: Entry, form: Form | None) -> list[Timed]:
         if entry.form == CDR:
@@ -173,11 +175,12 @@ class IortSubscription:
             form = self._plain
         return form.messages(entry.data)
 
-    def _later(self, sample: Sample) -> None:
+    def _later(self, feed: Feed, sample: Sample) -> None:
         sample.stamp_ns = sample.seq = time.time_ns()
-        self._add(sample)
+        self._add(feed, sample)
 
-    def _add(self, sample: Sample) -> None:
+    def _add(self, feed: Feed, sample: Sample) -> None:
+        self._graph.had(feed.system, feed.topic).add(sample)
         self._batch.append(sample)
         if not self._scheduled:
             self._scheduled = True

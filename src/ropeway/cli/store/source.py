@@ -1,0 +1,262 @@
+"""Where the verbs find last values: at a gateway over HTTP, at a server of nodes, or in what a store keeps."""
+
+from __future__ import annotations
+
+import base64
+import json
+import ssl
+from collections.abc import Iterator
+from fnmatch import fnmatchcase
+from typing import Annotated, Any, Final, Protocol
+from urllib.error import HTTPError, URLError
+from urllib.parse import quote, urlsplit
+from urllib.request import Request, urlopen
+
+import typer
+
+from ropeway.errors import ConnectFailed, StoreUnavailable
+from ropeway.iort import Node, NodeError
+from ropeway.store import make_backend
+
+__all__ = ["AtOption", "CaOption", "Source", "TokenOption", "find_source", "key_of", "shown"]
+
+_TIMEOUT_S: Final = 10.0
+
+AtOption = Annotated[
+    str,
+    typer.Option(
+        "--at",
+        envvar="ROPEWAY_STORE",
+        help="A gateway (http://host:9090), a server of nodes (iort://host:7410), or a store itself: an SQLite file, "
+        "a directory of JSON files, mongodb://host/database.",
+    ),
+]
+TokenOption = Annotated[
+    str, typer.Option("--token", envvar="ROPEWAY_TOKEN", help="Shown to the gateway.", show_default=False)
+]
+CaOption = Annotated[
+    str, typer.Option("--ca", help="File of the authorities to trust, for https and iorts.", show_default=False)
+]
+
+
+class Source(Protocol):
+    """Somewhere values are. All methods block; they raise ``RopewayError``."""
+
+    def values(self, system: str, topic: str) -> list[dict[str, Any]]:
+        """Values whose names fit patterns, as JSON."""
+
+    def get(self, system: str, topic: str, history: bool) -> list[dict[str, Any]]:
+        """A value, with ``history`` those before it, too; empty where there is none."""
+
+    def watch(self, system: str, topic: str) -> Iterator[dict[str, Any]]:
+        """The values that are there, and every later one."""
+
+    def remove(self, system: str, topic: str) -> bool:
+        """Forget a topic; false where it was not there."""
+
+    def close(self) -> None:
+        """Let go."""
+
+
+def find_source(at: str, token: str, ca: str) -> Source:
+    """What ``--at`` names."""
+    scheme = urlsplit(at).scheme
+    if scheme in ("http", "https"):
+        return _Gateway(at.rstrip("/"), token, ca)
+    if scheme in ("iort", "iorts"):
+        return _Server(at, token, ca)
+    return _Kept(at)
+
+
+def key_of(name: str) -> tuple[str, str]:
+    """``SYSTEM/TOPIC``, with or without a slash before."""
+    system, _, topic = name.lstrip("/").partition("/")
+    return system or "*", topic or "*"
+
+
+def shown(value: dict[str, Any], limit: int = 80) -> str:
+    """The data of a value on one line."""
+    if "message" in value:
+        text = json.dumps(value["message"])
+    elif "data" in value:
+        text = str(value["data"])
+    elif "base64" in value:
+        text = f"({len(base64.b64decode(value['base64']))} bytes)"
+    else:
+        text = f"({value.get('bytes', 0)} bytes)"
+    text = text.replace("\n", " ")
+    return text if len(text) <= limit else f"{text[: limit - 1]}…"
+
+
+class _Gateway:
+    """Over HTTP."""
+
+    def __init__(self, url: str, token: str, ca: str) -> None:
+        self._url, self._token = url, token
+        self._context = ssl.create_default_context(cafile=ca or None) if url.startswith("https") else None
+
+    def _ask(self, path: str, method: str = "GET", timeout_s: float | None = _TIMEOUT_S) -> Any:
+        headers = {"Authorization": f"Bearer {self._token}"} if self._token else {}
+        request = Request(f"{self._url}{path}", method=method, headers=headers)  # noqa: S310 - http or https, see above
+        try:
+            return urlopen(request, timeout=timeout_s, context=self._context)  # noqa: S310
+        except HTTPError as error:
+            with error:
+                raw = error.read()
+            try:
+                text = str(json.loads(raw)["error"])
+            except (ValueError, KeyError, TypeError):
+                text = f"answered {error.code}"
+            if error.code == 404 and text.startswith("no value"):
+                return None
+            hint = '; it keeps no values: it needs an iort:// listener, a store, or a topic with "store": true'
+            raise ConnectFailed(self._url, text + (hint if error.code == 404 else "")) from error
+        except (URLError, OSError) as error:
+            reason = getattr(error, "reason", error)
+            raise ConnectFailed(self._url, f"{reason}; is a gateway running there? --at names another") from error
+
+    def _json(self, path: str) -> Any:
+        answer = self._ask(path)
+        if answer is None:
+            return None
+        with answer:
+            return json.loads(answer.read())
+
+    def values(self, system: str, topic: str) -> list[dict[str, Any]]:
+        """Values whose names fit."""
+        found = self._json("/store") or []
+        return [v for v in found if fnmatchcase(v["system"], system) and fnmatchcase(v["topic"], topic)]
+
+    def get(self, system: str, topic: str, history: bool) -> list[dict[str, Any]]:
+        """A value."""
+        found = self._json(f"{_path(system, topic)}{'?history=1' if history else ''}")
+        return [] if found is None else found if isinstance(found, list) else [found]
+
+    def watch(self, system: str, topic: str) -> Iterator[dict[str, Any]]:
+        """Every value."""
+        with self._ask(f"{_path(system, topic)}?watch=1", timeout_s=None) as lines:
+            for line in lines:
+                yield json.loads(line)
+
+    def remove(self, system: str, topic: str) -> bool:
+        """Forget a topic."""
+        answer = self._ask(_path(system, topic), "DELETE")
+        if answer is None:
+            return False
+        with answer:
+            answer.read()
+        return True
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class _Server:
+    """As a node of a server."""
+
+    def __init__(self, url: str, token: str, ca: str) -> None:
+        self._url = url
+        self._node = Node("ropeway", url, token=token or None, tls=ca or None, max_packet_bytes=64 << 20)
+        if not self._node.wait_mode("remote", 5.0):
+            error = self._node.last_error
+            self._node.close()
+            raise ConnectFailed(url, error)
+
+    def values(self, system: str, topic: str) -> list[dict[str, Any]]:
+        """Values whose names fit."""
+        return self._tried(lambda: self._node.list(system, topic))  # type: ignore[no-any-return]
+
+    def get(self, system: str, topic: str, history: bool) -> list[dict[str, Any]]:
+        """A value; a server of nodes tells no history."""
+        return self.values(system, topic)
+
+    def watch(self, system: str, topic: str) -> Iterator[dict[str, Any]]:
+        """Every value."""
+        from queue import SimpleQueue
+
+        values: SimpleQueue[Any] = SimpleQueue()
+        self._tried(lambda: self._node.subscribe(topic, values.put, system=system))
+        while True:
+            value = values.get()
+            yield {
+                "system": value.system,
+                "topic": value.topic,
+                "data": value.text,
+                "type": value.type,
+                "version": value.version,
+                "stamp_ns": value.stamp_ns,
+                "origin": value.origin,
+                "age_s": round(value.age_s, 3),
+            }
+
+    def remove(self, system: str, topic: str) -> bool:
+        """Forget a topic."""
+        try:
+            self._node.request(system, topic, "+del", {})
+        except NodeError as error:
+            if error.code == "unknown-topic":
+                return False
+            raise ConnectFailed(self._url, str(error)) from error
+        return True
+
+    def close(self) -> None:
+        """Leave."""
+        self._node.close()
+
+    def _tried(self, work: Any) -> Any:
+        try:
+            return work()
+        except NodeError as error:
+            raise ConnectFailed(self._url, str(error)) from error
+
+
+class _Kept:
+    """What a store keeps, looked at without a gateway."""
+
+    def __init__(self, url: str) -> None:
+        from pathlib import Path
+
+        if "://" not in url and not Path(url).expanduser().exists():
+            raise StoreUnavailable(url, "does not exist; --at names a gateway, a server of nodes, or a store")
+        self._backend = make_backend(url)
+        self._backend.open()
+
+    def values(self, system: str, topic: str) -> list[dict[str, Any]]:
+        """Values whose names fit."""
+        from ropeway.server.store import entry_json
+        from ropeway.types import TypeRegistry
+
+        registry = TypeRegistry()
+        found = [e for e in self._backend.load() if fnmatchcase(e.system, system) and fnmatchcase(e.topic, topic)]
+        return [entry_json(entry, registry) for entry in sorted(found, key=lambda e: e.key)]
+
+    def get(self, system: str, topic: str, history: bool) -> list[dict[str, Any]]:
+        """A value."""
+        from ropeway.server.store import entry_json
+        from ropeway.types import TypeRegistry
+
+        registry = TypeRegistry()
+        found = [e for e in self._backend.load() if e.key == (system, topic)]
+        if found and history:
+            found += self._backend.history((system, topic))
+        return [entry_json(entry, registry) for entry in found]
+
+    def watch(self, system: str, topic: str) -> Iterator[dict[str, Any]]:
+        """Nobody tells of changes here."""
+        raise StoreUnavailable(self._backend.url, "is watched at a gateway or a server: --at http://… or iort://…")
+
+    def remove(self, system: str, topic: str) -> bool:
+        """Forget a topic; a gateway that runs on this store would write it again."""
+        there = any(entry.key == (system, topic) for entry in self._backend.load())
+        if there:
+            self._backend.remove([(system, topic)])
+        return there
+
+    def close(self) -> None:
+        """Let go."""
+        self._backend.close()
+
+
+def _path(system: str, topic: str) -> str:
+    path = f"/store/{quote(system, safe='*')}"
+    return path if topic == "*" else f"{path}/{quote(topic, safe='*/')}"
