@@ -155,11 +155,12 @@ class Gateway:
         if not urls:
             return
         assert self.store is not None
-        views = [self.hubs[settings.graphs[0]].view(user) for user in ("from nodes", "to nodes")]
-        for view in views:
-            stack.push_async_callback(view.close)
+        hub = self.hubs[settings.graphs[0]]
+        into, out_of = hub.view("from nodes"), hub.view("to nodes")
+        stack.push_async_callback(into.close)
+        stack.push_async_callback(out_of.close)
         door = make_door(settings)
-        self.nodes = Nodes(settings.iort, self.store, *views, self.registry, door=door, name=settings.name)
+        self.nodes = Nodes(settings.iort, self.store, into, out_of, self.registry, door=door, name=settings.name)
         await self.nodes.open()
         stack.push_async_callback(self.nodes.close)
         for url in urls:

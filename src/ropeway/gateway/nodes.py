@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.bridge.topic import TopicBridge
 from ropeway.graph.base import Graph
-from ropeway.graph.iort import IortGraph, LocalLink, Maps, Space
+from ropeway.graph.iort import IortGraph, LocalLink, Maps, Space, TopicMap
 from ropeway.graph.iort.forms import default_form
+from ropeway.qos import LATCHED
 from ropeway.server.iort import IortServer
 from ropeway.tasks import end
 
@@ -71,7 +72,7 @@ class Nodes:
             if not map.is_pattern:
                 name = map.ros_name(map.system, map.topic)
                 for direction in ("in", "out") if map.direction == "both" else (map.direction,):
-                    await self._join(direction, name, map.type)
+                    await self._join(direction, name, map)
         if any(map.is_pattern for map in self.maps.maps):
             self._watch = asyncio.create_task(self._look_out(), name="topics of nodes")
 
@@ -116,11 +117,13 @@ class Nodes:
         form = map.make_form(registry) if fits and map is not None else default_form(entry.type, registry)
         return form.text(entry.data) or b""
 
-    async def _join(self, direction: str, name: str, type: str) -> None:
+    async def _join(self, direction: str, name: str, map: TopicMap) -> None:
         if (direction, name) in self.bridges:
             return
         source, target = (self.graph, self._into) if direction == "in" else (self._out_of, self.graph)
-        bridge = self.bridges[direction, name] = TopicBridge(source, target, name, name, type)
+        bridge = self.bridges[direction, name] = TopicBridge(
+            source, target, name, name, map.type, qos=LATCHED if map.latched and direction == "in" else None
+        )
         await bridge.start()
 
     async def _look_out(self) -> None:
@@ -134,4 +137,4 @@ class Nodes:
                 if len(self.bridges) >= _FOUND_LIMIT:
                     log.warning("%s/%s is not shared: %d topics of nodes are, and no more", system, topic, _FOUND_LIMIT)
                     continue
-                await self._join(direction, event.name, map.type)
+                await self._join(direction, event.name, map)
