@@ -3,16 +3,19 @@
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-BENCHES = paper loopback urgent big start readers services clients overlay
+BENCHES = paper loopback urgent big start readers services clients overlay nodes
 export PYTHON
 
-.PHONY: help demo test lint bench clean
+.PHONY: help demo demo-iort test lint bench clean
 
 help: ## show this
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-8s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-10s %s\n", $$1, $$2}'
 
 demo: $(VENV)/runtime.stamp ## two networks, two gateways, a camera each way; DEMO="--for 60 --bag FILE" for more
 	@$(BIN)/ropeway demo $(DEMO)
+
+demo-iort: $(VENV)/demo.stamp ## one command to a ROS 2, a ROS 1 and another robot; DEMO="--keyboard" for yourself
+	@$(BIN)/ropeway demo-iort $(DEMO)
 
 test: $(VENV)/dev.stamp ## all tests; TEST="-k outbox" for some
 	@$(BIN)/python -m pytest -q $(TEST)
@@ -37,6 +40,10 @@ $(BIN)/python:
 $(VENV)/runtime.stamp: pyproject.toml | $(BIN)/python
 	@echo "Installing Ropeway into $(VENV)"
 	@$(PIP) install --quiet --editable .
+	@touch $@
+
+$(VENV)/demo.stamp: $(VENV)/runtime.stamp
+	@$(PIP) install --quiet --editable ".[demo]"
 	@touch $@
 
 $(VENV)/dev.stamp: pyproject.toml | $(BIN)/python

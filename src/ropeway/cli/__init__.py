@@ -28,6 +28,7 @@ VERBS = {
     "router": "ropeway.cli.router",
     "play": "ropeway.cli.play",
     "demo": "ropeway.cli.demo",
+    "demo-iort": "ropeway.cli.demo_iort",
 }
 
 
