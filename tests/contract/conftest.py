@@ -8,6 +8,8 @@ import itertools
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -17,11 +19,13 @@ from ropeway.graph.dds import DdsGraph
 from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
 from ropeway.graph.overlay import OverlayGraph
+from ropeway.graph.ros1 import Ros1Graph
 from ropeway.graph.ros2 import Ros2Graph
 from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.overlay.node import OverlayNode
 from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
+from tests.graph.ros1.network import HAS_MASTER, RosMaster
 from tests.graph.ros2.network import isolated_ros2
 from tests.isolation import isolated_dds
 from tests.overlay.fleet import free_endpoint, member
@@ -54,17 +58,20 @@ class Abilities:
     ``errors``: a service tells why it failed (else the response with default values comes). ``rejects``: a client
     learns that its goal was rejected when it sends it (else with the outcome). ``refuses_cancel``: a client learns that
     its goal goes on (else the request counts as agreed to). ``pad_alike``: bytes that mean nothing arrive as they were
-    (else there may be some more at the end, and others between the fields).
+    (else there may be some more at the end, and others between the fields). ``shows_qos``: discovery tells the profile
+    of a publisher (else a subscription learns it once it is connected).
     """
 
     errors: bool = True
     rejects: bool = True
     refuses_cancel: bool = True
     pad_alike: bool = True
+    shows_qos: bool = True
 
 
 ABILITIES = {
     "dds": Abilities(errors=False),
+    "ros1": Abilities(shows_qos=False),
     "ros2": Abilities(errors=False, pad_alike=False),
 }
 """Kinds that cannot say everything, the others can."""
@@ -165,6 +172,19 @@ async def open_rosbridge(stack: AsyncExitStack, *, plain: bool = False) -> Pair:
     return Pair(*ends, stack)
 
 
+async def open_ros1(stack: AsyncExitStack) -> Pair:
+    """Two nodes of one ROS 1 master."""
+    directory = stack.enter_context(TemporaryDirectory())
+    master = RosMaster(Path(directory))
+    stack.callback(master.kill)
+    master.start()
+    ends = [Ros1Graph(master.uri, name=name, poll_s=0.1, registry=_types) for name in ("near", "far")]
+    for end in ends:
+        await end.open()
+        stack.push_async_callback(end.close)
+    return Pair(*ends, stack)
+
+
 KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
     "memory": open_memory,
     "hub": open_hub,
@@ -172,6 +192,8 @@ KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
     "overlay": open_overlay,
     "rosbridge": open_rosbridge,
 }
+if HAS_MASTER:
+    KINDS["ros1"] = open_ros1
 if importlib.util.find_spec("rclpy") is not None:
     KINDS["ros2"] = open_ros2
 
