@@ -44,6 +44,7 @@ log = logging.getLogger("ropeway.graph.ros1")
 
 _GONE_S: Final = 0.5  # a server whose connections are lost may be back so soon
 _RESULT_S: Final = 2.0  # a goal that is said to have ended gets its result within this
+_SETTLE_S: Final = 0.01  # feedback comes over another connection: what was sent before the result may lag so much
 _REFUSED_S: Final = 1.0  # a goal that is active so long after a request to cancel goes on
 _GONE: Final = "the action server has gone"
 
@@ -296,7 +297,13 @@ class Ros1ActionClient:
             self._lost("result", Undelivered.DECODE)
             text = str(error)
         self._advance(goal, status.code)
-        self._finish(goal, Outcome(status.code.outcome, payload, text))
+        outcome = Outcome(status.code.outcome, payload, text)
+        if goal.on_feedback is None:
+            self._finish(goal, outcome)
+            return
+        if goal.expiry is not None:
+            goal.expiry.cancel()
+        goal.expiry = asyncio.get_running_loop().call_later(_SETTLE_S, self._finish, goal, outcome)
 
     def _take_feedback(self, raw: bytes, server: str) -> None:
         status, body = read_report(raw)
