@@ -190,7 +190,7 @@ async def test_name_taken_over(master: RosMaster, join: Join) -> None:
     publisher = await first.create_publisher("/chatter", STRING)
     node = other._node
     assert node is not None
-    other._node.master.caller = "/twin"  # type: ignore[union-attr]
+    node.name = node.master.caller = "/twin"
     await other.create_publisher("/mine", STRING)
     await until(lambda: first.node.startswith("/twin_"))
     await until(lambda: "/chatter" in other.topics() and other.topics()["/chatter"].publishers[0].node == first.node)
