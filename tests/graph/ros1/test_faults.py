@@ -161,7 +161,7 @@ async def test_hostile_publisher(master: RosMaster, join: Join) -> None:
     await near.create_subscription("/chatter", STRING, QoS(), box)
     publisher = await far.create_publisher("/chatter", STRING)
     await until(lambda: publisher.subscribers == 1)
-    publisher.writer.send(b"\xff\xff\xff\xff", False, 0)
+    publisher.publish_raw(b"\xff\xff\xff\xff")
     await until(lambda: near.drops["/chatter", Undelivered.DECODE] == 1)
     connection = publisher.writer.links[0].connection
     connection.write((b"\xff" * 64,))

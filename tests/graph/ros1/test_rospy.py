@@ -119,7 +119,8 @@ async def test_subscription(master: RosMaster, join: Join) -> None:
             talker.tell(f"message {number}")
         await until(lambda: len(box.samples) == 100)
     assert box.texts == [f"message {number}" for number in range(100)]
-    assert [sample.seq for sample in box.samples] == list(range(1, 101))
+    numbers = [sample.seq for sample in box.samples]
+    assert numbers == sorted(set(numbers))
     assert len({sample.origin for sample in box.samples}) == 1
 
 

@@ -45,6 +45,7 @@ class Keeper:
     def __init__(self, node: Ros1Node, changes: Changes, poll_s: float) -> None:
         self.node = node
         self.up = False
+        self._first_name = node.name
         self.picture = Picture(node.graph, lambda: node.name, self._profile)
         self._changes = changes
         self._poll_s = poll_s
@@ -96,11 +97,13 @@ class Keeper:
                     self._said = str(error)
                     log.warning("%s: the master does not answer, waiting for it: %s", self.node.graph, error)
                 self.up = False
+            except Exception:  # whatever a master answers, it is asked again
+                log.exception("%s: the state of the master could not be made use of", self.node.graph)
 
     async def _look(self) -> None:
         if self._rename:
             self._rename = False
-            await self._take_name(f"{self.node.name}_{secrets.token_hex(2)}")
+            await self._take_name(self._other_name())
         registered = [part for part in self._parts() if part.registered]
         publishers, subscribers, services = await self.node.master.system_state()
         if not self.up and self._said:
@@ -114,6 +117,8 @@ class Keeper:
     def _asked_to_leave(self, reason: str) -> None:
         """Somebody wants the node to end: it has to, under this name, if another node has taken it."""
         node = self.node
+        if reason.startswith("[") and not reason.startswith(f"[{node.name}]"):
+            return  # that was our name before
         if "new node registered" not in reason:
             log.warning("%s: a request to shut down is not followed: %s", node.graph, reason)
             return
@@ -121,11 +126,20 @@ class Keeper:
         self._rename = True
         self._wake.set()
 
+    def _other_name(self) -> str:
+        return f"{self._first_name}_{secrets.token_hex(2)}"
+
     async def _take_name(self, name: str) -> None:
-        """Go on under another name; the master forgot what the old one had when it was taken over."""
-        self.node.name = self.node.master.caller = name
+        """Go on under another name; what the master still has of ours under the old one is withdrawn."""
+        node = self.node
         for part in self._parts():
             part.registered = False
+            if isinstance(part, ServiceDoor):
+                await node.master.leave("unregisterService", part.name, node.service_api)
+            else:
+                end = "Publisher" if isinstance(part, TopicWriter) else "Subscriber"
+                await node.master.leave(f"unregister{end}", part.topic, node.uri)
+        node.name = node.master.caller = name
 
     # ── what we have registered ────────────────────────────────────────────────────────────────────────────────
 
@@ -140,6 +154,9 @@ class Keeper:
             self.node.epoch += 1
             for part in lost:
                 part.registered = False
+            if await self.node.master.lookup_node(self.node.name) not in (None, self.node.uri):
+                await self._take_name(self._other_name())  # it forgot us for another node of our name
+        await self._withdraw(state)
         for part in self._parts():
             if not part.registered:
                 await self.register(part)
@@ -147,6 +164,18 @@ class Keeper:
                 there = [name for name in state.publishers.get(part.topic, ()) if name != self.node.name]
                 if len(there) > len(part.uris):
                     await self.register(part)  # an update of the master did not come through
+
+    async def _withdraw(self, state: State) -> None:
+        """Take back what is not ours any more and the master could not be told so."""
+        node = self.node
+        for method, table, ours, api in (
+            ("unregisterPublisher", state.publishers, node.writers, node.uri),
+            ("unregisterSubscriber", state.subscribers, node.readers, node.uri),
+            ("unregisterService", state.services, node.services, node.service_api),
+        ):
+            for name, nodes in table.items():
+                if node.name in nodes and name not in ours:
+                    await node.master.leave(method, name, api)
 
     def _is_known(self, part: Part, state: State) -> bool:
         if isinstance(part, ServiceDoor):

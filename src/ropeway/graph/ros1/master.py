@@ -61,13 +61,22 @@ class Master:
         self.uri = uri
         self.caller = caller
         self._client = client
+        self._answers = True
 
     async def call(self, method: str, *params: Any, timeout_s: float = _CALL_S) -> Any:
         """Call with our name in front."""
-        return await slave_call(self._client, self.uri, method, self.caller, *params, timeout_s=timeout_s)
+        try:
+            answer = await slave_call(self._client, self.uri, method, self.caller, *params, timeout_s=timeout_s)
+        except ConnectFailed:
+            self._answers = False
+            raise
+        self._answers = True
+        return answer
 
     async def leave(self, method: str, *params: Any) -> None:
-        """Withdraw a registration; a master that does not answer has forgotten it anyway."""
+        """Withdraw a registration, unless the master does not answer; then it has forgotten, or is told later."""
+        if not self._answers:
+            return
         try:
             await self.call(method, *params, timeout_s=_LEAVE_S)
         except (Refused, ConnectFailed):

@@ -45,7 +45,10 @@ class Source(Protocol):
 
 
 class Origin:
-    """A publisher of ROS 1 as we saw it first, and the number of its last message here."""
+    """A publisher of ROS 1 as we saw it first, and the number of its last message here.
+
+    Numbers are the times of arrival in nanoseconds, so that those of different publishers differ, too.
+    """
 
     __slots__ = ("id", "seq")
 
@@ -53,9 +56,9 @@ class Origin:
         self.id = new_origin()
         self.seq = 0
 
-    def next(self) -> int:
+    def next(self, now_ns: int) -> int:
         """A number that it never gave before."""
-        self.seq += 1
+        self.seq = max(now_ns, self.seq + 1)
         return self.seq
 
 

@@ -12,7 +12,7 @@ from ropeway.errors import ConnectFailed, InvalidFrame, TypeConflict, TypesError
 from ropeway.graph.base import Sample, SampleCallback, Undelivered
 from ropeway.graph.ros1.convert import Converter
 from ropeway.graph.ros1.master import Refused, slave_call
-from ropeway.graph.ros1.tcpros import Connection
+from ropeway.graph.ros1.tcpros import TRACE, TRACE_BYTES, Connection
 from ropeway.graph.ros1.types import ANY, Ros1Type
 from ropeway.qos import DEFAULT, LATCHED, QoS, common_qos
 from ropeway.tasks import end
@@ -33,8 +33,12 @@ _RETRY_LIMIT_S: Final = 5.0
 class Batch:
     """Messages of one publisher, oldest first: as they came, and as samples for those who want them."""
 
-    def __init__(self, reader: TopicReader, link: _Link, raws: Sequence[bytes]) -> None:
-        self.link, self.raws = link, raws
+    def __init__(self, reader: TopicReader, link: _Link, frames: Sequence[bytes]) -> None:
+        self.link = link
+        self.raws, self._traces = frames, [b""] * len(frames)
+        if link.traced:
+            self.raws = [frame[:-TRACE_BYTES] for frame in frames]
+            self._traces = [frame[-TRACE_BYTES:] for frame in frames]
         self._reader = reader
         self._samples: list[Sample] | None = None
 
@@ -42,7 +46,7 @@ class Batch:
     def samples(self) -> list[Sample]:
         """The messages in CDR; those that are none of their type are counted and left out."""
         if self._samples is None:
-            self._samples = self._reader.decode(self.raws, self.link.origin)
+            self._samples = self._reader.decode(self.raws, self._traces, self.link.origin)
         return self._samples
 
 
@@ -62,7 +66,7 @@ class _Link:
     def __init__(self, reader: TopicReader, uri: str) -> None:
         self.uri = uri
         self.caller = ""
-        self.latched = False
+        self.latched = self.traced = False
         self.connected = False
         self.orphan = False
         self.epoch = reader.node.epoch
@@ -149,12 +153,15 @@ class _Link:
         reader.check(fields)
         self.origin = reader.node.origin(self.caller or self.uri, reader.topic)
         self.latched = fields.get("latching") == "1"
+        self.traced = fields.get(TRACE) == "1"
         self._retry_s, self._said = _RETRY_S, ""
         self._fresh = self.connected = True
         reader.links_changed()
 
     def frames(self, connection: Connection, frames: Sequence[bytes]) -> None:
         """Part of ``tcpros.Receiver``."""
+        if self.traced and any(len(frame) < TRACE_BYTES for frame in frames):
+            raise InvalidFrame("a message without its trace")
         if self._fresh:
             self._fresh = False
             if self.latched and frames[0] == self.last:
@@ -215,6 +222,7 @@ class TopicReader:
             "tcp_nodelay": "1",
             "topic": self.topic,
             "type": self.ros1_name,
+            TRACE: "1",
         }
         if known is not None:
             fields["message_definition"] = known.text
@@ -233,12 +241,12 @@ class TopicReader:
         except TypesError as error:
             raise InvalidFrame(f"its definition of {self.ros1_name} is of no use: {error}") from None
 
-    def decode(self, raws: Sequence[bytes], origin: Origin) -> list[Sample]:
+    def decode(self, raws: Sequence[bytes], traces: Sequence[bytes], origin: Origin) -> list[Sample]:
         """Samples of messages; what is none of this type is counted and left out."""
         converter = self._converter
         stamp_ns = time.time_ns()
         out: list[Sample] = []
-        for raw in raws:
+        for raw, trace in zip(raws, traces, strict=True):
             try:
                 if converter is None:
                     converter = self._converter = self.node.types.converter(self.type)
@@ -249,7 +257,10 @@ class TopicReader:
                     self._blamed = True
                     log.warning("%s: a message of %s is unreadable: %s", self.node.graph, self.topic, error)
                 continue
-            out.append(Sample(payload, self.type, stamp_ns, origin.id, origin.next()))
+            if trace:
+                out.append(Sample(payload, self.type, stamp_ns, trace[:16], int.from_bytes(trace[16:], "little")))
+            else:
+                out.append(Sample(payload, self.type, stamp_ns, origin.id, origin.next(stamp_ns)))
         return out
 
     # ── publishers ─────────────────────────────────────────────────────────────────────────────────────────────

@@ -17,6 +17,8 @@ from ropeway.errors import InvalidFrame
 __all__ = [
     "HEADER_LIMIT_BYTES",
     "MESSAGE_LIMIT_BYTES",
+    "TRACE",
+    "TRACE_BYTES",
     "Connection",
     "Receiver",
     "encode_header",
@@ -27,6 +29,11 @@ __all__ = [
 
 HEADER_LIMIT_BYTES: Final = 1 << 20  # it holds a whole message definition
 MESSAGE_LIMIT_BYTES: Final = 512 << 20
+TRACE: Final = "ropeway_trace"
+"""A header field only Ropeway knows: where both sides have it with ``1``, each message ends with who published it
+first (16 bytes) and its number there (8 bytes, little-endian), so that gateways notice what goes in circles."""
+
+TRACE_BYTES: Final = 24
 _FIELDS_LIMIT: Final = 128
 _BUFFERED_BYTES: Final = 1 << 18  # written and not on its way: above, what follows waits where it can be dropped
 

@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
 from ropeway.errors import DecodeError, TypeConflict
-from ropeway.graph.base import SEQ_NONE, Sample, Undelivered
+from ropeway.graph.base import SEQ_NONE, Sample, Undelivered, new_origin
 from ropeway.graph.history import History
 from ropeway.graph.ros1.convert import Converter
-from ropeway.graph.ros1.tcpros import Connection
+from ropeway.graph.ros1.tcpros import TRACE, TRACE_BYTES, Connection
 from ropeway.graph.ros1.types import ANY, Ros1Type
 from ropeway.qos import QoS
 
@@ -31,7 +31,6 @@ QUEUE_LIMIT_BYTES: Final = 64 << 20
 _FLUSH_S: Final = 2.0  # how long what was published last has to reach a subscriber when the topic is withdrawn
 
 _HEAD: Final = struct.Struct("<I")
-_HEAD_AND_SEQ: Final = struct.Struct("<II")
 
 Frame = tuple[bytes | memoryview, ...]
 
@@ -39,9 +38,8 @@ Frame = tuple[bytes | memoryview, ...]
 class _Link:
     """One subscriber: what waits for it."""
 
-    def __init__(self, writer: TopicWriter, connection: Connection, caller: str) -> None:
-        self.caller = caller
-        self.connection = connection
+    def __init__(self, writer: TopicWriter, connection: Connection, *, traced: bool) -> None:
+        self.connection, self.traced = connection, traced
         self._writer = writer
         self._waiting: deque[tuple[Frame, int]] = deque()
         self._waiting_bytes = 0
@@ -111,6 +109,7 @@ class TopicWriter:
             log.warning("%s: %s", self.node.graph, text)
             connection.refuse(text)
             return
+        traced = fields.get(TRACE) == "1"
         connection.write_header(
             {
                 "callerid": self.node.name,
@@ -119,28 +118,36 @@ class TopicWriter:
                 "message_definition": ours.text,
                 "topic": self.topic,
                 "type": ours.name,
+                **({TRACE: "1"} if traced else {}),
             }
         )
-        link = _Link(self, connection, caller)
+        link = _Link(self, connection, traced=traced)
         connection.receiver = link
         self.links.append(link)
         for user in self.users:
             for sample in user.history.replay() if user.history is not None else ():
-                link.put(*self._frame(sample.payload, user.stamped), 0)
+                self._put((link,), sample, user.stamped, 0)
         self._tell()
 
-    def send(self, raw: bytes, stamped: bool, depth: int) -> None:
-        """Send a message to every subscriber."""
+    def send(self, message: Sample, stamped: bool, depth: int) -> None:
+        """Send a message, whose payload is raw, to every subscriber."""
         if self.links:
-            frame, size = self._frame(raw, stamped)
-            for link in list(self.links):
-                link.put(frame, size, depth)
+            self._put(list(self.links), message, stamped, depth)
 
-    def _frame(self, raw: bytes, stamped: bool) -> tuple[Frame, int]:
-        if not stamped:
-            return (_HEAD.pack(len(raw)), raw), len(raw)
+    def _put(self, links: Sequence[_Link], message: Sample, stamped: bool, depth: int) -> None:
+        raw = message.payload
         self._seq = self._seq + 1 & 0xFFFFFFFF
-        return (_HEAD_AND_SEQ.pack(len(raw), self._seq), memoryview(raw)[4:]), len(raw)
+        body: Frame = (self._seq.to_bytes(4, "little"), memoryview(raw)[4:]) if stamped else (raw,)
+        plain: Frame = (_HEAD.pack(len(raw)), *body)
+        traced: Frame = ()
+        for link in links:
+            if not link.traced:
+                link.put(plain, len(raw), depth)
+                continue
+            if not traced:
+                trace = message.origin + message.seq.to_bytes(8, "little")
+                traced = (_HEAD.pack(len(raw) + TRACE_BYTES), *body, trace)
+            link.put(traced, len(raw), depth)
 
     def dropped(self) -> None:
         """Count a message that a subscriber was too slow for."""
@@ -174,14 +181,20 @@ class RawPublisher:
         self.history = History(qos) if qos.transient_local else None
         self.demand: list[Callable[[int], None]] = []
         self.closed = False
+        self._origin, self._last = new_origin(), 0
         self._depth = 0 if qos.history == "keep_all" else qos.depth
         writer.users.append(self)
 
-    def publish_raw(self, raw: bytes) -> None:
-        """Send a message; keep it where the topic is latched."""
+    def publish_raw(self, raw: bytes, origin: bytes = b"", seq: int = SEQ_NONE) -> None:
+        """Send a message; keep it where the topic is latched. Without ``seq`` it is ours."""
+        now = time.time_ns()
+        if seq == SEQ_NONE:
+            origin, seq = self._origin, max(now, self._last + 1)
+            self._last = seq
+        message = Sample(raw, "", now, origin, seq)
         if self.history is not None:
-            self.history.add(Sample(raw, "", time.time_ns(), b"", SEQ_NONE))
-        self.writer.send(raw, self.stamped, self._depth)
+            self.history.add(message)
+        self.writer.send(message, self.stamped, self._depth)
 
     @property
     def subscribers(self) -> int:
@@ -228,7 +241,7 @@ class Ros1Publisher(RawPublisher):
                 self._blamed = True
                 log.warning("%s: a message of %s cannot be sent: %s", writer.node.graph, self.topic, error)
             return
-        self.publish_raw(raw)
+        self.publish_raw(raw, sample.origin, sample.seq)
 
 
 async def _leave(writer: TopicWriter) -> None:
