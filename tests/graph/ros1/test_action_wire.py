@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ropeway.errors import DecodeError
@@ -18,6 +18,7 @@ STATUSES = st.builds(
 )
 
 
+@settings(deadline=None)
 @given(STATUSES, st.binary(max_size=20))
 def test_round_trip(status: wire.Status, body: bytes) -> None:
     """Goals, requests to cancel, reports and lists are read as they were written."""
@@ -27,6 +28,7 @@ def test_round_trip(status: wire.Status, body: bytes) -> None:
     assert wire.read_cancel(wire.cancel_message(status.goal.text)) == wire.GoalId(status.goal.text)
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=60))
 def test_any_bytes(raw: bytes) -> None:
     """Bytes that are no such message are a ``DecodeError``."""

@@ -41,7 +41,7 @@ async def test_master_restarts(master: RosMaster, join: Join) -> None:
     subscription = await far.create_subscription("/chatter", STRING, QoS(), box)
     publisher = await near.create_publisher("/chatter", STRING)
     await near.create_service("/add", ADD, add)
-    await until(lambda: publisher.subscribers == 1)
+    await until(lambda: publisher.subscribers == 1 and subscription._reader.links)
     connection = subscription._reader.links[0]
     master.kill()
     await until(lambda: not near.up and not far.up)

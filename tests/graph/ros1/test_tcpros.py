@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ropeway.errors import InvalidFrame
@@ -70,6 +70,7 @@ def frame(body: bytes) -> bytes:
     return struct.pack("<I", len(body)) + body
 
 
+@settings(deadline=None)
 @given(st.dictionaries(NAMES, VALUES, max_size=10))
 def test_round_trip(fields: dict[str, str]) -> None:
     """A header is read as it was written, with '=' and line ends in its values."""
@@ -78,6 +79,7 @@ def test_round_trip(fields: dict[str, str]) -> None:
     assert parse_header(raw[4:]) == fields
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=200))
 def test_any_bytes(raw: bytes) -> None:
     """Bytes that are no header are refused, and nothing else happens."""
@@ -87,6 +89,7 @@ def test_any_bytes(raw: bytes) -> None:
         assert "connection header" in error.reason
 
 
+@settings(deadline=None)
 @given(st.lists(st.binary(max_size=40), max_size=8), st.lists(st.integers(0, 400), max_size=10))
 def test_any_pieces(messages: list[bytes], cuts: list[int]) -> None:
     """Frames come whole and in order, wherever the network cuts the stream."""

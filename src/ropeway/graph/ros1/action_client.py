@@ -46,6 +46,7 @@ _GONE_S: Final = 0.5  # a server whose connections are lost may be back so soon
 _RESULT_S: Final = 2.0  # a goal that is said to have ended gets its result within this
 _SETTLE_S: Final = 0.01  # feedback comes over another connection: what was sent before the result may lag so much
 _REFUSED_S: Final = 1.0  # a goal that is active so long after a request to cancel goes on
+_JOINED_S: Final = 0.05  # rospy answers a subscriber a moment before it begins to send to it
 _GONE: Final = "the action server has gone"
 
 
@@ -108,6 +109,8 @@ class Ros1ActionClient:
         self._goals: dict[str, Ros1Goal] = {}
         self._pulse = asyncio.Event()
         self._gone: asyncio.TimerHandle | None = None
+        self._joined: asyncio.TimerHandle | None = None
+        self._joined_s = 0.0
 
     async def open(self) -> None:
         """Join the five topics."""
@@ -133,8 +136,9 @@ class Ros1ActionClient:
         if self.closed:
             return
         self.closed = True
-        if self._gone is not None:
-            self._gone.cancel()
+        for timer in (self._gone, self._joined):
+            if timer is not None:
+                timer.cancel()
         for goal in list(self._goals.values()):
             if not goal.accepted.done():
                 why = f"the client of {self.action} was closed in mid-call"
@@ -151,7 +155,11 @@ class Ros1ActionClient:
 
     @property
     def available(self) -> bool:
-        """True if all five topics are connected."""
+        """True if all five topics are connected, and have been for a moment."""
+        return self._complete and asyncio.get_running_loop().time() >= self._joined_s
+
+    @property
+    def _complete(self) -> bool:
         return (
             not self.closed
             and len(self._publishers) == 2
@@ -175,13 +183,22 @@ class Ros1ActionClient:
         pulse.set()
 
     def _links_changed(self) -> None:
+        loop = asyncio.get_running_loop()
+        if self._complete:
+            if self._joined is None:
+                self._joined_s = loop.time() + _JOINED_S
+                self._joined = loop.call_at(self._joined_s, self._tell)
+            return
+        if self._joined is not None:
+            self._joined.cancel()
+            self._joined = None
         self._tell()
-        if self._gone is None and not self.closed and self._goals and not self.available:
-            self._gone = asyncio.get_running_loop().call_later(_GONE_S, self._check_gone)
+        if self._gone is None and not self.closed and self._goals:
+            self._gone = loop.call_later(_GONE_S, self._check_gone)
 
     def _check_gone(self) -> None:
         self._gone = None
-        if self.available:
+        if self._complete:
             return
         for goal in list(self._goals.values()):
             if not goal.accepted.done():

@@ -160,6 +160,7 @@ class XmlRpcServer:
         task = asyncio.create_task(self._serve(reader, writer), name="XML-RPC connection")
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(lambda _: writer.close())  # also of one that is cancelled before it begins
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
@@ -173,8 +174,6 @@ class XmlRpcServer:
         except _Malformed as error:
             with contextlib.suppress(OSError, TimeoutError):
                 await _respond(writer, "400 Bad Request", str(error).encode(), "text/plain", False)
-        finally:
-            writer.close()
 
     async def _answer(self, line: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
         """Answer one request; true if another may follow on this connection."""
