@@ -63,8 +63,8 @@ class RawSubscription:
         self._blamed = False
         reader.users.append(self)
         for link in reader.links:
-            if link.last is not None:
-                self.take(Batch(reader, link, [link.last]))
+            if (batch := link.latest) is not None:
+                self.take(batch)
 
     @property
     def publishers(self) -> int:

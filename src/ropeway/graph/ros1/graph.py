@@ -28,8 +28,9 @@ from ropeway.graph.ros1.client import Ros1Client
 from ropeway.graph.ros1.keeper import Keeper
 from ropeway.graph.ros1.master import Master, Refused, master_uri, slave_call
 from ropeway.graph.ros1.node import Ros1Node
-from ropeway.graph.ros1.reader import Ros1Subscription, reader_of
+from ropeway.graph.ros1.reader import reader_of
 from ropeway.graph.ros1.service import Ros1Service, ServiceDoor
+from ropeway.graph.ros1.subscription import Ros1Subscription
 from ropeway.graph.ros1.types import Ros1Types
 from ropeway.graph.ros1.writer import Ros1Publisher, writer_of
 from ropeway.qos import DEFAULT, QoS

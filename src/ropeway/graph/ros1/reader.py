@@ -5,23 +5,22 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, Protocol
 
 from ropeway.errors import ConnectFailed, InvalidFrame, TypeConflict, TypesError
-from ropeway.graph.base import Sample, SampleCallback, Undelivered
+from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.ros1.convert import Converter
 from ropeway.graph.ros1.master import Refused, slave_call
 from ropeway.graph.ros1.tcpros import TRACE, TRACE_BYTES, Connection
 from ropeway.graph.ros1.types import ANY, Ros1Type
-from ropeway.qos import DEFAULT, LATCHED, QoS, common_qos
 from ropeway.tasks import end
 from ropeway.types.definition import canonical_name, short_name
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.node import Origin, Ros1Node
 
-__all__ = ["Batch", "Consumer", "Ros1Subscription", "TopicReader", "reader_of"]
+__all__ = ["Batch", "Consumer", "Publication", "TopicReader", "reader_of"]
 
 log = logging.getLogger("ropeway.graph.ros1")
 
@@ -33,13 +32,11 @@ _RETRY_LIMIT_S: Final = 5.0
 class Batch:
     """Messages of one publisher, oldest first: as they came, and as samples for those who want them."""
 
-    def __init__(self, reader: TopicReader, link: _Link, frames: Sequence[bytes]) -> None:
-        self.link = link
-        self.raws, self._traces = frames, [b""] * len(frames)
-        if link.traced:
-            self.raws = [frame[:-TRACE_BYTES] for frame in frames]
-            self._traces = [frame[-TRACE_BYTES:] for frame in frames]
-        self._reader = reader
+    def __init__(
+        self, reader: TopicReader, link: Publication, raws: Sequence[bytes], traces: Sequence[bytes] = ()
+    ) -> None:
+        self.link, self.raws = link, raws
+        self._reader, self._traces = reader, traces or [b""] * len(raws)
         self._samples: list[Sample] | None = None
 
     @property
@@ -60,7 +57,7 @@ class Consumer(Protocol):
         """A publisher was connected, or its connection lost."""
 
 
-class _Link:
+class Publication:
     """The connection to one publisher, made again as long as the master lists it."""
 
     def __init__(self, reader: TopicReader, uri: str) -> None:
@@ -70,10 +67,11 @@ class _Link:
         self.connected = False
         self.orphan = False
         self.epoch = reader.node.epoch
-        self.last: bytes | None = None
+        self.last: tuple[bytes, bytes] | None = None  # what is latched, and its trace
         self.origin: Origin
         self._reader = reader
         self._fresh = False
+        self._trace = b""  # of the message that comes next
         self._said = ""
         self._retry_s = _RETRY_S
         self._connection: Connection | None = None
@@ -155,21 +153,43 @@ class _Link:
         self.latched = fields.get("latching") == "1"
         self.traced = fields.get(TRACE) == "1"
         self._retry_s, self._said = _RETRY_S, ""
-        self._fresh = self.connected = True
+        self._fresh, self._trace = True, b""
+        self.connected = True
         reader.links_changed()
 
     def frames(self, connection: Connection, frames: Sequence[bytes]) -> None:
         """Part of ``tcpros.Receiver``."""
-        if self.traced and any(len(frame) < TRACE_BYTES for frame in frames):
-            raise InvalidFrame("a message without its trace")
+        raws, traces = self._split(frames) if self.traced else (frames, [b""] * len(frames))
+        if not raws:
+            return
         if self._fresh:
             self._fresh = False
-            if self.latched and frames[0] == self.last:
-                frames = frames[1:]  # connecting again repeats what is latched
-        if self.latched and frames:
-            self.last = frames[-1]
-        if frames:
-            self._reader.deliver(Batch(self._reader, self, frames))
+            if self.latched and (raws[0], traces[0]) == self.last:
+                raws, traces = raws[1:], traces[1:]  # connecting again repeats what is latched
+        if self.latched and raws:
+            self.last = raws[-1], traces[-1]
+        if raws:
+            self._reader.deliver(Batch(self._reader, self, raws, traces))
+
+    def _split(self, frames: Sequence[bytes]) -> tuple[list[bytes], list[bytes]]:
+        """Messages, and the traces that go before them."""
+        raws: list[bytes] = []
+        traces: list[bytes] = []
+        for frame in frames:
+            if self._trace:
+                raws.append(frame)
+                traces.append(self._trace)
+                self._trace = b""
+            elif len(frame) == TRACE_BYTES:
+                self._trace = frame
+            else:
+                raise InvalidFrame("a message without its trace")
+        return raws, traces
+
+    @property
+    def latest(self) -> Batch | None:
+        """What the publisher has latched, if it has."""
+        return None if self.last is None else Batch(self._reader, self, [self.last[0]], [self.last[1]])
 
     def writable(self, connection: Connection) -> None:
         """Part of ``tcpros.Receiver``."""
@@ -189,13 +209,13 @@ class TopicReader:
         self.ros1_name = short_name(self.type)
         self.registered = False
         self.users: list[Consumer] = []
-        self._links: dict[str, _Link] = {}
+        self._links: dict[str, Publication] = {}
         self._ending: set[asyncio.Task[None]] = set()
         self._converter: Converter | None = None
         self._blamed = False
 
     @property
-    def links(self) -> list[_Link]:
+    def links(self) -> list[Publication]:
         """The publishers that are connected now."""
         return [link for link in self._links.values() if link.connected]
 
@@ -281,14 +301,14 @@ class TopicReader:
                 self._end(link)
         for uri in wanted:
             if uri not in self._links:
-                self._links[uri] = _Link(self, uri)
+                self._links[uri] = Publication(self, uri)
 
-    def _end(self, link: _Link) -> None:
+    def _end(self, link: Publication) -> None:
         task = link.stop()
         self._ending.add(task)
         task.add_done_callback(self._ending.discard)
 
-    def forget(self, link: _Link) -> None:
+    def forget(self, link: Publication) -> None:
         """An orphan has gone."""
         if self._links.get(link.uri) is link:
             del self._links[link.uri]
@@ -318,72 +338,6 @@ class TopicReader:
         if self.registered:
             self.registered = False
             await node.master.leave("unregisterSubscriber", self.topic, node.uri)
-
-
-class Ros1Subscription:
-    """A topic read from a ``Ros1Graph``: see ``ropeway.graph.base.Subscription``."""
-
-    def __init__(self, reader: TopicReader, qos: QoS | None, callback: SampleCallback) -> None:
-        self.topic, self.type = reader.topic, reader.type
-        self.closed = False
-        self._reader = reader
-        self._adopt = qos is None
-        self._qos = qos or DEFAULT
-        self._callback = callback
-        self._qos_callbacks: list[Callable[[QoS], None]] = []
-        self._missed = {link for link in reader.links if link.last is not None}
-        reader.users.append(self)
-        if self._missed:
-            asyncio.get_running_loop().call_soon(self._catch_up)
-        self.links_changed()
-
-    @property
-    def qos(self) -> QoS:
-        """The profile in use."""
-        return self._qos
-
-    def on_qos(self, callback: Callable[[QoS], None]) -> None:
-        """Call with the profile, now and when the adopted one changes."""
-        self._qos_callbacks.append(callback)
-        callback(self._qos)
-
-    def links_changed(self) -> None:
-        """Adopt what the publishers that are connected offer."""
-        links = self._reader.links
-        if not self._adopt or not links:
-            return
-        qos = common_qos(LATCHED if link.latched else DEFAULT for link in links)
-        if qos != self._qos:
-            self._qos = qos
-            for callback in self._qos_callbacks:
-                callback(qos)
-
-    def _catch_up(self) -> None:
-        """Take what was latched before this subscription came, unless something newer was taken since."""
-        for link in list(self._missed):
-            if link.last is not None and link.connected:
-                self._missed.discard(link)
-                self.take(Batch(self._reader, link, [link.last]))
-        self._missed.clear()
-
-    def take(self, batch: Batch) -> None:
-        """Part of ``Consumer``."""
-        self._missed.discard(batch.link)
-        samples = batch.samples
-        if self.closed or not samples:
-            return
-        try:
-            self._callback(samples)
-        except Exception:  # a callback is somebody else's code
-            node = self._reader.node
-            node.drops[self.topic, Undelivered.CALLBACK] += len(samples)
-            log.exception("%s: a callback for %s failed", node.graph, self.topic)
-
-    async def close(self) -> None:
-        """Stop reading."""
-        if not self.closed:
-            self.closed = True
-            await self._reader.leave(self)
 
 
 def reader_of(node: Ros1Node, topic: str, type: str) -> TopicReader:

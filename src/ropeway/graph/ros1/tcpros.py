@@ -30,8 +30,8 @@ __all__ = [
 HEADER_LIMIT_BYTES: Final = 1 << 20  # it holds a whole message definition
 MESSAGE_LIMIT_BYTES: Final = 512 << 20
 TRACE: Final = "ropeway_trace"
-"""A header field only Ropeway knows: where both sides have it with ``1``, each message ends with who published it
-first (16 bytes) and its number there (8 bytes, little-endian), so that gateways notice what goes in circles."""
+"""A header field only Ropeway knows: where both sides have it with ``1``, a frame goes before each message with who
+published it first (16 bytes) and its number there (8 bytes, little-endian), so that gateways notice circles."""
 
 TRACE_BYTES: Final = 24
 _FIELDS_LIMIT: Final = 128
@@ -117,9 +117,9 @@ class Connection(asyncio.Protocol):
         self.closed = asyncio.Event()
         self.reason = ""
         self._has_header = False
-        self._pieces: list[bytes] = []
-        self._size = 0
-        self._need = 4
+        self._start = b""  # of a length
+        self._pieces: list[bytes] = []  # of a frame …
+        self._missing = 0  # … that lacks so many bytes
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Part of ``asyncio.Protocol``."""
@@ -146,44 +146,51 @@ class Connection(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Part of ``asyncio.Protocol``."""
-        if self._pieces:
+        missing = self._missing
+        if len(data) < missing:
             self._pieces.append(data)
-            self._size += len(data)
-            if self._size < self._need:
-                return
-            data = b"".join(self._pieces)
-            self._pieces.clear()
+            self._missing = missing - len(data)
+            return
+        frames: list[bytes] = []
         try:
-            self._take(data)
+            if missing:
+                self._pieces.append(data[:missing])
+                whole = b"".join(self._pieces)  # the only copy of a big message here
+                self._pieces, self._missing = [], 0
+                self._frame(whole, frames)
+                data = data[missing:]
+            elif self._start:
+                data, self._start = self._start + data, b""
+            self._take(data, frames)
+            if frames:
+                self.receiver.frames(self, frames)
         except InvalidFrame as error:
             self.abort(error.reason)
 
-    def _take(self, data: bytes) -> None:
+    def _take(self, data: bytes, frames: list[bytes]) -> None:
+        """Cut frames; what is left at the end is kept."""
         position, end = 0, len(data)
-        frames: list[bytes] = []
-        self._need = 4
         while end - position >= 4:
+            if self.transport is None or self.transport.is_closing():
+                return
             (length,) = _LENGTH.unpack_from(data, position)
             limit = MESSAGE_LIMIT_BYTES if self._has_header else HEADER_LIMIT_BYTES
             if length > limit:
                 raise InvalidFrame(f"a frame of {length} bytes; the limit is {limit}", length)
-            if end - position - 4 < length:
-                self._need = 4 + length
-                break
-            frame = data[position + 4 : position + 4 + length]
-            position += 4 + length
-            if self._has_header:
-                frames.append(frame)
-            else:
-                self._has_header = True
-                self.receiver.header(self, parse_header(frame))
-                if self.transport is None or self.transport.is_closing():
-                    return
-        if position < end:
-            self._pieces.append(data[position:] if position else data)
-        self._size = end - position
-        if frames:
-            self.receiver.frames(self, frames)
+            position += 4
+            if end - position < length:
+                self._pieces, self._missing = [data[position:]], length - (end - position)
+                return
+            self._frame(data[position : position + length], frames)
+            position += length
+        self._start = data[position:]
+
+    def _frame(self, frame: bytes, frames: list[bytes]) -> None:
+        if self._has_header:
+            frames.append(frame)
+        else:
+            self._has_header = True
+            self.receiver.header(self, parse_header(frame))
 
     @property
     def waiting_bytes(self) -> int:

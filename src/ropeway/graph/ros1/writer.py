@@ -146,7 +146,7 @@ class TopicWriter:
                 continue
             if not traced:
                 trace = message.origin + message.seq.to_bytes(8, "little")
-                traced = (_HEAD.pack(len(raw) + TRACE_BYTES), *body, trace)
+                traced = (_HEAD.pack(TRACE_BYTES), trace, *plain)
             link.put(traced, len(raw), depth)
 
     def dropped(self) -> None:
