@@ -8,6 +8,8 @@ import itertools
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -18,6 +20,7 @@ from ropeway.graph.hub import Hub
 from ropeway.graph.iort import IortGraph, LocalLink, RemoteLink, Space
 from ropeway.graph.memory import MemoryGraph
 from ropeway.graph.overlay import OverlayGraph
+from ropeway.graph.ros1 import Ros1Graph
 from ropeway.graph.ros2 import Ros2Graph
 from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.overlay.node import OverlayNode
@@ -25,6 +28,7 @@ from ropeway.server import RosbridgeServer
 from ropeway.server.iort import IortServer
 from ropeway.store import Store, StoreLimits, make_backend
 from ropeway.types import TypeRegistry
+from tests.graph.ros1.network import HAS_MASTER, RosMaster
 from tests.graph.ros2.network import isolated_ros2
 from tests.isolation import isolated_dds
 from tests.overlay.fleet import free_endpoint, member
@@ -58,6 +62,8 @@ class Abilities:
     learns that its goal was rejected when it sends it (else with the outcome). ``refuses_cancel``: a client learns that
     its goal goes on (else the request counts as agreed to). ``pad_alike``: bytes that mean nothing arrive as they were
     (else there may be some more at the end, and others between the fields). ``calls``: there are services and actions.
+    ``shows_qos``: discovery tells the profile
+    of a publisher (else a subscription learns it once it is connected).
     """
 
     errors: bool = True
@@ -65,12 +71,14 @@ class Abilities:
     refuses_cancel: bool = True
     pad_alike: bool = True
     calls: bool = True
+    shows_qos: bool = True
 
 
 ABILITIES = {
     "dds": Abilities(errors=False),
     "iort": Abilities(pad_alike=False, calls=False),
     "iort-local": Abilities(pad_alike=False, calls=False),
+    "ros1": Abilities(shows_qos=False),
     "ros2": Abilities(errors=False, pad_alike=False),
 }
 """Kinds that cannot say everything, the others can."""
@@ -204,6 +212,19 @@ async def open_iort_local(stack: AsyncExitStack) -> Pair:
     return Pair(*ends, stack)
 
 
+async def open_ros1(stack: AsyncExitStack) -> Pair:
+    """Two nodes of one ROS 1 master."""
+    directory = stack.enter_context(TemporaryDirectory())
+    master = RosMaster(Path(directory))
+    stack.callback(master.kill)
+    master.start()
+    ends = [Ros1Graph(master.uri, name=name, poll_s=0.1, registry=_types) for name in ("near", "far")]
+    for end in ends:
+        await end.open()
+        stack.push_async_callback(end.close)
+    return Pair(*ends, stack)
+
+
 KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
     "memory": open_memory,
     "hub": open_hub,
@@ -213,6 +234,8 @@ KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
     "overlay": open_overlay,
     "rosbridge": open_rosbridge,
 }
+if HAS_MASTER:
+    KINDS["ros1"] = open_ros1
 if importlib.util.find_spec("rclpy") is not None:
     KINDS["ros2"] = open_ros2
 

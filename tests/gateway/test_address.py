@@ -7,7 +7,21 @@ import pytest
 from ropeway.gateway.address import parse_graph
 
 
-@pytest.mark.parametrize("text", ["dds:0", "dds:5?interface=lo", "ros2", "ros2:0", "ros2:232", "auto", "memory:x"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "dds:0",
+        "dds:5?interface=lo",
+        "ros2",
+        "ros2:0",
+        "ros2:232",
+        "auto",
+        "memory:x",
+        "ros1",
+        "ros1:http://robot:11311",
+        "ros1://robot:11311",
+    ],
+)
 def test_graphs(text: str) -> None:
     """Every kind of graph is taken as it is written."""
     assert parse_graph(text) == text
@@ -21,6 +35,7 @@ def test_graphs(text: str) -> None:
         ("ros2:233", "a ROS domain from 0 to 232"),
         ("dds:233", "a DDS domain from 0 to 232"),
         ("auto:1", "expected auto"),
+        ("ros1:robot", "expected ros1 or ros1:http://host:11311"),
         ("ros3:0", "did you mean"),
         ("memory:", "expected memory:name"),
     ],

@@ -18,6 +18,8 @@ def test_kinds() -> None:
         ("dds:7", "dds", "dds:7"),
         ("ros2:7", "ros2", "ros2:7"),
         ("memory:x", "memory", "memory:x"),
+        ("ros1:http://robot:11312", "ros1", "ros1:http://robot:11312"),
+        ("ros1://robot", "ros1", "ros1:http://robot:11311"),
         ("ws://localhost:9090", "rosbridge", "ws://localhost:9090"),
     ):
         graph = make_graph(url)
@@ -35,7 +37,28 @@ def test_domain_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
             make_graph(url)
 
 
-@pytest.mark.parametrize("url", ["ros2:233", "ros2:x", "ros2:0?interface=lo", "dds:0?color=red", "rso2:0", "http://x"])
+def test_master_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``ros1`` is the master that ROS is told to use."""
+    monkeypatch.setenv("ROS_MASTER_URI", "http://robot:11399/")
+    assert make_graph("ros1").name == "ros1:http://robot:11399"
+    monkeypatch.delenv("ROS_MASTER_URI")
+    assert make_graph("ros1").name == "ros1:http://127.0.0.1:11311"
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "ros1:https://x",
+        "ros1:http://x:99999",
+        "ros1:http://x/y",
+        "ros2:233",
+        "ros2:x",
+        "ros2:0?interface=lo",
+        "dds:0?color=red",
+        "rso2:0",
+        "http://x",
+    ],
+)
 def test_refused(url: str) -> None:
     """An address that is none, or has an option that its kind does not know, is refused."""
     with pytest.raises(GraphUnavailable):

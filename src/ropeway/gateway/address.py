@@ -37,11 +37,18 @@ GRAPHS: Final[Mapping[str, str]] = {
     "dds": r"dds:(?P<domain>\d{1,3})(\?[\w.%,:/=&+-]+)?",
     "ros2": r"ros2(:(?P<domain>\d{1,3}))?",
     "auto": r"auto",
+    "ros1": r"ros1(:(http:)?//[\w.:\[\]-]+/?)?",
     "memory": r"memory:[A-Za-z0-9_.-]+",
 }
 """The kinds of graph a gateway may stand on, and how each is written."""
 
-_WRITTEN: Final = {"dds": "dds:0", "ros2": "ros2 or ros2:0", "auto": "auto", "memory": "memory:name"}
+_WRITTEN: Final = {
+    "dds": "dds:0",
+    "ros2": "ros2 or ros2:0",
+    "auto": "auto",
+    "ros1": "ros1 or ros1:http://host:11311",
+    "memory": "memory:name",
+}
 _DOMAINS: Final = {"dds": "DDS", "ros2": "ROS"}
 _MAX_DOMAIN: Final = 232  # the highest whose UDP ports exist
 _HOST: Final = re.compile(r"(?!-)[A-Za-z0-9_-]{1,63}(\.(?!-)[A-Za-z0-9_-]{1,63})*\.?")

@@ -1,8 +1,9 @@
-"""Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ws://host:9090``, ``memory:x``,
-``overlay:robot1.ropeway``, ``iort://host:7410``.
+"""Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ros1``, ``ros1:http://host:11311``,
+``ws://host:9090``, ``memory:x``, ``overlay:robot1.ropeway``, ``iort://host:7410``.
 
 ``ros2`` goes through the installed rclpy, in the domain of ``ROS_DOMAIN_ID`` unless it names one. ``auto`` is ``ros2``
-where rclpy can be imported, because ROS 2 is sourced, and else ``dds`` in the same domain.
+where rclpy can be imported, because ROS 2 is sourced, and else ``dds`` in the same domain. ``ros1`` is the master of
+``ROS_MASTER_URI``, ``ros1://host:11311`` another way to write one.
 """
 
 from __future__ import annotations
@@ -51,6 +52,11 @@ def make_graph(
             raise GraphUnavailable(url, f"{domain!r} is not a ROS domain; write ros2, or ros2:0 to ros2:232")
         _no_more(url, query)
         return Ros2Graph(int(domain), name=name, gateway_id=gateway_id, registry=registry)
+    if scheme == "ros1" or url == "ros1":
+        from ropeway.graph.ros1 import Ros1Graph
+
+        master = url.removeprefix("ros1").removeprefix(":")
+        return Ros1Graph(master.removeprefix("//"), registry=registry, name=name)
     if scheme in ("ws", "wss"):
         from ropeway.graph.rosbridge import RosbridgeGraph
 
@@ -65,8 +71,8 @@ def make_graph(
         return _overlay(url, parts.path or parts.netloc, query, registry)
     raise GraphUnavailable(
         url,
-        "is no graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, ws://host:9090, wss://host, "
-        "iort://host:7410 or overlay:NAME.ropeway",
+        "is no graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, ros1, ros1:http://host:11311, "
+        "ws://host:9090, wss://host, iort://host:7410 or overlay:NAME.ropeway",
     )
 
 

@@ -1,0 +1,53 @@
+"""A rosbridge server on a ROS 1 network."""
+
+from __future__ import annotations
+
+import pytest
+
+from ropeway.graph.calls import Request
+from ropeway.graph.hub import Hub
+from ropeway.graph.rosbridge import RosbridgeGraph
+from ropeway.qos import QoS
+from ropeway.server import RosbridgeServer
+from tests.until import until
+
+from .conftest import Join
+from .messages import STRING, Box, sample, text
+from .network import HAS_ROSPY, RosMaster, rospy
+
+pytestmark = pytest.mark.skipif(not HAS_ROSPY, reason="Debian's python3-rospy is not installed")
+
+PEER = """
+import rospy
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, SetBoolResponse
+rospy.init_node("peer")
+back = rospy.Publisher("/back", String, queue_size=10, latch=True)
+rospy.Subscriber("/there", String, lambda m: back.publish(m.data[::-1]))
+rospy.Service("/switch", SetBool, lambda r: SetBoolResponse(True, "on"))
+rospy.spin()
+"""
+
+
+async def test_rosbridge(master: RosMaster, join: Join) -> None:
+    """A client of the server talks to ROS 1 nodes, and finds what they have."""
+    graph = await join("server")
+    server = RosbridgeServer(Hub(graph), graph.registry)
+    listener = await server.listen("ws://127.0.0.1:0")
+    client = RosbridgeGraph(f"ws://127.0.0.1:{listener.port}", registry=graph.registry)
+    await client.open()
+    box = Box()
+    try:
+        async with rospy(master, PEER):
+            publisher = await client.create_publisher("/there", STRING)
+            await client.create_subscription("/back", STRING, QoS(), box)
+            await until(lambda: publisher.subscribers, 20)
+            publisher.publish(sample(text("abc")))
+            await until(lambda: box.texts == ["cba"])
+            switch = await client.create_client("/switch", "std_srvs/srv/SetBool")
+            assert await switch.wait_available(10)
+            assert (await switch.call(Request(b"\0\1\0\0\1")))[4] == 1
+            await until(lambda: client.topics()["/back"].type == STRING and "/peer" in client.nodes())
+    finally:
+        await client.close()
+        await server.close()
