@@ -115,6 +115,30 @@ def _environment(port: int, home: Path | None = None) -> dict[str, str]:
     return kept if home is None else {**kept, "ROS_HOME": str(home), "ROS_LOG_DIR": str(home)}
 
 
+async def _listening(port: int) -> None:
+    """Wait for the master; the robot's own waiting takes ten times as long."""
+    for _ in range(200):
+        try:
+            _, writer = await asyncio.open_connection("127.0.0.1", port)
+        except OSError:
+            await asyncio.sleep(0.1)
+        else:
+            writer.close()
+            return
+
+
+async def _said_ready(lines: asyncio.StreamReader) -> None:
+    line = b"\n"
+    try:
+        async with asyncio.timeout(30):
+            while line not in (b"ready\n", b""):  # rospy has things to say, too
+                line = await lines.readline()
+    except TimeoutError:
+        line = b""
+    if not line:
+        raise GraphUnavailable("ros1", "the robot of ROS 1 did not start; --no-ros1 leaves it out")
+
+
 @asynccontextmanager
 async def ros1_robot(directory: Path, port: int) -> AsyncIterator[Walker]:
     """A master of ROS 1 and a node of rospy that moves by ``/cmd_vel``; its track is there at the end."""
@@ -125,23 +149,21 @@ async def ros1_robot(directory: Path, port: int) -> AsyncIterator[Walker]:
     core = await asyncio.create_subprocess_exec(
         "roscore", "-p", str(port), stdout=quiet, stderr=quiet, env=environment, start_new_session=True
     )
+    await _listening(port)
     robot = await asyncio.create_subprocess_exec(
         _PYTHON, str(program), stdout=asyncio.subprocess.PIPE, stderr=quiet, env=environment, limit=1 << 24
     )
     assert robot.stdout is not None
     try:
-        try:
-            async with asyncio.timeout(30):
-                line = await robot.stdout.readline()
-        except TimeoutError:
-            line = b""
-        if line != b"ready\n":
-            raise GraphUnavailable("ros1", "the robot of ROS 1 did not start; --no-ros1 leaves it out")
+        await _said_ready(robot.stdout)
         walker.began = time.monotonic()
         yield walker
         robot.terminate()
         async with asyncio.timeout(10):
-            told: Any = json.loads(await robot.stdout.readline())
+            line = await robot.stdout.readline()
+            while not line.startswith(b"[["):
+                line = await robot.stdout.readline()
+        told: Any = json.loads(line)
         walker.track = [(t, x, y, heading) for t, x, y, heading in told]
     finally:
         for process in (robot, core):
