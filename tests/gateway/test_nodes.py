@@ -19,6 +19,7 @@ from ropeway.gateway.iort_model import robots
 from ropeway.gateway.keep import Keeper
 from ropeway.graph.base import Sample
 from ropeway.graph.memory import MemoryGraph
+from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.iort import AsyncNode
 from ropeway.qos import LATCHED, QoS
 from ropeway.types import TypeRegistry
@@ -254,6 +255,30 @@ async def test_stored_topic(world: World, tmp_path: Path) -> None:
         (got,) = await late.wait(1)
         assert bytes(got.payload) == text("here I am")
         assert got.stamp_ns == inbox.samples[0].stamp_ns
+
+
+async def test_stored_topic_for_web_clients(world: World) -> None:
+    """A rosbridge client that comes late gets the last message of a stored topic, though its source latches nothing."""
+    far = await world.gateway("far", [])
+    robot = await world.robot("far")
+    source = await robot.create_publisher("/battery", STRING)
+    remote = {
+        "address": f"ws://127.0.0.1:{far.servers[0].listeners[0].port}",
+        "subscribe": [{"name": "/battery", "type": STRING, "store": True}],
+    }
+    near = await world.gateway("near", [remote], store={"path": "memory:"})
+    await joined(source)
+    source.publish(sample("80"))
+    store = near.store
+    assert store is not None
+    await until(lambda: store.get("near", "battery") is not None)
+    client = RosbridgeGraph(f"ws://127.0.0.1:{near.servers[0].listeners[0].port}", registry=registry, plain=True)
+    await client.open()
+    inbox = Inbox()
+    await client.create_subscription("/battery", STRING, None, inbox)
+    await inbox.wait(1)
+    assert inbox.payloads == [text("80")]
+    await client.close()
 
 
 async def http(port: int, path: str, method: str = "GET") -> tuple[int, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import ssl
 import subprocess
 import sys
@@ -331,5 +332,21 @@ def test_shell(tmp_path: Path) -> None:
         gone = run("read", "PEPPER/cmd_vel")
         assert gone.returncode == 1
         assert server.url in gone.stderr
+    finally:
+        server.kill()
+
+
+def test_documented(tmp_path: Path) -> None:
+    """The example of the documentation works as it stands, but for the port."""
+    page = (Path(__file__).parents[2] / "docs" / "robots.md").read_text()
+    (code,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    server = ServerProcess(tmp_path / "s.sqlite", free_port())
+    server.start()
+    try:
+        code = code.replace("iort://127.0.0.1:7410", server.url)
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30, cwd=tmp_path)
+        assert done.stdout == "80 remote\n", done.stderr
+        assert (tmp_path / "values" / "PEPPER" / "battery.json").exists()
     finally:
         server.kill()

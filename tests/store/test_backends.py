@@ -9,6 +9,7 @@ import pytest
 
 from ropeway.errors import StoreUnavailable
 from ropeway.store import Backend, Entry, make_backend
+from ropeway.store.sqlite import SqliteBackend
 from tests.store.mongo import mongo_database
 
 
@@ -118,3 +119,29 @@ def test_closed(url: str, tmp_path: Path) -> None:
         backend.open()
     assert "secret" not in str(told.value)
     backend.close()
+
+
+def test_full_disk(tmp_path: Path) -> None:
+    """A full disk is told in words, costs nothing that was kept, and is overcome by itself."""
+    backend = SqliteBackend(str(tmp_path / "s.sqlite"))
+    backend.open()
+    backend.write([entry(b"kept", 1)], 0)
+    assert backend._db is not None
+    (pages,) = backend._db.execute("PRAGMA page_count").fetchone()
+    backend._db.execute(f"PRAGMA max_page_count = {pages}")
+    with pytest.raises(StoreUnavailable, match="the disk is full"):
+        backend.write([entry(b"x" * 100_000, 2, topic="big"), entry(b"later", 2)], 0)
+    assert [e.data for e in backend.load()] == [b"kept"]
+    backend._db.execute("PRAGMA max_page_count = 1000000")
+    backend.write([entry(b"later", 2)], 0)
+    assert [e.data for e in backend.load()] == [b"later"]
+    backend.close()
+
+
+def test_not_a_store(tmp_path: Path) -> None:
+    """A file that is something else is left alone, and told."""
+    path = tmp_path / "s.sqlite"
+    path.write_bytes(b"something else" * 1000)
+    with pytest.raises(StoreUnavailable, match="move it away"):
+        make_backend(str(path)).open()
+    assert path.read_bytes() == b"something else" * 1000
