@@ -1,6 +1,6 @@
 """The overlay: what names, seals and routers cost beside plain Zenoh and beside the bare link.
 
-``--part`` names some of names, join, throughput, big, link, fleet. The last two need root and a program that joins
+``--part`` names some of names, join, seal, throughput, big, link, fleet. The last two need root and a program that joins
 two namespaces by a link with delay, named in ROPEWAY_LINK (``PROGRAM --a NAMESPACE ADDRESS --b NAMESPACE ADDRESS
 --delay-ms N --rate-mbit N``).
 """
@@ -12,6 +12,7 @@ import asyncio
 import contextlib
 import json
 import os
+import shutil
 import socket
 import struct
 import subprocess
@@ -26,6 +27,8 @@ from typing import Any
 import numpy as np
 import uvloop
 import zenoh
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric import ed25519
 
 from bench.netns import Process
 from bench.report import table
@@ -35,6 +38,7 @@ from ropeway.graph.overlay import OverlayGraph
 from ropeway.overlay.fleet import Fleet
 from ropeway.overlay.identity import Identity, write_private
 from ropeway.overlay.node import OverlayNode
+from ropeway.overlay.seal import Opener, Sealer
 from ropeway.qos import QoS
 
 TYPE = "std_msgs/msg/UInt8MultiArray"
@@ -285,6 +289,41 @@ def tell(process: Process) -> None:
     assert process._popen.stdin is not None
     process._popen.stdin.write("\n")
     process._popen.stdin.flush()
+
+
+def sealing(as_json: bool) -> None:
+    """What sealing and opening cost of the processor, with and without signatures, alone in one thread."""
+    key = ed25519.Ed25519PrivateKey.generate()
+    public = key.public_key()
+
+    def verify(message: bytes, signature: bytes) -> bool:
+        try:
+            public.verify(signature, message)
+        except InvalidSignature:
+            return False
+        return True
+
+    rows: list[list[Any]] = []
+    for size, batch in ((1024, 1), (1024, 32), (305_000, 1)):
+        items = [[os.urandom(size)] for _ in range(batch)]
+        took: dict[bool, tuple[float, float]] = {}
+        for signed in (True, False):
+            sealer = Sealer(bytes(32), bytes(16), key.sign if signed else None)
+            opener = Opener(bytes(32), bytes(16), verify, unsigned=not signed)
+            opener.add(sealer.grant())
+            count = max(int(50e6 / size / batch), 100)
+            began = time.process_time()
+            packets = [sealer.seal(items) for _ in range(count)]
+            middle = time.process_time()
+            for packet in packets:
+                opener.open(packet)
+            end = time.process_time()
+            took[signed] = (middle - began) / count / batch, (end - middle) / count / batch
+        flat = [1e6 * t for signed in (True, False) for t in took[signed]]
+        share = sum(took[True]) / sum(took[False])
+        rows.append([size, batch, *flat, share])
+    heads = ["bytes", "in a batch", "seal, us", "open, us", "unsigned: seal, us", "open, us", "signed / unsigned"]
+    table("sealing and opening one message", heads, rows, as_json=as_json)
 
 
 def throughput(as_json: bool, seconds: float) -> None:
@@ -568,7 +607,7 @@ def _answer_images(connection: socket.socket) -> None:
 
 def tcp_fleet(args: argparse.Namespace) -> None:
     """The same over bare connections."""
-    connections = [socket.create_connection((args.host, PORT + 1)) for _ in range(args.count)]
+    connections = [socket.create_connection((args.host, args.port)) for _ in range(args.count)]
     message, times = struct.pack("!I", args.size) + os.urandom(args.size), []
     for _ in range(30):
         began = time.perf_counter()
@@ -585,6 +624,43 @@ def tcp_fleet(args: argparse.Namespace) -> None:
         connection.close()
 
 
+class Tunnel:
+    """An ssh tunnel from one namespace to the hub in the other; ``there`` is false without a server of ssh."""
+
+    def __init__(self, a: str, b: str, far_ip: str, directory: str) -> None:
+        self._running: list[subprocess.Popen[bytes]] = []
+        server = shutil.which("sshd") or shutil.which("/usr/sbin/sshd")
+        self.there = server is not None and shutil.which("ssh") is not None
+        if server is None or not self.there:
+            print("no sshd is installed: ssh is left out")
+            return
+        base, port = Path(directory), PORT + 3
+        for name in ("host", "user"):
+            make = ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(base / name)]
+            if not (base / name).exists():
+                subprocess.run(make, check=True)
+        (base / "authorized").write_bytes((base / "user.pub").read_bytes())
+        Path("/run/sshd").mkdir(exist_ok=True)
+        options = [f"HostKey={base / 'host'}", f"AuthorizedKeysFile={base / 'authorized'}", "StrictModes=no"]
+        options += ["PermitRootLogin=prohibit-password", "UsePAM=no", f"PidFile={base / 'pid'}"]
+        flags = [word for option in options for word in ("-o", option)]
+        self._start(b, [server, "-D", "-f", "/dev/null", "-p", str(port), *flags])
+        known = ["StrictHostKeyChecking=no", "UserKnownHostsFile=/dev/null", "LogLevel=ERROR", "ConnectionAttempts=20"]
+        trust = [word for option in known for word in ("-o", option)]
+        forward = ["-N", "-L", f"{PORT + 2}:{far_ip}:{PORT + 1}", "-p", str(port), "-i", str(base / "user")]
+        self._start(a, ["ssh", *trust, *forward, f"root@{far_ip}"])
+        time.sleep(3)
+
+    def _start(self, namespace: str, command: list[str]) -> None:
+        self._running.append(subprocess.Popen(["ip", "netns", "exec", namespace, *command]))
+
+    def close(self) -> None:
+        """End both."""
+        for process in reversed(self._running):
+            process.terminate()
+            process.wait()
+
+
 def fleet_step(as_json: bool, robots: int = 4, size: int = 100_000) -> None:
     """The thesis' fleet step (5.3.1): four robots, a hub, a barrier; beside bare connections on the same link."""
     rows: list[list[Any]] = []
@@ -598,10 +674,15 @@ def fleet_step(as_json: bool, robots: int = 4, size: int = 100_000) -> None:
             where = bundles(Path(directory), "hub", *names)
             endpoint = f"tls/{far_ip}:{PORT}"
             count = ("--count", str(robots))
-            for run in ("bare", "sealed"):
-                if run == "bare":
+            for run in ("bare", "ssh", "sealed"):
+                tunnel = Tunnel(a, b, far_ip, directory) if run == "ssh" else None
+                if run == "ssh" and not (tunnel and tunnel.there):
+                    steps[run] = [float("nan")]
+                    continue
+                if run != "sealed":
                     far = Process(b, *ME, "tcp_hub", "--host", far_ip, *count)
-                    near = ("tcp_fleet", "--host", far_ip, *count)
+                    where_to = ("--host", far_ip) if run == "bare" else ("--port", str(PORT + 2))
+                    near = ("tcp_fleet", *where_to, *count)
                 else:
                     far = member("hub", where, "hub", "--listen", endpoint, *count, namespace=b)
                     near = ("fleet", "--identity", ",".join(where[name] for name in names), "--connect", endpoint)
@@ -609,8 +690,10 @@ def fleet_step(as_json: bool, robots: int = 4, size: int = 100_000) -> None:
                 robot = Process(a, *ME, *near, "--size", str(size), quiet=False)
                 steps[run] = json.loads(robot.finish(120).splitlines()[-1])["step_ms"]
                 far.stop()
-        rows.append([delay_ms, steps["bare"][0], steps["sealed"][0], steps["sealed"][1]])
-    heads = ["one way, ms", "bare step p50 ms", "sealed step p50 ms", "p99 ms"]
+                if tunnel is not None:
+                    tunnel.close()
+        rows.append([delay_ms, steps["bare"][0], steps["ssh"][0], steps["sealed"][0], steps["sealed"][1]])
+    heads = ["one way, ms", "bare step p50 ms", "ssh tunnel p50 ms", "sealed step p50 ms", "p99 ms"]
     table(f"fleet step: {robots} robots, {size // 1000} kB images", heads, rows, as_json=as_json)
 
 
@@ -674,11 +757,12 @@ def main() -> None:
     tcp_roles = {"tcp_echo": tcp_echo, "tcp_ping": tcp_ping, "tcp_hub": tcp_hub, "tcp_fleet": tcp_fleet}
     plain_roles = {**zenoh_roles, **tcp_roles}
     parser.add_argument("role", nargs="?", default="measure", choices=["measure", *roles, *plain_roles])
-    parser.add_argument("--part", default="names,join,throughput,big,link,fleet")
+    parser.add_argument("--part", default="names,join,seal,throughput,big,link,fleet")
     parser.add_argument("--identity")
     parser.add_argument("--connect", default="")
     parser.add_argument("--listen", default="")
     parser.add_argument("--host", default="127.0.0.1")
+    parser.add_argument("--port", type=int, default=PORT + 1)
     parser.add_argument("--mode", default="peer")
     parser.add_argument("--size", type=int, default=1024)
     parser.add_argument("--sizes", default="1024")
@@ -699,6 +783,8 @@ def main() -> None:
             names(args.json, args.names)
         if "join" in parts:
             join(args.json)
+        if "seal" in parts:
+            sealing(args.json)
         if "throughput" in parts:
             throughput(args.json, args.seconds)
         if "big" in parts:
