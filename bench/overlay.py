@@ -1,8 +1,8 @@
 """The overlay: what names, seals and routers cost beside plain Zenoh and beside the bare link.
 
-``--part`` names some of names, join, seal, throughput, big, link, fleet. The last two need root and a program that joins
-two namespaces by a link with delay, named in ROPEWAY_LINK (``PROGRAM --a NAMESPACE ADDRESS --b NAMESPACE ADDRESS
---delay-ms N --rate-mbit N``).
+``--part`` names some of names, join, seal, throughput, big, roam, link, fleet. The last three need root, and the last two
+a program that joins two namespaces by a link with delay, named in ROPEWAY_LINK (``PROGRAM --a NAMESPACE ADDRESS
+--b NAMESPACE ADDRESS --delay-ms N --rate-mbit N``).
 """
 
 from __future__ import annotations
@@ -175,6 +175,48 @@ async def source(args: argparse.Namespace) -> None:
         await asyncio.sleep(0.005)  # a loop that spins would keep the lane from running
     await graph.sender.flush(publisher.queue)
     report(count=count, cpu=time.process_time() - cpu)
+    await graph.close()
+
+
+async def stream(args: argparse.Namespace) -> None:
+    """A numbered message a hundred times a second, reliably, until told to end."""
+    graph = OverlayGraph(node_of(args))
+    await graph.open()
+    publisher = await graph.create_publisher("/beat", TYPE, KEEP)
+    print("ready", flush=True)
+    told = asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
+    number = 0
+    while not told.done():
+        number += 1
+        publisher.publish(sample(struct.pack("!I", number) + bytes(1020)))
+        await asyncio.sleep(0.01)
+    await asyncio.sleep(3)
+    report(sent=number)
+    await graph.close()
+
+
+async def hear(args: argparse.Namespace) -> None:
+    """The longest silence of the stream, and what of it did not come."""
+    graph = OverlayGraph(node_of(args))
+    await graph.open()
+    numbers: list[int] = []
+    times: list[float] = []
+
+    def take(batch: Any) -> None:
+        numbers.extend(struct.unpack_from("!I", s.payload)[0] for s in batch)
+        times.extend(time.perf_counter() for _ in batch)
+
+    await graph.create_subscription("/beat", TYPE, KEEP, take)
+    print("ready", flush=True)
+    while len(numbers) < 100:
+        await asyncio.sleep(0.01)
+    report(flows=True)
+    await asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
+    gaps = np.diff(times)
+    missing = numbers[-1] - numbers[0] + 1 - len(set(numbers))
+    in_order = numbers == sorted(numbers)
+    twice = len(numbers) - len(set(numbers))
+    report(longest_s=float(gaps.max()), missing=missing, twice=twice, in_order=in_order, last=numbers[-1])
     await graph.close()
 
 
@@ -719,6 +761,82 @@ def joined(delay_ms: float, mbit: float) -> Iterator[tuple[str, str, str] | None
             subprocess.run(["ip", "netns", "del", namespace], check=False, capture_output=True)
 
 
+def _ip(*words: str) -> None:
+    subprocess.run(["ip", *words], check=True, capture_output=True)
+
+
+@contextlib.contextmanager
+def town() -> Iterator[tuple[str, str, str]]:
+    """Three namespaces on one Ethernet: a router's (10.80.0.254), and those of two members (10.80.0.1 and .2)."""
+    r, a, b = "rwor", "rwoa", "rwob"
+    for namespace in (r, a, b):
+        subprocess.run(["ip", "netns", "del", namespace], check=False, capture_output=True)
+        _ip("netns", "add", namespace)
+        _ip("-n", namespace, "link", "set", "lo", "up")
+    _ip("-n", r, "link", "add", "br0", "type", "bridge")
+    _ip("-n", r, "addr", "add", "10.80.0.254/24", "dev", "br0")
+    _ip("-n", r, "link", "set", "br0", "up")
+    for number, namespace in enumerate((a, b), 1):
+        _ip("-n", r, "link", "add", f"v{number}", "type", "veth", "peer", "name", "eth0", "netns", namespace)
+        _ip("-n", r, "link", "set", f"v{number}", "master", "br0", "up")
+        _ip("-n", namespace, "addr", "add", f"10.80.0.{number}/24", "dev", "eth0")
+        _ip("-n", namespace, "link", "set", "eth0", "up")
+    try:
+        yield r, a, b
+    finally:
+        for namespace in (r, a, b):
+            subprocess.run(["ip", "netns", "del", namespace], check=False, capture_output=True)
+
+
+def roam(as_json: bool) -> None:
+    """Addresses that change in mid-stream: of the publisher, of the reader, of both at once; over a router and direct."""
+    rows: list[list[Any]] = []
+    for direct in (False, True):
+        for who in ("publisher", "reader", "both"):
+            with town() as (r, a, b), tempfile.TemporaryDirectory() as directory:
+                where = bundles(Path(directory), "near", "far", "router1")
+                endpoint = f"tls/10.80.0.254:{PORT}"
+                router = Process(r, "-m", "ropeway", "router", "-i", where["router1"], "-l", endpoint, "--json")
+                router.line()
+                ends = []
+                for namespace, name, role in ((a, "near", "stream"), (b, "far", "hear")):
+                    listen = ("--listen", "tls/0.0.0.0:0") if direct else ()
+                    ends.append(member(name, where, role, "--connect", endpoint, *listen, namespace=namespace))
+                    ends[-1].line()
+                ends[1].line()
+                time.sleep(3)  # a direct link is made meanwhile
+                for namespace, number, moves in ((a, 1, who != "reader"), (b, 2, who != "publisher")):
+                    if moves:
+                        _ip("-n", namespace, "addr", "add", f"10.80.0.{number}1/24", "dev", "eth0")
+                        _ip("-n", namespace, "addr", "del", f"10.80.0.{number}/24", "dev", "eth0")
+                        # the kernel takes the second address with the first one of its net
+                        subprocess.run(
+                            ["ip", "-n", namespace, "addr", "add", f"10.80.0.{number}1/24", "dev", "eth0"],
+                            check=False,
+                            capture_output=True,
+                        )
+                time.sleep(8)
+                tell(ends[0])
+                sent = json.loads(ends[0].line())["sent"]
+                tell(ends[1])
+                got = json.loads(ends[1].line())
+                got["missing"] += sent - got["last"]
+                rows.append(
+                    [
+                        "direct" if direct else "router",
+                        who,
+                        got["longest_s"],
+                        got["missing"],
+                        got["twice"],
+                        got["in_order"],
+                    ]
+                )
+                for process in (*ends, router):
+                    process.stop()
+    heads = ["path", "who moves", "longest silence s (<= 2)", "missing", "twice", "in order"]
+    table("addresses change in mid-stream, 100 messages a second", heads, rows, as_json=as_json)
+
+
 def link(as_json: bool, delay_ms: float, mbit: float, count: int) -> None:
     """Round trips over a link with delay, beside a bare connection on the same link."""
     figures: dict[str, dict[str, list[float]]] = {}
@@ -752,12 +870,21 @@ def link(as_json: bool, delay_ms: float, mbit: float, count: int) -> None:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    roles = {"echo": echo, "ping": ping, "sink": sink, "source": source, "hub": hub, "fleet": fleet}
+    roles = {
+        "echo": echo,
+        "ping": ping,
+        "sink": sink,
+        "source": source,
+        "hub": hub,
+        "fleet": fleet,
+        "stream": stream,
+        "hear": hear,
+    }
     zenoh_roles = {"zsink": zsink, "zsource": zsource, "zrouter": zrouter}
     tcp_roles = {"tcp_echo": tcp_echo, "tcp_ping": tcp_ping, "tcp_hub": tcp_hub, "tcp_fleet": tcp_fleet}
     plain_roles = {**zenoh_roles, **tcp_roles}
     parser.add_argument("role", nargs="?", default="measure", choices=["measure", *roles, *plain_roles])
-    parser.add_argument("--part", default="names,join,seal,throughput,big,link,fleet")
+    parser.add_argument("--part", default="names,join,seal,throughput,big,roam,link,fleet")
     parser.add_argument("--identity")
     parser.add_argument("--connect", default="")
     parser.add_argument("--listen", default="")
@@ -791,6 +918,8 @@ def main() -> None:
             big(args.json)
         if "fleet" in parts:
             fleet_step(args.json)
+        if "roam" in parts:
+            roam(args.json)
         if "link" in parts:
             link(args.json, 35.0, 5.0, args.count)
 
