@@ -81,6 +81,7 @@ class Ros1Client:
         self._ros1 = node.types.service(type)
         self._under_way = Running()
         self._api: str | None = None
+        self._providers: list[str] = []  # who served it when it was looked up
         self._looking: asyncio.Lock = asyncio.Lock()
         self._idle: list[Stream] = []
 
@@ -120,17 +121,27 @@ class Ros1Client:
         except TypesError as error:
             raise CallFailed(self.service, str(error)) from None
         while True:
+            known = self._api is not None
             with contextlib.suppress(_Gone):
                 stream = await self._stream()
                 reached[0] = True
                 return await self._ask(stream, raw)
             self._api = None
+            if known:
+                continue  # it may have moved
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_LOOK_AGAIN_S):
                     await self._keeper.changed()
 
     async def _stream(self) -> Stream:
         """A connection that is greeted. Raises ``_Gone`` where nobody serves it now, ``CallFailed``."""
+        providers = self._keeper.picture.state.services.get(self.service, [])
+        if providers != self._providers:
+            self._providers = providers
+            self._forget()
+        if self._idle:
+            for _ in range(2):
+                await asyncio.sleep(0)  # turns of the loop in which those that were closed are noticed
         while self._idle:
             reader, writer = self._idle.pop()
             if not reader.at_eof() and not writer.is_closing():
@@ -212,6 +223,11 @@ class Ros1Client:
         self._keeper.tell()
         why = f"the client of {self.service} was closed in mid-call"
         await self._under_way.fail(GraphUnavailable(self._node.graph, why))
+        self._forget()
+
+    def _forget(self) -> None:
+        """Look it up again before the next call."""
+        self._api = None
         for _, writer in self._idle:
             writer.close()
         self._idle.clear()
