@@ -23,6 +23,7 @@ from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request
 from ropeway.graph.direct import Running
 from ropeway.graph.ros1.tcpros import encode_header, read_frame, read_header
 from ropeway.graph.ros1.types import ANY
+from ropeway.graph.ros1.xmlrpc import close_streams
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.convert import Converter
@@ -223,11 +224,13 @@ class Ros1Client:
         self._keeper.tell()
         why = f"the client of {self.service} was closed in mid-call"
         await self._under_way.fail(GraphUnavailable(self._node.graph, why))
-        self._forget()
+        await close_streams(self._forget())
 
-    def _forget(self) -> None:
-        """Look it up again before the next call."""
+    def _forget(self) -> list[asyncio.StreamWriter]:
+        """Look it up again before the next call; gives the streams that are closed now."""
         self._api = None
-        for _, writer in self._idle:
-            writer.close()
+        writers = [writer for _, writer in self._idle]
         self._idle.clear()
+        for writer in writers:
+            writer.close()
+        return writers
