@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import struct
 
 import pytest
@@ -134,7 +135,9 @@ async def test_server(master: RosMaster, join: Join, registry: TypeRegistry) -> 
         if value == 2:
             return Outcome(GoalStatus.ABORTED, number(22), "two is too much")
         if value == 3:
-            await goal.cancelled.wait()
+            while not goal.cancelled.is_set():
+                goal.feedback(number(4))
+                await asyncio.sleep(0.02)
             return Outcome(GoalStatus.CANCELED, number(33))
         return Outcome(GoalStatus.SUCCEEDED, number(value * 10))
 

@@ -109,6 +109,17 @@ async def test_error_field(join: Join) -> None:
     writer.close()
 
 
+async def test_other_type(join: Join, caplog: pytest.LogCaptureFixture) -> None:
+    """A publisher of another type is not read; the log says so once, with both sums."""
+    near, far = await join("near"), await join("far")
+    box = Box()
+    await far.create_publisher("/chatter", HEADER, LATCHED)
+    await near.create_subscription("/chatter", STRING, None, box)
+    await until(lambda: "2176decaecbce78abc3b96ef049fabed" in caplog.text)
+    assert "992ce8a1687cec8c8bd883ec73ca41d1" in caplog.text
+    assert not box.samples
+
+
 async def test_batches(join: Join) -> None:
     """What arrives together is given together."""
     near, far = await join("near"), await join("far")

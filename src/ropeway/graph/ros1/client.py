@@ -23,6 +23,7 @@ from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request
 from ropeway.graph.direct import Running
 from ropeway.graph.ros1.tcpros import encode_header, read_frame, read_header
 from ropeway.graph.ros1.types import ANY
+from ropeway.graph.ros1.xmlrpc import close_streams
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.convert import Converter
@@ -81,6 +82,7 @@ class Ros1Client:
         self._ros1 = node.types.service(type)
         self._under_way = Running()
         self._api: str | None = None
+        self._providers: list[str] = []  # who served it when it was looked up
         self._looking: asyncio.Lock = asyncio.Lock()
         self._idle: list[Stream] = []
 
@@ -120,17 +122,27 @@ class Ros1Client:
         except TypesError as error:
             raise CallFailed(self.service, str(error)) from None
         while True:
+            known = self._api is not None
             with contextlib.suppress(_Gone):
                 stream = await self._stream()
                 reached[0] = True
                 return await self._ask(stream, raw)
             self._api = None
+            if known:
+                continue  # it may have moved
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_LOOK_AGAIN_S):
                     await self._keeper.changed()
 
     async def _stream(self) -> Stream:
         """A connection that is greeted. Raises ``_Gone`` where nobody serves it now, ``CallFailed``."""
+        providers = self._keeper.picture.state.services.get(self.service, [])
+        if providers != self._providers:
+            self._providers = providers
+            self._forget()
+        if self._idle:
+            for _ in range(2):
+                await asyncio.sleep(0)  # turns of the loop in which those that were closed are noticed
         while self._idle:
             reader, writer = self._idle.pop()
             if not reader.at_eof() and not writer.is_closing():
@@ -212,6 +224,13 @@ class Ros1Client:
         self._keeper.tell()
         why = f"the client of {self.service} was closed in mid-call"
         await self._under_way.fail(GraphUnavailable(self._node.graph, why))
-        for _, writer in self._idle:
-            writer.close()
+        await close_streams(self._forget())
+
+    def _forget(self) -> list[asyncio.StreamWriter]:
+        """Look it up again before the next call; gives the streams that are closed now."""
+        self._api = None
+        writers = [writer for _, writer in self._idle]
         self._idle.clear()
+        for writer in writers:
+            writer.close()
+        return writers

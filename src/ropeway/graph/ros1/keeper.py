@@ -179,7 +179,7 @@ class Keeper:
 
     def _is_known(self, part: Part, state: State) -> bool:
         if isinstance(part, ServiceDoor):
-            return self.node.name in state.services.get(part.name, ())
+            return bool(state.services.get(part.name))  # who takes a service over may keep it, until it leaves
         table = state.publishers if isinstance(part, TopicWriter) else state.subscribers
         return self.node.name in table.get(part.topic, ())
 

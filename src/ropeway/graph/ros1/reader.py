@@ -122,19 +122,18 @@ class Publication:
             finally:
                 timer.cancel()
         finally:
-            connection.abort("closed")
+            connection.abort()
             self._connection = None
-        if connection.reason:
-            self._say(connection.reason)
+        self._say(connection.reason or "the connection was closed")
 
     def _check_greeted(self) -> None:
         if self._connection is not None and not self.connected:
             self._connection.abort("the publisher sent no header in time")
 
-    def _say(self, text: str) -> None:
+    def _say(self, text: str, level: int = logging.INFO) -> None:
         if text != self._said:
             self._said = text
-            log.info("%s: %s from %s: %s", self._reader.node.graph, self._reader.topic, self.uri, text)
+            log.log(level, "%s: %s from %s: %s", self._reader.node.graph, self._reader.topic, self.uri, text)
 
     def made(self, connection: Connection) -> None:
         """Part of ``tcpros.Receiver``."""
@@ -143,12 +142,16 @@ class Publication:
     def header(self, connection: Connection, fields: dict[str, str]) -> None:
         """Part of ``tcpros.Receiver``."""
         reader = self._reader
-        if "error" in fields:
-            raise InvalidFrame(fields["error"])
         self.caller = fields.get("callerid", "")
         if self.caller == reader.node.name:
             raise InvalidFrame("it is published by ourselves")
-        reader.check(fields)
+        try:
+            if "error" in fields:
+                raise InvalidFrame(fields["error"])
+            reader.check(fields)
+        except InvalidFrame as error:
+            self._say(error.reason, logging.WARNING)
+            raise
         self.origin = reader.node.origin(self.caller or self.uri, reader.topic)
         self.latched = fields.get("latching") == "1"
         self.traced = fields.get(TRACE) == "1"

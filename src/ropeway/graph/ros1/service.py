@@ -96,6 +96,7 @@ class _Caller:
         self.connection.abort("the service was closed")
         if work is not asyncio.current_task():
             await end(work)
+        await self.connection.closed.wait()
 
 
 class ServiceDoor:

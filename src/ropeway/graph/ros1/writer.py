@@ -28,7 +28,7 @@ log = logging.getLogger("ropeway.graph.ros1")
 QUEUE_LIMIT_BYTES: Final = 64 << 20
 """How much may wait for one subscriber that does not read; the oldest goes first, one message always stays."""
 
-_FLUSH_S: Final = 2.0  # how long what was published last has to reach a subscriber when the topic is withdrawn
+_FLUSH_S: Final = 1.0  # how long what was published last has to reach a subscriber when the topic is withdrawn
 
 _HEAD: Final = struct.Struct("<I")
 
@@ -78,11 +78,10 @@ class _Link:
         self._writer.left(self)
 
     def finish(self) -> None:
-        """Send what waits, then close; a subscriber that does not read is cut off."""
+        """Send what waits, then close."""
         while self._waiting:
             self.connection.write(self._waiting.popleft()[0])
         self.connection.close()
-        asyncio.get_running_loop().call_later(_FLUSH_S, self.connection.abort)
 
 
 class TopicWriter:
@@ -164,10 +163,18 @@ class TopicWriter:
             for callback in user.demand:
                 callback(len(self.links))
 
-    def finish(self) -> None:
-        """Send what waits, then close all connections."""
-        for link in list(self.links):
+    async def finish(self) -> None:
+        """Send what waits, then close all connections; a subscriber that does not read is cut off."""
+        links = list(self.links)
+        for link in links:
             link.finish()
+        try:
+            async with asyncio.timeout(_FLUSH_S):
+                for link in links:
+                    await link.connection.closed.wait()
+        except TimeoutError:
+            for link in links:
+                link.connection.abort()
 
 
 class RawPublisher:
@@ -250,10 +257,10 @@ async def _leave(writer: TopicWriter) -> None:
     if writer.users or node.writers.get(writer.topic) is not writer:
         return
     del node.writers[writer.topic]
-    writer.finish()
     if writer.registered:
         writer.registered = False
         await node.master.leave("unregisterPublisher", writer.topic, node.uri)
+    await writer.finish()
 
 
 def writer_of(node: Ros1Node, topic: str, ros1: Ros1Type) -> TopicWriter:

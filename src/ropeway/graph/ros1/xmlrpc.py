@@ -9,14 +9,14 @@ import asyncio
 import contextlib
 import logging
 import xmlrpc.client  # bodies are bounded, and refused if they declare entities (see ``_loads``)
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any, Final
 from urllib.parse import urlsplit
 
 from ropeway.errors import ConnectFailed
 from ropeway.tasks import end
 
-__all__ = ["Fault", "XmlRpcClient", "XmlRpcServer", "split_uri"]
+__all__ = ["Fault", "XmlRpcClient", "XmlRpcServer", "close_streams", "split_uri"]
 
 log = logging.getLogger("ropeway.graph.ros1")
 
@@ -27,6 +27,7 @@ Fault = xmlrpc.client.Fault
 """What a server answers instead of a value: ``faultCode`` and ``faultString``."""
 
 _CALL_S: Final = 5.0
+_CLOSE_S: Final = 1.0
 _IDLE_S: Final = 60.0  # a connection without a request for so long is closed
 _ANSWER_LIMIT_BYTES: Final = 64 << 20  # a parameter may hold a robot's whole description
 _REQUEST_LIMIT_BYTES: Final = 1 << 20  # what nodes are told fits in a few hundred bytes
@@ -42,6 +43,17 @@ class _Malformed(Exception):
 
 
 Stream = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+async def close_streams(writers: Sequence[asyncio.StreamWriter]) -> None:
+    """Close streams, and wait a moment until they are."""
+    for writer in writers:
+        writer.close()
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(_CLOSE_S):
+            for writer in writers:
+                with contextlib.suppress(OSError):
+                    await writer.wait_closed()
 
 
 def split_uri(uri: str) -> tuple[str, int]:
@@ -126,10 +138,9 @@ class XmlRpcClient:
     async def close(self) -> None:
         """Close the connections that are kept."""
         self._closed = True
-        for kept in self._idle.values():
-            for _, writer in kept:
-                writer.close()
+        streams = [stream for kept in self._idle.values() for stream in kept]
         self._idle.clear()
+        await close_streams([writer for _, writer in streams])
 
 
 class XmlRpcServer:
@@ -138,7 +149,7 @@ class XmlRpcServer:
     def __init__(self, handler: Handler) -> None:
         self._handler = handler
         self._server: asyncio.Server | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
         self.port = 0
 
     async def open(self, host: str, port: int = 0) -> None:
@@ -151,16 +162,20 @@ class XmlRpcServer:
         if self._server is not None:
             self._server.close()
             self._server = None
+        writers = list(self._tasks.values())
         await end(*self._tasks)
+        await close_streams(writers)
 
     def _accepted(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if self._server is None or len(self._tasks) >= _CONNECTIONS_LIMIT:
             writer.close()
             return
         task = asyncio.create_task(self._serve(reader, writer), name="XML-RPC connection")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        task.add_done_callback(lambda _: writer.close())  # also of one that is cancelled before it begins
+        self._tasks[task] = writer
+        task.add_done_callback(self._ended)
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._tasks.pop(task).close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
