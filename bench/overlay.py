@@ -1,6 +1,6 @@
 """The overlay: what names, seals and routers cost beside plain Zenoh and beside the bare link.
 
-``--part`` names some of names, join, seal, throughput, big, roam, link, fleet. The last three need root, and the last two
+``--part`` names some of names, join, seal, throughput, big, roam, link, fleet. The last three need root, the last two
 a program that joins two namespaces by a link with delay, named in ROPEWAY_LINK (``PROGRAM --a NAMESPACE ADDRESS
 --b NAMESPACE ADDRESS --delay-ms N --rate-mbit N``).
 """
@@ -789,7 +789,7 @@ def town() -> Iterator[tuple[str, str, str]]:
 
 
 def roam(as_json: bool) -> None:
-    """Addresses that change in mid-stream: of the publisher, of the reader, of both at once; over a router and direct."""
+    """Addresses that change in mid-stream: the publisher's, the reader's, both at once; over a router and direct."""
     rows: list[list[Any]] = []
     for direct in (False, True):
         for who in ("publisher", "reader", "both"):

@@ -398,7 +398,8 @@ class GatewayConfig(Model):
     graphs: Annotated[Many[Annotated[str, AfterValidator(parse_graph)]], AfterValidator(_not_empty)] = Field(
         default_factory=_default_graphs,
         description="the local networks: dds:<domain> (without ROS), ros2 or ros2:<domain> (through the sourced ROS 2, "
-        "any RMW), auto (ros2 where ROS 2 is sourced, else dds); left out: dds with ROS_DOMAIN_ID",
+        "any RMW), auto (ros2 where ROS 2 is sourced, else dds), ros1 or ros1:http://host:11311 (a ROS 1 master); left "
+        "out: dds with ROS_DOMAIN_ID",
     )
     listen: Many[Annotated[str, AfterValidator(parse_listen)]] = Field(
         ("ws://127.0.0.1:9090",),

@@ -50,6 +50,8 @@ class Trust:
         certificate = self._known.get(der)
         if certificate is None:
             certificate = Certificate(der)
+            if der[-len(certificate.x509.signature) - 1] != 0:  # unused bits of the signature, which nobody signs
+                raise SealError(Refusal.MALFORMED, certificate.name)
             try:
                 certificate.x509.verify_directly_issued_by(self._ca)
             except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm) as error:

@@ -73,7 +73,7 @@ def server_command(
     params_glob: Annotated[str, _glob("parameters")] = "",
     params_timeout: Annotated[float, _same("Seconds that rosapi waits for a node.")] = 5.0,
     graph: Annotated[
-        str, typer.Option("--graph", "-g", envvar="ROPEWAY_GRAPH", help="The network: auto, dds:0, ros2.")
+        str, typer.Option("--graph", "-g", envvar="ROPEWAY_GRAPH", help="The network: auto, dds:0, ros2, ros1.")
     ] = "auto",
     name: Annotated[str, typer.Option(help="The name of the node.")] = NODE,
     token_file: Annotated[
