@@ -18,6 +18,8 @@ from typing import Any, Final, Generic, TypeVar
 import zenoh
 
 from ropeway.errors import GraphUnavailable
+from ropeway.overlay import dead_links
+from ropeway.overlay.zenoh_config import MEMBER_DEAD_MS
 
 __all__ = ["CRL_KEY", "Asked", "Fabric", "Handle", "Inlet"]
 
@@ -117,13 +119,18 @@ class Asked:
 
 
 class Fabric:
-    """One Zenoh session. ``gateway`` is its id, 16 bytes, which is also ours in the overlay."""
+    """One Zenoh session. ``gateway`` is its id, 16 bytes, which is also ours in the overlay.
 
-    def __init__(self, config: zenoh.Config, gateway: bytes) -> None:
+    A link whose far end has acknowledged nothing for ``dead_ms`` is given up.
+    """
+
+    def __init__(self, config: zenoh.Config, gateway: bytes, *, dead_ms: int = MEMBER_DEAD_MS) -> None:
+        self._dead_ms = dead_ms
         self.gateway = gateway
         self._config = config
         self._session: zenoh.Session | None = None
         self._lanes: dict[int, ThreadPoolExecutor] = {}
+        self._link_events: Any = None
         self._loop: asyncio.AbstractEventLoop
 
     async def open(self) -> None:
@@ -133,10 +140,14 @@ class Fabric:
             self._session = await asyncio.to_thread(zenoh.open, self._config)
         except zenoh.ZError as error:
             raise GraphUnavailable("overlay", f"Zenoh cannot start: {error}") from error
+        self._link_events = self._session.info.declare_link_events_listener(self._link_changed, history=True)
 
     async def close(self) -> None:
         """End the session; nothing is delivered after this returns."""
         session, self._session = self._session, None
+        listener, self._link_events = self._link_events, None
+        if listener is not None:
+            listener.undeclare()
         if session is not None:
             try:
                 async with asyncio.timeout(_CLOSE_S):
@@ -146,6 +157,11 @@ class Fabric:
         for lane in self._lanes.values():
             lane.shutdown(wait=False, cancel_futures=True)
         self._lanes.clear()
+
+    def _link_changed(self, event: zenoh.LinkEvent) -> None:
+        """In a thread of Zenoh's."""
+        if event.kind == zenoh.SampleKind.PUT:
+            dead_links.limit(str(event.link.src), str(event.link.dst), self._dead_ms)
 
     @property
     def session(self) -> zenoh.Session:

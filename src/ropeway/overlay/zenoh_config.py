@@ -11,12 +11,15 @@ import zenoh
 
 from ropeway.overlay.identity import Identity
 
-__all__ = ["KEYS", "gateway_config", "gateway_id", "router_config"]
+__all__ = ["KEYS", "MEMBER_DEAD_MS", "ROUTER_DEAD_MS", "gateway_config", "gateway_id", "router_config"]
 
 KEYS: Final = "rw/**"
 """All that travels in an overlay lies under this key expression."""
 
-_LEASE_MS: Final = 1500  # a link that is dead is known within that
+# A dead link is known within these times. A router knows it first: a member that comes again before its router has let
+# go of the old link is taken off the routers' map, new link and all, once the old one is closed.
+ROUTER_DEAD_MS: Final = 1000
+MEMBER_DEAD_MS: Final = 1600
 _MESSAGES: Final = (
     "put",
     "delete",
@@ -46,7 +49,11 @@ def gateway_config(
     To Zenoh it is a router like the others: those of its kinds that are not, peers, get nothing through a router that
     stands between them.
     """
-    more = {"id": gateway.hex(), "scouting/gossip/autoconnect": {"router": ["router"]}}
+    more = {
+        "id": gateway.hex(),
+        "scouting/gossip/autoconnect": {"router": ["router"]},
+        "transport/link/tx/lease": ROUTER_DEAD_MS,  # what is announced: by it the far end judges
+    }
     return _config(identity, connect, listen, more)
 
 
@@ -102,9 +109,13 @@ def _config(identity: Identity, connect: Sequence[str], listen: Sequence[str], m
         "timestamping/enabled": False,
         "transport/link/protocols": ["tls", "quic", "tcp"],
         "transport/link/tls": tls,
-        "transport/link/tx/lease": _LEASE_MS,
+        "transport/link/tx/lease": MEMBER_DEAD_MS,
         "transport/link/tx/keep_alive": 4,
         "transport/link/tx/queue/batching/enabled": False,  # what is sent is batched already, and would wait
+        # Who writes to a link that takes nothing waits so long at most (microseconds), and holds up its end meanwhile:
+        # 32 kB in half a second are 0.5 Mbit/s, and a slower link is none to Zenoh.
+        "transport/link/tx/batch_size": 32768,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
         "transport/shared_memory/enabled": False,
         **more,
     }
