@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import re
+import shutil
 import ssl
 import subprocess
 import sys
@@ -348,5 +350,28 @@ def test_documented(tmp_path: Path) -> None:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30, cwd=tmp_path)
         assert done.stdout == "80 remote\n", done.stderr
         assert (tmp_path / "values" / "PEPPER" / "battery.json").exists()
+    finally:
+        server.kill()
+
+
+def test_old_python(tmp_path: Path) -> None:
+    """A copy of the file runs on Python 3.8, where there is one."""
+    home = Path(os.environ.get("PYENV_ROOT", "~/.pyenv")).expanduser()
+    found = [*map(str, sorted(home.glob("versions/3.8.*/bin/python"))), shutil.which("python3.8")]
+    old = next((path for path in found if path and subprocess.run([path, "-V"], check=False).returncode == 0), None)
+    if old is None:
+        pytest.skip("no Python 3.8")
+    (tmp_path / "iort.py").write_text(Path(iort.__file__).read_text())
+    server = ServerProcess(tmp_path / "s.sqlite", free_port())
+    server.start()
+    code = (
+        "import sys; sys.path.insert(0, '.'); from iort import Node\n"
+        f"with Node('A', '{server.url}', directory='values') as node:\n"
+        "    node.publish('x', [1, 2]); print(sys.version_info[:2], node.read('x').floats, node.mode)\n"
+    )
+    try:
+        command = [old, "-W", "error", "-c", code]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30, cwd=tmp_path)
+        assert done.stdout == "(3, 8) [1.0, 2.0] remote\n", done.stderr
     finally:
         server.kill()
