@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from ropeway.graph.calls import Request
@@ -9,6 +11,7 @@ from ropeway.graph.hub import Hub
 from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.qos import QoS
 from ropeway.server import RosbridgeServer
+from ropeway.server.rosapi import Globs, Rosapi
 from tests.until import until
 
 from .conftest import Join
@@ -51,3 +54,26 @@ async def test_rosbridge(master: RosMaster, join: Join) -> None:
     finally:
         await client.close()
         await server.close()
+
+
+async def test_parameters(master: RosMaster, join: Join) -> None:
+    """Rosapi reads, sets, lists and deletes the parameters of the master."""
+    graph = await join("server")
+    rosapi = Rosapi(Hub(graph), graph.registry, globs=Globs(params=("/robot/*",)))
+    try:
+        await graph.set_param("/secret", 1)
+        assert await rosapi.call("/rosapi/set_param", {"name": "/robot/speed", "value": "0.5"})
+        await rosapi.call("/rosapi/set_param", {"name": "robot/names", "value": '["a", "b"]'})
+        assert await graph.get_param("/robot/speed") == 0.5
+        found = await rosapi.call("/rosapi/get_param", {"name": "/robot/names", "default_value": ""})
+        assert json.loads(found["value"]) == ["a", "b"]
+        assert (await rosapi.call("/rosapi/get_param_names"))["names"] == ["/robot/names", "/robot/speed"]
+        missing = await rosapi.call("/rosapi/get_param", {"name": "/robot/x", "default_value": "7"})
+        assert missing["value"] == "7"
+        hidden = await rosapi.call("/rosapi/get_param", {"name": "/secret", "default_value": ""})
+        assert "glob" in hidden["reason"]
+        assert (await rosapi.call("/rosapi/has_param", {"name": "/robot/speed"}))["exists"]
+        await rosapi.call("/rosapi/delete_param", {"name": "/robot/speed"})
+        assert not (await rosapi.call("/rosapi/has_param", {"name": "/robot/speed"}))["exists"]
+    finally:
+        await rosapi.close()

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ropeway.graph.base import Graph
     from ropeway.types import TypeRegistry
 
-__all__ = ["Params"]
+__all__ = ["Params", "from_json", "to_json"]
 
 log = logging.getLogger("ropeway.server")
 
@@ -55,8 +55,8 @@ class Params:
             async with asyncio.timeout(self._timeout_s):
                 value = await self._get(*self._split(name, "get_parameters"))
         except (_Refused, RopewayError, TimeoutError) as error:
-            return {"value": _json(_from_json(default)), "successful": False, "reason": _reason(error)}
-        return {"value": _json(value), "successful": True, "reason": ""}
+            return {"value": to_json(from_json(default)), "successful": False, "reason": _reason(error)}
+        return {"value": to_json(value), "successful": True, "reason": ""}
 
     async def has(self, name: str) -> bool:
         """True if a node has the parameter and it is set."""
@@ -207,14 +207,15 @@ def _reason(error: BaseException) -> str:
     return str(error) if str(error) or not isinstance(error, CallError) else f"{error.name} failed"
 
 
-def _from_json(text: str) -> Any:
+def from_json(text: str) -> Any:
+    """The value of a JSON text; an empty text where it is none."""
     try:
         return json.loads(text) if text else ""
     except ValueError:
         return ""
 
 
-def _json(value: Any) -> str:
+def to_json(value: Any) -> str:
     """A JSON text that every client parses: of bytes the numbers, of what is no number ``null``."""
     if isinstance(value, bytes):
         value = list(value)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import CallFailed, NotServed, TypesError, ValueMismatch
 from ropeway.server.rosapi.globs import Globs
+from ropeway.server.rosapi.master_params import MasterParams, ParameterServer
 from ropeway.server.rosapi.params import Params
 from ropeway.server.rosapi.picture import Picture
 from ropeway.server.rosapi.texts import Texts
@@ -98,7 +99,11 @@ class Rosapi:
         own = {self._prefix + name: type for name, type in SERVICES.items()}
         shown = globs or Globs()
         self._picture = Picture(hub.graph, shown, own, lambda: self._view.own_changes.emitted)
-        self._params = Params(self._view, registry, shown, params_timeout_s)
+        self._params: Params | MasterParams
+        if isinstance(hub.graph, ParameterServer):
+            self._params = MasterParams(hub.graph, shown, params_timeout_s)
+        else:
+            self._params = Params(self._view, registry, shown, params_timeout_s)
         self._answers: dict[str, _Answer] = {
             name: getattr(self, f"_{name}", None) or self._details(name) for name in SERVICES
         }
