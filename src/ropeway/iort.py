@@ -395,31 +395,52 @@ def text_of(content: Content) -> bytes:
 
 
 class _Copy:
-    """The node's own copy of what it published and read; ``SYSTEM/TOPIC.json`` under a directory, where one is given."""
+    """The node's own copy of what it published and read; ``SYSTEM/TOPIC.json`` under a directory, where one is given.
 
-    def __init__(self, directory: Optional[str]) -> None:
+    ``unsent`` has what the server does not have yet, oldest first, ``depth`` values of each topic at most.
+    """
+
+    def __init__(self, directory: Optional[str], depth: int) -> None:
         self.directory = os.path.expanduser(directory) if directory else None
+        self.depth = depth
         self.values: Dict[Tuple[str, str], Value] = {}
-        self.pending: "OrderedDict[Tuple[str, str], Value]" = OrderedDict()
+        self.unsent: "OrderedDict[Tuple[str, str], List[Value]]" = OrderedDict()
         self.fault = ""
         if self.directory is not None:
             os.makedirs(self.directory, exist_ok=True)
             self._load(self.directory)
 
-    def put(self, value: Value, pending: bool) -> None:
+    def publish(self, value: Value) -> None:
+        """The node published it; the server does not have it yet."""
         key = (value.system, value.topic)
         self.values[key] = value
-        if pending:
-            self.pending[key] = value
-            self.pending.move_to_end(key)
-        self._write(value, pending)
+        waiting = self.unsent.setdefault(key, [])
+        waiting.append(value)
+        del waiting[: -self.depth]
+        self.unsent.move_to_end(key)
+        self._write(key)
 
-    def settle(self, key: Tuple[str, str], value: Value) -> None:
-        """The server has the pending value of a topic now."""
-        if self.pending.get(key) is value:
-            del self.pending[key]
-        if self.values.get(key) is value:
-            self._write(value, False)
+    def learn(self, value: Value) -> None:
+        """A server said it."""
+        key = (value.system, value.topic)
+        self.values[key] = value
+        self._write(key)
+
+    def settle(self, value: Value) -> None:
+        """The server has it now, or will never take it."""
+        key = (value.system, value.topic)
+        waiting = self.unsent.get(key)
+        if waiting is None or value not in waiting:
+            return
+        waiting.remove(value)
+        if not waiting:
+            del self.unsent[key]
+        self._write(key)
+
+    def newest_unsent(self, key: Tuple[str, str]) -> Optional[Value]:
+        """What this node wrote last and the server does not have."""
+        waiting = self.unsent.get(key)
+        return waiting[-1] if waiting else None
 
     def _load(self, directory: str) -> None:
         for root, _, names in os.walk(directory):
@@ -429,40 +450,25 @@ class _Copy:
                 try:
                     with open(os.path.join(root, name), encoding="utf-8") as file:
                         told = json.load(file)
-                    raw = told.get("base64")
-                    data = told["data"].encode() if raw is None else base64.b64decode(raw)
-                    value = Value(
-                        told["system"],
-                        told["topic"],
-                        data,
-                        int(told["version"]),
-                        int(told["stamp_ns"]),
-                        told.get("origin", ""),
-                        told.get("type", ""),
-                        "local",
-                    )
+                    value = _value_of(told, told["system"], told["topic"])
+                    waiting = [_value_of(one, value.system, value.topic) for one in told.get("unsent", ())]
                 except (OSError, ValueError, KeyError, TypeError, AttributeError):
                     continue  # not ours, or half of one
-                self.values[value.system, value.topic] = value
-                if told.get("pending"):
-                    self.pending[value.system, value.topic] = value
+                key = (value.system, value.topic)
+                self.values[key] = value
+                if waiting:
+                    if waiting[-1].order == value.order:
+                        waiting[-1] = value
+                    self.unsent[key] = waiting
 
-    def _write(self, value: Value, pending: bool) -> None:
-        if self.directory is None:
+    def _write(self, key: Tuple[str, str]) -> None:
+        value = self.values.get(key)
+        if self.directory is None or value is None:
             return
         told: Dict[str, Any] = {"system": value.system, "topic": value.topic}
-        try:
-            told["data"] = value.data.decode()
-        except UnicodeDecodeError:
-            told["base64"] = base64.b64encode(value.data).decode()
-        told.update(
-            type=value.type,
-            form="",
-            version=value.version,
-            stamp_ns=value.stamp_ns,
-            origin=value.origin,
-            pending=pending,
-        )
+        told.update(_told(value), form="")
+        if key in self.unsent:
+            told["unsent"] = [_told(one) for one in self.unsent[key]]
         folder = os.path.join(self.directory, _file_name(value.system))
         path = os.path.join(folder, _file_name(value.topic) + ".json")
         try:
@@ -473,6 +479,31 @@ class _Copy:
             self.fault = ""
         except OSError as error:  # a full disk: the value is still in memory
             self.fault = str(error)
+
+
+def _told(value: Value) -> Dict[str, Any]:
+    told: Dict[str, Any] = {}
+    try:
+        told["data"] = value.data.decode()
+    except UnicodeDecodeError:
+        told["base64"] = base64.b64encode(value.data).decode()
+    told.update(type=value.type, version=value.version, stamp_ns=value.stamp_ns, origin=value.origin)
+    return told
+
+
+def _value_of(told: Mapping[str, Any], system: str, topic: str) -> Value:
+    raw = told.get("base64")
+    data = told["data"].encode() if raw is None else base64.b64decode(raw)
+    return Value(
+        system,
+        topic,
+        data,
+        int(told["version"]),
+        int(told["stamp_ns"]),
+        told.get("origin", ""),
+        told.get("type", ""),
+        "local",
+    )
 
 
 def _file_name(name: str) -> str:
@@ -582,7 +613,8 @@ class AsyncNode:
 
     ``system``: its name, and the system of topics where none is given. ``server``: ``iort://host:port`` (``iorts://``
     with TLS). ``local_server``: one on the robot's own network, used while the server is away. ``directory``: where
-    its own copy is kept (``None``: in memory). ``token``: shown to the servers. ``tls``: an ``ssl.SSLContext``, or the
+    its own copy is kept (``None``: in memory). ``offline_depth``: how many values of a topic that were written without
+    the server are brought to it (the ones before the last become history there, where it keeps one). ``token``: shown to the servers. ``tls``: an ``ssl.SSLContext``, or the
     path of the authorities to trust. ``on_mode`` is called with ``remote``, ``local-server`` or ``local``.
     """
 
@@ -593,6 +625,7 @@ class AsyncNode:
         *,
         local_server: Optional[str] = None,
         directory: Optional[str] = None,
+        offline_depth: int = 1,
         token: Optional[str] = None,
         tls: Union[None, str, ssl.SSLContext] = None,
         ident: str = "01",
@@ -610,7 +643,7 @@ class AsyncNode:
         self._token, self._tls = token, tls
         self._max_bytes = max_packet_bytes
         self._clock_ns = clock_ns
-        self._copy = _Copy(directory)
+        self._copy = _Copy(directory, max(offline_depth, 1))
         self._offset_ns = 0
         self._version = max([value.version for value in self._copy.values.values()] + [0])
         self._connection: Optional[_Connection] = None
@@ -632,7 +665,7 @@ class AsyncNode:
     @property
     def pending(self) -> int:
         """How many topics have a value that the server does not have yet."""
-        return len(self._copy.pending)
+        return len(self._copy.unsent)
 
     async def open(self, wait_s: float = 0.0) -> "AsyncNode":
         """Begin to connect, and wait up to ``wait_s`` seconds for it; without a server everything is local."""
@@ -739,7 +772,7 @@ class AsyncNode:
             try:
                 answer = await connection.ask(where, topic, "+get", {}, timeout_s=timeout_s)
             except NodeError as error:
-                own = self._copy.pending.get((where, topic))
+                own = self._copy.newest_unsent((where, topic))
                 if error.code in ("unknown-system", "unknown-topic") and own is not None:
                     return own
                 if error.code != "lost":
@@ -857,7 +890,7 @@ class AsyncNode:
             "local",
             offset_ns=self._offset_ns,
         )
-        self._copy.put(value, True)
+        self._copy.publish(value)
         return value
 
     def _send(self, connection: _Connection, value: Value, wanted: bool, merge: bool = False) -> Any:
@@ -867,6 +900,7 @@ class AsyncNode:
             before = self._waiting.pop(key, None)
             if before is not None:
                 self.superseded += 1
+                self._copy.settle(before[0])
                 if before[1] is not None and not before[1].done():
                     before[1].set_result(Packet("00", key[0], key[1], "+superseded"))
             self._waiting[key] = (value, future)
@@ -901,13 +935,13 @@ class AsyncNode:
             value.version = int(version)
             self._version = max(self._version, value.version)
         if connection.mode == "remote":
-            self._copy.settle((value.system, value.topic), value)
+            self._copy.settle(value)
 
     def _refused(self, value: Value, error: NodeError) -> None:
         """The server does not take it: it is not offered again, unless it was only not kept (yet)."""
         self.last_error = str(error)
         if error.code not in ("not-kept", "timeout"):
-            self._copy.settle((value.system, value.topic), value)
+            self._copy.settle(value)
 
     def _drain(self, connection: _Connection) -> None:
         while self._waiting and not connection.paused:
@@ -937,14 +971,12 @@ class AsyncNode:
         key = (value.system, value.topic)
         known = self._copy.values.get(key)
         if known is None or known.order < value.order:
-            if key in self._copy.pending and self._copy.pending[key].order < value.order:
-                del self._copy.pending[key]
-            self._copy.put(value, False)
+            self._copy.learn(value)
 
     def _newest(self, value: Value) -> Value:
         """What a server said, unless this node wrote something later that the server does not have yet."""
-        pending = self._copy.pending.get((value.system, value.topic))
-        return pending if pending is not None and pending.order > value.order else value
+        own = self._copy.newest_unsent((value.system, value.topic))
+        return own if own is not None and own.order > value.order else value
 
     def _pushed(self, connection: _Connection, packet: Packet) -> None:
         if packet.op == "+evt":
@@ -1094,7 +1126,7 @@ class AsyncNode:
                     if error.code in ("lost", "timeout"):
                         raise
                     self.last_error = str(error)
-            waiting = list(self._copy.pending.items())
+            waiting = [(key, value) for key, values in self._copy.unsent.items() for value in values]
             for start in range(0, len(waiting), 64):
                 group = waiting[start : start + 64]
                 sent = [(key, value, self._send(connection, value, True, merge=True)) for key, value in group]

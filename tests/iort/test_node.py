@@ -22,6 +22,7 @@ from ropeway.gateway.tls import server_context
 from ropeway.iort import AsyncNode, Node, NodeError, Value, text_of
 from ropeway.server.access import EVERYTHING
 from ropeway.server.door import CertificateRule, Door
+from ropeway.store import StoreLimits
 from tests.gateway.test_tls import Authority
 from tests.iort.servers import ServerProcess, free_port, serving
 from tests.until import until
@@ -131,6 +132,26 @@ async def test_offline_restart(tmp_path: Path) -> None:
         assert odd is not None
         assert odd.data == b"\xff\xfe"
         await again.close()
+
+
+async def test_offline_depth(tmp_path: Path) -> None:
+    """What was written offline before the last value is brought to the server, too, where the node was told to."""
+    port = free_port()
+    url = f"iort://127.0.0.1:{port}"
+    directory = str(tmp_path / "values")
+    node = AsyncNode("A", url, directory=directory, offline_depth=3)
+    await node.open()
+    for number in range(5):
+        await node.publish("pose", str(number))
+    await node.close()
+    async with serving(str(tmp_path / "s.sqlite"), port=port, limits=StoreLimits(history=10)) as served:
+        again = AsyncNode("A", url, directory=directory, offline_depth=3)
+        await again.open()
+        await until(lambda: again.mode == "remote" and again.pending == 0)
+        assert [e.data for e in served.store.entries()] == [b"4"]
+        assert [e.data for e in await served.store.history("A", "pose")] == [b"3", b"2"]
+        await again.close()
+    assert "unsent" not in json.loads((tmp_path / "values" / "A" / "pose.json").read_text())
 
 
 async def test_merge_newer_wins(tmp_path: Path) -> None:
