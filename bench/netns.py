@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-__all__ = ["Network", "Process", "network"]
+__all__ = ["Network", "Process", "delayed", "network"]
 
 
 def _run(command: str) -> None:
@@ -114,3 +115,32 @@ def network(mbit: float = 0, *, name: str = "rw", subnet: int = 77) -> Iterator[
         for namespace in (a, b):
             with contextlib.suppress(subprocess.CalledProcessError):
                 _run(f"ip netns del {namespace}")
+
+
+@contextlib.contextmanager
+def delayed(
+    name: str, subnet: str, *, delay_ms: float, jitter_ms: float = 0.0, loss: float = 0.0, rate_mbit: float = 0.0
+) -> Iterator[tuple[str, str, str] | None]:
+    """Two namespaces joined by a link with delay, and the address of the second; ``None`` without a program for it.
+
+    The program is named in ROPEWAY_LINK: ``PROGRAM --a NAMESPACE ADDRESS --b NAMESPACE ADDRESS --delay-ms N --jitter-ms N
+    --loss SHARE --rate-mbit N``; it prints a line once packets flow.
+    """
+    program = os.environ.get("ROPEWAY_LINK")
+    if not program:
+        print("skipped; name a program that joins namespaces in ROPEWAY_LINK")
+        yield None
+        return
+    a, b, near_ip, far_ip = f"{name}a", f"{name}b", f"{subnet}.1", f"{subnet}.2"
+    words = ["--a", a, near_ip, "--b", b, far_ip, "--delay-ms", str(delay_ms), "--jitter-ms", str(jitter_ms)]
+    words += ["--loss", str(loss), "--rate-mbit", str(rate_mbit)]
+    process = subprocess.Popen([sys.executable, program, *words], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    process.stdout.readline()
+    try:
+        yield a, b, far_ip
+    finally:
+        process.terminate()
+        process.wait()
+        for namespace in (a, b):
+            subprocess.run(["ip", "netns", "del", namespace], check=False, capture_output=True)

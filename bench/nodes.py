@@ -10,20 +10,17 @@ import argparse
 import asyncio
 import contextlib
 import json
-import os
 import struct
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import uvloop
 
-from bench.netns import Process
+from bench.netns import Process, delayed
 from bench.report import table
 from ropeway.graph.base import Sample
 from ropeway.graph.dds import DdsGraph
@@ -217,27 +214,9 @@ def percentiles(times: list[float]) -> list[float]:
 # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-@contextlib.contextmanager
-def link() -> Iterator[tuple[str, str, str] | None]:
+def link() -> contextlib.AbstractContextManager[tuple[str, str, str] | None]:
     """The paper's Wi-Fi: 5 ms one way, 2 ms jitter, 1 % loss, 50 Mbit/s."""
-    program = os.environ.get("ROPEWAY_LINK")
-    if not program:
-        print("skipped; name a program that joins namespaces in ROPEWAY_LINK")
-        yield None
-        return
-    a, b, near_ip, far_ip = "rwna", "rwnb", "10.79.0.1", "10.79.0.2"
-    words = ["--a", a, near_ip, "--b", b, far_ip, "--delay-ms", "5", "--jitter-ms", "2"]
-    words += ["--loss", "0.01", "--rate-mbit", "50"]
-    process = subprocess.Popen([sys.executable, program, *words], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    process.stdout.readline()
-    try:
-        yield a, b, far_ip
-    finally:
-        process.terminate()
-        process.wait()
-        for namespace in (a, b):
-            subprocess.run(["ip", "netns", "del", namespace], check=False, capture_output=True)
+    return delayed("rwn", "10.79.0", delay_ms=5, jitter_ms=2, loss=0.01, rate_mbit=50)
 
 
 def paper(as_json: bool, count: int) -> None:

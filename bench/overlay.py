@@ -30,7 +30,7 @@ import zenoh
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric import ed25519
 
-from bench.netns import Process
+from bench.netns import Process, delayed
 from bench.report import table
 from ropeway.gateway.allocator import keep_freed_memory
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample
@@ -739,26 +739,9 @@ def fleet_step(as_json: bool, robots: int = 4, size: int = 100_000) -> None:
     table(f"fleet step: {robots} robots, {size // 1000} kB images", heads, rows, as_json=as_json)
 
 
-@contextlib.contextmanager
-def joined(delay_ms: float, mbit: float) -> Iterator[tuple[str, str, str] | None]:
-    """Two namespaces joined by a link with delay, and the address of the second; ``None`` without a program for it."""
-    program = os.environ.get("ROPEWAY_LINK")
-    if not program:
-        print("skipped; name a program that joins namespaces in ROPEWAY_LINK")
-        yield None
-        return
-    a, b, near_ip, far_ip = "rwla", "rwlb", "10.78.0.1", "10.78.0.2"
-    words = ["--a", a, near_ip, "--b", b, far_ip, "--delay-ms", str(delay_ms), "--rate-mbit", str(mbit)]
-    process = subprocess.Popen([sys.executable, program, *words], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    process.stdout.readline()
-    try:
-        yield a, b, far_ip
-    finally:
-        process.terminate()
-        process.wait()
-        for namespace in (a, b):
-            subprocess.run(["ip", "netns", "del", namespace], check=False, capture_output=True)
+def joined(delay_ms: float, mbit: float) -> contextlib.AbstractContextManager[tuple[str, str, str] | None]:
+    """Two namespaces joined by a link with delay."""
+    return delayed("rwl", "10.78.0", delay_ms=delay_ms, rate_mbit=mbit)
 
 
 def _ip(*words: str) -> None:
