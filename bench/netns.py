@@ -123,8 +123,8 @@ def delayed(
 ) -> Iterator[tuple[str, str, str] | None]:
     """Two namespaces joined by a link with delay, and the address of the second; ``None`` without a program for it.
 
-    The program is named in ROPEWAY_LINK: ``PROGRAM --a NAMESPACE ADDRESS --b NAMESPACE ADDRESS --delay-ms N --jitter-ms N
-    --loss SHARE --rate-mbit N``; it prints a line once packets flow.
+    The program is named in ROPEWAY_LINK: ``PROGRAM --a NAMESPACE ADDRESS --b NAMESPACE ADDRESS --delay-ms N
+    --jitter-ms N --loss SHARE --rate-mbit N``; it prints a line once packets flow.
     """
     program = os.environ.get("ROPEWAY_LINK")
     if not program:
