@@ -9,6 +9,7 @@ import ssl
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway.errors import GraphUnavailable
 from ropeway.gateway.address import is_iort, is_loopback, is_secure
 from ropeway.gateway.allocator import keep_freed_memory
 from ropeway.gateway.auth import make_door, read_secret
@@ -34,6 +35,7 @@ from ropeway.tasks import end
 from ropeway.types import TypeRegistry
 
 if TYPE_CHECKING:
+    from ropeway.graph.base import Graph
     from ropeway.graph.overlay import OverlayGraph
     from ropeway.overlay.node import OverlayNode
 
@@ -42,6 +44,8 @@ __all__ = ["Gateway"]
 log = logging.getLogger("ropeway.gateway")
 
 _METERS_S: Final = 1.0
+_MASTER_S: Final = 30.0
+_MASTER_PAUSE_S: Final = 0.5
 
 _NEED_DISCOVERY: Final = ("subscribe", "reserve-service", "reserve-action")  # what is there matters
 
@@ -98,7 +102,7 @@ class Gateway:
         door = make_door(settings)
         self._tls = server_context(settings.tls)
         for url in settings.graphs:
-            graph = await open_graph(url, registry=self.registry, name=self._node, gateway_id=self.gateway_id)
+            graph = await self._open_graph(url)
             stack.push_async_callback(graph.close)
             hub = self.hubs[url] = Hub(graph, gateway_id=self.gateway_id)
             await hub.open()
@@ -138,6 +142,22 @@ class Gateway:
         await self._bring_up_remotes(stack, limits)
         meters = asyncio.create_task(self._update_meters(), name="gateway meters")
         stack.push_async_callback(end, meters)
+
+    async def _open_graph(self, url: str) -> Graph:
+        """A graph of ours; a ROS 1 master may come a little later than the gateway of its robot."""
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + (_MASTER_S if url.partition(":")[0] == "ros1" else 0.0)
+        waits = False
+        while True:
+            try:
+                return await open_graph(url, registry=self.registry, name=self._node, gateway_id=self.gateway_id)
+            except GraphUnavailable as error:
+                if loop.time() >= deadline:
+                    raise
+                if not waits:
+                    log.warning("%s; it is waited for, %g s at most", error, _MASTER_S)
+                    waits = True
+            await asyncio.sleep(_MASTER_PAUSE_S)
 
     async def _open_store(self, stack: AsyncExitStack) -> Store:
         config = self.config.gateway.store or StoreConfig.model_validate({})

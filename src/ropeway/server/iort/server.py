@@ -32,6 +32,7 @@ _TICK_S: Final = 1.0
 _UNFINISHED_S: Final = 30.0
 _SILENCE_S: Final = 30.0
 _MAX_CLIENTS: Final = 10_000
+_HANDSHAKE_S: Final = 10.0
 
 
 class IortServer:
@@ -74,12 +75,14 @@ class IortServer:
             raise ConnectFailed(url, "iorts needs a certificate and a key", retryable=False)
         host, port = parts.hostname or "127.0.0.1", DEFAULT_PORT if parts.port is None else parts.port
         loop = asyncio.get_running_loop()
+        secure = ssl_context if parts.scheme == "iorts" else None
         try:
             server = await loop.create_server(
                 lambda: Session(self),
                 host,
                 port,
-                ssl=ssl_context if parts.scheme == "iorts" else None,
+                ssl=secure,
+                ssl_handshake_timeout=_HANDSHAKE_S if secure is not None else None,
                 backlog=1024,
                 reuse_port=reuse_port or None,
             )
