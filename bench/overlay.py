@@ -190,7 +190,7 @@ async def stream(args: argparse.Namespace) -> None:
         number += 1
         publisher.publish(sample(struct.pack("!I", number) + bytes(1020)))
         await asyncio.sleep(0.01)
-    await asyncio.sleep(3)
+    await asyncio.sleep(6)  # what was missed is asked for
     report(sent=number)
     await graph.close()
 

@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, Final, Generic, TypeVar
@@ -19,7 +19,7 @@ import zenoh
 
 from ropeway.errors import GraphUnavailable
 from ropeway.overlay import dead_links
-from ropeway.overlay.zenoh_config import MEMBER_DEAD_MS
+from ropeway.overlay.zenoh_config import MEMBER_DEAD_MS, ROUTER_DEAD_MS
 
 __all__ = ["CRL_KEY", "Asked", "Fabric", "Handle", "Inlet"]
 
@@ -121,11 +121,12 @@ class Asked:
 class Fabric:
     """One Zenoh session. ``gateway`` is its id, 16 bytes, which is also ours in the overlay.
 
-    A link whose far end has acknowledged nothing for ``dead_ms`` is given up.
+    A link whose far end acknowledges nothing is given up, one to a router later than one to another gateway:
+    ``routers`` are their endpoints.
     """
 
-    def __init__(self, config: zenoh.Config, gateway: bytes, *, dead_ms: int = MEMBER_DEAD_MS) -> None:
-        self._dead_ms = dead_ms
+    def __init__(self, config: zenoh.Config, gateway: bytes, *, routers: Collection[str] = ()) -> None:
+        self._router_ports = {endpoint.rpartition(":")[2] for endpoint in routers}
         self.gateway = gateway
         self._config = config
         self._session: zenoh.Session | None = None
@@ -161,7 +162,9 @@ class Fabric:
     def _link_changed(self, event: zenoh.LinkEvent) -> None:
         """In a thread of Zenoh's."""
         if event.kind == zenoh.SampleKind.PUT:
-            dead_links.limit(str(event.link.src), str(event.link.dst), self._dead_ms)
+            target = str(event.link.dst)
+            to_router = target.rpartition(":")[2] in self._router_ports
+            dead_links.limit(str(event.link.src), target, MEMBER_DEAD_MS if to_router else ROUTER_DEAD_MS)
 
     @property
     def session(self) -> zenoh.Session:

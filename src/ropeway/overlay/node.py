@@ -87,7 +87,7 @@ class OverlayNode:
         self.denials: dict[str, str] = {}
         self.policy = policy or (lambda verb, name, certificate: True)
         config = gateway_config(identity, gateway=self.gateway, connect=self.routers, listen=self.listen)
-        self.fabric = Fabric(config, self.gateway)
+        self.fabric = Fabric(config, self.gateway, routers=self.routers)
         self.rib = Rib(self.secret, refused=self.refused)
         self.rpc = Rpc(self.fabric, identity, self.trust, self.refused)
         self.membership = Membership(

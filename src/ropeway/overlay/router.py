@@ -17,7 +17,7 @@ from ropeway.errors import GraphUnavailable, IdentityError, RopewayError, SealEr
 from ropeway.overlay.fabric import CRL_KEY, Asked, Fabric, Handle
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.trust import Trust
-from ropeway.overlay.zenoh_config import ROUTER_DEAD_MS, gateway_config, gateway_id, router_config
+from ropeway.overlay.zenoh_config import gateway_config, gateway_id, router_config
 from ropeway.tasks import end
 
 __all__ = ["Router", "push_crl"]
@@ -96,7 +96,7 @@ class Router:
     async def _open(self) -> None:
         self._denied = self.trust.denied
         config = router_config(self.identity, connect=self.connect, listen=self.listen, denied=self._denied)
-        fabric = Fabric(config, b"", dead_ms=ROUTER_DEAD_MS)
+        fabric = Fabric(config, b"")
         await fabric.open()
         self._fabric = fabric
         self._ends = [fabric.serve(CRL_KEY, self._tell), fabric.hear(CRL_KEY, lambda _, raw: self._take(raw))]
