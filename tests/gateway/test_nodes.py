@@ -427,3 +427,19 @@ def test_faults_of_remotes() -> None:
         config.parse([{"address": "iort://h", "expose-service": [{"name": "/a", "type": "std_srvs/Trigger"}]}])
     with pytest.raises(ConfigError, match="needs an iort:// address"):
         config.parse([{"address": "ws://h", "maps": ["alice"]}])
+
+
+def test_maps_of_files(tmp_path: Path) -> None:
+    """Maps may stand in files beside the configuration; a fault says which item and which map of the file."""
+    (tmp_path / "mine.yaml").write_text("- {system: MINE, topic: a}\n- {system: MINE, topic: b, form: floats}\n")
+    (tmp_path / "bad.json").write_text('{"maps": [{"system": "A", "topic": "b"}, {"system": "A", "topics": "c"}]}')
+    item = {"system": "A", "topic": "b", "direction": "out"}
+    made = config.parse({"gateway": {"iort": {"maps": ["alice", "mine.yaml", item]}}}, directory=tmp_path)
+    assert [map.system for map in made.gateway.iort.maps] == ["ALICE", "ALICE", "MINE", "MINE", "A"]
+    with pytest.raises(ConfigError) as told:
+        config.parse(
+            {"gateway": {"iort": {"maps": ["alice", "bad.json", {**item, "form": "jsno"}]}}}, directory=tmp_path
+        )
+    problems = dict(told.value.problems)
+    assert problems["gateway.iort.maps[1]"].startswith("bad.json: map 1: topic")
+    assert problems["gateway.iort.maps[2].form"].endswith('did you mean "json"?')

@@ -5,22 +5,33 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WithJsonSchema,
+    WrapValidator,
+    model_validator,
+)
 
 from ropeway.errors import InvalidName, InvalidTypeName
 from ropeway.gateway.document import read_file
 from ropeway.gateway.fields import Many, Model
-from ropeway.gateway.suggest import did_you_mean, show
+from ropeway.gateway.suggest import did_you_mean, one_of, show
 from ropeway.graph.base import resolve_name
 from ropeway.graph.iort.forms import FORMS
 from ropeway.graph.iort.maps import TopicMap
 from ropeway.store import StoreLimits
 from ropeway.types.definition import canonical_name
 
-__all__ = ["IortConfig", "MapItem", "StoreConfig", "read_maps", "robots"]
+__all__ = ["DIRECTIONS", "IortConfig", "MapItem", "MapList", "StoreConfig", "robots"]
 
+DIRECTIONS: Final = ("both", "in", "out")
 _MIB: Final = 1 << 20
 
 
@@ -28,19 +39,6 @@ def robots() -> dict[str, Any]:
     """The maps that come with Ropeway, by name: those of the IoRT paper's five robots."""
     folder = resources.files("ropeway.graph.iort") / "robots"
     return {entry.name.removesuffix(".yaml"): entry for entry in folder.iterdir() if entry.name.endswith(".yaml")}
-
-
-def read_maps(value: object, info: ValidationInfo) -> object:
-    """Names and files replaced by the maps they stand for."""
-    if not isinstance(value, list | tuple):
-        return value
-    out: list[object] = []
-    for item in value:
-        if isinstance(item, str):
-            out += _read_maps(item, Path((info.context or {}).get("directory", ".")))
-        else:
-            out.append(item)
-    return tuple(out)
 
 
 def _read_maps(text: str, directory: Path) -> list[object]:
@@ -78,6 +76,15 @@ def _name(value: str) -> str:
         raise ValueError(f"expected a ROS name such as /robot/cmd_vel, got {show(value)}: {error.reason}") from error
 
 
+def _one_of(choices: tuple[str, ...]) -> AfterValidator:
+    def check(value: str) -> str:
+        if value not in choices:
+            raise ValueError(one_of(value, [choice for choice in choices if choice]))
+        return value
+
+    return AfterValidator(check)
+
+
 def _codes(value: object) -> object:
     """YAML reads the code 0 as a number."""
     if isinstance(value, Mapping):
@@ -98,13 +105,15 @@ class MapItem(Model):
     system: str = Field(min_length=1, description="the system, or a pattern such as *")
     topic: str = Field(min_length=1, description="the topic, or a pattern")
     type: Annotated[str, AfterValidator(_type)] = Field("std_msgs/msg/String", description="the type in ROS")
-    form: Literal["", "text", "floats", "json", "codes", "angle"] = Field(
+    form: Annotated[str, _one_of(("", *FORMS)), WithJsonSchema({"enum": ["", *FORMS]})] = Field(
         "", description=f"how it is written: {', '.join(FORMS)}; left out: text for a String, else json"
     )
     name: Annotated[str, AfterValidator(_name)] | None = Field(
         None, description="the name in ROS; left out: /SYSTEM/TOPIC"
     )
-    direction: Literal["both", "in", "out"] = Field("both", description="in: nodes publish; out: ROS does")
+    direction: Annotated[str, _one_of(DIRECTIONS), WithJsonSchema({"enum": list(DIRECTIONS)})] = Field(
+        "both", description="in: nodes publish; out: ROS does"
+    )
     latched: bool = Field(False, description="true: late joiners in ROS get the last value, too")
     fields: Many[str] | dict[str, str] | None = Field(
         None, description="floats: paths of the fields in order; json: paths in ROS to paths in JSON"
@@ -142,10 +151,39 @@ class MapItem(Model):
         )
 
 
+def _expanded(value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> tuple[MapItem, ...]:
+    """The maps that one item of a list stands for: itself, or those of the name or file that it is."""
+    if not isinstance(value, str):
+        return (handler(value),)
+    made: list[MapItem] = []
+    for number, raw in enumerate(_read_maps(value, Path((info.context or {}).get("directory", ".")))):
+        try:
+            made.append(MapItem.model_validate(raw))
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise ValueError(f"{value}: map {number}: {where}: {first['msg'].removeprefix('Value error, ')}") from None
+    return tuple(made)
+
+
+def _flat(value: tuple[object, ...]) -> tuple[object, ...]:
+    return tuple(map for maps in value for map in (maps if isinstance(maps, tuple) else (maps,)))
+
+
+def _or_text(schema: dict[str, Any]) -> None:
+    schema["items"] = {"anyOf": [schema["items"], {"type": "string"}]}
+
+
+MapList = Annotated[
+    Many[Annotated[MapItem, WrapValidator(_expanded)]], AfterValidator(_flat), Field(json_schema_extra=_or_text)
+]
+"""Maps, names of robots and files, as one list of maps."""
+
+
 class IortConfig(Model):
     """Robots of any make, at listeners such as iort://127.0.0.1:7410."""
 
-    maps: Annotated[Many[MapItem], BeforeValidator(read_maps)] = Field(
+    maps: MapList = Field(
         (), description="topics that are shared with ROS: maps, files of them, or names of robots such as alice"
     )
     max_packet_bytes: int = Field(_MIB, ge=1024, description="a longer packet is refused")

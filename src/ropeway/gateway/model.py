@@ -23,7 +23,7 @@ from ropeway.errors import InvalidName, InvalidTypeName
 from ropeway.gateway.address import default_graph, parse_graph, parse_link, parse_listen
 from ropeway.gateway.auth_model import AuthConfig, GlobsConfig, Secret
 from ropeway.gateway.fields import ExistingPath, Many, Model
-from ropeway.gateway.iort_model import IortConfig, MapItem, StoreConfig, read_maps
+from ropeway.gateway.iort_model import IortConfig, MapList, StoreConfig
 from ropeway.gateway.overlay_model import OVERLAY, AutomaticConfig, OverlayConfig
 from ropeway.gateway.suggest import one_of, show, unknown_key
 from ropeway.graph.base import Delivery, resolve_name
@@ -336,9 +336,7 @@ class RemoteConfig(Model):
     callers: Many[str] | None = Field(
         None, description="overlay: patterns of the members that may call what is exposed; left out: all"
     )
-    maps: Annotated[Many[MapItem], BeforeValidator(read_maps)] = Field(
-        (), description="iort: how topics of nodes are topics of ROS, as in gateway.iort.maps"
-    )
+    maps: MapList = Field((), description="iort: how topics of nodes are topics of ROS, as in gateway.iort.maps")
     automatic: AutomaticConfig | None = Field(
         None, description="overlay: topics are offered and fetched as the local graph needs"
     )
