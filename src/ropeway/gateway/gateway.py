@@ -17,6 +17,7 @@ from ropeway.gateway.automatic import Automatic
 from ropeway.gateway.bridges import make_bridge
 from ropeway.gateway.config import Config, Route
 from ropeway.gateway.counts import summed
+from ropeway.gateway.files import allow_open_files
 from ropeway.gateway.iort_model import StoreConfig
 from ropeway.gateway.keep import Keeper, key_of
 from ropeway.gateway.model import RemoteConfig
@@ -107,6 +108,9 @@ class Gateway:
             hub = self.hubs[url] = Hub(graph, gateway_id=self.gateway_id)
             await hub.open()
             stack.push_async_callback(hub.close)
+        if settings.listen:
+            nodes = settings.iort.max_nodes if any(map(is_iort, settings.listen)) else 0
+            allow_open_files(settings.clients.max_clients + nodes)
         if self.config.stores:
             self.store = await self._open_store(stack)
         limits = Limits(max_message_bytes=settings.max_message_bytes)
