@@ -311,6 +311,21 @@ async def test_flood_without_reading() -> None:
         await node.close()
 
 
+async def test_many_big_answers() -> None:
+    """A thousand requests at once for a big value are answered as the node reads, not all at once into memory."""
+    async with serving(limits=StoreLimits(max_value_bytes=1 << 20)) as served:
+        node = await Raw.connect(served.port)
+        await node.ask(request("+pub", 1, "A", "big", b"x" * 1_000_000))
+        node.send(b"%01/A/big/s%" * 1000)
+        await until(lambda: any(session._items for session in served.server.sessions))
+        (session,) = served.server.sessions
+        assert session._transport is not None
+        assert session._transport.get_write_buffer_size() < 8 << 20
+        for _ in range(1000):
+            assert len((await node.packet(30)).data) == 1_000_000
+        await node.close()
+
+
 async def test_database_refuses(tmp_path: Path) -> None:
     """While values cannot be kept they are served, and publishers of the upgrade are told that they are not kept."""
     async with serving(str(tmp_path / "s.sqlite")) as served:

@@ -7,6 +7,7 @@ import json
 import logging
 import re
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -44,7 +45,9 @@ class Session(asyncio.Protocol):
         self.superseded = 0
         self._parser = Parser(server.max_packet_bytes)
         self._transport: asyncio.Transport | None = None
+        self._items: deque[Packet | Fault] = deque()  # what came, while the node does not read our answers
         self._out: list[bytes] = []
+        self._out_bytes = 0
         self._scheduled = False
         self._paused = False
         self._waiting: dict[tuple[str, str], tuple[Entry, bool]] = {}
@@ -63,6 +66,7 @@ class Session(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """It is gone."""
         self._transport = None
+        self._items.clear()
         self._out.clear()
         self._waiting.clear()
         self.server.gone(self)
@@ -82,19 +86,29 @@ class Session(asyncio.Protocol):
             self._waiting_bytes -= len(entry.data)
             self._pushed(entry, latest)
             self.flush()
-        if self._transport is not None and not self._paused:
-            self._transport.resume_reading()
+        self._work()
 
     def data_received(self, data: bytes) -> None:
         """Bytes came."""
         self.last_heard = now = time.monotonic()
-        for item in self._parser.feed(data):
+        self._items += self._parser.feed(data)
+        self.began = (self.began or now) if self._parser.unfinished else None
+        self._work()
+
+    def _work(self) -> None:
+        """Answer what came, as long as the node reads; what is left waits, and no more is read until then."""
+        items = self._items
+        while items and not self._paused:
+            item = items.popleft()
             if isinstance(item, Packet):
                 self._packet(item)
             else:
                 self._fault(item)
-        self.began = (self.began or now) if self._parser.unfinished else None
+            if self._out_bytes > _HIGH_BYTES:
+                self.flush()
         self.flush()
+        if self._transport is not None and not self._paused:
+            self._transport.resume_reading()
 
     # ── sending ────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -112,9 +126,11 @@ class Session(asyncio.Protocol):
         if self._out and self._transport is not None and not self._transport.is_closing():
             self._transport.write(b"".join(self._out))
         self._out.clear()
+        self._out_bytes = 0
 
     def _send(self, raw: bytes) -> None:
         self._out.append(raw)
+        self._out_bytes += len(raw)
         if not self._scheduled:
             self._scheduled = True
             asyncio.get_running_loop().call_soon(self.flush)
