@@ -7,6 +7,7 @@ import hashlib
 import itertools
 import json
 import logging
+import random
 from pathlib import Path
 
 import pytest
@@ -309,6 +310,49 @@ async def test_flood_without_reading() -> None:
             assert (await node.packet(30)).op == "p"
             answers += 1
         await node.close()
+
+
+async def test_hostile_bytes(caplog: pytest.LogCaptureFixture) -> None:
+    """20,000 packets of nonsense cost no connection, no error in the log, and nobody else's values."""
+    rng = random.Random(5)
+    words = [b"%", b"%%", b"/", b"~2", b"~", b"=", b",", b"p", b"s", b"+pub", b"+sub", b"+get", b"+hello", b"+list"]
+    words += [
+        b"+del",
+        b"+watch",
+        b"+adv",
+        b"+unsub",
+        b"n=1",
+        b"v=x",
+        b"t=-5",
+        b"m=1",
+        b"last=1",
+        b"*",
+        b"[",
+        b"A",
+        b"b",
+    ]
+    words += [b"\xff\x00", b"01", b"\r\n", b"q={", b"k=std_msgs/msg/String", b"v=99999999999999999999"]
+    async with serving(limits=StoreLimits(max_values=50)) as served:
+        served.server.space.publish(None, "SAFE", "value", b"kept", origin="test")
+        hostile = await Raw.connect(served.port)
+
+        async def swallow() -> None:
+            while await hostile.reader.read(65536):
+                pass
+
+        swallowing = asyncio.create_task(swallow())
+        for _ in range(20_000):
+            hostile.send(b"%" + b"/".join(rng.choices(words, k=rng.randrange(1, 8))) + b"%")
+            if hostile.writer.transport.get_write_buffer_size() > 1 << 16:
+                await hostile.writer.drain()
+        await hostile.writer.drain()
+        friend = await Raw.connect(served.port)
+        assert (await friend.ask(b"%01/SAFE/value/s%")).data == b"kept"
+        await until(lambda: served.server.counts["malformed"] > 1000)
+        assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
+        await hostile.close()
+        await friend.close()
+        await swallowing
 
 
 async def test_many_big_answers() -> None:
