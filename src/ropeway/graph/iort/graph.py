@@ -7,7 +7,6 @@ Values are text on one side and CDR on the other; ``maps`` says how they are con
 from __future__ import annotations
 
 import asyncio
-import functools
 import hashlib
 import json
 import logging
@@ -78,6 +77,7 @@ class IortGraph:
         self.subscriptions: list[IortSubscription] = []
         self._feeds: dict[tuple[str, str], Feed] = {}
         self._endpoints: dict[tuple[str, str, str, str], Endpoint] = {}
+        self._infos: dict[Endpoint, EndpointInfo] = {}  # what has been made of them
         self._had: dict[tuple[str, str], Seen] = {}
         self._changes = Changes()
         self._open = False
@@ -102,6 +102,7 @@ class IortGraph:
         self._open = False
         await self.link.close()
         self._endpoints.clear()
+        self._infos.clear()
         self._changes.close()
 
     # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────
@@ -280,8 +281,13 @@ class IortGraph:
             if one != type:
                 raise TypeConflict(topic, one, type)
 
-    @functools.lru_cache(maxsize=4096)  # noqa: B019 - a graph lives as long as the program, more or less
     def _info(self, endpoint: Endpoint) -> EndpointInfo:
+        found = self._infos.get(endpoint)
+        if found is None:
+            found = self._infos[endpoint] = self._described(endpoint)
+        return found
+
+    def _described(self, endpoint: Endpoint) -> EndpointInfo:
         map = self.maps.of(endpoint.system, endpoint.topic)
         try:
             type = map.type if map is not None else canonical_name(endpoint.type, "msg") if endpoint.type else STRING
@@ -299,13 +305,18 @@ class IortGraph:
 
     def _event(self, endpoint: Endpoint, there: bool) -> None:
         key = (endpoint.id, endpoint.kind, endpoint.system, endpoint.topic)
+        before = self._endpoints.pop(key, None)
         if there:
             self._endpoints[key] = endpoint
-        elif self._endpoints.pop(key, None) is None:
+        elif before is None:
             return
+        if before is not None and before != endpoint:
+            self._infos.pop(before, None)
         if is_pattern(endpoint.system) or is_pattern(endpoint.topic):
             return
         info = self._info(endpoint)
+        if not there:
+            self._infos.pop(endpoint, None)
         if endpoint.kind == "publisher":
             for subscription in list(self.subscriptions):
                 if subscription.topic == info.topic:
