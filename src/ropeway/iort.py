@@ -550,6 +550,8 @@ class _Connection(asyncio.Protocol):
                         waiting.set_result(item)
                 elif item.op in ("+val", "+evt"):
                     self.node._pushed(self, item)
+            else:
+                self.node.faults += 1
 
     def connection_lost(self, exc: Optional[Exception]) -> None:
         for waiting in self.requests.values():
@@ -638,6 +640,8 @@ class AsyncNode:
         self.origin = "{}.{}".format(system, os.urandom(4).hex())
         self.on_mode, self.on_event = on_mode, on_event
         self.last_error = ""
+        self.faults = 0  # bytes and packets of servers that could not be read
+        self.refused: Dict[str, int] = {}  # values that a server did not take, by the code of its reason
         self.superseded = 0  # values that a newer one of their topic replaced while the connection was slow
         self.note = ""  # what the server had to say about this node, such as a second one of its name
         self._token, self._tls = token, tls
@@ -940,6 +944,7 @@ class AsyncNode:
     def _refused(self, value: Value, error: NodeError) -> None:
         """The server does not take it: it is not offered again, unless it was only not kept (yet)."""
         self.last_error = str(error)
+        self.refused[error.code] = self.refused.get(error.code, 0) + 1
         if error.code not in ("not-kept", "timeout"):
             self._copy.settle(value)
 
@@ -986,6 +991,7 @@ class AsyncNode:
         try:
             value = self._value(connection, packet)
         except ValueError:
+            self.faults += 1
             return
         self._learned(value)
         key = (value.system, value.topic)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 import subprocess
 import sys
 from collections.abc import AsyncIterator
@@ -16,14 +15,7 @@ from ropeway.iort import Fault, Packet, Parser
 from ropeway.server.iort import IortServer
 from ropeway.store import Store, StoreLimits, make_backend
 
-__all__ = ["Raw", "ServerProcess", "free_port", "serving"]
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+__all__ = ["Raw", "ServerProcess", "serving"]
 
 
 class Served:

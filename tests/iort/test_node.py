@@ -24,7 +24,8 @@ from ropeway.server.access import EVERYTHING
 from ropeway.server.door import CertificateRule, Door
 from ropeway.store import StoreLimits
 from tests.gateway.test_tls import Authority
-from tests.iort.servers import ServerProcess, free_port, serving
+from tests.iort.servers import ServerProcess, serving
+from tests.ports import free_port
 from tests.until import until
 
 

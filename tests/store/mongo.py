@@ -15,14 +15,9 @@ from pathlib import Path
 
 import pytest
 
-__all__ = ["MongoServer", "free_port", "mongo_database"]
+from tests.ports import free_port
 
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+__all__ = ["MongoServer", "mongo_database"]
 
 
 class MongoServer:

@@ -7,14 +7,10 @@ import contextlib
 from ropeway.errors import ValueRefused
 from ropeway.graph.base import Sample
 from ropeway.graph.iort.maps import names_of
-from ropeway.store import Entry, Store
+from ropeway.graph.iort.parts import ROS_ORIGIN
+from ropeway.store import CDR, Entry, Store
 
-__all__ = ["CDR", "Keeper", "key_of"]
-
-CDR = "cdr"
-"""The form of an entry that is a message of ROS."""
-
-_ROS = "ros:"
+__all__ = ["Keeper", "key_of"]
 
 
 def key_of(name: str, gateway: str) -> tuple[str, str]:
@@ -34,7 +30,7 @@ class Keeper:
         store = self.store
         before = store.get(self.system, self.topic)
         version = store.versions.next(before.version if before is not None else 0)
-        origin = f"{_ROS}{sample.origin.hex()}:{sample.seq}"
+        origin = f"{ROS_ORIGIN}{sample.origin.hex()}:{sample.seq}"
         entry = Entry(self.system, self.topic, bytes(sample.payload), version, sample.stamp_ns, origin, self.type, CDR)
         with contextlib.suppress(ValueRefused):
             store.put(entry)
@@ -46,6 +42,6 @@ class Keeper:
             return None
         origin, seq = bytes(16), entry.stamp_ns
         with contextlib.suppress(ValueError):
-            raw, _, number = entry.origin.removeprefix(_ROS).partition(":")
+            raw, _, number = entry.origin.removeprefix(ROS_ORIGIN).partition(":")
             origin, seq = bytes.fromhex(raw), int(number)
         return Sample(entry.data, self.type, entry.stamp_ns, origin[:16].ljust(16, b"\0"), seq)

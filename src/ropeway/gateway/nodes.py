@@ -60,6 +60,7 @@ class Nodes:
         self.maps = Maps([item.as_map() for item in config.maps])
         self.graph = IortGraph(LocalLink(self.space, name), name="iort", maps=self.maps, registry=registry)
         self.bridges: dict[tuple[str, str], TopicBridge] = {}
+        self.unshared = 0  # topics that had no place among the bridges
         self._into, self._out_of = into, out_of
         self._watch: asyncio.Task[None] | None = None
 
@@ -94,6 +95,7 @@ class Nodes:
         return {
             **self.server.status(),
             "values": self.space.published,
+            "unshared": self.unshared,
             "drops": {f"{topic}: {why.value}": n for (topic, why), n in self.graph.drops.items() if n},
             "bridges": [
                 {
@@ -135,6 +137,7 @@ class Nodes:
                 if map is None or not map.is_pattern:
                     continue
                 if len(self.bridges) >= _FOUND_LIMIT:
+                    self.unshared += 1
                     log.warning("%s/%s is not shared: %d topics of nodes are, and no more", system, topic, _FOUND_LIMIT)
                     continue
                 await self._join(direction, event.name, map)

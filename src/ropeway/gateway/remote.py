@@ -105,6 +105,8 @@ class IortRemote(Remote):
             "error": "" if self.link.connected else self.link.node.last_error,
             "pending": self.link.node.pending,
             "superseded": self.link.node.superseded,
+            "refused": dict(self.link.node.refused),
+            "faults": self.link.node.faults,
             "drops": {f"{topic}: {why.value}": n for (topic, why), n in self.graph.drops.items() if n},
         }
 

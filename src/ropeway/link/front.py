@@ -23,7 +23,7 @@ from ropeway.errors import InvalidFrame
 from ropeway.link.connection import Connection, Limits, peer_address
 from ropeway.link.http import MAX_HEAD_BYTES, Request, Response, parse_head, reply
 
-__all__ = ["Admission", "Admit", "Front", "Http", "Port"]
+__all__ = ["Admission", "Admit", "Front", "Http", "Port", "identified"]
 
 log = logging.getLogger("ropeway.link")
 
@@ -137,7 +137,7 @@ class Front(asyncio.BufferedProtocol):
         assert transport is not None
         head, rest = bytes(self._head[:size]), bytes(self._head[size:])
         try:
-            request = _identified(parse_head(head), transport)
+            request = identified(parse_head(head), transport)
         except InvalidFrame as error:
             self._answer(reply(400, {"error": str(error)}))
             return
@@ -252,8 +252,8 @@ def _is_key(text: str) -> bool:
         return False
 
 
-def _identified(request: Request, transport: asyncio.Transport) -> Request:
-    """The request with who sent it."""
+def identified(request: Request, transport: asyncio.Transport) -> Request:
+    """The request with who sent it: address and, behind TLS, certificate."""
     peer = peer_address(transport.get_extra_info("peername"))
     tls = transport.get_extra_info("ssl_object")
     if tls is None:

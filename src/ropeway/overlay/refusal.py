@@ -23,5 +23,4 @@ class Refusal(enum.Enum):
     WRONG_NAME = "it belongs to another name"
     NO_RIGHT = "its sender has no right to do this"
     NO_KEY = "its key is not known here"
-    UNKNOWN_SENDER = "its sender is not known here"
     MALFORMED = "it is not in the expected form"

@@ -16,7 +16,7 @@ from urllib.parse import unquote
 from ropeway.errors import AccessDenied, StoreUnavailable, TypesError
 from ropeway.link.http import Request, Response, reply
 from ropeway.server.access import Access
-from ropeway.store import Entry, Key, Store, as_json
+from ropeway.store import CDR, Entry, Key, Store, as_json
 from ropeway.types import TypeRegistry
 
 __all__ = ["StorePages", "entry_json"]
@@ -32,7 +32,7 @@ _HEAD: Final = (
 def entry_json(entry: Entry, registry: TypeRegistry) -> dict[str, Any]:
     """A value for people and programs; a message of ROS stands under ``message``, if its type is known."""
     found = as_json(entry, age_s=round(entry.age_s(), 3))
-    if entry.form == "cdr":
+    if entry.form == CDR:
         try:
             found["message"] = json.loads(registry.codec(entry.type).json(entry.data))
         except TypesError:

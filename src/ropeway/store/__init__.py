@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from ropeway.store.entry import Backend, Entry, Key, Versions, as_json, check_name
+from ropeway.store.entry import CDR, Backend, Entry, Key, Versions, as_json, check_name
 from ropeway.store.factory import default_path, is_mongo, make_backend
 from ropeway.store.store import Sink, Store, StoreLimits
 
 __all__ = [
+    "CDR",
     "Backend",
     "Entry",
     "Key",

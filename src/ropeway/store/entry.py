@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,7 +10,10 @@ from typing import Any, Final, Protocol
 
 from ropeway.errors import ValueRefused
 
-__all__ = ["MAX_NAME_BYTES", "Backend", "Entry", "Key", "Versions", "check_name"]
+__all__ = ["CDR", "MAX_NAME_BYTES", "Backend", "Entry", "Key", "Versions", "as_json", "check_name"]
+
+CDR: Final = "cdr"
+"""The form of an entry that is a message of ROS."""
 
 MAX_NAME_BYTES: Final = 200
 """The longest name of a system or a topic, in UTF-8: a file system takes 255 bytes."""
@@ -24,7 +28,7 @@ class Entry:
 
     ``version`` grows with every value of a topic (microseconds since 1970, unless clocks are wrong; see
     ``Versions``), ``origin`` names who wrote it and decides between equal versions. ``stamp_ns`` is when it was
-    written, by the writer's clock. ``type`` is a ROS type name where there is one; ``form`` is ``cdr`` for the bytes
+    written, by the writer's clock. ``type`` is a ROS type name where there is one; ``form`` is ``CDR`` for the bytes
     of a ROS message and empty for the text (or whatever bytes) of a robot.
     """
 
@@ -129,8 +133,6 @@ def check_name(system: str, topic: str) -> None:
 
 def as_json(entry: Entry, **more: Any) -> dict[str, Any]:
     """An entry for people and programs; data that is no text is in base64 under ``base64``."""
-    import base64
-
     text = entry.text
     value = {"data": text} if text is not None else {"base64": base64.b64encode(entry.data).decode()}
     return {

@@ -13,6 +13,8 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+from tests.ports import free_port
+
 PYTHON = "/usr/bin/python3"
 MASTER = "/usr/bin/rosmaster"
 
@@ -27,12 +29,6 @@ def _has(module: str) -> bool:
 
 HAS_MASTER = Path(MASTER).exists()
 HAS_ROSPY = HAS_MASTER and _has("rospy, std_msgs.msg, std_srvs.srv, sensor_msgs.msg, actionlib")
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class RosMaster:

@@ -17,7 +17,8 @@ from ropeway.iort import Packet, pack
 from ropeway.server.access import Role
 from ropeway.server.door import Door, TokenRule
 from ropeway.store import StoreLimits
-from tests.iort.servers import Raw, ServerProcess, free_port, serving
+from tests.iort.servers import Raw, ServerProcess, serving
+from tests.ports import free_port
 from tests.until import until
 
 
@@ -363,8 +364,8 @@ async def test_many_big_answers() -> None:
         node.send(b"%01/A/big/s%" * 1000)
         await until(lambda: any(session._items for session in served.server.sessions))
         (session,) = served.server.sessions
-        assert session._transport is not None
-        assert session._transport.get_write_buffer_size() < 8 << 20
+        assert session.transport is not None
+        assert session.transport.get_write_buffer_size() < 8 << 20
         for _ in range(1000):
             assert len((await node.packet(30)).data) == 1_000_000
         await node.close()

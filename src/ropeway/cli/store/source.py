@@ -5,9 +5,11 @@ from __future__ import annotations
 import base64
 import json
 import ssl
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fnmatch import fnmatchcase
-from typing import Annotated, Any, Final, Protocol
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Annotated, Any, Final, Protocol, TypeVar
 from urllib.error import HTTPError, URLError
 from urllib.parse import quote, urlsplit
 from urllib.request import Request, urlopen
@@ -16,9 +18,11 @@ import typer
 
 from ropeway.errors import ConnectFailed, StoreUnavailable
 from ropeway.iort import Node, NodeError
-from ropeway.store import make_backend
+from ropeway.store import Entry, make_backend
 
 __all__ = ["AtOption", "CaOption", "Source", "TokenOption", "find_source", "key_of", "shown"]
+
+T = TypeVar("T")
 
 _TIMEOUT_S: Final = 10.0
 
@@ -164,7 +168,7 @@ class _Server:
 
     def values(self, system: str, topic: str) -> list[dict[str, Any]]:
         """Values whose names fit."""
-        return self._tried(lambda: self._node.list(system, topic))  # type: ignore[no-any-return]
+        return self._tried(lambda: self._node.list(system, topic))
 
     def get(self, system: str, topic: str, history: bool) -> list[dict[str, Any]]:
         """A value; a server of nodes tells no history."""
@@ -172,8 +176,6 @@ class _Server:
 
     def watch(self, system: str, topic: str) -> Iterator[dict[str, Any]]:
         """Every value."""
-        from queue import SimpleQueue
-
         values: SimpleQueue[Any] = SimpleQueue()
         self._tried(lambda: self._node.subscribe(topic, values.put, system=system))
         while True:
@@ -203,7 +205,7 @@ class _Server:
         """Leave."""
         self._node.close()
 
-    def _tried(self, work: Any) -> Any:
+    def _tried(self, work: Callable[[], T]) -> T:
         try:
             return work()
         except NodeError as error:
@@ -214,8 +216,6 @@ class _Kept:
     """What a store keeps, looked at without a gateway."""
 
     def __init__(self, url: str) -> None:
-        from pathlib import Path
-
         if "://" not in url and not Path(url).expanduser().exists():
             raise StoreUnavailable(url, "does not exist; --at names a gateway, a server of nodes, or a store")
         self._backend = make_backend(url)
@@ -223,23 +223,15 @@ class _Kept:
 
     def values(self, system: str, topic: str) -> list[dict[str, Any]]:
         """Values whose names fit."""
-        from ropeway.server.store import entry_json
-        from ropeway.types import TypeRegistry
-
-        registry = TypeRegistry()
         found = [e for e in self._backend.load() if fnmatchcase(e.system, system) and fnmatchcase(e.topic, topic)]
-        return [entry_json(entry, registry) for entry in sorted(found, key=lambda e: e.key)]
+        return _as_json(sorted(found, key=lambda e: e.key))
 
     def get(self, system: str, topic: str, history: bool) -> list[dict[str, Any]]:
         """A value."""
-        from ropeway.server.store import entry_json
-        from ropeway.types import TypeRegistry
-
-        registry = TypeRegistry()
         found = [e for e in self._backend.load() if e.key == (system, topic)]
         if found and history:
             found += self._backend.history((system, topic))
-        return [entry_json(entry, registry) for entry in found]
+        return _as_json(found)
 
     def watch(self, system: str, topic: str) -> Iterator[dict[str, Any]]:
         """Nobody tells of changes here."""
@@ -255,6 +247,14 @@ class _Kept:
     def close(self) -> None:
         """Let go."""
         self._backend.close()
+
+
+def _as_json(entries: list[Entry]) -> list[dict[str, Any]]:
+    from ropeway.server.store import entry_json  # loads the message types, which other sources do not need
+    from ropeway.types import TypeRegistry
+
+    registry = TypeRegistry()
+    return [entry_json(entry, registry) for entry in entries]
 
 
 def _path(system: str, topic: str) -> str:

@@ -40,7 +40,7 @@ from ropeway.graph.calls import (
     ServiceInfo,
 )
 from ropeway.graph.iort.links import Link
-from ropeway.graph.iort.maps import Maps, ros_name
+from ropeway.graph.iort.maps import Maps, TopicMap, ros_name
 from ropeway.graph.iort.parts import Feed, IortPublisher, IortSubscription
 from ropeway.graph.iort.space import Endpoint, is_pattern
 from ropeway.graph.seen import Seen
@@ -131,7 +131,7 @@ class IortGraph:
         """Read what the nodes behind ``topic`` publish. Raises ``TypeConflict`` where the map has another type."""
         topic, type = self._check(topic, type)
         subscription = IortSubscription(self, topic, type, qos, callback)
-        sources = self._resolved(topic, "in")
+        sources = self.resolved(topic, "in")
         self._check_types(topic, type, [map.type for _, _, map in sources if map is not None])
         self.subscriptions.append(subscription)
         subscription.readopt()
@@ -227,15 +227,11 @@ class IortGraph:
             found = self._had[system, topic] = Seen()
         return found
 
-    def resolved_out(self, topic: str) -> list[tuple[str, str, Any]]:
-        """Where what is published on a ROS name goes."""
-        return self._resolved(topic, "out")
-
     def guard(self, topic: str, callback: Callable[..., None], *args: Any) -> bool:
         """Run a callback of somebody else's; a failure is logged and counted."""
         try:
             callback(*args)
-        except Exception:
+        except Exception:  # a callback is somebody else's code; the others must not suffer
             log.exception("%s: a callback for %s failed", self.name, topic)
             return False
         return True
@@ -260,8 +256,11 @@ class IortGraph:
             if not others and self._open:
                 await self.link.withdraw(system, topic)
 
-    def _resolved(self, topic: str, direction: str) -> list[tuple[str, str, Any]]:
-        """The maps know best; else a node's topic whose name ROS would not allow may be meant."""
+    def resolved(self, topic: str, direction: str) -> list[tuple[str, str, TopicMap | None]]:
+        """The topics of nodes behind a ROS name, ``in`` or ``out``.
+
+        The maps know best; else a node's topic whose name ROS would not allow may be meant.
+        """
         found = self.maps.at(topic, direction)
         if len(found) == 1 and (found[0][2] is None or found[0][2].is_pattern):
             for endpoint in self._endpoints.values():

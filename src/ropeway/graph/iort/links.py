@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ssl
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from ropeway.errors import GraphUnavailable, StoreError
@@ -42,9 +42,6 @@ class Link(Protocol):
 
     async def unsubscribe(self, system: str, topic: str) -> None:
         """Get no more."""
-
-    def last(self, system: str, topic: str) -> Entry | None:
-        """The last value, where that can be told at once."""
 
 
 class LocalLink:
@@ -101,10 +98,6 @@ class LocalLink:
     async def unsubscribe(self, system: str, topic: str) -> None:
         """Get no more."""
         self.space.unsubscribe(self, system, topic)
-
-    def last(self, system: str, topic: str) -> Entry | None:
-        """The last value."""
-        return self.space.store.get(system, topic)
 
 
 class RemoteLink:
@@ -191,10 +184,6 @@ class RemoteLink:
             if asyncio.iscoroutine(result):
                 await result
 
-    def last(self, system: str, topic: str) -> Entry | None:
-        """Nobody knows at once."""
-        return None
-
     def _told(self) -> contextlib.AbstractContextManager[None]:
         return _told(self.url)
 
@@ -225,7 +214,7 @@ class RemoteLink:
 
 
 @contextlib.contextmanager
-def _told(where: str):  # type: ignore[no-untyped-def]
+def _told(where: str) -> Iterator[None]:
     try:
         yield
     except (NodeError, StoreError) as error:

@@ -6,22 +6,23 @@ import asyncio
 import hashlib
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from ropeway.graph.base import Sample, SampleCallback, Undelivered
 from ropeway.graph.iort.forms import FAILURES, Form, Timed, default_form
 from ropeway.qos import DEFAULT, QoS, common_qos
-from ropeway.store import Entry
+from ropeway.store import CDR, Entry
 
 if TYPE_CHECKING:
     from ropeway.graph.iort.graph import IortGraph
     from ropeway.graph.iort.maps import TopicMap
 
-__all__ = ["Feed", "IortPublisher", "IortSubscription"]
+__all__ = ["ROS_ORIGIN", "Feed", "IortPublisher", "IortSubscription"]
 
 _NANOSECONDS: Final = 1 << 59  # a number above is a time stamp, not a count
-_ROS: Final = "ros:"
-CDR: Final = "cdr"
+
+ROS_ORIGIN: Final = "ros:"
+"""What the origin of an entry begins with whose first publisher was one of ROS; 32 hexadecimal digits follow."""
 
 
 class IortPublisher:
@@ -33,7 +34,7 @@ class IortPublisher:
         self._graph = graph
         self.targets: list[tuple[str, str, Form, TopicMap | None]] = [
             (system, name, map.make_form(graph.registry) if map else default_form(type, graph.registry), map)
-            for system, name, map in graph.resolved_out(topic)
+            for system, name, map in graph.resolved(topic, "out")
         ]
 
     def publish(self, sample: Sample) -> None:
@@ -43,7 +44,7 @@ class IortPublisher:
             graph.drops[self.topic, Undelivered.CLOSED] += 1
             return
         stamp_ns = sample.seq if sample.seq > _NANOSECONDS else sample.stamp_ns or time.time_ns()
-        origin = f"{_ROS}{sample.origin.hex()}{graph.own_mark}"
+        origin = f"{ROS_ORIGIN}{sample.origin.hex()}{graph.own_mark}"
         for system, topic, form, map in self.targets:
             if graph.had(system, topic).has(sample):
                 continue  # it came from there
@@ -208,10 +209,10 @@ class IortSubscription:
 
 def _origin(entry: Entry) -> bytes:
     """16 bytes: those of the first publisher, where it was a graph of ROS."""
-    text: Any = entry.origin
-    if text.startswith(_ROS):
+    text = entry.origin
+    if text.startswith(ROS_ORIGIN):
         try:
-            raw = bytes.fromhex(text[len(_ROS) : len(_ROS) + 32])
+            raw = bytes.fromhex(text.removeprefix(ROS_ORIGIN)[:32])
         except ValueError:
             raw = b""
         if len(raw) == 16 and any(raw):

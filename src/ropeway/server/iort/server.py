@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import logging
 import socket
 import ssl
@@ -17,6 +16,7 @@ from ropeway.errors import ConnectFailed
 from ropeway.graph.iort.space import Space
 from ropeway.iort import DEFAULT_PORT, MAX_PACKET_BYTES, NodeError
 from ropeway.link.connection import peer_address
+from ropeway.link.front import identified
 from ropeway.link.http import Request
 from ropeway.server.access import Access, Role
 from ropeway.server.door import Door
@@ -153,7 +153,7 @@ class IortServer:
 
     def hello(self, session: Session, name: str, token: str | None) -> str:
         """A node says who it is; what it should know is returned. Raises ``NodeError`` if it may not come in."""
-        transport = session._transport
+        transport = session.transport
         assert transport is not None
         if len(name) > 200 or not name.isprintable():
             raise NodeError("name", "the name of a node is short and can be printed")
@@ -174,18 +174,7 @@ class IortServer:
 
     def _access(self, session: Session, transport: asyncio.Transport, token: str | None) -> Access | None:
         headers = {} if token is None else {"authorization": f"Bearer {token}"}
-        tls = transport.get_extra_info("ssl_object")
-        raw = tls.getpeercert(binary_form=True) if tls is not None else None
-        request = Request(
-            "GET",
-            "/",
-            "HTTP/1.1",
-            headers,
-            peer=session.peer,
-            secure=tls is not None,
-            certificate=(tls.getpeercert() or None) if tls is not None else None,
-            fingerprint=hashlib.sha256(raw).hexdigest() if raw else "",
-        )
+        request = identified(Request("GET", "/", "HTTP/1.1", headers), transport)
         role = self.door.role_of(request)
         if not isinstance(role, Role):
             if token is not None:

@@ -27,7 +27,7 @@ log = logging.getLogger("ropeway.server.iort")
 _HIGH_BYTES: Final = 256 << 10  # above, values wait, each topic's newest only, and nothing more is read
 _WAITING_BYTES: Final = 16 << 20
 _OURS: Final = "00"  # the identifier of the server
-_FIRST: Final = re.compile(r"[^@.]*")
+_FIRST: Final = re.compile(r"[@.]")  # what stands before the first of these is the identifier of the node
 
 
 class Session(asyncio.Protocol):
@@ -44,7 +44,7 @@ class Session(asyncio.Protocol):
         self.origin = ""
         self.superseded = 0
         self._parser = Parser(server.max_packet_bytes)
-        self._transport: asyncio.Transport | None = None
+        self.transport: asyncio.Transport | None = None
         self._items: deque[Packet | Fault] = deque()  # what came, while the node does not read our answers
         self._out: list[bytes] = []
         self._out_bytes = 0
@@ -58,14 +58,14 @@ class Session(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """A node connected."""
-        self._transport = cast(asyncio.Transport, transport)
-        self._transport.set_write_buffer_limits(high=_HIGH_BYTES)
-        if not self.server.welcome(self, self._transport):
-            self._transport.close()
+        self.transport = cast(asyncio.Transport, transport)
+        self.transport.set_write_buffer_limits(high=_HIGH_BYTES)
+        if not self.server.welcome(self, self.transport):
+            self.transport.close()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """It is gone."""
-        self._transport = None
+        self.transport = None
         self._items.clear()
         self._out.clear()
         self._waiting.clear()
@@ -74,8 +74,8 @@ class Session(asyncio.Protocol):
     def pause_writing(self) -> None:
         """The node reads slower than we send."""
         self._paused = True
-        if self._transport is not None:
-            self._transport.pause_reading()
+        if self.transport is not None:
+            self.transport.pause_reading()
 
     def resume_writing(self) -> None:
         """It caught up: the newest value of each topic that waits is sent."""
@@ -107,8 +107,8 @@ class Session(asyncio.Protocol):
             if self._out_bytes > _HIGH_BYTES:
                 self.flush()
         self.flush()
-        if self._transport is not None and not self._paused:
-            self._transport.resume_reading()
+        if self.transport is not None and not self._paused:
+            self.transport.resume_reading()
 
     # ── sending ────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -117,14 +117,14 @@ class Session(asyncio.Protocol):
         if code and self.upgraded:
             self._error("", code, text)
         self.flush()
-        if self._transport is not None:
-            self._transport.close()
+        if self.transport is not None:
+            self.transport.close()
 
     def flush(self) -> None:
         """Send what was collected, in one write."""
         self._scheduled = False
-        if self._out and self._transport is not None and not self._transport.is_closing():
-            self._transport.write(b"".join(self._out))
+        if self._out and self.transport is not None and not self.transport.is_closing():
+            self.transport.write(b"".join(self._out))
         self._out.clear()
         self._out_bytes = 0
 
@@ -274,7 +274,7 @@ class Session(asyncio.Protocol):
     def _read_plain(self, packet: Packet) -> None:
         entry = self._read(packet)
         data = self._text(entry)
-        id = cast("re.Match[str]", _FIRST.match(entry.origin))[0] or _OURS
+        id = _FIRST.split(entry.origin, maxsplit=1)[0] or _OURS
         try:
             answer = pack(id, packet.system, packet.topic, "p", None, data, packet.system_type)
         except ValueError as error:
