@@ -526,6 +526,7 @@ class _Connection(asyncio.Protocol):
         self.last_heard = time.monotonic()
         self.paused = False
         self.number = 0
+        self.max_bytes = 0  # of a packet, as the server told; 0 until then
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = transport  # type: ignore[assignment]
@@ -574,8 +575,14 @@ class _Connection(asyncio.Protocol):
         if self.transport is None or self.transport.is_closing():
             future.set_exception(NodeError("lost", "the connection to {} was lost".format(self.url)))
             return future
+        raw = pack(self.node.ident, system, topic, op, {"n": number, **head}, data)
+        if self.max_bytes and len(raw) - 2 > self.max_bytes:  # it would be let go there, number and all
+            text = "a packet of {} bytes; {} takes {} at most".format(len(raw), self.url, self.max_bytes)
+            future.set_exception(NodeError("too-big", text))
+            future.exception()  # whoever waits gets it; nobody else need hear of it
+            return future
         self.requests[number] = future
-        self.transport.write(pack(self.node.ident, system, topic, op, {"n": number, **head}, data))
+        self.transport.write(raw)
         return future
 
     async def ask(
@@ -880,6 +887,9 @@ class AsyncNode:
         origin: str = "",
     ) -> Value:
         key = (system or self.system, topic)
+        for name in key:
+            if not name or not name.isprintable() or len(name.encode()) > 200:
+                raise NodeError("name", "a system and a topic have a name of up to 200 bytes that can be printed")
         known = self._copy.values.get(key)
         now_ns = self._clock_ns() + self._offset_ns
         self._version = max(now_ns // 1000, self._version + 1, known.version + 1 if known is not None else 0)
@@ -925,8 +935,13 @@ class AsyncNode:
         return future
 
     def _acknowledge(self, connection: _Connection, value: Value, done: Any) -> None:
-        if done.cancelled() or done.exception() is not None:
-            return  # the connection was lost: the value is pending
+        if done.cancelled():
+            return
+        error = done.exception()
+        if error is not None:
+            if error.code != "lost":  # else the value is brought to the server later
+                self._refused(value, error)
+            return
         answer = done.result()
         if answer.op == "+err":
             self._refused(value, NodeError(answer.head.get("code", ""), answer.data.decode(errors="replace")))
@@ -1107,6 +1122,8 @@ class AsyncNode:
             if now.isdigit():
                 self._offset_ns = int(now) - (before + time.time_ns()) // 2
             self.note = answer.data.decode(errors="replace")
+            most = answer.head.get("max", "")
+            connection.max_bytes = int(most) if most.isdigit() else 0
         except NodeError as error:
             self.last_error = "{}: {}".format(url, error)
             connection.close()

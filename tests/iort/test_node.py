@@ -254,11 +254,21 @@ async def test_subscription_over_a_cut(tmp_path: Path) -> None:
 
 
 async def test_refused() -> None:
-    """A value that the server refuses is told and not offered again."""
-    async with serving(max_packet_bytes=1000) as served, AsyncNode("A", served.url) as node:
-        with pytest.raises(NodeError) as told:
-            await node.publish("", "x")
-        assert told.value.code in ("malformed", "name", "timeout")
+    """A value that no server takes is told and not offered again; the connection stays."""
+    limits = StoreLimits(max_values=2)
+    async with serving(max_packet_bytes=1000, limits=limits) as served, AsyncNode("A", served.url) as node:
+        codes = []
+        for topic, content in (("", "x"), ("a\n", "x"), ("big", "x" * 2000), ("a", "1"), ("b", "1"), ("c", "1")):
+            try:
+                await node.publish(topic, content)
+            except NodeError as error:
+                codes.append(error.code)
+        assert codes == ["name", "name", "too-big", "full"]
+        node.publish_nowait("big", "x" * 2000)
+        await until(lambda: node.refused == {"too-big": 2, "full": 1})
+        assert node.pending == 0
+        assert node.mode == "remote"
+        assert (await node.read("b")).text == "1"
 
 
 async def test_wrong_server() -> None:
