@@ -1,0 +1,129 @@
+"""What peers may send, at most: every limit on counts, sizes, depth and time, with its unit and its reason.
+
+A limit belongs here if somebody on a network can run into it: a client, a node, another gateway, a member of the
+overlay. What operators choose (sizes of messages, numbers of clients, memory) is in the configuration instead.
+``docs/limits.md`` lists all of them; a test compares the two.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+# ── Names and texts ────────────────────────────────────────────────────────────────────────────────────────────────
+
+NAME_CHARACTERS: Final = 256
+"""A name of a topic, service, action, node or parameter. DDS bounds names likewise; a longer one is refused unread."""
+
+TYPE_NAME_CHARACTERS: Final = 256
+"""The name of a type. The longest in the standard distributions has 57 characters."""
+
+ID_CHARACTERS: Final = 256
+"""The id of an operation, which is kept until it is answered or taken back. Generated ids have about 40."""
+
+PATTERN_CHARACTERS: Final = 256
+"""A pattern for names: as long as a name."""
+
+PATTERNS: Final = 64
+"""Patterns of one peer. Each is tried on every name that appears."""
+
+SHOWN_TEXT_CHARACTERS: Final = 500
+"""What a peer says went wrong, as far as it is logged or passed on."""
+
+# ── Quality of service ─────────────────────────────────────────────────────────────────────────────────────────────
+
+QOS_DEPTH_SAMPLES: Final = 10_000
+"""Samples that one writer, reader or history keeps. DDS allocates 8 bytes for each at the first sample."""
+
+# ── Definitions of messages ────────────────────────────────────────────────────────────────────────────────────────
+
+DEFINITION_CHARACTERS: Final = 256 << 10
+"""The text of one definition with all that it contains. Large ones, with comments, have 50,000."""
+
+DEFINITION_FIELDS: Final = 2_000
+"""Fields and constants of one definition with all that it contains, each of which costs 60 us and 13 KiB in generated
+code. The most in the standard distributions is 113."""
+
+DEFINITION_NESTING: Final = 64
+"""Messages that stand one in another. Python's own limit on nesting in generated code is at 200."""
+
+FIXED_ARRAY_ELEMENTS: Final = 1_000_000
+"""Elements of all fixed arrays of a type and of what it contains together: an empty message has them all."""
+
+BOUNDED_STRING_CHARACTERS: Final = 1_000_000
+"""The bound of a bounded string or sequence that is taken as it is; DDS describes a bounded string by its bound."""
+
+DEFINITIONS_PER_CONNECTION: Final = 512
+"""Definitions that one client may tell. A robot with everything installed has about 300 types."""
+
+DEFINITIONS_PER_GATEWAY: Final = 4_096
+"""Definitions that all clients together may tell; they are forgotten with the client that told them."""
+
+DEFINITION_CHARACTERS_PER_CONNECTION: Final = 4 << 20
+"""The text of all definitions that one client may tell."""
+
+# ── Operations of a rosbridge client ───────────────────────────────────────────────────────────────────────────────
+
+TOPICS_PER_CLIENT: Final = 4_096
+"""Topics that one client may publish, and as many that it may read."""
+
+IDS_PER_TOPIC: Final = 1_024
+"""Registrations, each with an id of its own, of one topic by one client."""
+
+CALLS_PER_CLIENT: Final = 1_024
+"""Calls of one client that are under way."""
+
+SERVICES_PER_CLIENT: Final = 1_024
+"""Services that one client may offer."""
+
+CALLS_PER_OFFERED_SERVICE: Final = 1_024
+"""Calls under way of one service that a client offers."""
+
+GOALS_PER_CLIENT: Final = 1_024
+"""Goals of one client that are under way."""
+
+ACTIONS_PER_CLIENT: Final = 1_024
+"""Actions that one client may offer."""
+
+GOALS_PER_OFFERED_ACTION: Final = 1_024
+"""Goals under way of one action that a client offers."""
+
+WAITING_OPERATIONS: Final = 256
+"""Operations of one client that wait for their turn. Above, its socket is not read."""
+
+THROTTLED_MESSAGES: Final = 100
+"""Messages of one throttled topic that wait for one client, whatever ``queue_length`` it asks for."""
+
+THROTTLED_BYTES: Final = 16 << 20
+"""Bytes of one throttled topic that wait for one client. Above, the oldest go."""
+
+LONGEST_THROTTLE_MS: Final = 1e9
+"""The longest ``throttle_rate``: eleven days."""
+
+LONGEST_CALL_S: Final = 3_600.0
+"""The longest ``timeout`` of a call that is waited for."""
+
+# ── Frames and messages ────────────────────────────────────────────────────────────────────────────────────────────
+
+NESTED_CONTAINERS: Final = 128
+"""Lists and objects within each other in JSON and CBOR. ROS messages have about ten."""
+
+UNFINISHED_MESSAGES: Final = 64
+"""Messages in parts of one connection of which more is still to come."""
+
+UNFINISHED_MESSAGE_S: Final = 30.0
+"""Time between two parts of a message. A link that is slower than that has failed, and the rest is dropped."""
+
+FRAGMENTS: Final = 100_000
+"""Fragments of one operation. Fragments of 700 characters, the least that helps anybody, carry the largest message."""
+
+ORIGINS_PER_CONNECTION: Final = 4_096
+"""Publishers that a gateway tells apart on one connection in one direction."""
+
+HTTP_HEAD_BYTES: Final = 16 << 10
+"""The head of an HTTP request."""
+
+UNREAD_ANSWERS_BYTES: Final = 32 << 20
+"""Answers that a peer does not read. Above, its connection is closed."""
+
+UNREAD_STATUS_BYTES: Final = 1 << 20
+"""What a peer has not read, above which it is sent no more notices and no more feedback."""

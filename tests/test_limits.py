@@ -1,0 +1,20 @@
+"""The limits on what peers may send, and the page that lists them."""
+
+from __future__ import annotations
+
+from ropeway import limits
+from tests.limits_page import PAGE, written
+
+
+def test_the_page_lists_every_limit() -> None:
+    """The page says each limit with its value and its reason (``python -m tests.limits_page`` writes it)."""
+    assert PAGE.read_text() == written()
+    names = [name for name in vars(limits) if name.isupper()]
+    assert names
+    for name in names:
+        assert f"| `{name}` | " in PAGE.read_text()
+
+
+def test_limits_are_positive_numbers() -> None:
+    """Every limit is a number above zero."""
+    assert all(value > 0 for name, value in vars(limits).items() if name.isupper())
