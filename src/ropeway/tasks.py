@@ -1,11 +1,156 @@
-"""Ending tasks and blocks, right also when whoever ends them is being ended."""
+"""Background tasks: none dies unseen, and each is ended rightly, also when whoever ends it is being ended."""
 
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+import contextlib
+import logging
+from collections.abc import Callable, Coroutine
+from typing import Any, Final
 
-__all__ = ["Interruptible", "end"]
+from ropeway.errors import RopewayError
+
+__all__ = ["Chores", "Interruptible", "Supervised", "describe", "end", "failing"]
+
+log = logging.getLogger("ropeway.tasks")
+
+Work = Callable[[], Coroutine[Any, Any, None]]
+
+_PAUSE_S: Final = 1.0  # long enough that a failure at every attempt costs next to nothing
+_LONGEST_PAUSE_S: Final = 30.0  # short enough that what mends itself is back before anybody has looked for it
+
+
+def describe(error: BaseException) -> str:
+    """Return an error as one line: its text alone where the text was written for users, else with its kind."""
+    if isinstance(error, BaseExceptionGroup):
+        return "; ".join(dict.fromkeys(map(describe, error.exceptions)))
+    text = " ".join(str(error).split())
+    return text if text and isinstance(error, RopewayError) else f"{type(error).__name__}: {text}".removesuffix(": ")
+
+
+class Supervised:
+    """Work in the background that goes on for as long as its owner wants, whatever happens to it.
+
+    If it raises, the failure is logged, ``error`` says why, and the work is started again after a pause that doubles
+    from ``pause_s`` to ``longest_pause_s``. Work that returns is done. ``work`` is called in ``start``, before anything
+    else runs, so that what its arguments subscribe to is heard from then on. ``on_failure`` is told of each failure.
+    """
+
+    def __init__(
+        self,
+        work: Work,
+        name: str,
+        *,
+        on_failure: Callable[[Exception], None] | None = None,
+        pause_s: float = _PAUSE_S,
+        longest_pause_s: float = _LONGEST_PAUSE_S,
+    ) -> None:
+        self.name = name
+        self.error = ""
+        self.failures = 0
+        self._work, self._on_failure = work, on_failure
+        self._pause_s, self._longest_pause_s = pause_s, longest_pause_s
+        self._said = ""
+        self._next: Coroutine[Any, Any, None] | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    def start(self) -> Supervised:
+        """Begin; return the object itself."""
+        assert self._task is None
+        with contextlib.suppress(Exception):  # it is called again, where its failure is seen
+            self._next = self._work()
+        self._task = asyncio.create_task(self._run(), name=self.name)
+        return self
+
+    async def wait(self) -> None:
+        """Wait until the work is done, or was ended."""
+        if self._task is not None:
+            await asyncio.wait({self._task})
+
+    async def close(self) -> None:
+        """End it."""
+        task, self._task = self._task, None
+        await end(task)
+        _failing.pop(self, None)
+        if self._next is not None:  # it was ended before its first step
+            self._next.close()
+            self._next = None
+
+    async def _run(self) -> None:
+        loop, pause_s = asyncio.get_running_loop(), self._pause_s
+        while True:
+            began = loop.time()
+            try:
+                work, self._next = self._next or self._work(), None
+                await work
+            except Exception as error:
+                if loop.time() - began > self._longest_pause_s:
+                    pause_s = self._pause_s
+                self._failed(error, pause_s)
+            else:
+                return
+            await asyncio.sleep(pause_s)
+            pause_s = min(2 * pause_s, self._longest_pause_s)
+            self.error = ""
+            _failing.pop(self, None)
+
+    def _failed(self, error: Exception, pause_s: float) -> None:
+        self.failures += 1
+        self.error = describe(error)
+        _failing[self] = None
+        again = self.error == self._said
+        self._said = self.error
+        log.log(
+            logging.DEBUG if again else logging.ERROR,
+            "%s failed: %s; it is started again in %g s",
+            self.name,
+            self.error,
+            pause_s,
+            exc_info=error,
+        )
+        if self._on_failure is not None:
+            self._on_failure(error)
+
+
+_failing: dict[Supervised, None] = {}
+
+
+def failing() -> list[dict[str, Any]]:
+    """Return the supervised work of this process that has failed and waits to be started again, as JSON."""
+    return [{"task": task.name, "error": task.error, "failures": task.failures} for task in _failing]
+
+
+class Chores:
+    """Tasks that end by themselves, each on its own: one that fails is logged at once, and costs the others nothing."""
+
+    def __init__(self) -> None:
+        self.failures = 0
+        self._tasks: set[asyncio.Task[Any]] = set()
+
+    def __len__(self) -> int:
+        """Return how many are under way."""
+        return len(self._tasks)
+
+    def start(self, work: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
+        """Begin one."""
+        task = asyncio.create_task(work, name=name)
+        self._tasks.add(task)
+        task.add_done_callback(self._done)
+        return task
+
+    async def close(self) -> None:
+        """End those that are under way, but for the one that asks."""
+        ending = [task for task in self._tasks if task is not asyncio.current_task()]
+        for task in ending:
+            task.cancel()
+        if ending:
+            await asyncio.wait(ending)
+
+    def _done(self, task: asyncio.Task[Any]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self.failures += 1
+            log.error("%s failed: %s", task.get_name(), describe(error), exc_info=error)
 
 
 async def end(*tasks: asyncio.Task[Any] | None) -> None:

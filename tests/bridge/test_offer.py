@@ -6,6 +6,7 @@ import asyncio
 import itertools
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
+from typing import Any
 
 import pytest
 
@@ -96,6 +97,26 @@ async def test_offered_while_served(sides: Sides) -> None:
     await until(sides.served)
     await service.close()
     await until(lambda: not sides.served())
+
+
+async def test_a_graph_that_fails_unforeseen(sides: Sides, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An exception that no graph should raise is shown as the state of the bridge, which is tried again."""
+    create = sides.source.create_client
+    broken = True
+
+    async def fail(*args: Any, **more: Any) -> Any:
+        if broken:
+            raise RuntimeError("a library failed")
+        return await create(*args, **more)
+
+    monkeypatch.setattr(sides.source, "create_client", fail)
+    bridge = await sides.service()
+    await until(lambda: bridge.state == "failed")
+    assert bridge.error == "RuntimeError: a library failed"
+    broken = False
+    await sides.server.create_service("/s", TRIGGER, echo)
+    await until(sides.served)
+    assert bridge.state == "active"
 
 
 async def test_errors_pass(sides: Sides) -> None:

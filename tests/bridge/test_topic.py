@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from ropeway.bridge import topic as topic_module
 from ropeway.bridge.pipeline import Drop
 from ropeway.bridge.topic import TopicBridge
 from ropeway.errors import GraphUnavailable
@@ -197,14 +196,11 @@ async def test_limits(place: Place) -> None:
     assert not far_side.drops
 
 
-async def test_refused_by_the_target(
-    place: Place, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_refused_by_the_target(place: Place, caplog: pytest.LogCaptureFixture) -> None:
     """A target that refuses is asked again until it takes the topic; the reason is told once."""
-    monkeypatch.setattr(topic_module, "_RETRY_S", 0.02)
     caplog.set_level(logging.INFO)
     await place.far.close()
-    bridge = await place.bridge()
+    bridge = await place.bridge(retry_s=0.02)
     await until(lambda: bridge.state == "failed")
     assert "is not open" in bridge.error
     await asyncio.sleep(0.1)
@@ -216,7 +212,6 @@ async def test_refused_by_the_target(
 
 async def test_gone_source(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     """A source that cannot be read is an error of the bridge, not of its owner."""
-    monkeypatch.setattr(topic_module, "_RETRY_S", 0.02)
     refusing = True
     create = place.near.create_subscription
 
@@ -226,13 +221,40 @@ async def test_gone_source(place: Place, monkeypatch: pytest.MonkeyPatch) -> Non
         return await create(*args, **more)
 
     monkeypatch.setattr(place.near, "create_subscription", refuse)
-    bridge = await place.bridge()
+    bridge = await place.bridge(retry_s=0.02)
     inbox = Inbox()
     await place.there.create_subscription("/x", STRING, QoS(), inbox)
     await until(lambda: bridge.error == "memory:near: no")
     refusing = False
     publisher = await place.here.create_publisher("/x", STRING)
     await until(lambda: publisher.subscribers == 1)
+    publisher.publish(sample("x"))
+    await inbox.wait(1)
+
+
+@pytest.mark.parametrize("at", ["create_publisher", "changes"])
+async def test_a_graph_that_fails_unforeseen(place: Place, monkeypatch: pytest.MonkeyPatch, at: str) -> None:
+    """An exception that no graph should raise is shown as the state of the bridge, which works once it stops."""
+    graph = place.far if at == "create_publisher" else place.near
+    right = getattr(graph, at)
+    calls = 0
+
+    def fail(*args: Any, **more: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls > 2:
+            return right(*args, **more)
+        raise KeyError("no such thing")
+
+    monkeypatch.setattr(graph, at, fail)
+    bridge = await place.bridge(retry_s=0.02)
+    await until(lambda: bridge.state == "failed")
+    assert bridge.error == "KeyError: 'no such thing'"
+    inbox = Inbox()
+    await place.there.create_subscription("/x", STRING, QoS(), inbox)
+    publisher = await place.here.create_publisher("/x", STRING)
+    await until(lambda: publisher.subscribers == 1)
+    assert bridge.error == ""
     publisher.publish(sample("x"))
     await inbox.wait(1)
 

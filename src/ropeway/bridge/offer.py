@@ -7,22 +7,18 @@ name is offered while the graph is there.
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import logging
 from collections import Counter
 from typing import Any, Final, Protocol
 
-from ropeway.errors import RopewayError
+from ropeway.bridge.upkeep import Upkeep
 from ropeway.graph.base import NO_HINTS, Delivery, Graph
-from ropeway.tasks import end
 
 __all__ = ["Offer"]
 
 log = logging.getLogger("ropeway.bridge")
 
 _LOOK_S: Final = 1.0  # graphs tell most changes at once; the state of a link without discovery is looked at so often
-_RETRY_S: Final = 2.0
 
 
 class _User(Protocol):
@@ -59,15 +55,14 @@ class Offer:
         self.source, self.target = source, target
         self.source_name, self.target_name, self.type = source_name, target_name, type
         self.timeout_s, self.delivery = timeout_s, delivery
-        self.error = ""
         self.taken_by = ""
         self.counts: Counter[str] = Counter()
         self.under_way = 0
         self.took_s: float | None = None  # the last one, smoothed
         self._client: Any = None
         self._server: _Server | None = None
-        self._changed = asyncio.Event()
-        self._tasks: list[asyncio.Task[None]] = []
+        label = f"{self.kind} {source_name} to {target.name}"
+        self._upkeep = Upkeep(self._set_right, source, self.kind, source_name, label=label, look_s=_LOOK_S)
 
     async def make_client(self) -> Any:
         """The user of the name on the source."""
@@ -79,19 +74,20 @@ class Offer:
 
     async def start(self) -> None:
         """Bring the bridge up; what fails now is tried again until it works."""
-        self._tasks = [
-            asyncio.create_task(self._watch(), name=f"watch {self.kind} {self.source_name}"),
-            asyncio.create_task(self._keep_right(), name=f"bridge {self.kind} {self.source_name}"),
-        ]
-        self._changed.set()
+        self._upkeep.start()
 
     async def close(self) -> None:
         """Withdraw the name, and use the other no more."""
-        await end(*self._tasks)
+        await self._upkeep.close()
         await self._withdraw()
         client, self._client = self._client, None
         if client is not None:
             await client.close()
+
+    @property
+    def error(self) -> str:
+        """Why the name cannot be offered, ``""`` where it can."""
+        return self._upkeep.error
 
     @property
     def state(self) -> str:
@@ -106,26 +102,6 @@ class Offer:
         """A request has ended."""
         self.counts[how] += 1
         self.took_s = took_s if self.took_s is None else self.took_s + 0.2 * (took_s - self.took_s)
-
-    async def _watch(self) -> None:
-        async for event in self.source.changes():
-            if event.kind == self.kind and event.name == self.source_name:
-                self._changed.set()
-
-    async def _keep_right(self) -> None:
-        while True:
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_RETRY_S if self.error else _LOOK_S):
-                    await self._changed.wait()
-            self._changed.clear()
-            try:
-                await self._set_right()
-            except RopewayError as error:
-                if str(error) != self.error:
-                    log.warning("%s %s to %s: %s", self.kind, self.source_name, self.target.name, error)
-                self.error = str(error)
-            else:
-                self.error = ""
 
     async def _set_right(self) -> None:
         if self._client is None:

@@ -7,27 +7,19 @@ every message passes one visible function, ``_pass_on``.
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import logging
 import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final, Protocol
+from typing import Protocol
 
 from ropeway.bridge.meter import Meter
 from ropeway.bridge.pipeline import Drop, Step, build
-from ropeway.errors import RopewayError
+from ropeway.bridge.upkeep import RETRY_S, Upkeep
 from ropeway.graph.base import NO_HINTS, Delivery, Graph, Publisher, Sample, Subscription
 from ropeway.qos import DEFAULT, QoS, common_qos
-from ropeway.tasks import end
 
 __all__ = ["Keep", "TopicBridge"]
-
-log = logging.getLogger("ropeway.bridge")
-
-_RETRY_S: Final = 2.0  # a side that refused is asked again
 
 
 class Keep(Protocol):
@@ -46,7 +38,8 @@ class TopicBridge:
     ``qos=None`` adopts what the source's publishers offer and follows it. ``delivery`` says how the link between
     the two treats the topic; it goes to whichever side is a link. The pipeline's limits are applied on the near
     side of the link only (``limit``), so that nothing crosses that will be dropped. With ``keep`` the last message is
-    kept, and late joiners on the target get it, whether the source has it latched or not.
+    kept, and late joiners on the target get it, whether the source has it latched or not. A side that refuses is asked
+    again after ``retry_s``.
     """
 
     def __init__(
@@ -61,36 +54,38 @@ class TopicBridge:
         delivery: Delivery = NO_HINTS,
         limit: bool = True,
         keep: Keep | None = None,
+        retry_s: float = RETRY_S,
     ) -> None:
         self.source, self.target = source, target
         self.source_topic, self.target_topic, self.type = source_topic, target_topic, type
         self.delivery = delivery
         self.meter = Meter()
         self.drops: Counter[Drop] = Counter()
-        self.error = ""
         self.publisher: Publisher | None = None
         self.subscription: Subscription | None = None
         self.keep = keep
         self._asked = qos
         self._steps: list[Step] = build(delivery) if limit else []
-        self._changed = asyncio.Event()
-        self._task: asyncio.Task[None] | None = None
-        self._watch: asyncio.Task[None] | None = None
+        label = f"{source_topic} to {target.name}"
+        self._upkeep = Upkeep(self._set_right, source, "publisher", source_topic, label=label, retry_s=retry_s)
 
     async def start(self) -> None:
         """Bring the bridge up; what fails now is tried again until it works."""
-        self._watch = asyncio.create_task(self._watch_source(), name=f"watch {self.source_topic}")
-        self._task = asyncio.create_task(self._keep_right(), name=f"bridge {self.source_topic}")
-        self._changed.set()
+        self._upkeep.start()
 
     async def close(self) -> None:
         """Take the topic back on both sides."""
-        await end(self._watch, self._task)
+        await self._upkeep.close()
         if self.subscription is not None:
             await self.subscription.close()
         if self.publisher is not None:
             await self.publisher.close()
         self.subscription = self.publisher = None
+
+    @property
+    def error(self) -> str:
+        """Why the two sides cannot be kept right, ``""`` while they can."""
+        return self._upkeep.error
 
     @property
     def state(self) -> str:
@@ -121,27 +116,6 @@ class TopicBridge:
                 publisher.publish(sample)
 
     # ── keeping both sides right ───────────────────────────────────────────────────────────────────────────────
-
-    async def _watch_source(self) -> None:
-        async for event in self.source.changes():
-            if event.name == self.source_topic and event.kind == "publisher":
-                self._changed.set()
-
-    async def _keep_right(self) -> None:
-        while True:
-            retry = _RETRY_S if self.error else None
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(retry):
-                    await self._changed.wait()
-            self._changed.clear()
-            try:
-                await self._set_right()
-            except RopewayError as error:
-                if str(error) != self.error:
-                    log.warning("%s to %s: %s", self.source_topic, self.target.name, error)
-                self.error = str(error)
-            else:
-                self.error = ""
 
     def _wanted_qos(self) -> QoS:
         qos = self._source_qos()
@@ -177,7 +151,7 @@ class TopicBridge:
             self.publisher = await self.target.create_publisher(
                 self.target_topic, self.type, qos, delivery=self.delivery
             )
-            self.publisher.on_demand(lambda _: self._changed.set())
+            self.publisher.on_demand(lambda _: self._upkeep.wake())
             if old is not None:
                 await old.close()
             last = self.keep.last() if self.keep is not None else None
@@ -191,7 +165,7 @@ class TopicBridge:
             self.subscription = await self.source.create_subscription(
                 self.source_topic, self.type, self._asked, self._pass_on, delivery=self.delivery
             )
-            self.subscription.on_qos(lambda _: self._changed.set())
+            self.subscription.on_qos(lambda _: self._upkeep.wake())
         elif not wanted:
             await self._stop_reading()
 

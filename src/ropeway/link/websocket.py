@@ -18,6 +18,7 @@ from ropeway.errors import ConnectFailed
 from ropeway.link.complaints import Complaints
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.front import Admission, Admit, Front, Http, Port
+from ropeway.link.handshakes import watch_handshakes
 from ropeway.link.http import Request, Response, reply
 
 __all__ = ["Server", "connect", "listen"]
@@ -93,16 +94,20 @@ async def connect(
 class Server:
     """A listening socket; made by ``listen``."""
 
-    def __init__(self, server: asyncio.AbstractServer, address: str, pending: dict[Front, None]) -> None:
+    def __init__(
+        self, server: asyncio.AbstractServer, address: str, pending: dict[Front, None], *, secure: bool
+    ) -> None:
         self._server = server
         self._pending = pending
         self.address = address
         sockets = getattr(server, "sockets", ())
         self.port: int = sockets[0].getsockname()[1] if sockets else 0
+        self._forget = watch_handshakes(Complaints(address), self.port) if secure else _nothing
 
     async def close(self) -> None:
         """Stop listening; WebSocket connections that stand go on."""
         self._server.close()
+        self._forget()
         for front in list(self._pending):
             front.abort()
 
@@ -140,7 +145,6 @@ async def listen(
     address = f"{'wss' if ssl_context else 'ws'}://{f'[{host}]' if ':' in host else host}:{port}"
     secure: dict[str, Any] = {}
     if ssl_context is not None:
-        _take_failed_handshakes(Complaints(address))
         secure = {"ssl": ssl_context, "ssl_handshake_timeout": limits.open_timeout_s}
     try:
         server = await aiofastnet.create_server(
@@ -157,7 +161,7 @@ async def listen(
         raise ConnectFailed(
             address, f"cannot listen: {error.strerror or error}; is another gateway running?", retryable=False
         ) from None
-    return Server(server, address, pending)
+    return Server(server, address, pending, secure=ssl_context is not None)
 
 
 def _said(error: picows.WSError) -> str:
@@ -173,21 +177,8 @@ def _nothing_here(request: Request) -> Response:
     return reply(404, {"error": f"there is nothing at {request.path}"})
 
 
-def _take_failed_handshakes(complaints: Complaints) -> None:
-    """A client that hangs up during the TLS handshake is told to the event loop as an error of ours: it is none."""
-    loop = asyncio.get_running_loop()
-    others = loop.get_exception_handler()
-
-    def handle(_: object, context: dict[str, Any]) -> None:
-        if context.get("message") == "SSL handshake failed":
-            error = context.get("exception")
-            complaints.note("handshake", "", str(error) or getattr(error, "__name__", error))
-        elif others is not None:
-            others(loop, context)
-        else:
-            loop.default_exception_handler(context)
-
-    loop.set_exception_handler(handle)
+def _nothing() -> None:
+    """Nothing needs to be undone."""
 
 
 def _distrust(error: ssl.SSLCertVerificationError) -> str:

@@ -1,0 +1,56 @@
+"""TLS handshakes that fail: clients' faults, which the event loop is told of as if they were ours."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from ropeway.link.complaints import Complaints
+
+__all__ = ["watch_handshakes"]
+
+
+class _Handler:
+    """The exception handler of a loop while TLS listeners are open on it; all else goes to the one that was there."""
+
+    def __init__(self, others: Callable[[asyncio.AbstractEventLoop, dict[str, Any]], object] | None) -> None:
+        self.others = others
+        self.listeners: dict[Complaints, int] = {}  # with the port of each
+
+    def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Tell the listener, or the handler that was there before."""
+        if context.get("message") == "SSL handshake failed" and self.listeners:
+            error = context.get("exception")
+            text = str(error) or getattr(error, "__name__", error)
+            self._listener(context.get("transport")).note("handshake", "", text)
+        elif self.others is not None:
+            self.others(loop, context)
+        else:
+            loop.default_exception_handler(context)
+
+    def _listener(self, transport: Any) -> Complaints:
+        name = transport.get_extra_info("sockname") if transport is not None else None
+        port = name[1] if isinstance(name, tuple) else 0
+        found = (complaints for complaints, known in self.listeners.items() if known == port)
+        return next(found, next(iter(self.listeners)))
+
+
+def watch_handshakes(complaints: Complaints, port: int) -> Callable[[], None]:
+    """Have handshakes that fail on ``port`` noted in ``complaints``; return what ends that.
+
+    With the last listener of a loop its exception handler is what it was before.
+    """
+    loop = asyncio.get_running_loop()
+    handler = loop.get_exception_handler()
+    if not isinstance(handler, _Handler):
+        handler = _Handler(handler)
+        loop.set_exception_handler(handler)
+    handler.listeners[complaints] = port
+
+    def end() -> None:
+        handler.listeners.pop(complaints, None)
+        if not handler.listeners and loop.get_exception_handler() is handler:
+            loop.set_exception_handler(handler.others)
+
+    return end

@@ -1,0 +1,113 @@
+"""ropeway.tasks: background work that never dies unseen."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+
+import pytest
+
+from ropeway.errors import GraphUnavailable
+from ropeway.tasks import Chores, Supervised, describe, failing
+from tests.until import until
+
+
+async def test_supervised_work_is_started_again(caplog: pytest.LogCaptureFixture) -> None:
+    """Work that fails says why in its error, the process-wide list and the log, and is started again until it works."""
+    runs = 0
+    failed: list[Exception] = []
+    may_work = asyncio.Event()
+
+    async def work() -> None:
+        nonlocal runs
+        runs += 1
+        if not may_work.is_set():
+            raise KeyError("x")
+        await asyncio.Event().wait()
+
+    task = Supervised(work, "the work", on_failure=failed.append, pause_s=0.01, longest_pause_s=0.02).start()
+    await until(lambda: runs > 3)
+    assert task.error == "KeyError: 'x'"
+    assert {"task": "the work", "error": "KeyError: 'x'", "failures": task.failures} in failing()
+    may_work.set()
+    await until(lambda: not task.error)
+    assert not failing()
+    assert len(failed) == task.failures
+    told = [record for record in caplog.records if record.levelno >= logging.WARNING]
+    assert [record.getMessage() for record in told] == ["the work failed: KeyError: 'x'; it is started again in 0.01 s"]
+    assert told[0].exc_info is not None
+    await task.close()
+
+
+async def test_supervised_work_that_is_done() -> None:
+    """Work that returns is done, and whoever waits for it goes on."""
+    runs = 0
+
+    async def work() -> None:
+        nonlocal runs
+        runs += 1
+
+    task = Supervised(work, "the work").start()
+    await task.wait()
+    assert (runs, task.failures) == (1, 0)
+    await task.close()
+
+
+async def test_supervised_work_ended_before_its_first_step() -> None:
+    """Work that is ended at once leaves nothing that was never awaited."""
+
+    async def work() -> None:
+        raise AssertionError
+
+    task = Supervised(work, "the work").start()
+    await task.close()
+    assert task.failures == 0
+
+
+async def test_work_that_cannot_even_be_called() -> None:
+    """A failure to begin is a failure of the work, not of its owner."""
+    calls = 0
+
+    def work() -> None:
+        nonlocal calls
+        calls += 1
+        raise GraphUnavailable("dds:0", "is not open")
+
+    task = Supervised(work, "the work", pause_s=0.01).start()  # type: ignore[arg-type]
+    await until(lambda: task.failures > 1)
+    assert task.error == "dds:0: is not open"
+    await task.close()
+    assert not failing()
+
+
+async def test_one_chore_fails_alone(caplog: pytest.LogCaptureFixture) -> None:
+    """A chore that fails is logged with its name at once; the others go on, and end with their owner."""
+    chores, ended = Chores(), asyncio.Event()
+
+    async def fail() -> None:
+        raise ValueError("bad\nvalue")
+
+    async def last() -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            ended.set()
+
+    chores.start(last(), "the last one")
+    chores.start(fail(), "the bad one")
+    await until(lambda: chores.failures == 1)
+    assert "the bad one failed: ValueError: bad value" in caplog.messages
+    assert len(chores) == 1
+    await chores.close()
+    assert ended.is_set()
+    assert len(chores) == 0
+
+
+def test_describe() -> None:
+    """An error of ours is told by its text, another one with its kind, a group by what is in it."""
+    assert describe(GraphUnavailable("dds:0", "is not open")) == "dds:0: is not open"
+    assert describe(KeyError("x")) == "KeyError: 'x'"
+    assert describe(TimeoutError()) == "TimeoutError"
+    assert describe(ExceptionGroup("many", [ValueError("a"), ValueError("a"), KeyError(1)])) == (
+        "ValueError: a; KeyError: 1"
+    )
