@@ -69,12 +69,16 @@ class Supervised:
 
     async def close(self) -> None:
         """End it."""
+        await end(self)
+
+    def release(self) -> asyncio.Task[None] | None:
+        """Let go of the task, for ``end``."""
         task, self._task = self._task, None
-        await end(task)
         _failing.pop(self, None)
-        if self._next is not None:  # it was ended before its first step
+        if self._next is not None:  # it is ended before its first step
             self._next.close()
             self._next = None
+        return task
 
     async def _run(self) -> None:
         loop, pause_s = asyncio.get_running_loop(), self._pause_s
@@ -153,12 +157,13 @@ class Chores:
             log.error("%s failed: %s", task.get_name(), describe(error), exc_info=error)
 
 
-async def end(*tasks: asyncio.Task[Any] | None) -> None:
+async def end(*tasks: asyncio.Task[Any] | Supervised | None) -> None:
     """Cancel tasks and wait until they are done; a failure of theirs that nobody saw goes to the loop's handler.
 
     Awaiting a cancelled task with its ``CancelledError`` suppressed would swallow a cancellation of the caller, too.
     """
-    ending = [task for task in tasks if task is not None]
+    found = (task.release() if isinstance(task, Supervised) else task for task in tasks)
+    ending = [task for task in found if task is not None]
     for task in ending:
         task.cancel()
     if ending:

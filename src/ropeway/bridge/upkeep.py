@@ -10,7 +10,7 @@ from typing import Final
 
 from ropeway.errors import RopewayError
 from ropeway.graph.base import Graph, GraphEvent
-from ropeway.tasks import Supervised, describe
+from ropeway.tasks import Supervised, describe, end
 
 __all__ = ["RETRY_S", "Upkeep"]
 
@@ -53,8 +53,7 @@ class Upkeep:
 
     async def close(self) -> None:
         """Leave it as it is."""
-        await self._watch.close()
-        await self._keep.close()
+        await end(self._watch, self._keep)
 
     @property
     def error(self) -> str:

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Iterable
+from collections.abc import AsyncIterator, Iterable
 from fnmatch import fnmatchcase
-from typing import Final
+from typing import Any, Final
 
 from ropeway.bridge.topic import TopicBridge
 from ropeway.gateway.bridges import make_topic_bridge
 from ropeway.gateway.check import route_key
 from ropeway.gateway.config import Route
 from ropeway.gateway.model import RemoteConfig
-from ropeway.graph.base import NO_HINTS, EndpointInfo, Graph, TopicInfo, resolve_name
-from ropeway.tasks import end
+from ropeway.graph.base import NO_HINTS, EndpointInfo, Graph, GraphEvent, TopicInfo, resolve_name
+from ropeway.link.complaints import Complaints
+from ropeway.tasks import Supervised, describe, end
 
 __all__ = ["Automatic", "wanted"]
 
@@ -52,11 +53,23 @@ class Automatic:
         self._allow, self._deny = config.automatic.allow, config.automatic.deny
         self._path, self._graph = path, graph
         self._bridges: dict[str, tuple[Route, TopicBridge]] = {}
-        self._task: asyncio.Task[None] | None = None
+        self._left_out: dict[str, str] = {}
+        self._complaints = Complaints(path)
+        self._changed = asyncio.Event()
+        self._tasks = (
+            Supervised(lambda: self._listen(local.changes()), f"{path}: changes"),
+            Supervised(self._keep_deciding, path),
+        )
 
     def bridges(self) -> list[tuple[Route, TopicBridge]]:
         """What is bridged now."""
         return list(self._bridges.values())
+
+    def status(self) -> dict[str, Any]:
+        """How it stands, as JSON: ``left_out`` are topics that cannot be shared, each with the reason."""
+        error = next((task.error for task in self._tasks if task.error), "")
+        state = "failed" if error else "running"
+        return {"state": state, "error": error, "shared": len(self._bridges), "left_out": dict(self._left_out)}
 
     def allows(self, name: str) -> bool:
         """Whether a topic may be shared."""
@@ -67,30 +80,28 @@ class Automatic:
 
     async def start(self) -> None:
         """Decide now, and at each change."""
-        self._task = asyncio.create_task(self._run(), name=self._path)
+        for task in self._tasks:
+            task.start()
 
     async def close(self) -> None:
         """Take everything back."""
-        await end(self._task)
+        await end(*self._tasks)
         for name in list(self._bridges):
             await self._end(name)
 
-    async def _run(self) -> None:
-        changed = asyncio.Event()
-        changed.set()
+    async def _listen(self, changes: AsyncIterator[GraphEvent]) -> None:
+        self._changed.set()  # what came before, or while nobody listened
+        async for event in changes:
+            if event.kind in ("publisher", "subscription"):
+                self._changed.set()
 
-        async def watch() -> None:
-            async for event in self._local.changes():
-                if event.kind in ("publisher", "subscription"):
-                    changed.set()
-
-        async with asyncio.TaskGroup() as group:
-            group.create_task(watch(), name=f"{self._path}: changes")
-            while True:
-                await changed.wait()
-                await asyncio.sleep(_SETTLE_S)
-                changed.clear()
-                await self._decide()
+    async def _keep_deciding(self) -> None:
+        self._changed.set()
+        while True:
+            await self._changed.wait()
+            await asyncio.sleep(_SETTLE_S)
+            self._changed.clear()
+            await self._decide()
 
     async def _decide(self) -> None:
         topics = self._local.topics()
@@ -102,7 +113,24 @@ class Automatic:
         for name, topic in topics.items():
             operation = wanted(topic)
             if operation is not None and name not in self._bridges and topic.type and self.allows(name):
-                await self._begin(name, topic.type, operation)
+                await self._try(name, topic.type, operation)
+        for name in self._left_out.keys() - topics.keys():
+            del self._left_out[name]
+
+    async def _try(self, name: str, type: str, operation: str) -> None:
+        """Share a topic; one that cannot be shared is left out, and none of the others with it."""
+        try:
+            await self._begin(name, type, operation)
+        except Exception as error:  # DDS lets any program name a topic as it likes, and types likewise
+            reason = describe(error)
+            if self._left_out.get(name) != reason:
+                self._complaints.note("topic", name, f"it is left out: {reason}")
+                log.debug("%s: %r is left out", self._path, name, exc_info=error)
+            self._left_out[name] = reason
+            if name in self._bridges:
+                await self._end(name)
+        else:
+            self._left_out.pop(name, None)
 
     async def _begin(self, name: str, type: str, operation: str) -> None:
         config = self._config

@@ -32,7 +32,7 @@ from ropeway.link.connection import Limits
 from ropeway.server import RosbridgeServer
 from ropeway.server.store import StorePages
 from ropeway.store import Store, default_path, make_backend
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, failing
 from ropeway.types import TypeRegistry
 
 if TYPE_CHECKING:
@@ -80,12 +80,10 @@ class Gateway:
         self._reuse_port = reuse_port
         self._stack = AsyncExitStack()
         self._tls: ssl.SSLContext | None = None
-        self._failed: asyncio.Future[None] | None = None
 
     async def __aenter__(self) -> Gateway:
         """Bring everything up. Raises ``RopewayError`` if a graph or a listener cannot be had; nothing stays up."""
         async with AsyncExitStack() as stack:
-            self._failed = asyncio.get_running_loop().create_future()
             await self._bring_up(stack)
             self._stack = stack.pop_all()
         return self
@@ -144,8 +142,7 @@ class Gateway:
                     log.warning("%s: tokens travel in clear here; wss:// would hide them", url)
         await self._bring_up_nodes(stack)
         await self._bring_up_remotes(stack, limits)
-        meters = asyncio.create_task(self._update_meters(), name="gateway meters")
-        stack.push_async_callback(end, meters)
+        stack.push_async_callback(Supervised(self._update_meters, "gateway meters").start().close)
 
     async def _open_graph(self, url: str) -> Graph:
         """A graph of ours; a ROS 1 master may come a little later than the gateway of its robot."""
@@ -341,12 +338,12 @@ class Gateway:
             "sessions": [session.status() for server in self.servers for session in server.sessions],
             **({} if self.store is None else {"store": self.store.status()}),
             **({} if self.nodes is None else {"nodes": self.nodes.status()}),
+            "failed": failing(),
         }
 
     async def wait(self) -> None:
-        """Run until cancelled; raises what makes the gateway as a whole impossible."""
-        assert self._failed is not None
-        await self._failed
+        """Run until cancelled."""
+        await asyncio.Event().wait()
 
 
 def _credentials(remote: RemoteConfig, path: str) -> dict[str, str]:

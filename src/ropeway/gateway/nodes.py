@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.bridge.topic import TopicBridge
-from ropeway.graph.base import Graph
+from ropeway.graph.base import Graph, GraphEvent
 from ropeway.graph.iort import IortGraph, LocalLink, Maps, Space, TopicMap
 from ropeway.graph.iort.forms import default_form
+from ropeway.link.complaints import Complaints
 from ropeway.qos import LATCHED
 from ropeway.server.iort import IortServer
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, describe
 
 if TYPE_CHECKING:
     import ssl
+    from collections.abc import AsyncIterator
 
     from ropeway.gateway.iort_model import IortConfig
     from ropeway.server.door import Door
@@ -62,7 +63,8 @@ class Nodes:
         self.bridges: dict[tuple[str, str], TopicBridge] = {}
         self.unshared = 0  # topics that had no place among the bridges
         self._into, self._out_of = into, out_of
-        self._watch: asyncio.Task[None] | None = None
+        self._complaints = Complaints("nodes")
+        self._watch = Supervised(lambda: self._look_out(self.graph.changes()), "topics of nodes")
 
     async def open(self) -> None:
         """Join the topics that the maps name. Raises ``TypesError`` for a map that does not fit its type."""
@@ -75,7 +77,7 @@ class Nodes:
                 for direction in ("in", "out") if map.direction == "both" else (map.direction,):
                     await self._join(direction, name, map)
         if any(map.is_pattern for map in self.maps.maps):
-            self._watch = asyncio.create_task(self._look_out(), name="topics of nodes")
+            self._watch.start()
 
     async def listen(self, url: str, *, ssl_context: ssl.SSLContext | None) -> None:
         """Listen for nodes. Raises ``ConnectFailed``."""
@@ -83,7 +85,7 @@ class Nodes:
 
     async def close(self) -> None:
         """Take everything down."""
-        await end(self._watch)
+        await self._watch.close()
         for bridge in self.bridges.values():
             await bridge.close()
         await self.server.close()
@@ -128,16 +130,24 @@ class Nodes:
         )
         await bridge.start()
 
-    async def _look_out(self) -> None:
-        async for event in self.graph.changes():
+    async def _look_out(self, changes: AsyncIterator[GraphEvent]) -> None:
+        async for event in changes:
             if not event.discovered or event.kind not in ("publisher", "subscription"):
                 continue
-            direction = "in" if event.kind == "publisher" else "out"
-            for system, topic, map in self.maps.at(event.name, direction):
-                if map is None or not map.is_pattern:
-                    continue
-                if len(self.bridges) >= _FOUND_LIMIT:
-                    self.unshared += 1
-                    log.warning("%s/%s is not shared: %d topics of nodes are, and no more", system, topic, _FOUND_LIMIT)
-                    continue
-                await self._join(direction, event.name, map)
+            try:
+                await self._found(event.name, "in" if event.kind == "publisher" else "out")
+            except Exception as error:  # nodes name their topics as they like; one that cannot be shared fails alone
+                self.unshared += 1
+                self._complaints.note("topic", event.name, f"it is not shared: {describe(error)}")
+                log.debug("%s is not shared", event.name, exc_info=error)
+
+    async def _found(self, name: str, direction: str) -> None:
+        for system, topic, map in self.maps.at(name, direction):
+            if map is None or not map.is_pattern:
+                continue
+            if len(self.bridges) >= _FOUND_LIMIT:
+                self.unshared += 1
+                text = f"it is not shared: {_FOUND_LIMIT} topics of nodes are, and no more"
+                self._complaints.note("topic", f"{system}/{topic}", text)
+                continue
+            await self._join(direction, name, map)

@@ -132,6 +132,7 @@ class OverlayRemote(Remote):
             "state": self.state,
             "error": "",
             "overlay": self.graph.node.status(),
+            **({} if self.automatic is None else {"automatic": self.automatic.status()}),
         }
 
     def routes(self) -> list[dict[str, Any]]:

@@ -18,7 +18,7 @@ from typing import Any, Final
 from ropeway.errors import GraphUnavailable
 from ropeway.gateway.config import Config
 from ropeway.gateway.counts import summed
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, end, failing
 
 __all__ = ["Supervisor", "slices"]
 
@@ -177,11 +177,12 @@ class Supervisor:
             )
             for name, part in parts
         ]
-        self._tasks: list[asyncio.Task[None]] = []
+        self._tasks = [Supervised(worker.run, f"worker {worker.name}") for worker in self.workers]
 
     async def __aenter__(self) -> Supervisor:
         """Start all workers and wait until each is up. Raises ``GraphUnavailable`` if one cannot start."""
-        self._tasks = [asyncio.create_task(worker.run(), name=f"worker {worker.name}") for worker in self.workers]
+        for task in self._tasks:
+            task.start()
         try:
             async with asyncio.timeout(_START_S):
                 for worker in self.workers:
@@ -191,7 +192,7 @@ class Supervisor:
         except TimeoutError:
             await self.__aexit__()
             raise GraphUnavailable(self.config.gateway.name, f"its workers were not up in {_START_S:g} s") from None
-        except GraphUnavailable:
+        except BaseException:
             await self.__aexit__()
             raise
         return self
@@ -203,7 +204,8 @@ class Supervisor:
 
     async def wait(self) -> None:
         """Run until cancelled."""
-        await asyncio.gather(*self._tasks)
+        for task in self._tasks:
+            await task.wait()
 
     def reload(self) -> None:
         """Have every worker read its certificates and tokens again."""
@@ -230,6 +232,7 @@ class Supervisor:
             "routes": joined("routes"),
             "access": summed(status.get("access", {}) for status in told),
             "sessions": joined("sessions"),
+            "failed": [*failing(), *joined("failed")],
         }
 
 

@@ -9,6 +9,7 @@ those who come late. That is how two robots that dial in to one gateway hear eac
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections import Counter
 from collections.abc import AsyncIterator
 from dataclasses import replace
@@ -35,9 +36,11 @@ from ropeway.graph.hub_calls import HubCalls, ViewClient, ViewService
 from ropeway.graph.hub_topics import ViewPublisher, ViewSubscription
 from ropeway.graph.seen import Seen
 from ropeway.qos import QoS
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, end
 
 __all__ = ["Hub", "View"]
+
+log = logging.getLogger("ropeway.graph.hub")
 
 
 class Hub:
@@ -49,7 +52,7 @@ class Hub:
     def __init__(self, graph: Graph, *, gateway_id: str = "") -> None:
         self.graph = graph
         self.gateway_id = gateway_id
-        self._lookout: asyncio.Task[None] | None = None
+        self._lookout: Supervised | None = None
         self.publishers: dict[str, list[ViewPublisher]] = {}
         self.subscriptions: dict[str, list[ViewSubscription]] = {}
         self.views: list[View] = []
@@ -61,7 +64,8 @@ class Hub:
     async def open(self) -> None:
         """Look out for other gateways from now on."""
         if self._lookout is None:
-            self._lookout = asyncio.create_task(self._look_out(), name=f"look out on {self.graph.name}")
+            graph = self.graph
+            self._lookout = Supervised(lambda: self._look_out(graph.changes()), f"look out on {graph.name}").start()
 
     async def close(self) -> None:
         """Look out no longer."""
@@ -69,15 +73,21 @@ class Hub:
         self._lookout = None
         await self.calls.close()
 
-    async def _look_out(self) -> None:
-        async for event in self.graph.changes():
-            if event.kind == "publisher":
-                for publisher in list(self.publishers.get(event.name, ())):
-                    await publisher.standby.look()
-            elif event.kind == "service":
-                await self.calls.services.settle(event.name)
-            elif event.kind == "action":
-                await self.calls.actions.settle(event.name)
+    async def _look_out(self, changes: AsyncIterator[GraphEvent]) -> None:
+        async for event in changes:
+            try:
+                await self._look_at(event.kind, event.name)
+            except Exception:  # of one name: the others are looked at all the same
+                log.exception("%s: who else has the %s %s is not known", self.graph.name, event.kind, event.name)
+
+    async def _look_at(self, kind: str, name: str) -> None:
+        if kind == "publisher":
+            for publisher in list(self.publishers.get(name, ())):
+                await publisher.standby.look()
+        elif kind == "service":
+            await self.calls.services.settle(name)
+        elif kind == "action":
+            await self.calls.actions.settle(name)
 
     def seen(self, topic: str) -> tuple[Seen, Seen]:
         """What was had of a topic: what the network gave us, and what we gave the network."""
