@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from ropeway.limits import QOS_DEPTH_SAMPLES
 from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA, QoS, common_qos
 
 
@@ -36,3 +39,13 @@ def test_lifespan_of_latched_messages() -> None:
     assert not common_qos([brief]).latched
     assert common_qos([brief, LATCHED]).latched
     assert common_qos([QoS(lifespan_s=1.0)]).lifespan_s is None
+
+
+def test_depth_is_bounded() -> None:
+    """No profile is deeper than the limit, however it is made."""
+    deep = 2**31 - 1
+    assert QoS(depth=deep).depth == QOS_DEPTH_SAMPLES
+    assert QoS.parse({"depth": deep}).depth == QOS_DEPTH_SAMPLES
+    assert replace(QoS(), depth=deep).depth == QOS_DEPTH_SAMPLES
+    latched = QoS(durability="transient_local", depth=QOS_DEPTH_SAMPLES)
+    assert common_qos([latched, latched]).depth == QOS_DEPTH_SAMPLES

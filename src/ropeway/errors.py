@@ -44,6 +44,8 @@ from __future__ import annotations
 
 import enum
 
+from ropeway.limits import SHOWN_TEXT_CHARACTERS
+
 __all__ = [
     "AccessDenied",
     "BagUnreadable",
@@ -82,6 +84,11 @@ __all__ = [
 ]
 
 
+def _short(text: str) -> str:
+    """Return a text of somebody else as far as people want to read it: errors are logged, and sent as answers."""
+    return text if len(text) <= SHOWN_TEXT_CHARACTERS else f"{text[: SHOWN_TEXT_CHARACTERS - 1]}…"
+
+
 class RopewayError(Exception):
     """The root of all errors that Ropeway raises on purpose."""
 
@@ -107,7 +114,8 @@ class InvalidTypeName(TypesError):
 
     def __init__(self, name: object) -> None:
         self.name = name
-        super().__init__(f"{name!r} is not a type name: expected pkg/Name or pkg/msg/Name, as in std_msgs/msg/String")
+        expected = "expected pkg/Name or pkg/msg/Name, as in std_msgs/msg/String"
+        super().__init__(f"{_short(repr(name))} is not a type name: {expected}")
 
 
 class UnknownType(TypesError):
@@ -131,7 +139,7 @@ class InvalidDefinition(TypesError):
 
     def __init__(self, name: str, reason: str, *, file: str = "") -> None:
         self.name, self.reason, self.file = name, reason, file
-        super().__init__(f"{file + ': ' if file else ''}the definition of {name} cannot be used: {reason}")
+        super().__init__(f"{file + ': ' if file else ''}the definition of {name} cannot be used: {_short(reason)}")
 
 
 class TypeConflict(TypesError):
@@ -139,7 +147,7 @@ class TypeConflict(TypesError):
 
     def __init__(self, name: str, known: str, offered: str) -> None:
         self.name, self.known, self.offered = name, known, offered
-        super().__init__(f"{name} is already established with type {known}, not {offered}")
+        super().__init__(f"{name} is already established with type {_short(known)}, not {_short(offered)}")
 
 
 class DecodeError(TypesError):
@@ -207,7 +215,7 @@ class InvalidName(GraphError):
 
     def __init__(self, name: object, reason: str) -> None:
         self.name, self.reason = name, reason
-        super().__init__(f"{name!r} is not a valid name: {reason}")
+        super().__init__(f"{_short(repr(name))} is not a valid name: {reason}")
 
 
 class CallError(GraphError):

@@ -17,8 +17,8 @@ NAME_CHARACTERS: Final = 256
 TYPE_NAME_CHARACTERS: Final = 256
 """The name of a type. The longest in the standard distributions has 57 characters."""
 
-ID_CHARACTERS: Final = 256
-"""The id of an operation, which is kept until it is answered or taken back. Generated ids have about 40."""
+ID_CHARACTERS: Final = 1_024
+"""The id of an operation, which is kept until it is answered or taken back. Clients put the longest names in it."""
 
 PATTERN_CHARACTERS: Final = 256
 """A pattern for names: as long as a name."""
@@ -87,20 +87,23 @@ ACTIONS_PER_CLIENT: Final = 1_024
 GOALS_PER_OFFERED_ACTION: Final = 1_024
 """Goals under way of one action that a client offers."""
 
+LINGERING_CLIENTS: Final = 256
+"""Clients that left whose topics are kept a while. Above, the first of them to leave is forgotten."""
+
 WAITING_OPERATIONS: Final = 256
 """Operations of one client that wait for their turn. Above, its socket is not read."""
 
 THROTTLED_MESSAGES: Final = 100
-"""Messages of one throttled topic that wait for one client, whatever ``queue_length`` it asks for."""
+"""Messages of one throttled topic that wait for one client, whatever `queue_length` it asks for."""
 
 THROTTLED_BYTES: Final = 16 << 20
 """Bytes of one throttled topic that wait for one client. Above, the oldest go."""
 
 LONGEST_THROTTLE_MS: Final = 1e9
-"""The longest ``throttle_rate``: eleven days."""
+"""The longest `throttle_rate`: eleven days."""
 
 LONGEST_CALL_S: Final = 3_600.0
-"""The longest ``timeout`` of a call that is waited for."""
+"""The longest `timeout` of a call that is waited for; what "for ever" means."""
 
 # ── Frames and messages ────────────────────────────────────────────────────────────────────────────────────────────
 

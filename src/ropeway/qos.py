@@ -10,6 +10,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+from ropeway.limits import QOS_DEPTH_SAMPLES
+
 __all__ = ["DEFAULT", "LATCHED", "SENSOR_DATA", "QoS", "common_qos"]
 
 _CHOICES: Final = {
@@ -28,7 +30,8 @@ class QoS:
     """One profile.
 
     ``depth`` counts samples (used with ``keep_last``); 0 stands for a depth that was not told, as of Fast DDS
-    publishers. ``deadline_s`` and ``lifespan_s`` are seconds, ``None`` meaning infinite.
+    publishers; it is ``QOS_DEPTH_SAMPLES`` at most, whoever asks for more: a client, a writer on the network, a remote.
+    ``deadline_s`` and ``lifespan_s`` are seconds, ``None`` meaning infinite.
     """
 
     reliability: str = "reliable"
@@ -37,6 +40,10 @@ class QoS:
     depth: int = 10
     deadline_s: float | None = None
     lifespan_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.depth > QOS_DEPTH_SAMPLES:  # here, so that no profile exists that would ask a writer for more
+            object.__setattr__(self, "depth", QOS_DEPTH_SAMPLES)
 
     @property
     def reliable(self) -> bool:

@@ -236,6 +236,31 @@ async def test_odd_answers(answer: bytes, retryable: bool, reason: str) -> None:
                 await writer.wait_closed()
 
 
+@pytest.mark.parametrize("status", [301, 302, 303, 307, 308])
+async def test_redirects(status: int) -> None:
+    """A redirect is not followed, so that no other host is reached and none learns the token."""
+    reached: list[bytes] = []
+
+    async def elsewhere(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        reached.append(await reader.read(1000))
+        writer.close()
+
+    async with await asyncio.start_server(elsewhere, "127.0.0.1", 0) as other:
+        target = f"ws://127.0.0.1:{other.sockets[0].getsockname()[1]}/inside"
+
+        async def redirect(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            await reader.readuntil(b"\r\n\r\n")
+            writer.write(f"HTTP/1.1 {status} Moved\r\nLocation: {target}\r\nContent-Length: 0\r\n\r\n".encode())
+            writer.close()
+
+        async with await asyncio.start_server(redirect, "127.0.0.1", 0) as server:
+            url = f"ws://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+            with pytest.raises(ConnectFailed, match=f"{status}: it points to {target}") as failed:
+                await connect(url, limits=QUIET, headers={"Authorization": "Bearer s3cret"})
+    assert not failed.value.retryable
+    assert reached == []
+
+
 async def test_hangs_up(place: Place) -> None:
     """A server that hangs up in the middle of the handshake has not answered, and may be tried again."""
     for answer in (b"", b"HTTP/1.1 101 Swit"):

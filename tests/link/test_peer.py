@@ -450,3 +450,20 @@ async def test_unknown_encoding(link: Link) -> None:
         link.far.decode(arrival, None)
     assert link.far.dialect is ROPEWAY
     assert ENCODING_NUMBERS["zstd"] < 200
+
+
+def fragment(inner: Mapping[str, Any], id: str) -> dict[str, Any]:
+    """A text in one fragment."""
+    return {"op": "fragment", "id": id, "data": json.dumps(inner), "num": 0, "total": 1}
+
+
+async def test_fragments_in_fragments(setting: Setting) -> None:
+    """An operation may come in fragments; fragments within fragments are refused, and the connection goes on."""
+    client, peer, handler = await setting.client()
+    op = {"op": "unsubscribe", "topic": "/a"}
+    client.send(fragment(op, "1"))
+    await until(lambda: len(handler.operations) == 1)
+    client.send(fragment(fragment(op, "2"), "3"))
+    client.send(fragment(op, "4"))
+    await until(lambda: len(handler.operations) == 2)
+    assert peer.complaints.counts["fragment", ""] == 1

@@ -248,7 +248,7 @@ async def test_too_many_goals(place: Place, monkeypatch: pytest.MonkeyPatch) -> 
     """A client may have so many goals under way; what is above is refused at once."""
     from ropeway.server import action_ops
 
-    monkeypatch.setattr(action_ops, "_GOALS_LIMIT", 5)
+    monkeypatch.setattr(action_ops, "GOALS_PER_CLIENT", 5)
     worker = Worker()
     await serve(place, worker)
     client = await place.client()

@@ -76,7 +76,7 @@ BAD: dict[str, tuple[bytes, dict[str, int]]] = {
     ),
     # names and types
     "bad name": (json_frame({**CHATTER, "topic": "/1/ x"}), {"advertise": 1}),
-    "long name": (json_frame({**CHATTER, "topic": "/ " * 100_000}), {"advertise": 1}),
+    "long name": (json_frame({**CHATTER, "topic": "/ " * 100_000}), {"operation": 1}),
     "empty name": (json_frame(listen("")), {"subscribe": 1}),
     "bad type": (json_frame({**CHATTER, "topic": "/x", "type": "String"}), {"advertise": 1}),
     "unknown type": (json_frame({**CHATTER, "topic": "/x", "type": "my_msgs/Own"}), {"advertise": 1}),
@@ -193,7 +193,7 @@ async def test_too_many_topics(place: Place, monkeypatch: pytest.MonkeyPatch) ->
     """A client may have so many topics and no more; what it has goes on."""
     from ropeway.server import topic_ops
 
-    monkeypatch.setattr(topic_ops, "_TOPICS_LIMIT", 10)
+    monkeypatch.setattr(topic_ops, "TOPICS_PER_CLIENT", 10)
     client = await place.client()
     for i in range(8):
         client.send(listen(f"/t{i}"))

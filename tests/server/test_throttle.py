@@ -7,6 +7,7 @@ import itertools
 import time
 
 from ropeway.graph.base import Sample
+from ropeway.limits import THROTTLED_BYTES, THROTTLED_MESSAGES
 from ropeway.server.throttle import Throttle
 from tests.until import until
 
@@ -69,3 +70,19 @@ async def test_length() -> None:
     place.put(1, 2)
     await until(lambda: place.numbers == [1, 2])
     place.throttle.close()
+
+
+async def test_queue_is_bounded() -> None:
+    """Whatever length a client asks for, no more than so many messages and bytes wait, and the others are counted."""
+    place = Place(100, 10**9)
+    place.put(*range(1000))
+    assert place.dropped == 999 - THROTTLED_MESSAGES
+    assert [sample.seq for sample in place.throttle.close()] == list(range(1000 - THROTTLED_MESSAGES, 1000))
+
+    heavy = Place(100, 10**9)
+    for number in range(50):
+        heavy.throttle.put(Sample(bytes(THROTTLED_BYTES // 8), "", 0, b"", number))
+    assert heavy.throttle.bytes <= THROTTLED_BYTES
+    assert heavy.dropped == 49 - 8
+    assert [sample.seq for sample in heavy.throttle.close()] == list(range(42, 50))
+    assert heavy.throttle.bytes == 0

@@ -330,3 +330,30 @@ def test_random_bodies_raise_only_documented_errors(data: bytes, filter: int) ->
     """Random bytes raise DecodeError or MessageTooBig, or are a body."""
     with suppress(DecodeError, MessageTooBig):
         decode(bytes([filter]) + data, 100_000)
+
+
+@settings(max_examples=400, deadline=None)
+@given(
+    filter=st.sampled_from((BYTES, NUMBERS, RECORDS)),
+    channels=st.integers(0, 5),
+    flags=st.integers(0, 7),
+    width=st.one_of(st.integers(0, 400), st.integers(0, 2**32 - 1)),
+    count=st.integers(0, 300),
+    planes=st.integers(0, 5),
+    modes=st.binary(max_size=8),
+)
+def test_any_header(filter: int, channels: int, flags: int, width: int, count: int, planes: int, modes: bytes) -> None:
+    """Whatever numbers stand in a header before planes that fit them, only ``DecodeError`` comes out."""
+    plane = zstandard.ZstdCompressor().compress(bytes(count))
+    header = struct.pack("<BBBxIIII", filter, channels, flags, 0, 0, width, count)
+    body = header + (modes if filter == RECORDS else b"") + (struct.pack("<I", len(plane)) + plane) * planes
+    with suppress(DecodeError, MessageTooBig):
+        decode(body)
+
+
+def test_rows_longer_than_the_array() -> None:
+    """Numbers with more channels than one, which would make rows longer than the array, are refused."""
+    plane = zstandard.ZstdCompressor().compress(bytes(300))
+    body = struct.pack("<BBBxIIII", NUMBERS, 4, 2, 0, 0, 1200, 300) + (struct.pack("<I", len(plane)) + plane) * 2
+    with pytest.raises(DecodeError):
+        decode(body)

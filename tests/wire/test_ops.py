@@ -331,3 +331,31 @@ def test_whatever_comes_only_invalid_operation_is_raised(fields: dict[str, Any],
         return
     assert parsed.op == op
     ops.dumps(parsed.to_dict())
+
+
+@pytest.mark.parametrize(
+    ("op", "key"),
+    [
+        ("subscribe", "topic"), ("unsubscribe", "topic"), ("advertise", "topic"), ("publish", "topic"),
+        ("call_service", "service"), ("service_response", "service"), ("advertise_service", "service"),
+        ("send_action_goal", "action"), ("cancel_action_goal", "action"), ("action_result", "action"),
+        ("advertise", "type"), ("subscribe", "type"), ("advertise_service", "type"),
+        ("send_action_goal", "action_type"),
+        ("subscribe", "compression"),
+    ],
+)  # fmt: skip
+def test_long_names(op: str, key: str) -> None:
+    """A name that is longer than any is refused, and the text of the error stays short."""
+    fields = {"topic": "/t", "type": "a/B", "service": "/s", "action": "/a", "action_type": "a/B", "result": True}
+    with pytest.raises(InvalidOperation) as failed:
+        ops.parse({"op": op, **fields, "values": {}, key: "x" * 1_000_000})
+    assert len(str(failed.value)) < 1000
+
+
+@pytest.mark.parametrize("id", ["x" * 1_000_000, 10**4000, ["x"] * 100_000, {"x": "y" * 100_000}], ids=range(4))
+def test_long_ids(id: Any) -> None:
+    """An id that is too long to be kept and repeated is refused, and not repeated in the refusal."""
+    with pytest.raises(InvalidOperation) as failed:
+        ops.parse({"op": "unsubscribe", "topic": "/t", "id": id})
+    assert failed.value.id is ops.ABSENT
+    assert len(str(failed.value)) < 1000

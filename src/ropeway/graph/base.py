@@ -39,6 +39,7 @@ from ropeway.graph.calls import (
     ServiceHandler,
     ServiceInfo,
 )
+from ropeway.limits import NAME_CHARACTERS
 from ropeway.qos import QoS
 
 __all__ = [
@@ -404,6 +405,8 @@ def resolve_name(name: str, namespace: str = "/") -> str:
     """
     if not isinstance(name, str) or not name:
         raise InvalidName(name, "a name is a non-empty text, as in /camera/image_raw")
+    if len(name) > NAME_CHARACTERS:  # before anything is kept or looked at
+        raise InvalidName(name, f"a name has at most {NAME_CHARACTERS} characters, not {len(name)}")
     return _resolve(name, namespace)
 
 

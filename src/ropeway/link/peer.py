@@ -7,6 +7,7 @@ urgent ones overtake, calls and answers among them; everybody else gets plain ro
 
 from __future__ import annotations
 
+import enum
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from ropeway.link.connection import Connection
     from ropeway.types import MessageCodec, TypeRegistry
 
-__all__ = ["CONTROL_OPS", "Channel", "Outgoing", "Peer", "PeerHandler", "Unsent"]
+__all__ = ["CONTROL_OPS", "Channel", "Outgoing", "Packing", "Peer", "PeerHandler", "Unsent"]
 
 _CONTROL_LIMIT_BYTES: Final = 32 << 20  # answers that a peer does not read; more closes the connection
 
@@ -49,6 +50,13 @@ CONTROL_OPS: Final = frozenset(
     }
 )
 _CALLS: Final = 1  # calls and answers in records
+
+
+class Packing(enum.IntEnum):
+    """In what the text of an operation came, the outer first."""
+
+    FRAGMENTS = 1
+    IMAGE = 2
 
 
 class PeerHandler(Protocol):
@@ -95,6 +103,7 @@ class Peer:
         self._reader = RecordReader(self.limit_bytes, self._refused)
         self._assembler = wire_codec.JsonAssembler(limit_bytes=self.limit_bytes)
         self._defragmenter = Defragmenter(limit_bytes=self.limit_bytes)
+        self._packing: Packing | None = None  # of the operations that are being taken
         connection.on_text = self._on_text
         connection.on_binary = self._on_binary
         connection.on_writable = self.sender.pump
@@ -201,10 +210,23 @@ class Peer:
     def _on_text(self, data: bytes) -> None:
         self._objects(data, text=True)
 
-    def unpacked(self, text: bytes) -> None:
-        """Take the operations of a text that came in fragments or in an image. Raises ``InvalidFrame``."""
-        for message in loads(text, text=True):
-            self._object(message)
+    def unpacked(self, text: bytes, packing: Packing) -> None:
+        """Take the operations of a text that came in fragments or in an image. Raises ``InvalidFrame``.
+
+        An image may come in fragments; nothing else is packed twice.
+        """
+        around = self._packing
+        if around is not None and around >= packing:
+            raise InvalidFrame(
+                f"{packing.name.lower()} stand in {around.name.lower()}: an image may come in fragments, and no more",
+                len(text),
+            )
+        self._packing = packing
+        try:
+            for message in loads(text, text=True):
+                self._object(message)
+        finally:
+            self._packing = around
 
     def _on_binary(self, data: bytes | memoryview) -> None:
         if self.dialect is not ROPEWAY:
@@ -279,7 +301,7 @@ class Peer:
             if isinstance(parsed, ops.Fragment):
                 text = self._defragmenter.add(parsed)
                 if text is not None:
-                    self.unpacked(text)
+                    self.unpacked(text, Packing.FRAGMENTS)
             else:
                 self.handler.operation(parsed)
         except RopewayError as error:

@@ -72,6 +72,7 @@ async def connect(
                 logger_name=_picows_log,
                 disconnect_on_exception=False,
                 enable_auto_pong=False,
+                max_redirects=0,  # a token is for the host that was named, and only that host was to be reached
             )
     except TimeoutError:
         raise ConnectFailed(url, "no answer in time") from None
@@ -80,6 +81,8 @@ async def connect(
     except picows.WSError as error:
         response = getattr(error, "response", None)
         status = response.status.value if response is not None else None
+        if status is not None and 300 <= status < 400:
+            raise ConnectFailed(url, f"answered HTTP {status}: {_redirects(response)}", retryable=False) from None
         fatal = status in (400, 401, 403, 404)
         what = f"answered HTTP {status}{_said(error)}" if status else f"is not a WebSocket server ({error})"
         raise ConnectFailed(url, what, retryable=not fatal) from None
@@ -162,6 +165,13 @@ async def listen(
             address, f"cannot listen: {error.strerror or error}; is another gateway running?", retryable=False
         ) from None
     return Server(server, address, pending, secure=ssl_context is not None)
+
+
+def _redirects(response: Any) -> str:
+    """Say where an answer points to, which may be a host that only we can reach."""
+    target = str(response.headers.get("Location", "elsewhere"))
+    shown = target if target.isprintable() and len(target) <= 200 else "elsewhere"
+    return f"it points to {shown}, which is not followed; write the address that is meant"
 
 
 def _said(error: picows.WSError) -> str:

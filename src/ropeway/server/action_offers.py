@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from ropeway.errors import CallFailed, GoalRejected, InvalidOperation, ProviderLost, RopewayError, TypesError, WireError
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
 from ropeway.graph.rosbridge.notes import call_note, received
+from ropeway.limits import GOALS_PER_OFFERED_ACTION
 from ropeway.server.bodies import codec_of, decode_body, text_of
 from ropeway.server.service_ops import tell_state
 from ropeway.tasks import end
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     from ropeway.server.session import Session
 
 __all__ = ["OfferedAction", "TakenGoal"]
-
-_PENDING_LIMIT: Final = 1024  # goals under way, of one action of a client
 
 
 class OfferedAction:
@@ -55,7 +54,7 @@ class OfferedAction:
 
     async def _accept(self, goal: ServerGoal) -> bool:
         """A plain client takes every goal; a gateway asks further on."""
-        if self.closed or self.session.gone or len(self.pending) >= _PENDING_LIMIT:
+        if self.closed or self.session.gone or len(self.pending) >= GOALS_PER_OFFERED_ACTION:
             return False
         if not self.session.gateway:
             return True

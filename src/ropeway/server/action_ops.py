@@ -20,6 +20,7 @@ from ropeway.errors import (
 )
 from ropeway.graph.base import resolve_name
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ClientGoal, Goal, GoalStatus, Outcome
+from ropeway.limits import ACTIONS_PER_CLIENT, GOALS_PER_CLIENT, UNREAD_STATUS_BYTES
 from ropeway.server.action_offers import OfferedAction, TakenGoal
 from ropeway.server.bodies import codec_of, decode_args, failure_note, passage, text_of, type_of
 from ropeway.tasks import end
@@ -32,9 +33,6 @@ __all__ = ["ActionOps"]
 
 log = logging.getLogger("ropeway.server")
 
-_GOALS_LIMIT: Final = 1024  # under way, of one client
-_ACTIONS_LIMIT: Final = 1024  # of one client
-_FEEDBACK_LIMIT_BYTES: Final = 1 << 20  # a client that does not read so much misses feedback
 _LEAVE_S: Final = 2.0  # how long the goals of a client that left may take to be cancelled
 
 
@@ -80,8 +78,8 @@ class ActionOps:
 
     def send(self, op: ops.SendActionGoal) -> None:
         """The client sends a goal; it has exactly one result, unless the client leaves."""
-        if len(self.goals) >= _GOALS_LIMIT:
-            self.refuse(op, CallFailed(op.name, f"too many goals: {_GOALS_LIMIT} of this client are under way"))
+        if len(self.goals) >= GOALS_PER_CLIENT:
+            self.refuse(op, CallFailed(op.name, f"too many goals: {GOALS_PER_CLIENT} of this client are under way"))
             return
         goal = SentGoal(self, op)
         self.goals.add(goal)
@@ -131,8 +129,8 @@ class ActionOps:
         for part in ("_Goal", "_Result", "_Feedback"):
             codec_of(session, type + part)  # what the client cannot read, it cannot serve
         known = self.offered.get(op.action)
-        if known is None and len(self.offered) >= _ACTIONS_LIMIT:
-            raise InvalidOperation("", f"a client may have {_ACTIONS_LIMIT} actions at most")
+        if known is None and len(self.offered) >= ACTIONS_PER_CLIENT:
+            raise InvalidOperation("", f"a client may have {ACTIONS_PER_CLIENT} actions at most")
         if known is not None:
             log.warning("%s: Duplicate action advertised. Overwriting %s.", session.peer.connection.peer, op.action)
             if known.type == type:  # the name stays taken meanwhile
@@ -246,7 +244,7 @@ class SentGoal:
         op, session = self.op, self._session
         if not op.feedback:
             return
-        if session.peer.connection.unsent_bytes > _FEEDBACK_LIMIT_BYTES:
+        if session.peer.connection.unsent_bytes > UNREAD_STATUS_BYTES:
             session.peer.complaints.note("action_feedback", op.action, "feedback is not read")
             return
         session.peer.send_op(

@@ -22,6 +22,7 @@ from ropeway.link.websocket import Server, listen
 from ropeway.server.access import EVERYTHING, Access, Role
 from ropeway.server.door import Door, subprotocol
 from ropeway.server.http import Pages
+from ropeway.server.lingering import Lingering
 from ropeway.server.presence import Presence, ip_address
 from ropeway.server.rosapi import Globs, Rosapi
 from ropeway.server.rosout import Rosout
@@ -38,7 +39,6 @@ __all__ = ["RosbridgeServer"]
 
 log = logging.getLogger("ropeway.server")
 
-_LINGERING = 256  # clients that left; above, the first of them lingers no longer
 _CLIENT_SILENCE_S = 30.0  # a browser tab or a robot on Wi-Fi may pause; a gateway may not
 _CLIENT_PING_S = 5.0
 
@@ -78,7 +78,7 @@ class RosbridgeServer:
         self.limits = limits or Limits()
         self.unregister_timeout_s = unregister_timeout_s
         self.sessions: dict[Session, asyncio.Task[None]] = {}
-        self.lingering: dict[Session, asyncio.Task[None]] = {}
+        self.lingering = Lingering(unregister_timeout_s)
         self.listeners: list[Server] = []
         self.door = door or Door()
         self.denied: Counter[str] = Counter()  # by rule, of all clients
@@ -197,7 +197,7 @@ class RosbridgeServer:
             gateway_id=self.gateway_id,
             name=self.name,
             unregister_timeout_s=self.unregister_timeout_s,
-            on_advertised=self._advertised,
+            on_advertised=self.lingering.advertised,
             call_timeout_s=self.call_timeout_s,
             cancel_goals=self.cancel_goals,
             access=Access(role, self.door.globs, client=connection.peer, tally=self.denied),
@@ -222,23 +222,7 @@ class RosbridgeServer:
             session.peer.connection.close(1011, "internal error")
         log.info("%s: client disconnected, %d in total", peer, len(self.sessions))
         if session.lingers:
-            self.lingering[session] = asyncio.create_task(self._linger(session), name=f"lingering {peer}")
-            if len(self.lingering) > _LINGERING:
-                next(iter(self.lingering.values())).cancel()
-
-    async def _linger(self, session: Session) -> None:
-        try:
-            await asyncio.sleep(self.unregister_timeout_s)
-        finally:
-            await session.withdraw()
-            del self.lingering[session]
-
-    async def _advertised(self, topic: str) -> None:
-        """A topic is published again: nothing of those who left need linger on it."""
-        for session, task in list(self.lingering.items()):
-            await session.withdraw(topic)
-            if not session.lingers:
-                task.cancel()
+            self.lingering.add(session)
 
     async def _tick(self) -> None:
         while True:
@@ -270,7 +254,7 @@ class RosbridgeServer:
             session.lost(1001, "the gateway stops")
         if tasks:
             await asyncio.wait(tasks, timeout=5)
-        await end(*self.lingering.values())
+        await self.lingering.close()
         for connection in connections:
             await connection.wait_closed()  # within a second, see ``Connection.close``
 

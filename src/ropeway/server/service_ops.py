@@ -24,6 +24,7 @@ from ropeway.errors import (
 from ropeway.graph.base import Delivery, resolve_name
 from ropeway.graph.calls import Request
 from ropeway.graph.rosbridge.notes import call_note, received
+from ropeway.limits import CALLS_PER_CLIENT, CALLS_PER_OFFERED_SERVICE, LONGEST_CALL_S, SERVICES_PER_CLIENT
 from ropeway.server.bodies import codec_of, decode_args, decode_body, failure_note, passage, text_of, type_of
 from ropeway.tasks import end
 from ropeway.wire import ops
@@ -32,17 +33,11 @@ if TYPE_CHECKING:
     from ropeway.graph.hub_calls import ViewClient, ViewService
     from ropeway.server.session import Session
 
-__all__ = ["LONGEST_S", "ServiceOps", "tell_state"]
+__all__ = ["ServiceOps", "tell_state"]
 
 log = logging.getLogger("ropeway.server")
 
-LONGEST_S: Final = 3600.0
-"""What "for ever" means here: no client keeps a call open longer."""
-
-_CALLS_LIMIT: Final = 1024  # under way, of one client
 _CLIENTS_LIMIT: Final = 32  # services that one client calls again soon
-_PENDING_LIMIT: Final = 1024  # under way, of one service of a client
-_SERVICES_LIMIT: Final = 1024  # of one client
 
 
 class ServiceOps:
@@ -82,8 +77,8 @@ class ServiceOps:
     def call(self, op: ops.CallService) -> None:
         """The client calls a service; it is answered exactly once, unless it leaves."""
         self.called += 1
-        if len(self._calls) >= _CALLS_LIMIT:
-            self.refuse(op, CallFailed(op.name, f"too many calls: {_CALLS_LIMIT} of this client are under way"))
+        if len(self._calls) >= CALLS_PER_CLIENT:
+            self.refuse(op, CallFailed(op.name, f"too many calls: {CALLS_PER_CLIENT} of this client are under way"))
             return
         task = asyncio.create_task(self._answer(op), name=f"call of {op.service[:200]}")
         self._calls.add(task)
@@ -174,7 +169,7 @@ class ServiceOps:
 
     def _timeout_s(self, asked: float | None) -> float:
         timeout_s = self.call_timeout_s if asked is None else asked
-        return min(timeout_s, LONGEST_S) if timeout_s > 0 else LONGEST_S
+        return min(timeout_s, LONGEST_CALL_S) if timeout_s > 0 else LONGEST_CALL_S
 
     def refuse(self, op: ops.CallService, error: Exception) -> None:
         """Answer a call that failed."""
@@ -205,8 +200,8 @@ class ServiceOps:
         for part in ("_Request", "_Response"):
             codec_of(session, type + part)  # what the client cannot read, it cannot serve
         known = self.offered.get(op.service)
-        if known is None and len(self.offered) >= _SERVICES_LIMIT:
-            raise InvalidOperation("", f"a client may have {_SERVICES_LIMIT} services at most")
+        if known is None and len(self.offered) >= SERVICES_PER_CLIENT:
+            raise InvalidOperation("", f"a client may have {SERVICES_PER_CLIENT} services at most")
         if known is not None:
             log.warning("%s: Duplicate service advertised. Overwriting %s.", session.peer.connection.peer, op.service)
             if known.type == type:  # the name stays taken meanwhile
@@ -286,13 +281,13 @@ class OfferedService:
         session = self.session
         if self.closed or session.gone:
             raise ProviderLost(self.name, "its provider has left")
-        if len(self.pending) >= _PENDING_LIMIT:
-            raise CallFailed(self.name, f"too many calls: {_PENDING_LIMIT} of {self.name} are under way")
+        if len(self.pending) >= CALLS_PER_OFFERED_SERVICE:
+            raise CallFailed(self.name, f"too many calls: {CALLS_PER_OFFERED_SERVICE} of {self.name} are under way")
         self.count += 1
         id = f"service_request:{self.service}:{self.count}"
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         self.pending[id] = answer
-        timeout_s = min(request.timeout_s or LONGEST_S, LONGEST_S)
+        timeout_s = min(request.timeout_s or LONGEST_CALL_S, LONGEST_CALL_S)
         op = ops.CallService(id=id, service=self.service, args=None)
         if session.gateway:
             op.timeout = timeout_s

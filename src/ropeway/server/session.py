@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway.errors import AccessDenied, InvalidOperation, RopewayError, WireError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
+from ropeway.limits import UNREAD_STATUS_BYTES, WAITING_OPERATIONS
 from ropeway.link.peer import Peer
 from ropeway.server.access import Access
 from ropeway.server.action_ops import ActionOps
@@ -31,8 +32,7 @@ __all__ = ["Rosapi", "Session"]
 
 log = logging.getLogger("ropeway.server")
 
-_PAUSE_AT: Final = 256  # operations that wait; above, the socket is not read
-_RESUME_AT: Final = 32
+_RESUME_AT: Final = 32  # operations that still wait when the socket is read again
 _PAUSE_BYTES: Final = 64 << 20  # received while operations wait
 _DEFINITIONS_LIMIT: Final = 4096
 _DEFINITION_LIMIT: Final = 1 << 20  # characters
@@ -45,7 +45,6 @@ _RATED: Final[Mapping[type, tuple[str, str]]] = {
     ops.SendActionGoal: ("send_action_goal", "action"),
     ops.AdvertiseAction: ("advertise_action", "action"),
 }
-_STATUS_LIMIT_BYTES: Final = 1 << 20  # notices are not sent to a client that does not read so much
 
 
 class Rosapi(Protocol):
@@ -185,7 +184,7 @@ class Session:
                 return
             self._idle_bytes = self.peer.connection.bytes_in
         self.push(op)
-        if not self._paused and (len(self._waiting) > _PAUSE_AT or self._heavy):
+        if not self._paused and (len(self._waiting) > WAITING_OPERATIONS or self._heavy):
             self._paused = True
             self.peer.connection.pause_reading()
 
@@ -284,7 +283,7 @@ class Session:
             self._send_status("info", text, id)
 
     def _send_status(self, level: str, text: str, id: object) -> None:
-        if self.peer.connection.unsent_bytes < _STATUS_LIMIT_BYTES:
+        if self.peer.connection.unsent_bytes < UNREAD_STATUS_BYTES:
             self.peer.send(ops.Status(level=level, msg=text, id=id))
 
     def tick(self) -> None:

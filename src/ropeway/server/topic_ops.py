@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import GraphError, InvalidOperation, RopewayError, TypeConflict, TypesError
 from ropeway.graph.base import resolve_name
+from ropeway.limits import IDS_PER_TOPIC, TOPICS_PER_CLIENT
 from ropeway.qos import QoS
 from ropeway.server.bodies import type_of
 from ropeway.server.topics import TopicIn, TopicOut, topic_status
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
 __all__ = ["Retire", "TopicOps", "TopicTypeConflict", "UnknownTopicError"]
 
 _NO_ID: Final = "\0none"
-_TOPICS_LIMIT: Final = 4096  # of one client, in both directions
-_IDS_LIMIT: Final = 1024  # of one topic of one client
-_DEPTH_LIMIT: Final = 100_000
 _RAW: Final = ("cbor-raw", "rawzip")
 _POLICIES: Final = ("history", "depth", "reliability", "durability", "deadline", "lifespan")
 
@@ -183,13 +181,17 @@ class TopicOps:
             return QoS()
         if op.latch:
             return QoS(durability="transient_local", depth=1)
-        depth = min(max(op.queue_size, 1), _DEPTH_LIMIT)  # 0 stands for the least, as in ROS 2
+        depth = max(op.queue_size, 1)  # 0 stands for the least, as in ROS 2
         return QoS(durability="transient_local", depth=depth, lifespan_s=1.0)
 
     def _asked_qos(self, asked: Mapping[str, Any]) -> QoS:
         """The profile that a client asks for; rosbridge takes no notice of policies that it does not know."""
         known = {key: value for key, value in asked.items() if key in _POLICIES}
         profile = QoS.parse(known)
+        if (asked_depth := known.get("depth", 0)) > profile.depth:
+            self.session.complain(
+                "qos", "", f"a depth of {asked_depth} is more than anybody gets: it is {profile.depth}"
+            )
         if len(known) != len(asked):
             unknown = ", ".join(sorted(str(key)[:40] for key in asked if key not in known))
             self.session.complain("qos", "", f"unknown policies are ignored: {unknown[:200]}")
@@ -282,8 +284,8 @@ class TopicOps:
                 raise TopicTypeConflict(op.topic, output.type, type)
         key = _key(op.id)
         before = output.requests.get(key)
-        if before is None and len(output.requests) >= _IDS_LIMIT:
-            raise InvalidOperation("", f"a topic may have {_IDS_LIMIT} ids at most")
+        if before is None and len(output.requests) >= IDS_PER_TOPIC:
+            raise InvalidOperation("", f"a topic may have {IDS_PER_TOPIC} ids at most")
         output.requests[key] = op
         try:
             output.settle()
@@ -345,8 +347,8 @@ class TopicOps:
         if op.topic not in self._unborn:
             self._check_count()
         waiting = self._unborn.setdefault(op.topic, {})
-        if len(waiting) >= _IDS_LIMIT:
-            raise InvalidOperation("", f"a topic may have {_IDS_LIMIT} ids at most")
+        if len(waiting) >= IDS_PER_TOPIC:
+            raise InvalidOperation("", f"a topic may have {IDS_PER_TOPIC} ids at most")
         waiting[_key(op.id)] = op
         if self._births is None:
             changes = self.session.view.changes()
@@ -376,8 +378,8 @@ class TopicOps:
     def _check_count(self) -> None:
         inputs = len(self.inputs) + len(self.input_channels)
         count = inputs + len(self.outputs) + len(self.output_channels) + len(self._unborn)
-        if count >= _TOPICS_LIMIT:
-            raise InvalidOperation("", f"a client may have {_TOPICS_LIMIT} topics at most")
+        if count >= TOPICS_PER_CLIENT:
+            raise InvalidOperation("", f"a client may have {TOPICS_PER_CLIENT} topics at most")
 
     def _types(self, name: str) -> tuple[str, ...]:
         """The types that a topic has now; those of an action have them from it."""
@@ -432,8 +434,8 @@ class Retire:
 
 
 def _add(ids: set[str], id: object) -> None:
-    if len(ids) >= _IDS_LIMIT:
-        raise InvalidOperation("", f"a topic may have {_IDS_LIMIT} ids at most")
+    if len(ids) >= IDS_PER_TOPIC:
+        raise InvalidOperation("", f"a topic may have {IDS_PER_TOPIC} ids at most")
     ids.add(_key(id))
 
 

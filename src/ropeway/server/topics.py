@@ -11,6 +11,7 @@ from ropeway.bridge.meter import Meter
 from ropeway.bridge.pipeline import Drop, RateLimit
 from ropeway.errors import MessageTooBig, TypesError
 from ropeway.graph.base import SEQ_NONE, Sample, new_origin
+from ropeway.limits import LONGEST_THROTTLE_MS, QOS_DEPTH_SAMPLES
 from ropeway.link.outbox import Lost
 from ropeway.qos import QoS
 from ropeway.server.throttle import Throttle
@@ -29,8 +30,6 @@ __all__ = ["TopicIn", "TopicOut", "topic_status"]
 log = logging.getLogger("ropeway.server")
 
 _EARLY_LIMIT_BYTES: Final = 16 << 20  # what may wait while a publisher is being made
-_DEPTH_LIMIT: Final = 100_000
-_LONGEST_MS: Final = 1e9
 _PRIORITY_OF_COMPRESSION: Final = {
     "none": 0,
     "png": 1,
@@ -164,7 +163,7 @@ class TopicOut:
         if depth is None:
             lengths = [r.queue_length for r in requests]
             depth = min(lengths) if min(lengths) > 0 else None
-        self._depth = None if depth is None else min(int(depth), _DEPTH_LIMIT)
+        self._depth = None if depth is None else min(int(depth), QOS_DEPTH_SAMPLES)
         channel = self.session.peer.open_channel(
             self.number,
             self.topic,
@@ -190,7 +189,7 @@ class TopicOut:
         """A gateway's rate is kept on average; rosbridge's least time between messages may have a queue."""
         waiting = self._throttle.close() if self._throttle is not None else []
         self._limit = self._throttle = None
-        period_ms = min(_LONGEST_MS, *(r.throttle_rate for r in requests))
+        period_ms = min(LONGEST_THROTTLE_MS, *(r.throttle_rate for r in requests))
         length = min(r.queue_length for r in requests)
         if rate_hz is not None:
             self._limit = RateLimit(rate_hz)

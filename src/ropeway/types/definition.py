@@ -13,9 +13,9 @@ from functools import lru_cache
 from typing import Final
 
 from ropeway.errors import InvalidDefinition, InvalidTypeName
+from ropeway.limits import TYPE_NAME_CHARACTERS
 
 __all__ = [
-    "DEEPEST",
     "HEADER",
     "KINDS",
     "PRIMITIVES",
@@ -51,11 +51,8 @@ PRIMITIVES: Final = {
 }
 """The primitive types of a ``.msg`` file and their sizes in bytes; 0 where the size varies."""
 
-DEEPEST: Final = 64
-"""How many messages may stand one in another; Python's own limit on nesting is at 200."""
 
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
-_LONGEST_NAME: Final = 1024
 
 
 def canonical_name(name: str, kind: str = "msg") -> str:
@@ -64,8 +61,8 @@ def canonical_name(name: str, kind: str = "msg") -> str:
     Takes ``pkg/Name``, ``pkg/msg/Name`` and ``pkg.msg.Name``; superfluous slashes do not matter. ``kind`` is the
     middle part where the name has none. Raises ``InvalidTypeName``.
     """
-    if not isinstance(name, str) or len(name) > _LONGEST_NAME:
-        raise InvalidTypeName(name[:_LONGEST_NAME] if isinstance(name, str) else name)
+    if not isinstance(name, str) or len(name) > TYPE_NAME_CHARACTERS:
+        raise InvalidTypeName(name)
     return _canonical(name, kind)
 
 

@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from ropeway.errors import InvalidDefinition
-from ropeway.types.definition import DEEPEST, HEADER, TIMES, Definition, Field, FieldType
+from ropeway.limits import DEFINITION_NESTING
+from ropeway.types.definition import HEADER, TIMES, Definition, Field, FieldType
 
 __all__ = ["definition_md5", "interface_members", "rihs01"]
 
@@ -97,8 +98,10 @@ def definition_md5(full: str, definition: Callable[[str], Definition]) -> str:
     sums: dict[str, str] = {}
 
     def summed(name: str, depth: int) -> str:
-        if depth > DEEPEST:
-            raise InvalidDefinition(full, f"it contains itself, or more than {DEEPEST} messages stand one in another")
+        if depth > DEFINITION_NESTING:
+            raise InvalidDefinition(
+                full, f"it contains itself, or more than {DEFINITION_NESTING} messages stand one in another"
+            )
         if name not in sums:
             known = definition(name)
             fields = known.fields

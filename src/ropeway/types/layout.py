@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from ropeway.errors import InvalidDefinition
-from ropeway.types.definition import DEEPEST, HEADER, PRIMITIVES, Definition, Field, FieldType
+from ropeway.limits import DEFINITION_NESTING
+from ropeway.types.definition import HEADER, PRIMITIVES, Definition, Field, FieldType
 
 __all__ = ["CODES", "Call", "Leaf", "Loop", "Numbers", "Plan", "Planner", "Run", "Slot", "Step", "Struct", "Text"]
 
@@ -157,8 +158,8 @@ class Planner:
         """The definition of ``name``, noted as under work until ``leave``."""
         if name in self._above:
             raise InvalidDefinition(name, "it contains itself")
-        if len(self._above) >= DEEPEST:
-            raise InvalidDefinition(self._above[0], f"more than {DEEPEST} messages stand one in another")
+        if len(self._above) >= DEFINITION_NESTING:
+            raise InvalidDefinition(self._above[0], f"more than {DEFINITION_NESTING} messages stand one in another")
         found = self.definition(name, needed_by=parent)
         self._above.append(name)
         return found

@@ -92,14 +92,21 @@ def decode(body: Data, limit_bytes: int = LIMIT_BYTES) -> bytes:
 
 
 def _check(array: Array, flags: int) -> None:
-    if array.count < 1 or not 1 <= array.channels <= 4 or flags > (GREEN | UPPER):
-        raise _error("its header is not one of ours")
-    if flags & GREEN and array.channels < 3:
-        raise _error("green without red and blue")
+    """Raise ``DecodeError`` unless every field of the header is one that this filter writes."""
+    most_channels, known_flags = _WRITES[array.filter]
+    if array.count < 1:
+        raise _error("there are no elements")
+    if not 1 <= array.channels <= most_channels:
+        raise _error(f"elements of {array.channels} channels")
+    if flags & ~known_flags or (flags & GREEN and array.channels < 3):
+        raise _error(f"filter {array.filter} has no flags {flags}")
     if flags & UPPER and not MIN_WIDTH <= array.width <= array.count * array.channels:
         raise _error(f"rows of {array.width} elements")
     if array.filter == RECORDS and not 4 <= array.width <= MAX_STEP:
         raise _error(f"records of {array.width} bytes")
+
+
+_WRITES: Final = {BYTES: (4, GREEN | UPPER), NUMBERS: (1, UPPER), RECORDS: (1, 0)}  # channels at most, and flags
 
 
 class _Cursor:

@@ -16,6 +16,7 @@ from typing import Any, Final
 import orjson
 
 from ropeway.errors import InvalidOperation
+from ropeway.limits import ID_CHARACTERS, NAME_CHARACTERS
 from ropeway.wire.operations import (
     ABSENT,
     ActionFeedback,
@@ -110,6 +111,7 @@ def parse(message: Mapping[Any, Any]) -> Op:
     raise InvalidOperation("", f"Unknown operation: {_show(op)}.  Allowed operations: {list(ALLOWED)}", id=id)
 
 
+_NAMED_CHARACTERS: Final = NAME_CHARACTERS + ID_CHARACTERS  # an old client's id stands behind the name
 _SCALARS: Final = frozenset((str, int, float, bool, type(None)))
 
 
@@ -126,6 +128,20 @@ def _id_of(message: Mapping[Any, Any]) -> Any:
     return ABSENT if id is None else id
 
 
+def _id_characters(id: Any) -> float:
+    """Return how long an id is in JSON; infinity for one that only CBOR can say."""
+    if isinstance(id, str):
+        return len(id)
+    if type(id) in _SCALARS and not isinstance(id, int):
+        return 0
+    if isinstance(id, int):
+        return id.bit_length() / 3
+    try:
+        return len(orjson.dumps(id))
+    except orjson.JSONEncodeError:
+        return math.inf
+
+
 class _Fields:
     """The fields of one operation, checked as they are asked for."""
 
@@ -134,12 +150,9 @@ class _Fields:
     def __init__(self, message: Mapping[Any, Any], op: str) -> None:
         self._message, self._op = message, op
         self.id = _id_of(message)
-        if self.id is not ABSENT and type(self.id) not in _SCALARS:
-            try:
-                orjson.dumps(self.id)
-            except orjson.JSONEncodeError:  # only CBOR can say it, and an answer must repeat it in JSON
-                wrong, self.id = self.id, ABSENT
-                raise self._wrong("id", wrong, "str") from None
+        if self.id is not ABSENT and _id_characters(self.id) > ID_CHARACTERS:
+            wrong, self.id = self.id, ABSENT  # it is kept, and repeated in answers: in JSON, and each time
+            raise self._wrong("id", wrong, f"str of at most {ID_CHARACTERS} characters")
 
     def invalid(self, reason: str) -> InvalidOperation:
         return InvalidOperation(self._op, reason, id=self.id)
@@ -158,6 +171,23 @@ class _Fields:
         if value is ABSENT:
             raise self.invalid(f"Expected a {key} field but none was found.")
         raise self._wrong(key, value, "str")
+
+    def name(self, key: str) -> str:
+        """Return a text that is looked up and kept; what is longer than any name is refused before it costs more."""
+        value = self.text(key)
+        if len(value) > _NAMED_CHARACTERS:
+            raise self._too_long(key, value)
+        return value
+
+    def optional_name(self, key: str) -> str | None:
+        """Return a name, if there is one."""
+        value = self.optional_text(key)
+        if value is not None and len(value) > _NAMED_CHARACTERS:
+            raise self._too_long(key, value)
+        return value
+
+    def _too_long(self, key: str, value: str) -> InvalidOperation:
+        return self.invalid(f"The {key} has {len(value)} characters; at most {_NAMED_CHARACTERS} are taken.")
 
     def optional_text(self, key: str) -> str | None:
         value = self._message.get(key)
@@ -207,13 +237,13 @@ class _Fields:
 
 def _advertise(f: _Fields) -> Advertise:
     return Advertise(
-        topic=f.text("topic"),
-        type=f.text("type"),
+        topic=f.name("topic"),
+        type=f.name("type"),
         id=f.id,
         latch=bool(f.raw("latch")),
         queue_size=_lenient_count(f.raw("queue_size"), 100),
         qos=f.object("qos"),
-        compression=f.optional_text("compression"),
+        compression=f.optional_name("compression"),
         ropeway=f.object("ropeway"),
     )
 
@@ -226,7 +256,7 @@ def _lenient_count(value: object, default: int) -> int:
 
 
 def _publish(f: _Fields) -> Publish:
-    topic = f.text("topic")
+    topic = f.name("topic")
     msg = f.raw("msg", ABSENT)
     if not isinstance(msg, (dict, bytes)):
         if msg is not ABSENT:
@@ -237,67 +267,67 @@ def _publish(f: _Fields) -> Publish:
         topic=topic,
         msg=msg,
         id=f.id,
-        type=f.optional_text("type"),
+        type=f.optional_name("type"),
         latch=None if latch is None else bool(latch),
         queue_size=None if queue_size is None else _lenient_count(queue_size, 100),
         qos=f.object("qos"),
-        compression=f.optional_text("compression"),
+        compression=f.optional_name("compression"),
         ropeway=f.object("ropeway"),
     )
 
 
 def _subscribe(f: _Fields) -> Subscribe:
     return Subscribe(
-        topic=f.text("topic"),
+        topic=f.name("topic"),
         id=f.id,
-        type=f.optional_text("type"),
+        type=f.optional_name("type"),
         throttle_rate=max(0, f.number("throttle_rate") or 0),
         queue_length=f.count("queue_length", 0),
         fragment_size=f.size(),
-        compression=f.optional_text("compression"),
+        compression=f.optional_name("compression"),
         qos=f.object("qos"),
         ropeway=f.object("ropeway"),
     )
 
 
 def _call_service(f: _Fields) -> CallService:
-    service = f.text("service")
+    service = f.name("service")
     type = f.raw("type")
     f.id = f.id_or_suffix(service)
     return CallService(
         service=service,
         args=f.raw("args"),
         id=f.id,
-        type=type if isinstance(type, str) else None,
+        type=type if isinstance(type, str) and len(type) <= _NAMED_CHARACTERS else None,
         timeout=f.number("timeout"),
         fragment_size=f.size(),
-        compression=f.optional_text("compression"),
+        compression=f.optional_name("compression"),
         ropeway=f.object("ropeway"),
     )
 
 
 def _service_response(f: _Fields) -> ServiceResponse:
     return ServiceResponse(
-        service=f.text("service"),
+        service=f.name("service"),
         values=f.raw("values"),
         result=f.truth("result"),
         id=f.id,
-        compression=f.optional_text("compression"),
+        compression=f.optional_name("compression"),
         ropeway=f.object("ropeway"),
     )
 
 
 def _send_action_goal(f: _Fields) -> SendActionGoal:
-    action = f.text("action")
+    action = f.name("action")
     f.id = f.id_or_suffix(action)
     return SendActionGoal(
         action=action,
-        action_type=f.text("type" if f.raw("action_type") is None and f.raw("type") is not None else "action_type"),
+        action_type=f.name("type" if f.raw("action_type") is None and f.raw("type") is not None else "action_type"),
         args=f.raw("args"),
         id=f.id,
         feedback=bool(f.raw("feedback")),
         fragment_size=f.size(),
-        compression=f.optional_text("compression"),
+        compression=f.optional_name("compression"),
         ropeway=f.object("ropeway"),
     )
 
@@ -305,18 +335,18 @@ def _send_action_goal(f: _Fields) -> SendActionGoal:
 def _action_feedback(f: _Fields) -> ActionFeedback:
     result = f.raw("result")
     return ActionFeedback(
-        action=f.text("action"),
+        action=f.name("action"),
         values=f.raw("values"),
         id=f.id,
-        goal_id=f.optional_text("goal_id"),
+        goal_id=f.optional_name("goal_id"),
         result=result if isinstance(result, bool) else None,
-        compression=f.optional_text("compression"),
+        compression=f.optional_name("compression"),
         ropeway=f.object("ropeway"),
     )
 
 
 def _action_result(f: _Fields) -> ActionResult:
-    action = f.text("action")
+    action = f.name("action")
     result = f.truth("result")
     return ActionResult(
         action=action,
@@ -324,8 +354,8 @@ def _action_result(f: _Fields) -> ActionResult:
         status=f.count("status", 4 if result else 6),
         result=result,
         id=f.id,
-        goal_id=f.optional_text("goal_id"),
-        compression=f.optional_text("compression"),
+        goal_id=f.optional_name("goal_id"),
+        compression=f.optional_name("compression"),
         ropeway=f.object("ropeway"),
     )
 
@@ -347,34 +377,34 @@ def _fragment(f: _Fields) -> Fragment:
 
 _READERS: Final[dict[str, Callable[[_Fields], Op]]] = {
     "advertise": _advertise,
-    "unadvertise": lambda f: Unadvertise(topic=f.text("topic"), id=f.id, ropeway=f.object("ropeway")),
+    "unadvertise": lambda f: Unadvertise(topic=f.name("topic"), id=f.id, ropeway=f.object("ropeway")),
     "publish": _publish,
     "subscribe": _subscribe,
-    "unsubscribe": lambda f: Unsubscribe(topic=f.text("topic"), id=f.id, ropeway=f.object("ropeway")),
+    "unsubscribe": lambda f: Unsubscribe(topic=f.name("topic"), id=f.id, ropeway=f.object("ropeway")),
     "fragment": _fragment,
     "advertise_service": lambda f: AdvertiseService(
-        service=f.text("service"),
-        type=f.text("type"),
+        service=f.name("service"),
+        type=f.name("type"),
         id=f.id,
-        compression=f.optional_text("compression"),
+        compression=f.optional_name("compression"),
         ropeway=f.object("ropeway"),
     ),
     "unadvertise_service": lambda f: UnadvertiseService(
-        service=f.text("service"), id=f.id, ropeway=f.object("ropeway")
+        service=f.name("service"), id=f.id, ropeway=f.object("ropeway")
     ),
     "call_service": _call_service,
     "service_response": _service_response,
     "advertise_action": lambda f: AdvertiseAction(
-        action=f.text("action"),
-        type=f.text("type"),
+        action=f.name("action"),
+        type=f.name("type"),
         id=f.id,
-        compression=f.optional_text("compression"),
+        compression=f.optional_name("compression"),
         ropeway=f.object("ropeway"),
     ),
-    "unadvertise_action": lambda f: UnadvertiseAction(action=f.text("action"), id=f.id, ropeway=f.object("ropeway")),
+    "unadvertise_action": lambda f: UnadvertiseAction(action=f.name("action"), id=f.id, ropeway=f.object("ropeway")),
     "send_action_goal": _send_action_goal,
     "cancel_action_goal": lambda f: CancelActionGoal(
-        action=(action := f.text("action")), id=f.id_or_suffix(action), ropeway=f.object("ropeway")
+        action=(action := f.name("action")), id=f.id_or_suffix(action), ropeway=f.object("ropeway")
     ),
     "action_feedback": _action_feedback,
     "action_result": _action_result,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
+from ropeway.limits import NAME_CHARACTERS, TYPE_NAME_CHARACTERS
 from ropeway.types.definition import canonical_name
 
 __all__ = [
@@ -38,6 +39,7 @@ DISCOVERY_TYPE_HASH: Final = "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea82
 
 _DDS_TYPE: Final = re.compile(r"([A-Za-z]\w*)::(msg|srv|action)::dds_::([A-Za-z]\w*)_", re.ASCII)
 _ACTION: Final = "/_action/"
+_KEPT_CHARACTERS: Final = 2 * NAME_CHARACTERS + TYPE_NAME_CHARACTERS  # longer names are no names of ROS; none is kept
 
 
 class NameKind(enum.Enum):
@@ -67,9 +69,13 @@ def dds_type(name: str, suffix: str = "") -> str:
     return f"{package}::{kind}::dds_::{short}{suffix}_"
 
 
-@lru_cache(maxsize=4096)
 def demangle_type(name: str) -> str:
     """The ROS name of a DDS type; a type that ROS would not have named stays as it is."""
+    return (_demangle_type if len(name) <= _KEPT_CHARACTERS else _demangle_type.__wrapped__)(name)
+
+
+@lru_cache(maxsize=4096)
+def _demangle_type(name: str) -> str:
     match = _DDS_TYPE.fullmatch(name)
     return f"{match[1]}/{match[2]}/{match[3]}" if match else name
 
@@ -84,9 +90,13 @@ def dds_service_topics(name: str) -> tuple[str, str]:
     return f"rq{name}Request", f"rr{name}Reply"
 
 
-@lru_cache(maxsize=4096)
 def demangle(topic: str, type: str = "") -> Name:
     """What the DDS topic ``topic`` of DDS type ``type`` is to ROS."""
+    return (_demangle if len(topic) + len(type) <= _KEPT_CHARACTERS else _demangle.__wrapped__)(topic, type)
+
+
+@lru_cache(maxsize=4096)
+def _demangle(topic: str, type: str) -> Name:
     ros_type = demangle_type(type)
     prefix, slash, rest = topic.partition("/")
     if slash and rest:

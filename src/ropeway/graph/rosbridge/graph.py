@@ -35,7 +35,7 @@ from ropeway.graph.rosbridge.servers import RemoteActionServer
 from ropeway.graph.rosbridge.services import RemoteClient, RemoteService
 from ropeway.link.calls import OP_CHANNELS
 from ropeway.link.connection import Connection, Limits
-from ropeway.link.peer import Peer
+from ropeway.link.peer import Packing, Peer
 from ropeway.link.websocket import connect
 from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import end
@@ -390,7 +390,7 @@ class RosbridgeGraph:
             if not found and self.peer is not None:
                 self.peer.complaints.note("unknown topic", op.topic, "it was not subscribed to")
         elif isinstance(op, ops.Png) and self.peer is not None:
-            self.peer.unpacked(unpack_png(op.data, limit_bytes=self.peer.limit_bytes))
+            self.peer.unpacked(unpack_png(op.data, limit_bytes=self.peer.limit_bytes), Packing.IMAGE)
         elif self.peer is not None and not self.calls.operation(op, self.peer):
             self.peer.complaints.note("operation", "", f"{op.op} is not for a client")
 
