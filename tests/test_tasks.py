@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 
 import pytest
 
 from ropeway.errors import GraphUnavailable
-from ropeway.tasks import Chores, Supervised, describe, failing
+from ropeway.tasks import Chores, Supervised, describe, failing, keep_running
 from tests.until import until
 
 
@@ -77,6 +78,29 @@ async def test_work_that_cannot_even_be_called() -> None:
     await until(lambda: task.failures > 1)
     assert task.error == "dds:0: is not open"
     await task.close()
+    assert not failing()
+
+
+async def test_a_thread_is_kept_running() -> None:
+    """Work in a thread is started again as work in a task is, and ends when it returns or its owner wants it to."""
+    stopping, runs = threading.Event(), 0
+
+    def work() -> None:
+        nonlocal runs
+        runs += 1
+        if runs < 3:
+            raise OSError(5, "no luck")
+
+    await asyncio.to_thread(keep_running, work, "the thread", stopping, pause_s=0.001)
+    assert runs == 3
+
+    def fail() -> None:
+        raise ValueError("never")
+
+    thread = asyncio.create_task(asyncio.to_thread(keep_running, fail, "the thread", stopping, pause_s=60.0))
+    await until(lambda: failing() == [{"task": "the thread", "error": "ValueError: never", "failures": 1}])
+    stopping.set()
+    await thread
     assert not failing()
 
 

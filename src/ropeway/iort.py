@@ -1046,9 +1046,25 @@ class AsyncNode:
         if changed is not None:
             changed.set()
         if self.on_mode is not None:
-            self.on_mode(mode)
+            try:
+                self.on_mode(mode)
+            except Exception as error:  # the callback is somebody else's
+                self.last_error = "a callback for the mode failed: {!r}".format(error)
+                asyncio.get_event_loop().call_exception_handler({"message": self.last_error, "exception": error})
 
     async def _keep_connected(self) -> None:
+        while not self._closed:
+            try:
+                await self._connect_again_and_again()
+            except Exception as error:  # whatever a server or a callback does, the node goes on
+                self.last_error = "the connection failed: {!r}".format(error)
+                asyncio.get_event_loop().call_exception_handler({"message": self.last_error, "exception": error})
+                if self._connection is not None:
+                    self._connection.close()
+                    self._connection = None
+                await asyncio.sleep(_PAUSE_S[1])
+
+    async def _connect_again_and_again(self) -> None:
         pause = _PAUSE_S[0]
         while not self._closed:
             connection = await self._dial(self.server, "remote")

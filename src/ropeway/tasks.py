@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import threading
+import time
 from collections.abc import Callable, Coroutine
 from typing import Any, Final
 
 from ropeway.errors import RopewayError
 
-__all__ = ["Chores", "Interruptible", "Supervised", "describe", "end", "failing"]
+__all__ = ["Chores", "Interruptible", "Supervised", "describe", "end", "failing", "keep_running"]
 
 log = logging.getLogger("ropeway.tasks")
 
@@ -28,12 +30,79 @@ def describe(error: BaseException) -> str:
     return text if text and isinstance(error, RopewayError) else f"{type(error).__name__}: {text}".removesuffix(": ")
 
 
+class _Attempts:
+    """The attempts at one piece of work: how they failed, and how long to wait before the next."""
+
+    def __init__(self, name: str, pause_s: float, longest_pause_s: float) -> None:
+        self.name = name
+        self.error, self.failures = "", 0
+        self._first_s, self._pause_s, self._longest_s = pause_s, pause_s, longest_pause_s
+        self._said = ""
+        self._began = 0.0
+
+    def begin(self) -> None:
+        """One more begins."""
+        self.error = ""
+        self._began = time.monotonic()
+        _failing.pop(self, None)
+
+    def failed(self, error: Exception) -> float:
+        """Tell why it failed; return how long to wait, in seconds."""
+        if time.monotonic() - self._began > self._longest_s:
+            self._pause_s = self._first_s
+        pause_s, self._pause_s = self._pause_s, min(2 * self._pause_s, self._longest_s)
+        self.failures += 1
+        self.error = describe(error)
+        _failing[self] = None
+        level = logging.DEBUG if self.error == self._said else logging.ERROR
+        self._said = self.error
+        log.log(level, "%s failed: %s; it is started again in %g s", self.name, self.error, pause_s, exc_info=error)
+        return pause_s
+
+    def end(self) -> None:
+        """There are no more."""
+        _failing.pop(self, None)
+
+
+_failing: dict[_Attempts, None] = {}
+
+
+def failing() -> list[dict[str, Any]]:
+    """Return the background work of this process that has failed and waits to be started again, as JSON."""
+    return [{"task": work.name, "error": work.error, "failures": work.failures} for work in list(_failing)]
+
+
+def keep_running(
+    work: Callable[[], None],
+    name: str,
+    stopping: threading.Event,
+    *,
+    pause_s: float = _PAUSE_S,
+    longest_pause_s: float = _LONGEST_PAUSE_S,
+) -> None:
+    """Run ``work`` in this thread until it returns, or ``stopping`` is set while it waits to be started again.
+
+    See ``Supervised``, which does the same for tasks.
+    """
+    attempts = _Attempts(name, pause_s, longest_pause_s)
+    while True:
+        attempts.begin()
+        try:
+            work()
+        except Exception as error:
+            if not stopping.wait(attempts.failed(error)):
+                continue
+        attempts.end()
+        return
+
+
 class Supervised:
     """Work in the background that goes on for as long as its owner wants, whatever happens to it.
 
     If it raises, the failure is logged, ``error`` says why, and the work is started again after a pause that doubles
     from ``pause_s`` to ``longest_pause_s``. Work that returns is done. ``work`` is called in ``start``, before anything
-    else runs, so that what its arguments subscribe to is heard from then on. ``on_failure`` is told of each failure.
+    else runs, so that what its arguments subscribe to is heard from then on. ``on_failure``, which must not raise, is
+    told of each failure.
     """
 
     def __init__(
@@ -45,21 +114,27 @@ class Supervised:
         pause_s: float = _PAUSE_S,
         longest_pause_s: float = _LONGEST_PAUSE_S,
     ) -> None:
-        self.name = name
-        self.error = ""
-        self.failures = 0
         self._work, self._on_failure = work, on_failure
-        self._pause_s, self._longest_pause_s = pause_s, longest_pause_s
-        self._said = ""
+        self._attempts = _Attempts(name, pause_s, longest_pause_s)
         self._next: Coroutine[Any, Any, None] | None = None
         self._task: asyncio.Task[None] | None = None
+
+    @property
+    def error(self) -> str:
+        """Return why it does not run, ``""`` while it does."""
+        return self._attempts.error
+
+    @property
+    def failures(self) -> int:
+        """Return how often it has failed."""
+        return self._attempts.failures
 
     def start(self) -> Supervised:
         """Begin; return the object itself."""
         assert self._task is None
         with contextlib.suppress(Exception):  # it is called again, where its failure is seen
             self._next = self._work()
-        self._task = asyncio.create_task(self._run(), name=self.name)
+        self._task = asyncio.create_task(self._run(), name=self._attempts.name)
         return self
 
     async def wait(self) -> None:
@@ -74,54 +149,25 @@ class Supervised:
     def release(self) -> asyncio.Task[None] | None:
         """Let go of the task, for ``end``."""
         task, self._task = self._task, None
-        _failing.pop(self, None)
+        self._attempts.end()
         if self._next is not None:  # it is ended before its first step
             self._next.close()
             self._next = None
         return task
 
     async def _run(self) -> None:
-        loop, pause_s = asyncio.get_running_loop(), self._pause_s
         while True:
-            began = loop.time()
+            self._attempts.begin()
             try:
                 work, self._next = self._next or self._work(), None
                 await work
             except Exception as error:
-                if loop.time() - began > self._longest_pause_s:
-                    pause_s = self._pause_s
-                self._failed(error, pause_s)
+                pause_s = self._attempts.failed(error)
+                if self._on_failure is not None:
+                    self._on_failure(error)
             else:
                 return
             await asyncio.sleep(pause_s)
-            pause_s = min(2 * pause_s, self._longest_pause_s)
-            self.error = ""
-            _failing.pop(self, None)
-
-    def _failed(self, error: Exception, pause_s: float) -> None:
-        self.failures += 1
-        self.error = describe(error)
-        _failing[self] = None
-        again = self.error == self._said
-        self._said = self.error
-        log.log(
-            logging.DEBUG if again else logging.ERROR,
-            "%s failed: %s; it is started again in %g s",
-            self.name,
-            self.error,
-            pause_s,
-            exc_info=error,
-        )
-        if self._on_failure is not None:
-            self._on_failure(error)
-
-
-_failing: dict[Supervised, None] = {}
-
-
-def failing() -> list[dict[str, Any]]:
-    """Return the supervised work of this process that has failed and waits to be started again, as JSON."""
-    return [{"task": task.name, "error": task.error, "failures": task.failures} for task in _failing]
 
 
 class Chores:

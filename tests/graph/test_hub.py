@@ -79,6 +79,26 @@ async def test_views_hear_each_other(place: Place) -> None:
     }
 
 
+async def test_one_name_fails_alone(
+    place: Place, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Where it cannot be seen who else has a name, that is told, and the other names are looked after all the same."""
+    looked: list[str] = []
+    settle = place.hub.calls.services.settle
+
+    async def odd(name: str, *, raising: bool = False) -> None:
+        looked.append(name)
+        if name == "/odd":
+            raise KeyError(name)
+        await settle(name, raising=raising)
+
+    monkeypatch.setattr(place.hub.calls.services, "settle", odd)
+    for name in ("/odd", "/good"):
+        await place.robot.create_service(name, "std_srvs/srv/Trigger", lambda _: asyncio.sleep(0, b""))
+    await until(lambda: looked[-2:] == ["/odd", "/good"])
+    assert sum("who else has the service /odd" in message for message in caplog.messages) == 1
+
+
 async def test_known_messages(place: Place) -> None:
     """A message that comes over two links, or comes back over one, is passed on once, and counted."""
     inbox, there = Inbox(), Inbox()

@@ -207,6 +207,41 @@ async def test_clock_jumps_back() -> None:
     await node.close()
 
 
+async def test_a_callback_for_the_mode_fails() -> None:
+    """A callback that fails is told to the loop, and the node connects and goes on."""
+    told: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: told.append(context))
+
+    def fail(mode: str) -> None:
+        raise KeyError(mode)
+
+    async with serving() as served, AsyncNode("A", served.url, on_mode=fail) as node:
+        await node.publish("x", "1")
+        assert node.mode == "remote"
+        assert (await node.read("x")).text == "1"
+    assert "a callback for the mode failed: KeyError('remote')" in [context["message"] for context in told]
+
+
+async def test_a_connection_fails_unforeseen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever goes wrong while a node connects, it says so and connects again."""
+    told: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: told.append(context))
+    monkeypatch.setattr(iort, "_PAUSE_S", (0.01, 0.02))
+    dial, calls = AsyncNode._dial, 0
+
+    async def fail_once(node: AsyncNode, url: str, mode: str) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == 1:
+            raise RuntimeError("unforeseen")
+        return await dial(node, url, mode)
+
+    monkeypatch.setattr(AsyncNode, "_dial", fail_once)
+    async with serving() as served, AsyncNode("A", served.url) as node:
+        await until(lambda: node.mode == "remote")
+    assert told[0]["message"] == "the connection failed: RuntimeError('unforeseen')"
+
+
 async def test_local_server(tmp_path: Path) -> None:
     """While the server is away the one on the robot's network serves; back, it gets what was written, automatically."""
     port = free_port()

@@ -152,6 +152,31 @@ async def test_backend_fails(store: Store, flaky: Flaky, caplog: pytest.LogCaptu
     assert caplog.text.count("values are not kept") == 1
 
 
+async def test_backend_fails_unforeseen(store: Store, flaky: Flaky, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a backend raises is a fault of the store that is told, and got over."""
+    told = Told()
+    with monkeypatch.context() as patch:
+        patch.setattr(flaky, "write", lambda *_: 1 // 0)
+        store.put(entry(b"1", 1), told, 1)
+        await until(lambda: told.errors == [1])
+        assert store.status()["fault"].startswith("flaky: ZeroDivisionError")
+    await until(lambda: len(flaky.rows) == 1)
+    await until(lambda: store.status()["fault"] == "")
+
+
+async def test_one_node_cannot_be_told(store: Store) -> None:
+    """A publisher that cannot be told that its value is kept costs the others nothing."""
+
+    class Deaf:
+        def kept(self, tokens: list[Any], error: StoreUnavailable | None) -> None:
+            raise RuntimeError("its connection is gone")
+
+    told = Told()
+    store.put(entry(b"1", 1), Deaf(), 1)
+    store.put(entry(b"2", 1, topic="other"), told, 2)
+    await until(lambda: told.tokens == [2])
+
+
 async def test_mirror(flaky: Flaky) -> None:
     """A mirror that is away at the start gets everything when it comes, and what is later there comes here."""
     mirror = Flaky()

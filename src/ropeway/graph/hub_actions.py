@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
@@ -21,12 +22,14 @@ from ropeway.graph.calls import (
 from ropeway.graph.direct import DirectGoal
 from ropeway.graph.holders import Entry
 from ropeway.graph.hub_calls import NOBODY_S, either
-from ropeway.tasks import end
+from ropeway.tasks import describe, end
 
 if TYPE_CHECKING:
     from ropeway.graph.hub_calls import HubCalls
 
 __all__ = ["ViewActionClient", "ViewActionServer"]
+
+log = logging.getLogger("ropeway.graph.hub")
 
 _GOALS: Final = 4096
 
@@ -179,6 +182,9 @@ class _ViewGoal:
             outcome = await self._inner.result()
         except CallError as error:
             outcome = aborted(str(error))
+        except Exception as error:  # of a graph: nobody shall wait for an outcome that does not come
+            log.exception("a goal of %s has no outcome", self._action)
+            outcome = aborted(describe(error))
         if not self.ended.done():
             self.ended.set_result(outcome)
 

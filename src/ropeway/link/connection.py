@@ -20,6 +20,7 @@ from picows import WSCloseCode, WSFrame, WSListener, WSMsgType, WSTransport
 from ropeway.link.flow import Flow
 from ropeway.link.http import Request
 from ropeway.link.window import tcp_info
+from ropeway.tasks import describe
 
 __all__ = ["Connection", "Limits", "peer_address"]
 
@@ -190,6 +191,7 @@ class Connection(WSListener):
         self._last_heard = time.monotonic()
         if self.limits.ping_interval_s is not None:
             self._watch = asyncio.get_running_loop().create_task(self._watch_peer(), name=f"watch {self.peer}")
+            self._watch.add_done_callback(self._watched)
         self.on_connected()
 
     def on_ws_frame(self, transport: WSTransport, frame: WSFrame) -> None:
@@ -302,6 +304,11 @@ class Connection(WSListener):
                 if silence is not None and looked_at - self._last_heard > silence:
                     self.abort(f"nothing was heard for {silence:g} s")
                     return
+
+    def _watched(self, watch: asyncio.Task[None]) -> None:
+        if not watch.cancelled() and (error := watch.exception()) is not None:
+            log.error("%s: it cannot be watched any more: %s", self.peer, describe(error), exc_info=error)
+            self.abort("its silence cannot be watched")
 
     def _received_bytes(self) -> int:
         info = tcp_info(self._socket)

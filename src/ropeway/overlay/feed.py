@@ -25,7 +25,7 @@ from ropeway.overlay.item import RAW, ZSTD, Item, unpack
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rpc import RemoteError, Rpc
 from ropeway.overlay.seal import Grant, Opener
-from ropeway.tasks import end
+from ropeway.tasks import Chores, describe, end
 from ropeway.wire import filters
 
 __all__ = ["Feed", "Reader", "Stream", "data_key", "read_item"]
@@ -90,7 +90,7 @@ class Stream:
         self._epoch = -1
         self._granted_at = float("-inf")
         self._keying: asyncio.Task[None] | None = None
-        self._recovering: set[asyncio.Task[None]] = set()
+        self._recovering = Chores()
 
     # ── keys ───────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -121,6 +121,10 @@ class Stream:
                         continue
                 except CallError as error:
                     log.debug("overlay: no key of %s yet: %s", self.advert.name, error)
+                except Exception as error:  # of a reader's callback, or of ours: the others want their keys, too
+                    log.debug("overlay: a grant of %s cannot be used", self.advert.name, exc_info=error)
+                    unforeseen = SealError(Refusal.MALFORMED, f"a grant ({describe(error)})")
+                    feed.refused(self.certificate.name, unforeseen)
                 await asyncio.sleep(_AGAIN_S)
         finally:
             self._keying = None
@@ -165,9 +169,7 @@ class Stream:
     def _recover(self, reader: Reader, follower: Follower) -> None:
         if follower.missing is not None and not follower.asked:
             follower.asked = True
-            task = asyncio.create_task(self._ask_missing(reader, follower), name=f"missing of {self.advert.name}")
-            self._recovering.add(task)
-            task.add_done_callback(self._recovering.discard)
+            self._recovering.start(self._ask_missing(reader, follower), f"missing of {self.advert.name}")
 
     async def _ask_missing(self, reader: Reader, follower: Follower) -> None:
         assert follower.missing is not None
@@ -252,7 +254,8 @@ class Stream:
 
     async def close(self) -> None:
         """Ask for nothing more."""
-        await end(self._keying, *self._recovering)
+        await end(self._keying)
+        await self._recovering.close()
 
 
 class Feed:
@@ -274,7 +277,7 @@ class Feed:
         self.streams: dict[bytes, Stream] = {}
         self._inlet: Inlet[tuple[Stream, bytes | SealError | tuple[int, list[Item]]]]
         self._end: Handle | None = None
-        self._closing: set[asyncio.Task[None]] = set()
+        self._closing = Chores()
 
     def open(self, loop: asyncio.AbstractEventLoop) -> None:
         """Read from now on."""
@@ -289,16 +292,14 @@ class Feed:
         for stream in self.streams.values():
             await stream.close()
         self.streams.clear()
-        await end(*self._closing)
+        await self._closing.close()
 
     def follow(self, adverts: Mapping[bytes, tuple[Advertisement, Certificate]]) -> None:
         """Follow these publishers and no others."""
         for endpoint in [*self.streams.keys() - adverts.keys()]:
             stream = self.streams.pop(endpoint)
             stream.remember()
-            task = asyncio.create_task(stream.close(), name="end of a stream")
-            self._closing.add(task)
-            task.add_done_callback(self._closing.discard)
+            self._closing.start(stream.close(), "end of a stream")
         for endpoint, (advert, certificate) in adverts.items():
             if endpoint not in self.streams:
                 self.streams[endpoint] = Stream(self, advert, certificate)

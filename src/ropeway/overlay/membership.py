@@ -22,7 +22,7 @@ from ropeway.overlay.note import NoteKey
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rib import Rib
 from ropeway.overlay.trust import Trust
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, describe, end
 
 __all__ = ["LEASE_S", "Membership"]
 
@@ -95,7 +95,7 @@ class Membership:
         self._scheduled = False
         self._known: dict[bytes, _Gateway] = {}
         self._ends: list[Handle] = []
-        self._beat: asyncio.Task[None] | None = None
+        self._beat = Supervised(self._keep_beating, "overlay heartbeat", longest_pause_s=_BEAT_S)
         self._loop: asyncio.AbstractEventLoop
         self._me = fabric.gateway.hex()
         self._news = asyncio.Event()
@@ -111,7 +111,7 @@ class Membership:
             fabric.token(f"rw/l/{self._me}"),
             fabric.watch("rw/l/*", self._token),
         ]
-        self._beat = asyncio.create_task(self._keep_beating(), name="overlay heartbeat")
+        self._beat.start()
 
     async def close(self) -> None:
         """Say good-bye."""
@@ -297,6 +297,11 @@ class Membership:
                     version = await self._take_list(gateway, known, answers)
                 except SealError as error:
                     self._refused(known.name or f"gateway {gateway.hex()[:8]}", error)
+                    version = None
+                except Exception as error:  # whatever a gateway tells, it is asked again, and the others go on
+                    log.debug("overlay: a list cannot be used", exc_info=error)
+                    unforeseen = SealError(Refusal.MALFORMED, f"a list ({describe(error)})")
+                    self._refused(known.name or f"gateway {gateway.hex()[:8]}", unforeseen)
                     version = None
                 if version is not None:
                     known.version = version

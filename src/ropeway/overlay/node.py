@@ -29,7 +29,7 @@ from ropeway.overlay.rpc import Rpc
 from ropeway.overlay.source import Source
 from ropeway.overlay.trust import Trust
 from ropeway.overlay.zenoh_config import gateway_config, gateway_id
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, end
 
 __all__ = ["OverlayNode", "Policy", "Provider", "new_endpoint"]
 
@@ -107,7 +107,7 @@ class OverlayNode:
         self.feeds: dict[bytes, Feed] = {}
         self._advert_key = advert_key(self.secret)
         self._ends: list[Handle] = []
-        self._checking: asyncio.Task[None] | None = None
+        self._checking: Supervised | None = None
         self._ask_crl = asyncio.Event()
         self._opened = 0
         self._opening = asyncio.Lock()
@@ -128,7 +128,7 @@ class OverlayNode:
                 self._ends.append(self.fabric.serve(CRL_KEY, self._tell_crl))
                 self._ends.append(self.fabric.hear(CRL_KEY, lambda _, raw: self._take_crl(raw)))
                 await self.membership.open()
-                self._checking = asyncio.create_task(self._keep_checking(), name="overlay checks")
+                self._checking = Supervised(self._keep_checking, "overlay checks").start()
             self._opened += 1
 
     async def close(self) -> None:

@@ -18,7 +18,7 @@ from ropeway.overlay.fabric import CRL_KEY, Asked, Fabric, Handle
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.trust import Trust
 from ropeway.overlay.zenoh_config import gateway_config, gateway_id, router_config
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, end
 
 __all__ = ["Router", "push_crl"]
 
@@ -60,13 +60,13 @@ class Router:
         self._denied: frozenset[str] = frozenset()
         self._ends: list[Handle] = []
         self._newer = asyncio.Event()
-        self._task: asyncio.Task[None] | None = None
+        self._task = Supervised(self._keep, "router")
 
     async def __aenter__(self) -> Router:
         """Listen. Raises ``GraphUnavailable`` where that cannot be."""
         self._read_files()
         await self._open()
-        self._task = asyncio.create_task(self._keep(), name="router")
+        self._task.start()
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -76,8 +76,7 @@ class Router:
 
     async def wait(self) -> None:
         """Run until cancelled."""
-        assert self._task is not None
-        await self._task
+        await self._task.wait()
 
     def status(self) -> dict[str, Any]:
         """The router, for people and programs."""

@@ -23,7 +23,7 @@ from ropeway.overlay.fabric import Asked, Fabric, Handle
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.trust import Trust
-from ropeway.tasks import end
+from ropeway.tasks import Chores, describe, end
 
 __all__ = ["Answer", "RemoteError", "Rpc", "key_of"]
 
@@ -63,7 +63,7 @@ class Rpc:
         self._opening: dict[bytes, asyncio.Task[Channel]] = {}
         self._channels: dict[bytes, Channel] = {}
         self._inbound: OrderedDict[bytes, Channel] = OrderedDict()
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Chores()
         self._ends: list[Handle] = []
         self.counts: Counter[str] = Counter()
 
@@ -76,7 +76,8 @@ class Rpc:
         for handle in self._ends:
             handle()
         self._ends.clear()
-        await end(*self._tasks, *self._opening.values())
+        await end(*self._opening.values())
+        await self._tasks.close()
 
     def answers(self, op: str, answer: Answer) -> None:
         """Have requests of this word answered so."""
@@ -216,10 +217,7 @@ class Rpc:
             busy = {"error": "CallFailed", "text": f"busy with {_UNDER_WAY} requests"}
             asked.answer(self._sealed(channel, busy, packet[:_ABOUT_BYTES]))
             return
-        work = self._answer(asked, channel, request, packet[:_ABOUT_BYTES])
-        task = asyncio.create_task(work, name="overlay request")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._tasks.start(self._answer(asked, channel, request, packet[:_ABOUT_BYTES]), "overlay request")
 
     async def _answer(self, asked: Asked, channel: Channel, request: Any, about: bytes) -> None:
         reply: dict[str, Any] | None = None
@@ -238,6 +236,9 @@ class Rpc:
             log.debug("overlay: a request of %s cannot be used", channel.peer.name, exc_info=error)
             self._refused(channel.peer.name, SealError(Refusal.MALFORMED))
             reply = {"error": "SealError", "text": Refusal.MALFORMED.value}
+        except Exception as error:  # a handler is somebody else's code; its failure is this request's
+            log.exception("overlay: a request of %s failed", channel.peer.name)
+            reply = {"error": "CallFailed", "text": describe(error)}
         finally:
             if reply is None:
                 asked.done()

@@ -28,7 +28,7 @@ from ropeway.server.rosapi import Globs, Rosapi
 from ropeway.server.rosout import Rosout
 from ropeway.server.session import Session
 from ropeway.server.store import StorePages
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, end
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class RosbridgeServer:
         self.rosout: Rosout | None = None
         self._publish_clients, self._publish_rosout = publish_clients, publish_rosout
         self._view = hub.view("server", alone=True)
-        self._ticker: asyncio.Task[None] | None = None
+        self._ticker: Supervised | None = None
 
     async def listen(self, url: str, *, ssl_context: ssl.SSLContext | None = None, reuse_port: bool = False) -> Server:
         """Listen on ``ws://host:port`` or ``wss://host:port`` (9090 where the port is left out).
@@ -118,7 +118,7 @@ class RosbridgeServer:
         )
         self.listeners.append(server)
         if self._ticker is None:
-            self._ticker = asyncio.create_task(self._tick(), name="server meters")
+            self._ticker = Supervised(self._tick, "server meters").start()
         log.info("listening on %s://%s:%d", parts.scheme, parts.hostname, server.port)
         return server
 
@@ -228,7 +228,11 @@ class RosbridgeServer:
         while True:
             await asyncio.sleep(1.0)
             for session in list(self.sessions):
-                session.tick()
+                try:
+                    session.tick()
+                except Exception:  # of one session: the others are served as ever
+                    log.exception("%s: the session failed", session.peer.connection.peer)
+                    session.peer.connection.close(1011, "internal error")
 
     def status(self) -> dict[str, Any]:
         """Who was refused and what was denied, as JSON."""

@@ -14,7 +14,7 @@ from ropeway.limits import IDS_PER_TOPIC, TOPICS_PER_CLIENT
 from ropeway.qos import QoS
 from ropeway.server.bodies import type_of
 from ropeway.server.topics import TopicIn, TopicOut, topic_status
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, end
 from ropeway.wire import ops
 from ropeway.wire.dialect import ROSGW
 from ropeway.wire.records import Arrival
@@ -49,7 +49,7 @@ class TopicOps:
         self._numbers = 0
         self._lingering: dict[str, asyncio.TimerHandle] = {}
         self._unborn: dict[str, dict[str, ops.Subscribe]] = {}  # subscriptions that wait until the topic has a type
-        self._births: asyncio.Task[None] | None = None
+        self._births: Supervised | None = None
 
     # ── lifecycle ──────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -351,8 +351,8 @@ class TopicOps:
             raise InvalidOperation("", f"a topic may have {IDS_PER_TOPIC} ids at most")
         waiting[_key(op.id)] = op
         if self._births is None:
-            changes = self.session.view.changes()
-            self._births = asyncio.create_task(self._watch_births(changes), name="topics that are waited for")
+            view = self.session.view
+            self._births = Supervised(lambda: self._watch_births(view.changes()), "topics that are waited for").start()
         text = f"{op.topic} is not advertised yet; it is subscribed to when it appears"
         self.session.inform(text, op.id)
 

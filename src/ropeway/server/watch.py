@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.graph.rosbridge.mirror import describe
-from ropeway.tasks import end
+from ropeway.tasks import Supervised
 
 if TYPE_CHECKING:
-    from ropeway.graph.base import Graph
+    from ropeway.graph.base import Graph, GraphEvent
 
 __all__ = ["Watch"]
 
@@ -23,12 +23,11 @@ class Watch:
     def __init__(self, graph: Graph, send: Callable[[Mapping[str, Any]], None]) -> None:
         self._graph, self._send = graph, send
         self._known: dict[str, dict[str, Any]] = {"topics": {}, "nodes": {}, "services": {}, "actions": {}}
-        self._changes = graph.changes()
-        self._task = asyncio.create_task(self._run(), name="watch graph")
+        self._task = Supervised(lambda: self._run(graph.changes()), "watch graph").start()
 
-    async def _run(self) -> None:
+    async def _run(self, changes: AsyncIterator[GraphEvent]) -> None:
         self._tell(everything=True)
-        async for _ in self._changes:
+        async for _ in changes:
             await asyncio.sleep(_GATHER_S)
             self._tell()
 
@@ -48,4 +47,4 @@ class Watch:
 
     async def close(self) -> None:
         """Stop telling."""
-        await end(self._task)
+        await self._task.close()

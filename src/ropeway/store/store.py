@@ -19,11 +19,12 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import partial
 from typing import Any, Final, Protocol, TypeVar
 
-from ropeway.errors import StoreUnavailable, ValueRefused
+from ropeway.errors import StoreError, StoreUnavailable, ValueRefused
 from ropeway.store.entry import Backend, Entry, Key, Versions, check_name
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, describe, end
 
 __all__ = ["Sink", "Store", "StoreLimits"]
 
@@ -92,7 +93,7 @@ class Store:
         self._mirror_wake = asyncio.Event()
         self._idle = asyncio.Event()
         self._idle.set()
-        self._tasks: list[asyncio.Task[None]] = []
+        self._tasks: list[Supervised] = []
         self._threads: list[ThreadPoolExecutor] = []
         self._open = False
 
@@ -114,12 +115,12 @@ class Store:
             self.versions.last = max(self.versions.last, entry.version)
         self._open = True
         self._tasks = [
-            asyncio.create_task(self._commit(), name="store commits"),
-            asyncio.create_task(self._sweep(), name="store sweeps"),
+            Supervised(self._commit, "store commits").start(),
+            Supervised(self._sweep, "store sweeps").start(),
         ]
         if self.mirror is not None:
             self._threads.append(ThreadPoolExecutor(1, thread_name_prefix="store mirror"))
-            self._tasks.append(asyncio.create_task(self._mirror(self.mirror), name="store mirror"))
+            self._tasks.append(Supervised(partial(self._mirror, self.mirror), "store mirror").start())
 
     async def close(self) -> None:
         """Write what is not kept yet (for up to 5 s), and let go."""
@@ -292,7 +293,15 @@ class Store:
         self._wake.set()
 
     async def _run(self, work: Callable[..., T], thread: int = 0, *args: Any) -> T:
-        return await asyncio.get_running_loop().run_in_executor(self._threads[thread], work, *args)
+        """Run the work of a backend in its thread. Raises ``StoreError``, whatever the backend raised."""
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._threads[thread], work, *args)
+        except StoreError:
+            raise
+        except Exception as error:  # of a database or a file system: what is kept is still here
+            backend = self.mirror if thread and self.mirror is not None else self.backend
+            log.debug("%s", backend.url, exc_info=error)
+            raise StoreUnavailable(backend.url, describe(error)) from error
 
     async def _commit(self) -> None:
         pause = _RETRY_S[0]
@@ -352,7 +361,10 @@ class Store:
 
     def _tell(self, sinks: dict[Sink, list[Any]], error: StoreUnavailable | None) -> None:
         for sink, tokens in sinks.items():
-            sink.kept(tokens, error)
+            try:
+                sink.kept(tokens, error)
+            except Exception:  # of one node; the others are told as ever
+                log.exception("a publisher could not be told of what is kept")
 
     async def _sweep(self) -> None:
         most = self.limits.max_age_s

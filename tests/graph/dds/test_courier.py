@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 import time
 
+import pytest
+
 from ropeway.graph.base import Undelivered
 from ropeway.graph.dds.courier import Courier
 from ropeway.qos import QoS
@@ -29,6 +31,17 @@ async def test_order(join: Join) -> None:
     await inbox.wait(len(sent))
     assert inbox.payloads == [text(value) for value in sent]
     assert threading.active_count() == 4  # this one, one per graph, and the courier
+
+
+async def test_one_errand_fails_alone(caplog: pytest.LogCaptureFixture) -> None:
+    """An errand that fails is told, and those after it are run."""
+    courier = Courier("test")
+    done: list[int] = []
+    courier.submit(lambda: done.append(1 // 0))
+    courier.submit(lambda: done.append(1))
+    await courier.stop()
+    assert done == [1]
+    assert "test: putting a message on the network failed" in caplog.messages
 
 
 async def test_loop_goes_on(join: Join) -> None:

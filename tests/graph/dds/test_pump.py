@@ -10,6 +10,7 @@ import pytest
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.dds.pump import run_in_thread
 from ropeway.qos import QoS
+from ropeway.tasks import failing
 from tests.until import until
 
 from .conftest import Join
@@ -100,19 +101,36 @@ async def test_run_in_thread() -> None:
     assert threading.active_count() == before
 
 
-async def test_thread_dies(join: Join, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    """When the thread fails as a whole, that is told, nothing hangs, and the graph can be closed and opened again."""
+async def test_thread_fails(join: Join, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    """When the thread fails as a whole, that is told, and it goes on where it was once the failure is over."""
+    near, far = await join("near"), await join("far")
+    inbox = Inbox()
+    await far.create_subscription("/t", STRING, QoS(), inbox)
+    publisher = await near.create_publisher("/t", STRING)
+    await until(lambda: publisher.subscribers == 1)
+    pump = far.participant.pump
+    with monkeypatch.context() as patch:
+        patch.setattr(pump, "_on_guard", None)
+        pump._wake()
+        await until(failing)
+        assert "the DDS thread" in failing()[0]["task"]
+    publisher.publish(message("x"))
+    await inbox.wait(1)
+    assert not failing()
+    assert await pump.call(lambda: 42) == 42
+    assert any("it is started again" in record.message for record in caplog.records)
+
+
+async def test_a_failed_thread_can_be_closed(join: Join, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A graph whose thread fails again and again is closed without a wait, and can be opened again."""
     graph = await join()
-    publisher = await graph.create_publisher("/t", STRING)
-    subscription = await graph.create_subscription("/t", STRING, None, lambda _: None)
+    await graph.create_publisher("/t", STRING)
     pump = graph.participant.pump
     with monkeypatch.context() as patch:
         patch.setattr(pump, "_on_guard", None)
         pump._wake()
-        await until(lambda: pump.stopped)
-    publisher.publish(message("x"))
-    await subscription.close()
-    await graph.close()
-    assert any("until it is closed and opened" in r.message for r in caplog.records)
+        await until(failing)
+        await graph.close()
+    assert not failing()
     await graph.open()
     await graph.create_publisher("/t", STRING)

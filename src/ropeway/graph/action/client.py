@@ -30,7 +30,7 @@ from ropeway.graph.action.parts import (
 )
 from ropeway.graph.base import Graph, GraphEvent, Sample, Subscription, Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Client, Goal, GoalStatus, Outcome, Request
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, describe, end
 from ropeway.types import TypeRegistry
 
 __all__ = ["ComposedActionClient", "ComposedGoal"]
@@ -99,7 +99,7 @@ class ComposedActionClient:
         self._graph = graph
         self._goals: dict[bytes, ComposedGoal] = {}
         self._sending: set[asyncio.Task[None]] = set()
-        self._watch: asyncio.Task[None] | None = None
+        self._watch: Supervised | None = None
         self._subscriptions: list[Subscription] = []
         self._clients: list[Client] = []
         self._send: Client
@@ -109,8 +109,8 @@ class ComposedActionClient:
     async def open(self) -> None:
         """Use the action. Topics come first, so that a server that answers has seen who listens for feedback."""
         parts, graph = self._parts, self._graph
-        changes = graph.changes()
-        self._watch = asyncio.create_task(self._follow_server(changes), name=f"watch action {self.action}")
+        name = f"watch action {self.action}"
+        self._watch = Supervised(lambda: self._follow_server(graph.changes()), name).start()
         try:
             for topic, type, qos, callback in (
                 (parts.feedback, parts.feedback_type, FEEDBACK_QOS, self._take_feedback),
@@ -237,6 +237,9 @@ class ComposedActionClient:
             status, payload = self._parts.outcome(response)
         except (GraphError, DecodeError) as error:
             sent.finish(Outcome(GoalStatus.ABORTED, None, str(self._named(error, _RESULT_S))))
+        except Exception as error:  # of a graph: nobody shall wait for a result that does not come
+            log.exception("%s: a goal of %s has no result", self._graph.name, self.action)
+            sent.finish(Outcome(GoalStatus.ABORTED, None, describe(error)))
         else:
             if GoalStatus.SUCCEEDED <= status <= GoalStatus.ABORTED:
                 sent.finish(Outcome(GoalStatus(status), payload))

@@ -251,8 +251,12 @@ class DdsClient(Ends):
         """Fail the calls that nobody is left to answer, after what has arrived."""
         while self._lost:
             lost, self._lost = self._lost, set()
-            with contextlib.suppress(GraphUnavailable):
+            try:
                 await self._graph.participant.pump.call(self._reader.on_data)
+            except GraphUnavailable:
+                pass
+            except Exception:  # what had arrived cannot be read; the calls fail all the same
+                log.exception("%s: reading answers of %s failed", self._graph.name, self.service)
             for call in self._calls.values():
                 call.servers -= lost
                 if not call.servers:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import queue
 import threading
 from collections.abc import Callable
 
 __all__ = ["Courier"]
+
+log = logging.getLogger("ropeway.graph.dds")
 
 
 class Courier:
@@ -20,7 +23,7 @@ class Courier:
         self._thread: threading.Thread | None = None
 
     def submit(self, errand: Callable[[], None]) -> None:
-        """Run ``errand``, which must not raise, after those before it."""
+        """Run ``errand`` after those before it; one that fails costs the others nothing."""
         if self._thread is None:
             self._thread = threading.Thread(target=self._main, name=f"ropeway {self._name} courier", daemon=True)
             self._thread.start()
@@ -50,7 +53,10 @@ class Courier:
 
     def _main(self) -> None:
         while (errand := self._errands.get()) is not None:
-            errand()
+            try:
+                errand()
+            except Exception:
+                log.exception("%s: putting a message on the network failed", self._name)
 
 
 def _resolve(done: asyncio.Future[None]) -> None:

@@ -19,6 +19,7 @@ from typing import Any, Final, TypeVar
 
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.dds.raw import INFINITY, check, lib
+from ropeway.tasks import keep_running
 
 __all__ = ["Pump", "run_in_thread"]
 
@@ -28,6 +29,7 @@ _LIMIT_SAMPLES: Final = 4096
 _LIMIT_BYTES: Final = 32 << 20
 _MAX_TRIGGERS: Final = 256
 _GUARD_KEY: Final = 0
+_LONGEST_PAUSE_S: Final = 2.0  # calls of the loop wait for the thread
 
 T = TypeVar("T")
 
@@ -47,7 +49,8 @@ class Pump:
         self._started: asyncio.Future[None] = self._loop.create_future()
         self._stopped: asyncio.Future[None] = self._loop.create_future()
         self._stopped.add_done_callback(lambda _: self._run_calls())  # one that came as the thread ended
-        self._stopping = self._failed = False
+        self._stopping = False
+        self._ending = threading.Event()
         self._waitset = 0
         self._guard = 0
         self._keys = _GUARD_KEY
@@ -76,11 +79,9 @@ class Pump:
     async def stop(self) -> None:
         """Run ``teardown`` in the thread and wait for its end. What was pushed and not yet run is dropped."""
         self._stopping = True
+        self._ending.set()
         self._wake()
         await self._join()
-        if self._failed:
-            self._failed = False
-            await run_in_thread(f"ropeway {self._name} teardown", self._teardown)
 
     def attach(self, entity: int, handler: Callable[[], None]) -> int:
         """Run ``handler`` in the thread whenever ``entity`` triggers; gives the key for ``detach``."""
@@ -115,7 +116,7 @@ class Pump:
 
     @property
     def stopped(self) -> bool:
-        """True once the thread has ended, or is about to; where it failed, only ``stop`` deletes the entities."""
+        """True once the thread has ended, or is about to."""
         return self._stopping
 
     # In the thread ----------------------------------------------------------------------------------------------
@@ -159,20 +160,13 @@ class Pump:
             self._finish(error)
             return
         self._tell(self._started, None)
-        try:
-            self._run()
-        except Exception:
-            log.exception("%s: the DDS thread failed; the graph is deaf until it is closed and opened", self._name)
-            # The loop may be writing at this moment, so nothing is deleted before it says so.
-            self._failed = self._stopping = True
-            self._run_calls()
-            self._tell(self._stopped, None)
-        else:
-            self._finish(None)
+        keep_running(self._run, f"{self._name}: the DDS thread", self._ending, longest_pause_s=_LONGEST_PAUSE_S)
+        self._finish(None)
 
     def _run(self) -> None:
         triggers = (ct.c_ssize_t * _MAX_TRIGGERS)()
         handlers, waitset, wait = self._handlers, self._waitset, lib.waitset_wait
+        self._run_calls()  # after a failure: what was asked for meanwhile
         while not self._stopping:
             count = check(wait(waitset, triggers, _MAX_TRIGGERS, INFINITY), "waitset_wait")
             for key in triggers[: min(count, _MAX_TRIGGERS)]:
@@ -212,7 +206,10 @@ class Pump:
         self._starved = False
         waiting, self._backlog = self._backlog, {}
         for handler in waiting:
-            handler()
+            try:
+                handler()
+            except Exception:  # of one endpoint; the others are read as ever
+                log.exception("%s: taking what waited failed", self._name)
         if self._backlog:
             self._starved = True
             if self.room:

@@ -14,7 +14,7 @@ from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.link.outbox import LANES, Outbox, Queue
 from ropeway.overlay.item import Item
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, end
 
 if TYPE_CHECKING:
     from ropeway.graph.overlay.graph import OverlayGraph
@@ -38,7 +38,7 @@ class Sender:
         self._graph = graph
         self._outbox: Outbox[Sample] = Outbox()
         self._wake = [asyncio.Event() for _ in range(LANES)]
-        self._tasks: dict[int, asyncio.Task[None]] = {}
+        self._tasks: dict[int, Supervised] = {}
         self._busy: dict[int, bool] = {}
         self._idle = asyncio.Event()
 
@@ -56,7 +56,7 @@ class Sender:
         lane = queue.priority
         self._wake[lane].set()
         if lane not in self._tasks:
-            self._tasks[lane] = asyncio.create_task(self._run(lane), name=f"overlay lane {lane}")
+            self._tasks[lane] = Supervised(partial(self._run, lane), f"overlay lane {lane}").start()
 
     async def flush(self, queue: Queue[Sample]) -> None:
         """Wait until a publisher has nothing waiting, for a little while."""

@@ -28,7 +28,7 @@ from ropeway.graph.ros1.action_wire import (
     statuses_message,
 )
 from ropeway.graph.ros1.writer import RawPublisher
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, end
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.keeper import Keeper
@@ -73,7 +73,7 @@ class Ros1ActionServer:
         self._publishers: dict[str, RawPublisher] = {}
         self._subscriptions: list[RawSubscription] = []
         self._tasks: set[asyncio.Task[None]] = set()
-        self._ticker: asyncio.Task[None] | None = None
+        self._ticker: Supervised | None = None
 
     async def open(self) -> None:
         """Serve the action. What clients read comes first, so that who can send a goal can hear of it."""
@@ -94,7 +94,7 @@ class Ros1ActionServer:
         except BaseException:
             await self.close()
             raise
-        self._ticker = asyncio.create_task(self._tick(), name=f"status of {action}")
+        self._ticker = Supervised(self._tick, f"status of {action}").start()
 
     async def close(self) -> None:
         """See ``ActionServer``."""

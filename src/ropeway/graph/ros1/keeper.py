@@ -13,7 +13,7 @@ import secrets
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.errors import ConnectFailed, RopewayError, TypesError
+from ropeway.errors import ConnectFailed, TypesError
 from ropeway.graph.base import Changes
 from ropeway.graph.ros1.client import probe_service
 from ropeway.graph.ros1.learn import learn_type
@@ -23,7 +23,7 @@ from ropeway.graph.ros1.reader import TopicReader
 from ropeway.graph.ros1.service import ServiceDoor
 from ropeway.graph.ros1.writer import TopicWriter
 from ropeway.qos import LATCHED, QoS
-from ropeway.tasks import end
+from ropeway.tasks import describe, end
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.node import Ros1Node
@@ -260,8 +260,8 @@ class Keeper:
     async def _asked(self, key: tuple[str, ...], ask: Callable[[], Any]) -> None:
         try:
             await ask()
-        except (RopewayError, Refused, OSError) as error:
-            log.debug("%s: %s is not known: %s", self.node.graph, " ".join(key), error)
+        except Exception as error:  # whatever a node answers, it is asked again
+            log.debug("%s: %s is not known: %s", self.node.graph, " ".join(key), describe(error), exc_info=error)
         finally:
             self._asking.pop(key, None)
 

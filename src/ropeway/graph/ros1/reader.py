@@ -14,7 +14,7 @@ from ropeway.graph.ros1.convert import Converter
 from ropeway.graph.ros1.master import Refused, slave_call
 from ropeway.graph.ros1.tcpros import TRACE, TRACE_BYTES, Connection
 from ropeway.graph.ros1.types import ANY, Ros1Type
-from ropeway.tasks import end
+from ropeway.tasks import describe, end
 from ropeway.types.definition import canonical_name, short_name
 
 if TYPE_CHECKING:
@@ -97,6 +97,9 @@ class Publication:
                 await self._connect()
             except (Refused, ConnectFailed, OSError, TimeoutError, InvalidFrame) as error:
                 self._say(str(error) or "no answer in time")
+            except Exception as error:  # whatever a publisher sends, it is asked again
+                log.debug("%s: %s from %s", self._reader.node.graph, self._reader.topic, self.uri, exc_info=error)
+                self._say(f"it cannot be read: {describe(error)}", logging.WARNING)
             if self.orphan:
                 self._reader.forget(self)
                 return

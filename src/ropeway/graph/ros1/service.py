@@ -15,7 +15,7 @@ from ropeway.graph.calls import Request, ServiceHandler
 from ropeway.graph.ros1.convert import Converter
 from ropeway.graph.ros1.tcpros import Connection
 from ropeway.graph.ros1.types import ANY
-from ropeway.tasks import end
+from ropeway.tasks import describe, end
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.node import Ros1Node
@@ -71,6 +71,9 @@ class _Caller:
                 self.connection.write((_ANSWER.pack(good, len(answer)), answer))
                 if not self._persistent:
                     self._waiting.clear()
+        except Exception as error:  # nobody shall wait for an answer that does not come
+            log.exception("%s: a call of %s failed", self._door.node.graph, self.service.service)
+            self.connection.abort(describe(error))
         finally:
             self._work = None
         if not self._persistent:

@@ -14,7 +14,7 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 from ropeway.errors import ConnectFailed
-from ropeway.tasks import end
+from ropeway.tasks import describe, end
 
 __all__ = ["Fault", "XmlRpcClient", "XmlRpcServer", "close_streams", "split_uri"]
 
@@ -176,6 +176,8 @@ class XmlRpcServer:
 
     def _ended(self, task: asyncio.Task[None]) -> None:
         self._tasks.pop(task).close()
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.error("an XML-RPC connection failed: %s", describe(error), exc_info=error)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:

@@ -78,7 +78,10 @@ class Lane:
                     return False
                 errand, size = self._waiting.popleft()
                 self._waiting_bytes -= size
-            errand()
+            try:
+                errand()
+            except Exception:  # of one message; the lane goes on
+                log.exception("sending failed")
         return True
 
 

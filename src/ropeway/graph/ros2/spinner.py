@@ -17,6 +17,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
+from ropeway.tasks import keep_running
+
 __all__ = ["Spinner"]
 
 log = logging.getLogger("ropeway.graph.ros2")
@@ -47,6 +49,7 @@ class Spinner:
         self._thread = threading.Thread(target=self._main, name=f"ropeway {name}", daemon=True)
         self._ended: asyncio.Future[None] = self._loop.create_future()
         self._stopping = False
+        self._ending = threading.Event()
         self._entries: dict[int, _Entry] = {}
         self._version = 0
         self._lock = threading.Lock()
@@ -65,6 +68,7 @@ class Spinner:
     async def stop(self) -> None:
         """End the thread. What was pushed and not yet run is dropped."""
         self._stopping = True
+        self._ending.set()
         self._guard.trigger()
         await asyncio.shield(self._ended)
         self._thread.join()
@@ -113,14 +117,14 @@ class Spinner:
                 self._stopping = True
 
     def _main(self) -> None:
-        try:
-            while not self._stopping:
-                with self._entered() as (version, entries):
-                    self._spin(version, entries)
-        except Exception:
-            log.exception("%s: the thread failed; the graph is deaf until it is closed and opened", self._name)
+        keep_running(self._run, f"{self._name}: the thread that waits for ROS 2", self._ending)
         with contextlib.suppress(RuntimeError):  # the loop closed first
             self._loop.call_soon_threadsafe(_resolve, self._ended)
+
+    def _run(self) -> None:
+        while not self._stopping:
+            with self._entered() as (version, entries):
+                self._spin(version, entries)
 
     @contextlib.contextmanager
     def _entered(self) -> Iterator[tuple[int, list[_Entry]]]:

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from ropeway.graph.ros2.picture import Marks, Picture, take_picture
 from ropeway.graph.ros2.rcl import Rcl
+from ropeway.tasks import keep_running
 
 __all__ = ["Watcher"]
 
@@ -58,13 +59,13 @@ class Watcher:
         self._guard.destroy()
 
     def _main(self) -> None:
-        try:
-            with self._context.handle, self._node.handle, self._guard.handle:
-                self._watch()
-        except Exception:
-            log.exception("%s: discovery failed; the graph sees no changes any more", self._name)
+        keep_running(self._run, f"{self._name}: the thread that watches ROS 2", self._stopping)
         with contextlib.suppress(RuntimeError):  # the loop closed first
             self._loop.call_soon_threadsafe(_resolve, self._ended)
+
+    def _run(self) -> None:
+        with self._context.handle, self._node.handle, self._guard.handle:
+            self._watch()
 
     def _watch(self) -> None:
         wait_set = self._rclpy.WaitSet(0, 2, 0, 0, 0, 0, self._context.handle)

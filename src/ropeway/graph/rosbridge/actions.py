@@ -210,6 +210,8 @@ class RemoteActionClient:
             self._sending.discard(task)
             if not task.done():
                 await end(task)
+            elif not task.cancelled():
+                task.exception()  # seen, even where its caller is being ended in this very turn
         if task.cancelled():
             raise GraphUnavailable(self.calls.graph.name, f"the client of {self.action} was closed")
         return task.result()

@@ -10,6 +10,7 @@ import ssl
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 from ropeway.errors import ConnectFailed, GraphUnavailable, RopewayError
@@ -38,7 +39,7 @@ from ropeway.link.connection import Connection, Limits
 from ropeway.link.peer import Packing, Peer
 from ropeway.link.websocket import connect
 from ropeway.qos import DEFAULT, QoS
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, end
 from ropeway.types import TypeRegistry
 from ropeway.wire import ops
 from ropeway.wire.codec import unpack_png
@@ -197,7 +198,7 @@ class RosbridgeGraph:
         if peer.dialect is not ROPEWAY or peer.greeted:
             self.calls.ready(peer)
         self._keeper.set_state(LinkState.CONNECTED)
-        chores = asyncio.create_task(self._chores(peer), name=f"chores {self.name}")
+        chores = Supervised(partial(self._chores, peer), f"chores {self.name}").start()
         try:
             code, reason = await connection.wait_closed()
         finally:

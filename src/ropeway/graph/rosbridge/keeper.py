@@ -13,7 +13,7 @@ from typing import Final
 
 from ropeway.errors import ConnectFailed
 from ropeway.link.connection import Limits
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, describe, end
 
 __all__ = ["Keeper", "LinkState"]
 
@@ -54,7 +54,7 @@ class Keeper:
         self.leaving = False
         self._connect = connect
         self._callbacks: list[Callable[[LinkState], None]] = []
-        self._task: asyncio.Task[None] | None = None
+        self._task: Supervised | None = None
         self._first: asyncio.Future[ConnectFailed | None] | None = None
 
     @property
@@ -65,7 +65,7 @@ class Keeper:
     def start(self) -> None:
         """Keep the link up from now on."""
         self._first = asyncio.get_running_loop().create_future()
-        self._task = asyncio.create_task(self._run(), name=f"link {self.name}")
+        self._task = Supervised(self._run, f"link {self.name}", on_failure=self._broke).start()
 
     async def first(self) -> None:
         """Wait until the first connection stands. Raises ``ConnectFailed`` if the first try fails."""
@@ -90,8 +90,11 @@ class Keeper:
             self._tried(None)
         if state is not self.state:
             self.state = state
-            for callback in self._callbacks:
-                callback(state)
+            for callback in list(self._callbacks):
+                try:
+                    callback(state)
+                except Exception:  # a callback is somebody else's code
+                    log.exception("%s: a callback for the state of the link failed", self.name)
 
     def _tried(self, error: ConnectFailed | None) -> None:
         if self._first is not None and not self._first.done():
@@ -123,6 +126,12 @@ class Keeper:
             await asyncio.sleep(delay * random.uniform(0.7, 1.3))  # noqa: S311  # jitter, not a secret
             patient = time.monotonic() - down_since > _PATIENT_AFTER_S
             delay = min(2 * delay, _LAZY_RETRY_S if patient else _EAGER_RETRY_S)
+
+    def _broke(self, error: Exception) -> None:
+        """Something failed that nobody foresaw; the link is made anew."""
+        self.last_error = describe(error)
+        self._tried(ConnectFailed(self.name, self.last_error))
+        self.set_state(LinkState.WAITING)
 
     def _failed(self, error: ConnectFailed) -> None:
         if self.last_error != str(error):

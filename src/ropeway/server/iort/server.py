@@ -22,7 +22,7 @@ from ropeway.server.access import Access, Role
 from ropeway.server.door import Door
 from ropeway.server.iort.session import Session
 from ropeway.store import Entry
-from ropeway.tasks import end
+from ropeway.tasks import Chores, Supervised, end
 
 __all__ = ["IortServer"]
 
@@ -63,8 +63,8 @@ class IortServer:
         self.denied: Counter[str] = Counter()
         self.addresses: list[tuple[str, int]] = []
         self._servers: list[asyncio.Server] = []
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._ticker: asyncio.Task[None] | None = None
+        self._tasks = Chores()
+        self._ticker: Supervised | None = None
         self._names: Counter[str] = Counter()
         self._closing = False
 
@@ -92,7 +92,7 @@ class IortServer:
         self._servers.append(server)
         self.addresses.append((f"{parts.scheme}://{host}", bound))
         if self._ticker is None:
-            self._ticker = asyncio.create_task(self._tick(), name="iort server ticks")
+            self._ticker = Supervised(self._tick, "iort server ticks").start()
         log.info("listening on %s://%s:%d", parts.scheme, host, bound)
         return bound
 
@@ -103,7 +103,8 @@ class IortServer:
             server.close()
         for session in list(self.sessions):
             session.close("closed", "the server stops")
-        await end(self._ticker, *self._tasks)
+        await end(self._ticker)
+        await self._tasks.close()
         self._ticker = None
         for server in self._servers:
             await server.wait_closed()
@@ -122,9 +123,7 @@ class IortServer:
 
     def spawn(self, work: Coroutine[Any, Any, None]) -> None:
         """A task that ends with the server."""
-        task = asyncio.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._tasks.start(work, "request of a node")
 
     # ── what sessions call ─────────────────────────────────────────────────────────────────────────────────────
 

@@ -53,7 +53,10 @@ class FastHelper:
         started = await self._rpc.start()
         for service in list(self._services):
             if started:
-                await service.open()
+                try:
+                    await service.open()
+                except Exception:  # of one service; the others are served
+                    log.exception("%s: %s is not served to Fast DDS nodes", self._rpc.graph, service.service)
         return started
 
     async def create_client(self, service: str, type: str) -> FastClient:

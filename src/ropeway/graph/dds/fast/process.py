@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from ropeway.graph.dds.fast.frames import BadFrame, Frame, Op, Splitter, encode
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, describe, end
 
 __all__ = ["Helper", "Unfit"]
 
@@ -56,7 +56,7 @@ class Helper:
         self._writer: asyncio.StreamWriter | None = None
         self._heard = 0.0
         self._first: asyncio.Future[None] | None = None
-        self._task: asyncio.Task[None] | None = None
+        self._task: Supervised | None = None
 
     @property
     def up(self) -> bool:
@@ -66,7 +66,8 @@ class Helper:
     async def start(self) -> None:
         """Start it and wait until it is ready. Raises ``Unfit``."""
         self._first = asyncio.get_running_loop().create_future()
-        self._task = asyncio.create_task(self._keep_up(), name=f"{self._name}: helper for Fast DDS")
+        name = f"{self._name}: helper for Fast DDS"
+        self._task = Supervised(self._keep_up, name, on_failure=self._broke).start()
         try:
             await asyncio.shield(self._first)
         except BaseException:
@@ -85,6 +86,11 @@ class Helper:
             return False
         writer.write(encode(frame))
         return True
+
+    def _broke(self, error: Exception) -> None:
+        """Something failed that nobody foresaw; whoever waits for the first start is told."""
+        if self._first is not None and not self._first.done():
+            self._first.set_exception(Unfit(describe(error)))
 
     async def _keep_up(self) -> None:
         assert self._first is not None
