@@ -18,11 +18,14 @@ Plain ones are those of the paper, and are never escaped::
     %01/SYSTEM/TOPIC/p/DATA%        publish; the server says nothing
     %01/SYSTEM/TOPIC/s%             read; answered by %ORIGIN/SYSTEM/TOPIC/p/DATA% or %00/SYSTEM/TOPIC/e/why not%
     %01/SYSTEM/KIND/TOPIC/p/DATA%   with the kind of system, as the paper's Alice has it; it is no part of the name
+    %01/SYSTEM/-/d%                 disconnect: the server closes the connection
+
+ORIGIN is the two-digit identifier of the node that wrote the value, ``00`` where no node did or its identifier is none.
 
 Those of the upgrade have an operation that begins with a plus, a head of ``key=value`` pairs between commas, and are
 escaped: ``~0`` is a tilde, ``~1`` a slash, ``~2`` a percent sign, ``~3`` a comma and ``~4`` an equals sign::
 
-    %01/NAME/-/+hello/n=1,v=1,token=…%      who I am; answered by +ok with t, the server's time
+    %01/NAME/-/+hello/n=1,v=1,token=…%      who I am; answered by +ok with t, the server's time; kind=robot or kind=pc
     %01/SYSTEM/TOPIC/+pub/n=2,t=…,v=…/DATA% answered by +ok once the value is kept, with its version v
     %01/SYSTEM/TOPIC/+get/n=3%              answered by +val with t, v, o (origin), k (ROS type)
     %01/SYSTEM/TOPIC/+sub/n=4,last=1%       every later value comes as +val without n; patterns are allowed
@@ -50,6 +53,7 @@ from urllib.parse import quote, urlsplit
 
 __all__ = [
     "DEFAULT_PORT",
+    "KINDS",
     "AsyncNode",
     "Fault",
     "Node",
@@ -58,6 +62,9 @@ __all__ = [
     "Parser",
     "Value",
     "escape",
+    "identifier_of",
+    "kind_of",
+    "origin_of",
     "pack",
     "text_of",
     "unescape",
@@ -65,6 +72,8 @@ __all__ = [
 
 DEFAULT_PORT = 7410
 MAX_PACKET_BYTES = 1 << 20
+KINDS = ("robot", "pc")
+"""What a node may say it is: the paper's Robot Node or PC Node."""
 
 _PERCENT = b"%"
 _PING_S = 2.0
@@ -103,7 +112,7 @@ class Fault:
 
 
 class Packet:
-    """One packet. ``op`` is ``p``, ``s``, ``e``, or one that begins with a plus; ``system_type`` is Alice's segment."""
+    """One packet. ``op`` is ``p``, ``s``, ``e``, ``d``, or begins with a plus; ``system_type`` is Alice's segment."""
 
     __slots__ = ("data", "head", "id", "op", "system", "system_type", "topic")
 
@@ -183,7 +192,24 @@ def pack(
     if _PERCENT in data:
         raise ValueError("a plain packet cannot hold data with a percent sign")
     text = "/".join([*names, op]).encode()
-    return b"".join((_PERCENT, text, _PERCENT) if op == "s" else (_PERCENT, text, b"/", data, _PERCENT))
+    return b"".join((_PERCENT, text, _PERCENT) if op in ("s", "d") else (_PERCENT, text, b"/", data, _PERCENT))
+
+
+def origin_of(ident: str, where: str, kind: str = "") -> str:
+    """Name the writer of a value: ``01@robot:where``, or ``01@where`` where its kind is not known."""
+    return "{}@{}:{}".format(ident, kind, where) if kind else "{}@{}".format(ident, where)
+
+
+def identifier_of(origin: str) -> str:
+    """Return the two digits of the node that wrote a value; ``00`` where no node did."""
+    ident = origin[:2]
+    return ident if origin[2:3] == "@" and ident.isascii() and ident.isdigit() else "00"
+
+
+def kind_of(origin: str) -> str:
+    """Return what the node that wrote a value is, one of ``KINDS``; an empty text where that is not known."""
+    kind = origin.partition("@")[2].partition(":")[0]
+    return kind if kind in KINDS else ""
 
 
 def _parse(body: bytes) -> Union[Packet, Fault]:
@@ -202,6 +228,8 @@ def _parse(body: bytes) -> Union[Packet, Fault]:
             packet = Packet(parts[0].decode(), parts[1].decode(), parts[2].decode(), "e", None, data)
         elif op == b"s" and (count == 4 or (count == 5 and not parts[4])):
             packet = Packet(parts[0].decode(), parts[1].decode(), parts[2].decode(), "s")
+        elif op == b"d" and count == 4 and parts[2] == b"-":
+            packet = Packet(parts[0].decode(), parts[1].decode(), "-", "d")
         elif op[:1] == b"+":
             return _parse_upgrade(parts, count)
         elif count > 4 and ((parts[4] == b"p" and count == 6) or (parts[4] == b"s" and (count == 5 or not parts[5]))):
@@ -247,12 +275,15 @@ def _parse_upgrade(parts: List[bytes], count: int) -> Union[Packet, Fault]:
 class Parser:
     """Packets of a stream, however it is cut: feed it what comes.
 
-    A packet of more than ``max_bytes`` is let go as it comes and reported once it ends. Memory is bounded by that.
+    A percent sign may end one packet, begin the next, or be a stray one, so that what stands between any two of them
+    is a packet if it reads as one: a percent sign too many or too few costs no other packet. A packet of more than
+    ``max_bytes`` is let go as it comes and reported once it ends. Memory is bounded by that.
     """
 
     def __init__(self, max_bytes: int = MAX_PACKET_BYTES) -> None:
         self.max_bytes = max_bytes
-        self._inside = False
+        self._begun = False  # a percent sign has come; what stands before the first one is no packet
+        self._inside = False  # the last percent sign begins a packet, as far as can be told
         self._chunks: List[bytes] = []
         self._size = 0
         self._too_big = False
@@ -260,7 +291,7 @@ class Parser:
     @property
     def unfinished(self) -> bool:
         """True in the middle of a packet."""
-        return self._inside and (self._size > 0 or self._too_big)
+        return self._begun and (self._size > 0 or self._too_big)
 
     def feed(self, data: bytes) -> List[Union[Packet, Fault]]:
         """What has come whole; empty where nothing has."""
@@ -273,44 +304,34 @@ class Parser:
                 piece = b"".join(self._chunks)
                 self._chunks.clear()
                 self._size = 0
-            if self._too_big:
-                self._too_big = False
-                if self._inside:
-                    found.append(Fault("too-big", "a packet has {} bytes at most".format(self.max_bytes)))
-                    self._inside = False
-                else:
-                    found.append(Fault("stray", "bytes between packets"))
-                    self._inside = True
-            elif self._inside:
-                if not piece:
-                    found.append(Fault("empty", "a packet without content"))
-                elif len(piece) > self.max_bytes:
-                    found.append(Fault("too-big", "a packet has {} bytes at most".format(self.max_bytes)))
-                    self._inside = False
-                else:
-                    found.append(_parse(piece))
-                    self._inside = False
+            if self._too_big or len(piece) > self.max_bytes:
+                self._too_big = self._inside = False
+                found.append(Fault("too-big", "a packet has {} bytes at most".format(self.max_bytes)))
+            elif piece and not piece.isspace():
+                item: Union[Packet, Fault, None] = _parse(piece) if self._begun else None
+                if item is None or (isinstance(item, Fault) and not self._inside):
+                    item = Fault("stray", "bytes between packets")
+                self._inside = False
+                found.append(item)
             else:
-                self._inside = True
-                if piece and piece.strip():
-                    if isinstance(_parse(piece), Packet):  # its own percent sign was lost: what follows is no packet
-                        found.append(Fault("malformed", "a packet begins with a percent sign, too"))
-                        self._inside = False
-                    else:
-                        found.append(Fault("stray", "bytes between packets"))
+                if self._inside:
+                    found.append(Fault("empty", "a packet without content"))
+                self._inside = not self._inside
+            self._begun = True
         if last:
             self._keep(last)
         return found
 
     def _keep(self, piece: bytes) -> None:
-        limit = self.max_bytes if self._inside else 1024
-        if not self._too_big and self._size + len(piece) <= limit:
-            if piece:
+        if not self._begun:
+            piece = piece.strip()[:1]  # only that something was there
+        if not self._too_big and self._size + len(piece) <= self.max_bytes:
+            if piece and (self._begun or not self._size):
                 self._chunks.append(piece)
                 self._size += len(piece)
                 if len(self._chunks) > 4096:  # a byte at a time
                     self._chunks = [b"".join(self._chunks)]
-        elif self._inside or b"".join((*self._chunks, piece)).strip():
+        else:
             self._too_big = True
             self._chunks.clear()
             self._size = 0
@@ -623,7 +644,8 @@ class AsyncNode:
     ``system``: its name, and the system of topics where none is given. ``server``: ``iort://host:port`` (``iorts://``
     with TLS). ``local_server``: one on the robot's own network, used while the server is away. ``directory``: where
     its own copy is kept (``None``: in memory). ``offline_depth``: how many values of a topic that were written without
-    the server are brought to it (the ones before the last become history there, where it keeps one). ``token``: shown to the servers. ``tls``: an ``ssl.SSLContext``, or the
+    the server are brought to it (the ones before the last become history there, where it keeps one). ``token``: shown to the servers. ``kind``: what
+    it is, ``robot``, ``pc``, or empty for neither; ``ident``: its identifier, two digits, which plain nodes see. ``tls``: an ``ssl.SSLContext``, or the
     path of the authorities to trust. ``on_mode`` is called with ``remote``, ``local-server`` or ``local``.
     """
 
@@ -638,13 +660,17 @@ class AsyncNode:
         token: Optional[str] = None,
         tls: Union[None, str, ssl.SSLContext] = None,
         ident: str = "01",
+        kind: str = "robot",
         max_packet_bytes: int = MAX_PACKET_BYTES,
         on_mode: Optional[Callable[[str], None]] = None,
         on_event: Optional[Callable[[Packet], None]] = None,
         clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.system, self.server, self.local_server, self.ident = system, server, local_server, ident
-        self.origin = "{}.{}".format(system, os.urandom(4).hex())
+        if kind and kind not in KINDS:
+            raise NodeError("malformed", "a node is one of {}, not {!r}".format(", ".join(KINDS), kind))
+        self.kind = kind
+        self.origin = origin_of(ident, "{}.{}".format(system, os.urandom(4).hex()), kind)
         self.on_mode, self.on_event = on_mode, on_event
         self.last_error = ""
         self.faults = 0  # bytes and packets of servers that could not be read
@@ -1127,6 +1153,8 @@ class AsyncNode:
             self.last_error = "{}: {}".format(url, error)
             return None
         head: Dict[str, object] = {"v": 1, "o": self.origin}
+        if self.kind:
+            head["kind"] = self.kind
         if self._token is not None:
             head["token"] = self._token
         before = time.time_ns()
@@ -1344,7 +1372,7 @@ def _main(arguments: List[str]) -> int:
     parser.add_argument("--ca", help="file of the authorities to trust, for iorts://")
     told = parser.parse_args(arguments)
     system, _, topic = told.name.partition("/")
-    with Node("shell", told.server, token=told.token, tls=told.ca) as node:
+    with Node("shell", told.server, token=told.token, tls=told.ca, kind="pc") as node:
         if node.mode != "remote":
             print(node.last_error, file=sys.stderr)
             return 1

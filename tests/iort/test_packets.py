@@ -84,16 +84,71 @@ def test_faults(raw: bytes, told: list[str]) -> None:
 
 
 def test_without_end() -> None:
-    """A packet whose end is missing takes no later packet with it but the one that it runs into."""
+    """A packet whose end is missing ends where the next begins, and takes none with it."""
     found = parse(b"%01/A/b/p/1" + CMD_VEL + CMD_VEL + CMD_VEL)
-    assert codes(found) == ["p", "malformed", "p", "p"]
+    assert codes(found) == ["p", "p", "p", "p"]
     assert isinstance(found[0], Packet)
     assert found[0].data == b"1"
 
 
+NUMBERED = [b"%01/A/b/p/" + str(number).encode() * 3 + b"%" for number in range(6)]
+STRAYS = st.sampled_from([b"%", b"%%", b"%%%", b"% %", b"%\r\n%", b"%?%", b"no packet", b"%no packet", b"no packet%"])
+
+
+@given(st.lists(st.tuples(STRAYS, st.integers(0, len(NUMBERED))), max_size=4), st.integers(1, 7))
+def test_stray_percent_signs(strays: list[tuple[bytes, int]], step: int) -> None:
+    """Percent signs and bytes that belong to no packet, anywhere between packets, cost no packet."""
+    before: dict[int, bytes] = {}
+    for stray, place in strays:
+        before[place] = before.get(place, b"") + stray
+    raw = b"".join(before.get(place, b"") + packet for place, packet in enumerate([*NUMBERED, b""]))
+    parser = Parser()
+    found = [item for at in range(0, len(raw), step) for item in parser.feed(raw[at : at + step])]
+    assert [item.encode() for item in found if isinstance(item, Packet)] == NUMBERED
+
+
+@pytest.mark.parametrize("place", range(len(NUMBERED[1])))
+def test_stray_inside(place: int) -> None:
+    """A percent sign in the middle of a packet costs no other one, wherever it stands and however the stream is cut."""
+    raw = NUMBERED[0] + NUMBERED[1][:place] + b"%" + NUMBERED[1][place:] + NUMBERED[2] + NUMBERED[3]
+    for cut in range(len(raw)):
+        parser = Parser()
+        packets = [p for p in parser.feed(raw[:cut]) + parser.feed(raw[cut:]) if isinstance(p, Packet)]
+        assert packets[0].data == b"000"
+        assert [p.data for p in packets[-2:]] == [b"222", b"333"]
+
+
+def test_long_packet_after_a_stray() -> None:
+    """A packet of any allowed size is read behind a stray percent sign."""
+    big = b"%01/A/b/p/" + b"x" * 5000 + b"%"
+    for stray in (b"%", b"%%", b"%%%"):
+        assert codes(parse(CMD_VEL + stray + big, max_bytes=6000)).count("p") == 2
+
+
+def test_disconnect() -> None:
+    """A packet to disconnect has an operation of its own, and topics that are named like it stay topics."""
+    (packet,) = parse(b"%01/TURTLESIM/-/d%")
+    assert packet == Packet("01", "TURTLESIM", "-", "d")
+    assert packet.encode() == b"%01/TURTLESIM/-/d%"
+    assert codes(parse(b"%01/ALICE/COS/d/p/stop%%01/ALICE/d/s%%01/ALICE/-/d/s%")) == ["p", "s", "s"]
+    assert codes(parse(b"%01/ALICE/COS/d%%01/ALICE/-/d/x%%disconnect%")) == ["malformed"] * 3
+
+
+def test_origin() -> None:
+    """An origin says which node wrote a value, and what kind of node it is."""
+    assert iort.origin_of("02", "PEPPER.ab", "robot") == "02@robot:PEPPER.ab"
+    assert iort.origin_of("02", "10.0.0.7:1234") == "02@10.0.0.7:1234"
+    told = [(iort.identifier_of(origin), iort.kind_of(origin)) for origin in (
+        "02@robot:PEPPER.ab", "03@pc:desk", "02@10.0.0.7:1234", "ros:0102@pc:x", "PEPPER.ab", "", "٣٤@robot:x", "1@pc:x"
+    )]  # fmt: skip
+    assert told == [
+        ("02", "robot"), ("03", "pc"), ("02", ""), ("00", "pc"), ("00", ""), ("00", ""), ("00", "robot"), ("00", "pc")
+    ]  # fmt: skip
+
+
 def test_without_start() -> None:
     """A packet whose start is missing is not carried out, and costs no other."""
-    assert codes(parse(b"01/A/b/p/1%" + CMD_VEL * 2)) == ["malformed", "p", "p"]
+    assert codes(parse(b"01/A/b/p/1%" + CMD_VEL * 2)) == ["stray", "p", "p"]
 
 
 def test_too_big() -> None:
@@ -182,11 +237,10 @@ def test_cut_anywhere(pieces: list[bytes], data: st.DataObject) -> None:
 
 @given(st.binary(max_size=500))
 def test_any_bytes(raw: bytes) -> None:
-    """No bytes make the parser fail, and valid packets are found again behind them within two percent signs."""
+    """No bytes make the parser fail, and every packet behind them is read."""
     parser = Parser()
     parser.feed(raw)
-    parser.feed(b"%%")
-    assert "p" in codes(parser.feed(CMD_VEL * 3))
+    assert [item for item in parser.feed(CMD_VEL * 3) if isinstance(item, Packet)][-3:] == parse(CMD_VEL * 3)
 
 
 def test_old_python() -> None:

@@ -26,6 +26,7 @@ from ropeway.gateway.suggest import did_you_mean, one_of, show
 from ropeway.graph.base import resolve_name
 from ropeway.graph.iort.forms import FORMS
 from ropeway.graph.iort.maps import TopicMap
+from ropeway.iort import KINDS
 from ropeway.store import StoreLimits
 from ropeway.types.definition import canonical_name
 
@@ -83,6 +84,12 @@ def _one_of(choices: tuple[str, ...]) -> AfterValidator:
         return value
 
     return AfterValidator(check)
+
+
+def _identifier(value: str) -> str:
+    if len(value) != 2 or not (value.isascii() and value.isdigit()):
+        raise ValueError(f'expected the two digits that packets of a node begin with, such as "01", got {show(value)}')
+    return value
 
 
 def _codes(value: object) -> object:
@@ -185,6 +192,11 @@ class IortConfig(Model):
 
     maps: MapList = Field(
         (), description="topics that are shared with ROS: maps, files of them, or names of robots such as alice"
+    )
+    kinds: dict[Annotated[str, AfterValidator(_identifier)], Annotated[str, _one_of(KINDS)]] = Field(
+        default_factory=dict,
+        description="what plain nodes are, robot or pc, by their identifiers; those of the node library tell it",
+        json_schema_extra={"additionalProperties": {"enum": list(KINDS)}},
     )
     max_packet_bytes: int = Field(_MIB, ge=1024, description="a longer packet is refused")
     max_nodes: int = Field(10_000, ge=1, description="how many may be connected at a time")

@@ -57,6 +57,7 @@ class Nodes:
             max_packet_bytes=config.max_packet_bytes,
             max_clients=config.max_nodes,
             render=self._render,
+            kinds=config.kinds,
         )
         self.maps = Maps([item.as_map() for item in config.maps])
         self.graph = IortGraph(LocalLink(self.space, name), name="iort", maps=self.maps, registry=registry)

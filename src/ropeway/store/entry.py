@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Protocol
 
 from ropeway.errors import ValueRefused
+from ropeway.iort import kind_of
 
 __all__ = ["CDR", "MAX_NAME_BYTES", "Backend", "Entry", "Key", "Versions", "as_json", "check_name"]
 
@@ -132,7 +133,10 @@ def check_name(system: str, topic: str) -> None:
 
 
 def as_json(entry: Entry, **more: Any) -> dict[str, Any]:
-    """An entry for people and programs; data that is no text is in base64 under ``base64``."""
+    """An entry for people and programs; data that is no text is in base64 under ``base64``.
+
+    ``kind`` is that of the node that wrote it: ``robot``, ``pc``, or empty.
+    """
     text = entry.text
     value = {"data": text} if text is not None else {"base64": base64.b64encode(entry.data).decode()}
     return {
@@ -144,5 +148,6 @@ def as_json(entry: Entry, **more: Any) -> dict[str, Any]:
         "version": entry.version,
         "stamp_ns": entry.stamp_ns,
         "origin": entry.origin,
+        "kind": kind_of(entry.origin),
         **more,
     }

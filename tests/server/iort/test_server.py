@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from ropeway.errors import ConnectFailed, StoreUnavailable
-from ropeway.iort import Packet, pack
+from ropeway.iort import AsyncNode, Packet, pack
 from ropeway.server.access import Role
 from ropeway.server.door import Door, TokenRule
 from ropeway.store import StoreLimits
@@ -52,6 +52,56 @@ async def test_alice() -> None:
         await node.close()
 
 
+async def test_identifier_of_answers() -> None:
+    """The answer to a read begins with the two digits of the node that wrote the value, or with 00."""
+    async with serving() as served:
+        space = served.server.space
+        space.publish(None, "A", "ros", b"1", origin="ros:01100332fe0d+0dd0")
+        space.publish(None, "A", "other", b"2", origin="01.2@robot")
+        robot = await Raw.connect(served.port)
+        robot.send(b"%07/A/seven/p/3%%eleven/A/word/p/4%")
+        async with AsyncNode("PEPPER", served.url, ident="42") as node:
+            await node.publish("battery", "80", system="A")
+        found = [(await robot.ask(b"%01/A/" + topic + b"/s%")).id for topic in (b"ros", b"other", b"seven", b"word")]
+        assert found == ["00", "00", "07", "00"]
+        assert (await robot.ask(b"%01/A/battery/s%")).id == "42"
+        await robot.close()
+
+
+async def test_disconnect() -> None:
+    """A packet to disconnect closes the connection at once, and nothing that stands behind it is carried out."""
+    async with serving() as served:
+        robot = await Raw.connect(served.port)
+        robot.send(b"%01/A/b/p/1%%01/A/b/s%%01/A/-/d%%01/A/b/p/2%")
+        assert (await robot.packet()).data == b"1"
+        assert await robot.closed()
+        entry = served.store.get("A", "b")
+        assert entry is not None
+        assert entry.data == b"1"
+        await until(lambda: not served.server.sessions)
+
+
+async def test_kinds() -> None:
+    """What a node is (robot or PC) is known in the status and beside its values: told by it, or configured."""
+    async with serving(kinds={"02": "pc"}) as served:
+        desk, unknown = await Raw.connect(served.port), await Raw.connect(served.port)
+        await desk.ask(b"%02/A/desk/p/1%%02/A/desk/s%")
+        await unknown.ask(b"%03/A/unknown/p/1%%03/A/unknown/s%")
+        async with AsyncNode("PEPPER", served.url) as node:
+            await node.publish("battery", "80", system="A")
+            kinds = {value["topic"]: value["kind"] for value in await node.list("A")}
+            assert kinds == {"desk": "pc", "unknown": "", "battery": "robot"}
+            status = served.server.status()
+            assert status["kinds"] == {"pc": 1, "unknown": 1, "robot": 1}
+            assert {(one["identifier"], one["kind"], one["upgraded"]) for one in status["connected"]} == {
+                ("02", "pc", False),
+                ("03", "", False),
+                ("01", "robot", True),
+            }
+        await desk.close()
+        await unknown.close()
+
+
 async def test_cut_and_joined() -> None:
     """1,000 reads are answered exactly once each, whether they come a byte at a time or all at once."""
     async with serving() as served:
@@ -79,7 +129,8 @@ async def test_silence_and_replies() -> None:
             old.send(raw)
         old.send(b"%01/A/b/p/ok%")
         assert (await old.ask(b"%01/A/b/s%")).data == b"ok"
-        assert served.server.counts["malformed"] == 4
+        assert served.server.counts["malformed"] == 3
+        assert served.server.counts["stray"] == 1
         assert served.server.counts["too-big"] == 1
         new = await Raw.connect(served.port)
         assert (await new.ask(request("+hello", 1, "NEW"))).op == "+ok"

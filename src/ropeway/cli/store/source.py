@@ -17,7 +17,7 @@ from urllib.request import Request, urlopen
 import typer
 
 from ropeway.errors import ConnectFailed, StoreUnavailable
-from ropeway.iort import Node, NodeError
+from ropeway.iort import Node, NodeError, kind_of
 from ropeway.store import Entry, make_backend
 
 __all__ = ["AtOption", "CaOption", "Source", "TokenOption", "find_source", "key_of", "shown"]
@@ -160,7 +160,7 @@ class _Server:
 
     def __init__(self, url: str, token: str, ca: str) -> None:
         self._url = url
-        self._node = Node("ropeway", url, token=token or None, tls=ca or None, max_packet_bytes=64 << 20)
+        self._node = Node("ropeway", url, token=token or None, tls=ca or None, max_packet_bytes=64 << 20, kind="pc")
         if not self._node.wait_mode("remote", 5.0):
             error = self._node.last_error
             self._node.close()
@@ -188,6 +188,7 @@ class _Server:
                 "version": value.version,
                 "stamp_ns": value.stamp_ns,
                 "origin": value.origin,
+                "kind": kind_of(value.origin),
                 "age_s": round(value.age_s, 3),
             }
 

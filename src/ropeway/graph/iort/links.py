@@ -120,6 +120,7 @@ class RemoteLink:
             token=token,
             tls=ssl_context,
             max_packet_bytes=max_packet_bytes,
+            kind="",
             on_mode=self._mode_changed,
             on_event=self._event,
         )

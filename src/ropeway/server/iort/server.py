@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import socket
 import ssl
 import time
 from collections import Counter
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from typing import Any, Final
 from urllib.parse import urlsplit
 
@@ -33,6 +34,7 @@ _UNFINISHED_S: Final = 30.0
 _SILENCE_S: Final = 30.0
 _MAX_CLIENTS: Final = 10_000
 _HANDSHAKE_S: Final = 10.0
+_SHOWN_NODES: Final = 100  # of thousands, in a status that is printed every second
 
 
 class IortServer:
@@ -41,6 +43,7 @@ class IortServer:
     ``max_packet_bytes`` bounds one packet. A node has ``unfinished_s`` for each of its packets, and one that speaks
     the upgrade is given up after ``silence_s`` without a word. ``render`` makes
     text of messages of ROS, which nodes cannot read; it raises ``NodeError`` or ``TypesError`` where it cannot.
+    ``kinds`` says by their identifiers which plain nodes are a ``robot`` or a ``pc``; others tell it themselves.
     """
 
     def __init__(
@@ -53,11 +56,13 @@ class IortServer:
         unfinished_s: float = _UNFINISHED_S,
         silence_s: float = _SILENCE_S,
         render: Callable[[Entry], bytes] | None = None,
+        kinds: Mapping[str, str] | None = None,
     ) -> None:
         self.space, self.door = space, door or Door()
         self.max_packet_bytes, self.max_clients = max_packet_bytes, max_clients
         self.unfinished_s, self.silence_s = unfinished_s, silence_s
         self.render = render or _no_text
+        self.kinds = dict(kinds or {})
         self.sessions: dict[Session, None] = {}
         self.counts: Counter[str] = Counter()
         self.denied: Counter[str] = Counter()
@@ -117,6 +122,17 @@ class IortServer:
             "listen": [{"address": address, "port": port} for address, port in self.addresses],
             "nodes": len(self.sessions),
             "upgraded": sum(session.upgraded for session in self.sessions),
+            "kinds": dict(Counter(session.kind or "unknown" for session in self.sessions)),
+            "connected": [
+                {
+                    "node": session.node,
+                    "peer": session.peer,
+                    "identifier": session.identifier,
+                    "kind": session.kind,
+                    "upgraded": session.upgraded,
+                }
+                for session in itertools.islice(self.sessions, _SHOWN_NODES)
+            ],
             "counts": {what: n for what, n in sorted(self.counts.items()) if n},
             "denied": dict(self.denied),
         }

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-import re
 import time
 from collections import deque
 from collections.abc import Callable
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from ropeway.errors import AccessDenied, StoreUnavailable, TypesError, ValueRefused
 from ropeway.graph.iort.space import Endpoint, is_pattern
-from ropeway.iort import Fault, NodeError, Packet, Parser, pack
+from ropeway.iort import KINDS, Fault, NodeError, Packet, Parser, identifier_of, origin_of, pack
 from ropeway.server.access import Access
 from ropeway.store import Entry, as_json
 
@@ -27,7 +26,7 @@ log = logging.getLogger("ropeway.server.iort")
 _HIGH_BYTES: Final = 256 << 10  # above, values wait, each topic's newest only, and nothing more is read
 _WAITING_BYTES: Final = 16 << 20
 _OURS: Final = "00"  # the identifier of the server
-_FIRST: Final = re.compile(r"[@.]")  # what stands before the first of these is the identifier of the node
+_IDENTIFIER_CHARACTERS: Final = 40  # of one that is shown in the status
 
 
 class Session(asyncio.Protocol):
@@ -37,6 +36,8 @@ class Session(asyncio.Protocol):
         self.server, self.space = server, server.space
         self.node = ""
         self.peer = ""
+        self.kind = ""  # one of KINDS, where the node or the configuration tells
+        self.identifier = ""  # of its packets
         self.access: Access | None = None
         self.upgraded = False
         self.last_heard = time.monotonic()
@@ -116,6 +117,7 @@ class Session(asyncio.Protocol):
         """End the connection; ``code`` and ``text`` tell an upgraded node why."""
         if code and self.upgraded:
             self._error("", code, text)
+        self._items.clear()
         self.flush()
         if self.transport is not None:
             self.transport.close()
@@ -235,6 +237,8 @@ class Session(asyncio.Protocol):
                 self._publish_plain(packet)
             elif op == "s":
                 self._read_plain(packet)
+            elif op == "d":
+                self.close()
             elif op == "+pub":
                 self._publish(packet, number)
             else:
@@ -268,13 +272,22 @@ class Session(asyncio.Protocol):
 
     def _publish_plain(self, packet: Packet) -> None:
         self._may("publish", packet)
-        origin = f"{packet.id}@{self.peer}"
+        self._known_as(packet.id)
+        origin = origin_of(packet.id, self.peer, self.kind)
         self.space.publish(self, packet.system, packet.topic, packet.data, origin=origin)
 
+    def _known_as(self, identifier: str) -> None:
+        """Note the identifier of a plain packet; the configuration may say what kind of node has it."""
+        if identifier != self.identifier:
+            self.identifier = identifier[:_IDENTIFIER_CHARACTERS]
+            if not self.upgraded:
+                self.kind = self.server.kinds.get(identifier, "")
+
     def _read_plain(self, packet: Packet) -> None:
+        self._known_as(packet.id)
         entry = self._read(packet)
         data = self._text(entry)
-        id = _FIRST.split(entry.origin, maxsplit=1)[0] or _OURS
+        id = identifier_of(entry.origin)
         try:
             answer = pack(id, packet.system, packet.topic, "p", None, data, packet.system_type)
         except ValueError as error:
@@ -300,7 +313,7 @@ class Session(asyncio.Protocol):
         if not (0 <= stamp_ns < 1 << 63 and 0 <= version < 1 << 62):
             raise NodeError("malformed", "t and v are whole numbers of up to 63 bits")
         merge = head.get("m") == "1"
-        origin = head.get("o") or self.origin or f"{packet.id}@{self.peer}"
+        origin = head.get("o") or self.origin or origin_of(packet.id, self.peer, self.kind)
         token = [number, version]
         entry = self.space.publish(
             self,
@@ -319,7 +332,10 @@ class Session(asyncio.Protocol):
 
     def _hello(self, packet: Packet, number: str) -> None:
         note = self.server.hello(self, packet.system, packet.head.get("token"))
-        self.origin = packet.head.get("o", "")[:200] or f"{packet.system}@{self.peer}"
+        kind = packet.head.get("kind", "")
+        self.kind = kind if kind in KINDS else self.server.kinds.get(packet.id, "")
+        self.identifier = packet.id[:_IDENTIFIER_CHARACTERS]
+        self.origin = packet.head.get("o", "")[:200] or origin_of(packet.id, f"{packet.system}@{self.peer}", self.kind)
         answer = {"n": number, "t": time.time_ns(), "max": self.server.max_packet_bytes}
         self._send(pack(_OURS, "-", "-", "+ok", answer, note.encode()))
 
