@@ -130,3 +130,77 @@ UNREAD_ANSWERS_BYTES: Final = 32 << 20
 
 UNREAD_STATUS_BYTES: Final = 1 << 20
 """What a peer has not read, above which it is sent no more notices and no more feedback."""
+
+# ── The overlay ────────────────────────────────────────────────────────────────────────────────────────────────────
+
+OVERLAY_MESSAGE_BYTES: Final = 64 << 20
+"""One message of the overlay, unpacked, where no configuration says otherwise (``gateway.max_message_bytes``)."""
+
+OVERLAY_BATCH_BYTES: Final = 1 << 20
+"""What the other messages of a packet may have beside the largest, all unpacked. Senders put 64 KiB in one."""
+
+OVERLAY_MESSAGES_PER_PACKET: Final = 4_096
+"""Messages in one packet. Senders put 256 in one."""
+
+OVERLAY_HISTORY_BYTES: Final = 64 << 20
+"""One answer with messages that a reader missed, beside the last of them."""
+
+OVERLAY_ROUTED_BYTES: Final = 136 << 20
+"""One message that a router puts together and passes on: an answer with messages that a reader missed, sealed."""
+
+OVERLAY_HELD_BYTES: Final = 256 << 20
+"""Messages that wait in one gateway for a key, or for what came before them, of all publishers together."""
+
+OVERLAY_HELD_BYTES_PER_PUBLISHER: Final = 64 << 20
+"""The same of one publisher: the largest message fits."""
+
+OVERLAY_HELD_MESSAGES: Final = 4_096
+"""Messages of one publisher that wait for what came before them."""
+
+OVERLAY_WAITING_BYTES: Final = 128 << 20
+"""Messages of one name that were opened and wait for the event loop. Above, the oldest go."""
+
+OVERLAY_WAITING_NOTES_BYTES: Final = 16 << 20
+"""Notes and requests of one kind that wait for the event loop. Above, the oldest go."""
+
+OVERLAY_NOTE_BYTES: Final = 2 << 20
+"""One note between gateways. A change of 500 advertisements with the longest names has 1.5 MiB."""
+
+OVERLAY_NOTE_ITEMS: Final = 8_192
+"""Values in one note: each costs up to 100 bytes, whatever it is. A change of the largest size has 4,000."""
+
+OVERLAY_REQUEST_ITEMS: Final = 32_768
+"""Values in one request or answer between gateways. The largest history has 10,000 messages."""
+
+OVERLAY_NESTED_CONTAINERS: Final = 8
+"""Lists and maps within each other in what gateways tell each other. They have four."""
+
+OVERLAY_REQUESTS: Final = 4_096
+"""Requests of other gateways that are under way."""
+
+OVERLAY_REQUESTS_BYTES: Final = 256 << 20
+"""The same in bytes."""
+
+OVERLAY_CHANNELS: Final = 4_096
+"""Sealed channels that other gateways opened. The one that was not used for longest goes."""
+
+OVERLAY_LIST_BYTES: Final = 128 << 20
+"""All that a gateway advertises, as it is told."""
+
+OVERLAY_ADVERTISEMENTS_PER_GATEWAY: Final = 100_000
+"""Topics, services and users of both that one gateway advertises. 5,000 robots behind one have 50,000."""
+
+OVERLAY_GATEWAYS_PER_MEMBER: Final = 64
+"""Gateways that run with the certificate of one member. One is usual, and two for a moment when it starts again."""
+
+OVERLAY_STRANGERS: Final = 64
+"""Gateways that are being asked who they are."""
+
+OVERLAY_METADATA_CHARACTERS: Final = 1_024
+"""Each of the texts that go into a global name beside it."""
+
+OVERLAY_CRL_BYTES: Final = 4 << 20
+"""A revocation list: 100,000 certificates."""
+
+OVERLAY_REMEMBERED_BYTES: Final = 16 << 20
+"""Answers of one service that are kept for requests that come twice."""

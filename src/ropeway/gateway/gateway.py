@@ -268,7 +268,12 @@ class Gateway:
         settings = self.config.gateway.overlay
         assert settings is not None
         if self.node is None:
-            self.node = OverlayNode(Identity.load(settings.identity), routers=settings.routers, listen=settings.listen)
+            self.node = OverlayNode(
+                Identity.load(settings.identity),
+                routers=settings.routers,
+                listen=settings.listen,
+                max_message_bytes=self.config.gateway.max_message_bytes,
+            )
         about = Metadata(settings.author, settings.maintainer, settings.description, config.unique or "")
         everybody = ("*",)
         return OverlayGraph(

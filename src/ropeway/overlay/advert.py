@@ -15,6 +15,8 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from ropeway.errors import SealError
+from ropeway.limits import NAME_CHARACTERS, OVERLAY_METADATA_CHARACTERS
+from ropeway.overlay.cbor import loads, pair
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.names import NAME_BYTES, Metadata, global_name
@@ -93,12 +95,11 @@ def read_advert(
         signed = key.decrypt(raw[:_NONCE_BYTES], raw[_NONCE_BYTES:], _TAG + gateway)
     except InvalidTag:
         raise SealError(Refusal.BAD_TAG, "an advertisement") from None
+    body, signature = pair(signed, "an advertisement")
+    fields = loads(body, "an advertisement")
     try:
-        body, signature = cbor2.loads(signed)
-        if type(body) is not bytes or type(signature) is not bytes:
-            raise TypeError("no bytes")
-        advert = _parse(cbor2.loads(body), gateway)
-    except (cbor2.CBORDecodeError, ValueError, TypeError) as error:
+        advert = _parse(fields, gateway)
+    except (ValueError, TypeError, OverflowError) as error:
         raise SealError(Refusal.MALFORMED, "an advertisement") from error
     if not certificate.verify_signature(_digest(gateway, body), signature):
         raise SealError(Refusal.BAD_SIGNATURE, f"an advertisement of {advert.name}")
@@ -125,8 +126,12 @@ def _parse(fields: Any, gateway: bytes) -> Advertisement:
         or len(endpoint) != 16
     ):
         raise ValueError("no name")
-    if type(since_ns) is not int or type(expires_ns) is not int or not name.startswith("/"):
-        raise ValueError("no time, or no name")
+    if not all(type(time_ns) is int and 0 <= time_ns < 1 << 63 for time_ns in (since_ns, expires_ns)):
+        raise ValueError("no time")
+    if not name.startswith("/") or len(name) > NAME_CHARACTERS or max(map(len, (type_, encoding))) > NAME_CHARACTERS:
+        raise ValueError("no name")
+    if max(map(len, metadata)) > OVERLAY_METADATA_CHARACTERS:
+        raise ValueError("no metadata")
     profile = None if qos is None else _qos(*qos)
     return Advertisement(
         kind, name_bytes, endpoint, gateway, name, type_, profile, encoding, Metadata(*metadata), since_ns, expires_ns

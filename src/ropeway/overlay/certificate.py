@@ -6,7 +6,7 @@ import datetime
 from typing import Final
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import padding
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
@@ -40,16 +40,6 @@ DENIED: Final = x509.ObjectIdentifier(f"{_ARC}.4")
 MEMBER: Final = x509.ObjectIdentifier(f"{_ARC}.2")
 ROUTER: Final = x509.ObjectIdentifier(f"{_ARC}.3")
 """Extended key usages: what a certificate was issued for."""
-
-_UNREADABLE: Final = (
-    ValueError,
-    TypeError,
-    UnsupportedAlgorithm,
-    x509.DuplicateExtension,
-    x509.InvalidVersion,
-    x509.UnsupportedGeneralNameType,
-)
-"""What the library raises for bytes that are no certificate."""
 
 _PSS: Final = padding.PSS(padding.MGF1(hashes.SHA256()), 32)
 
@@ -106,7 +96,7 @@ class Certificate:
             key = self.x509.public_key()
             self.purposes, self.rights = _purposes(self.x509), _rights(self.x509)
             self.name = common_name(self.x509.subject)
-        except _UNREADABLE as error:
+        except Exception as error:  # of a library that reads what others wrote, which raises many kinds
             raise SealError(Refusal.MALFORMED, "a certificate") from error
         if not isinstance(key, (Ed25519PublicKey, RSAPublicKey)):
             raise SealError(Refusal.WRONG_PURPOSE, f"{self.name}: its key is neither Ed25519 nor RSA")

@@ -24,6 +24,7 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from ropeway.errors import SealError
+from ropeway.overlay.cbor import loads, pair
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.refusal import Refusal
@@ -98,8 +99,8 @@ class Initiator:
 
     def finish(self, reply: bytes, trust: Trust) -> Channel:
         """The channel. Raises ``SealError`` where the reply is not from who we asked, or not to be believed."""
-        body, signature = _pair(reply)
-        fields = _loads(body)
+        body, signature = pair(reply, "a greeting")
+        fields = loads(body, "a greeting")
         _expect(fields, (bytes, bytes, bytes, bytes))
         der, public, id, target = fields
         peer = trust.check(der)
@@ -113,8 +114,8 @@ class Initiator:
 
 def respond(identity: Identity, own: bytes, hello: bytes, trust: Trust) -> tuple[bytes, Channel]:
     """The reply to a hello that was sent to us (gateway id ``own``), and the channel. Raises ``SealError``."""
-    body, signature = _pair(hello)
-    fields = _loads(body)
+    body, signature = pair(hello, "a greeting")
+    fields = loads(body, "a greeting")
     _expect(fields, (bytes, bytes, bytes))
     der, public, _ = fields
     peer = trust.check(der)
@@ -154,20 +155,7 @@ def _nonce(counter: int) -> bytes:
     return bytes(4) + counter.to_bytes(8, "big")
 
 
-def _loads(raw: bytes) -> Any:
-    try:
-        return cbor2.loads(raw)
-    except (cbor2.CBORDecodeError, ValueError, TypeError) as error:
-        raise SealError(Refusal.MALFORMED, "a greeting") from error
-
-
 def _expect(fields: Any, kinds: tuple[type, ...]) -> None:
     fits = isinstance(fields, (list, tuple)) and len(fields) == len(kinds)
     if not fits or any(type(field) is not kind for field, kind in zip(fields, kinds, strict=True)):
         raise SealError(Refusal.MALFORMED, "a greeting")
-
-
-def _pair(raw: bytes) -> tuple[bytes, bytes]:
-    fields = _loads(raw)
-    _expect(fields, (bytes, bytes))
-    return fields[0], fields[1]

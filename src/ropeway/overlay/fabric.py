@@ -9,19 +9,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections import deque
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final, TypeVar
 
 import zenoh
 
 from ropeway.errors import GraphUnavailable
+from ropeway.limits import OVERLAY_NOTE_BYTES, OVERLAY_ROUTED_BYTES, OVERLAY_WAITING_NOTES_BYTES
 from ropeway.overlay import dead_links
+from ropeway.overlay.inlet import Inlet, one_by_one
 from ropeway.overlay.zenoh_config import MEMBER_DEAD_MS, ROUTER_DEAD_MS
 
-__all__ = ["CRL_KEY", "Asked", "Fabric", "Handle", "Inlet"]
+__all__ = ["CRL_KEY", "Asked", "Fabric", "Handle"]
 
 log = logging.getLogger("ropeway.overlay")
 
@@ -29,6 +30,7 @@ CRL_KEY: Final = "rw/crl"
 """Where the fleet's revocation list is told and asked for."""
 
 _CLOSE_S: Final = 5.0
+_ANSWER_BYTES: Final = 100  # what an answer costs beside its payload
 _PRIORITIES: Final = (
     zenoh.Priority.REAL_TIME,
     zenoh.Priority.INTERACTIVE_HIGH,
@@ -43,52 +45,6 @@ _PRIORITIES: Final = (
 T = TypeVar("T")
 Handle = Callable[[], None]
 """Called to end what was declared; may be called again."""
-
-
-class Inlet(Generic[T]):
-    """Takes from any thread, gives on the loop, in batches and in order.
-
-    ``limit_bytes`` bounds what may wait for the loop; above, the oldest goes and ``on_lost`` is told.
-    """
-
-    def __init__(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        deliver: Callable[[list[T]], None],
-        *,
-        limit_bytes: int = 256 << 20,
-        on_lost: Callable[[T], None] | None = None,
-    ) -> None:
-        self._loop, self._deliver = loop, deliver
-        self._limit_bytes, self._on_lost = limit_bytes, on_lost
-        self._waiting: deque[tuple[T, int]] = deque()
-        self._bytes = 0
-        self._scheduled = False
-        self.closed = False
-
-    def put(self, item: T, size: int = 0) -> None:
-        """Hand over one item of ``size`` bytes; from any thread."""
-        if self.closed:
-            return
-        self._waiting.append((item, size))
-        self._bytes += size
-        if not self._scheduled:
-            self._scheduled = True
-            with contextlib.suppress(RuntimeError):  # the loop has closed
-                self._loop.call_soon_threadsafe(self._give)
-
-    def _give(self) -> None:
-        self._scheduled = False
-        waiting, batch = self._waiting, []
-        while waiting:
-            item, size = waiting.popleft()
-            self._bytes -= size
-            if self._bytes > self._limit_bytes and self._on_lost is not None:
-                self._on_lost(item)
-            else:
-                batch.append(item)
-        if batch and not self.closed:
-            self._deliver(batch)
 
 
 class Asked:
@@ -183,15 +139,19 @@ class Fabric:
 
         return self._ender(self.session.declare_subscriber(key, zenoh.handlers.Callback(take, indirect=False)))
 
-    def hear(self, key: str, callback: Callable[[str, bytes], None]) -> Handle:
-        """The same on the loop, for small payloads."""
+    def hear(
+        self, key: str, callback: Callable[[str, bytes], None], *, limit_bytes: int = OVERLAY_NOTE_BYTES
+    ) -> Handle:
+        """The same on the loop, for payloads of ``limit_bytes`` at most."""
+        inlet: Inlet[tuple[str, bytes]] = Inlet(self._loop, one_by_one(lambda item: callback(*item)))
 
-        def deliver(batch: list[tuple[str, bytes]]) -> None:
-            for item in batch:
-                callback(*item)
+        def take(key: str, payload: zenoh.ZBytes) -> None:
+            if len(payload) <= limit_bytes:
+                inlet.put((key, bytes(payload)), len(payload))
+            else:
+                inlet.lost += 1
 
-        inlet: Inlet[tuple[str, bytes]] = Inlet(self._loop, deliver)
-        end = self.subscribe(key, lambda k, payload: inlet.put((k, bytes(payload))))
+        end = self.subscribe(key, take)
 
         def close() -> None:
             inlet.closed = True
@@ -201,12 +161,7 @@ class Fabric:
 
     def watch(self, key: str, callback: Callable[[str, bool], None]) -> Handle:
         """Have ``callback(key, alive)`` called on the loop for tokens that come and go, and are there now."""
-
-        def deliver(batch: list[tuple[str, bool]]) -> None:
-            for item in batch:
-                callback(*item)
-
-        inlet: Inlet[tuple[str, bool]] = Inlet(self._loop, deliver)
+        inlet: Inlet[tuple[str, bool]] = Inlet(self._loop, one_by_one(lambda item: callback(*item)))
 
         def take(sample: zenoh.Sample) -> None:
             inlet.put((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
@@ -223,17 +178,15 @@ class Fabric:
 
         return close
 
-    def serve(self, key: str, callback: Callable[[Asked], None]) -> Handle:
-        """Have ``callback`` called on the loop for each query of ``key``."""
-
-        def deliver(batch: list[zenoh.Query]) -> None:
-            for query in batch:
-                callback(Asked(query))
-
-        inlet: Inlet[zenoh.Query] = Inlet(self._loop, deliver)
+    def serve(
+        self, key: str, callback: Callable[[Asked], None], *, limit_bytes: int = OVERLAY_WAITING_NOTES_BYTES
+    ) -> Handle:
+        """Have ``callback`` called on the loop for each query of ``key``; ``limit_bytes`` of them may wait for it."""
+        inlet: Inlet[Asked] = Inlet(self._loop, one_by_one(callback), limit_bytes=limit_bytes, on_lost=Asked.done)
 
         def take(query: zenoh.Query) -> None:
-            inlet.put(query)
+            asked = Asked(query)
+            inlet.put(asked, len(asked.payload))
 
         queryable = self.session.declare_queryable(key, zenoh.handlers.Callback(take, indirect=False), complete=True)
         end = self._ender(queryable)
@@ -294,9 +247,21 @@ class Fabric:
             executor = self._lanes[lane] = ThreadPoolExecutor(1, thread_name_prefix=f"overlay-lane-{lane}")
         return self._loop.run_in_executor(executor, work)
 
-    async def ask(self, key: str, payload: bytes, timeout_s: float, *, lane: int = 1) -> list[bytes]:
-        """Every answer to a query, once all who can answer have; fewer, or none, after ``timeout_s``."""
+    async def ask(
+        self,
+        key: str,
+        payload: bytes,
+        timeout_s: float,
+        *,
+        lane: int = 1,
+        limit_bytes: int = OVERLAY_ROUTED_BYTES,
+    ) -> list[bytes]:
+        """Every answer to a query, once all who can answer have; fewer, or none, after ``timeout_s``.
+
+        Answers beyond ``limit_bytes`` in all are not taken.
+        """
         answers: list[bytes] = []
+        left = limit_bytes
         done: asyncio.Future[None] = self._loop.create_future()
 
         def finish() -> None:
@@ -304,7 +269,11 @@ class Fabric:
                 done.set_result(None)
 
         def take(reply: zenoh.Reply) -> None:
-            if reply.ok is not None:
+            nonlocal left
+            if reply.ok is None:
+                return
+            left -= len(reply.ok.payload) + _ANSWER_BYTES
+            if left >= 0:
                 answers.append(bytes(reply.ok.payload))
 
         def dropped() -> None:

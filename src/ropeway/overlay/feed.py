@@ -16,44 +16,39 @@ from typing import Any, Final, Protocol
 
 import zenoh
 
-from ropeway.errors import CallError, DecodeError, MessageTooBig, RopewayError, SealError
+from ropeway.errors import CallError, RopewayError, SealError
+from ropeway.limits import (
+    OVERLAY_HELD_BYTES_PER_PUBLISHER,
+    OVERLAY_HISTORY_BYTES,
+    OVERLAY_MESSAGE_BYTES,
+    OVERLAY_WAITING_BYTES,
+)
 from ropeway.overlay.advert import Advertisement
 from ropeway.overlay.certificate import Certificate
-from ropeway.overlay.fabric import Fabric, Handle, Inlet
+from ropeway.overlay.fabric import Fabric, Handle
 from ropeway.overlay.follower import Follower
-from ropeway.overlay.item import RAW, ZSTD, Item, unpack
+from ropeway.overlay.held import Held
+from ropeway.overlay.inlet import Inlet
+from ropeway.overlay.item import Item, read_item, read_items
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rpc import RemoteError, Rpc
 from ropeway.overlay.seal import Grant, Opener
 from ropeway.tasks import Chores, describe, end
-from ropeway.wire import filters
 
 __all__ = ["Feed", "Reader", "Stream", "data_key", "read_item"]
 
 log = logging.getLogger("ropeway.overlay")
 
-_LARGEST_BYTES: Final = 1 << 30
-_HOLD_BYTES: Final = 64 << 20
 _ASK_S: Final = 2.0
 _AGAIN_S: Final = 1.0
 _SPACING_S: Final = 0.5  # between two requests for keys: packets that name keys nobody has cost no more than that
 _REMEMBERED: Final = 4096
+_ITEM_BYTES: Final = 256  # what a message costs beside its payload
 
 
 def data_key(name: bytes, endpoint: bytes | None = None) -> str:
     """Where a publisher puts what it has under a name; for ``None`` all of them."""
     return f"rw/d/{name.hex()}/{endpoint.hex() if endpoint is not None else '*'}"
-
-
-def read_item(raw: bytes | memoryview) -> Item:
-    """A message, its payload as it was published. Raises ``SealError``."""
-    item = unpack(raw)
-    if item.encoding != ZSTD:
-        return item
-    try:
-        return item._replace(encoding=RAW, payload=filters.decode(item.payload, _LARGEST_BYTES))
-    except (DecodeError, MessageTooBig) as error:
-        raise SealError(Refusal.MALFORMED, str(error)) from error
 
 
 class Reader(Protocol):
@@ -140,9 +135,15 @@ class Stream:
             if reader in self.readers:
                 self._follow(reader, answer["n"])
         self._granted_at = asyncio.get_running_loop().time()
-        held, self._held, self._held_bytes = self._held, deque(), 0
-        for raw in held:
+        for raw in self._let_go():
             self.take(raw, hold=False)
+
+    def _let_go(self) -> deque[bytes]:
+        """Hold nothing for a key any more; return what was held."""
+        held, self._held = self._held, deque()
+        self._feed.held.give(self._held_bytes)
+        self._held_bytes = 0
+        return held
 
     # ── readers ────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -158,11 +159,11 @@ class Stream:
         reliable = reader.reliable and (qos is None or qos.reliable)
         had = self._feed.had.pop((reader.endpoint, self.advert.endpoint), None)
         if had is not None and reliable:  # it read this publisher before a cut
-            follower = Follower(reliable=True, history=False, start=min(had, newest))
+            follower = Follower(reliable=True, history=False, start=min(had, newest), held=self._feed.held)
             follower.told(newest)
         else:
             history = reader.history and qos is not None and qos.transient_local
-            follower = Follower(reliable=reliable, history=history, start=newest)
+            follower = Follower(reliable=reliable, history=history, start=newest, held=self._feed.held)
         self.readers[reader] = follower
         self._recover(reader, follower)
 
@@ -179,7 +180,7 @@ class Stream:
         for last in (False, False, True):
             try:
                 answer = await self._feed.rpc.ask(self.advert.gateway, request, _ASK_S, lane=4)
-                items = [read_item(raw) for raw in answer]
+                items = read_items(_history(answer), self._feed.limit_bytes, OVERLAY_HISTORY_BYTES)
                 break
             except SealError as error:
                 self._feed.refused(self.certificate.name, error)
@@ -194,7 +195,9 @@ class Stream:
 
     def leave(self, reader: Reader) -> None:
         """One less reads it."""
-        self.readers.pop(reader, None)
+        follower = self.readers.pop(reader, None)
+        if follower is not None:
+            follower.forget()
 
     def remember(self) -> None:
         """Keep in mind what each reader had: the publisher may come back."""
@@ -221,16 +224,16 @@ class Stream:
                     self._hold(raw)
                     return
                 opened = self.opener.open(raw)
-            self.opened(opened.epoch, [read_item(item) for item in opened.items])
+            self.opened(opened.epoch, read_items(opened.items, self._feed.limit_bytes))
         except SealError as error:
             self._feed.refused(self.certificate.name, error)
 
     def _hold(self, raw: bytes) -> None:
-        self._held.append(raw)
-        self._held_bytes += len(raw)
-        while self._held_bytes > _HOLD_BYTES:
-            self._held_bytes -= len(self._held.popleft())
+        if self._held_bytes + len(raw) > OVERLAY_HELD_BYTES_PER_PUBLISHER or not self._feed.held.take(len(raw)):
             self._feed.refused(self.certificate.name, SealError(Refusal.NO_KEY, self.advert.name))
+        else:
+            self._held.append(raw)
+            self._held_bytes += len(raw)
         self.want_key()
 
     def opened(self, epoch: int, items: Sequence[Item]) -> None:
@@ -248,18 +251,32 @@ class Stream:
             elif follower.lost != lost:
                 self._feed.missed += follower.lost - lost
 
+    def overrun(self, count: int) -> None:
+        """So many messages were lost because the event loop was behind."""
+        for reader in list(self.readers):
+            reader.overrun(count)
+
     def _give(self, reader: Reader, items: Sequence[Item]) -> None:
         if items:
             reader.received(self, items)
 
     async def close(self) -> None:
-        """Ask for nothing more."""
+        """Ask for nothing more, and hold nothing."""
         await end(self._keying)
         await self._recovering.close()
+        self._let_go()
+        for reader in list(self.readers):
+            self.leave(reader)
+
+
+_Came = tuple[Stream, bytes | SealError | tuple[int, list[Item]]]
 
 
 class Feed:
-    """One name as it is read here. ``refused`` is told of each packet that is not believed."""
+    """One name as it is read here. ``refused`` is told of each packet that is not believed.
+
+    A message may have ``limit_bytes``; what waits is taken from the budget ``held``.
+    """
 
     def __init__(
         self,
@@ -268,20 +285,25 @@ class Feed:
         name: bytes,
         refused: Callable[[str, SealError], None],
         denied: Callable[[Advertisement, str], None],
+        *,
+        limit_bytes: int = OVERLAY_MESSAGE_BYTES,
+        held: Held | None = None,
     ) -> None:
+        self.limit_bytes, self.held = limit_bytes, held or Held()
         self.fabric, self.rpc, self.name = fabric, rpc, name
         self.refused, self.denied = refused, denied
         self.missed = 0
         self.had: dict[tuple[bytes, bytes], int] = {}
         self.readers: list[Reader] = []
         self.streams: dict[bytes, Stream] = {}
-        self._inlet: Inlet[tuple[Stream, bytes | SealError | tuple[int, list[Item]]]]
+        self._inlet: Inlet[_Came]
         self._end: Handle | None = None
         self._closing = Chores()
 
     def open(self, loop: asyncio.AbstractEventLoop) -> None:
         """Read from now on."""
-        self._inlet = Inlet(loop, self._deliver, on_lost=self._overrun)
+        self._loop = loop
+        self._inlet = Inlet(loop, self._deliver, limit_bytes=OVERLAY_WAITING_BYTES, on_lost=self._overrun)
         self._end = self.fabric.subscribe(data_key(self.name), self._came)
 
     async def close(self) -> None:
@@ -317,11 +339,16 @@ class Feed:
                     self._inlet.put((stream, raw), len(raw))
                     return
                 opened = stream.opener.open(raw)
-            self._inlet.put((stream, (opened.epoch, [read_item(item) for item in opened.items])), len(raw))
+            items = read_items(opened.items, self.limit_bytes)
+            size = sum(len(item.payload) for item in items) + _ITEM_BYTES * len(items)
+            self._inlet.put((stream, (opened.epoch, items)), size)
         except SealError as error:
             self._inlet.put((stream, error))
+        except Exception as error:  # Zenoh's thread would end with it, and nobody would see why
+            log.debug("overlay: a packet of %s cannot be used", stream.advert.name, exc_info=error)
+            self._inlet.put((stream, SealError(Refusal.MALFORMED, describe(error))))
 
-    def _deliver(self, batch: list[tuple[Stream, bytes | SealError | tuple[int, list[Item]]]]) -> None:
+    def _deliver(self, batch: list[_Came]) -> None:
         at = 0
         while at < len(batch):
             stream, what = batch[at]
@@ -341,12 +368,18 @@ class Feed:
                     at += 1
                 stream.opened(epoch, items)
 
-    def _overrun(self, lost: tuple[Stream, object]) -> None:
+    def _overrun(self, lost: _Came) -> None:
+        """In the thread that put something."""
         stream, what = lost
         count = len(what[1]) if isinstance(what, tuple) else 1
-        for reader in list(stream.readers):
-            with contextlib.suppress(ReferenceError):
-                reader.overrun(count)
+        with contextlib.suppress(RuntimeError):  # the loop has closed
+            self._loop.call_soon_threadsafe(stream.overrun, count)
+
+
+def _history(answer: Any) -> list[bytes]:
+    if not isinstance(answer, list) or any(type(raw) is not bytes for raw in answer):
+        raise SealError(Refusal.MALFORMED, "a history")
+    return answer
 
 
 def _is_hex(text: str) -> bool:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
 
+from ropeway.limits import OVERLAY_HELD_BYTES_PER_PUBLISHER, OVERLAY_HELD_MESSAGES
+from ropeway.overlay.held import Held
 from ropeway.overlay.item import Item
 
 __all__ = ["Follower"]
 
-_HOLD: Final = 4096
-_HOLD_BYTES: Final = 128 << 20
+_ITEM_BYTES = 256  # what a message costs beside its payload
 
 
 class Follower:
@@ -18,11 +18,13 @@ class Follower:
 
     ``reliable``: a gap is asked for before what comes after it is given. ``history``: so is what was published before.
     ``start`` is the number of the newest message when the reader came. ``missing`` is what to ask for now, as
-    ``(after, upto)``, ``None`` if nothing: ask once, then call ``recovered`` or ``give_up``.
+    ``(after, upto)``, ``None`` if nothing: ask once, then call ``recovered`` or ``give_up``. What waits meanwhile is
+    taken from the budget ``held``.
     """
 
-    def __init__(self, *, reliable: bool, history: bool, start: int) -> None:
+    def __init__(self, *, reliable: bool, history: bool, start: int, held: Held | None = None) -> None:
         self.last = start
+        self._budget = held or Held()
         self.lost = 0
         self._reliable = reliable
         self._held: list[Item] = []
@@ -57,7 +59,8 @@ class Follower:
     def recovered(self, items: Iterable[Item]) -> list[Item]:
         """The answer to ``missing``; those that can be given now. What did not come is lost."""
         asked, self.missing, self.asked = self.missing, None, False
-        held, self._held, self._held_bytes = self._held, [], 0
+        held = self._held
+        self.forget()
         given: list[Item] = []
         for item in sorted([*items, *held], key=_number):
             if item.number <= self.last:
@@ -75,10 +78,19 @@ class Follower:
         """Nothing can be had of what is missing; what was held is given."""
         return self.recovered(())
 
+    def forget(self) -> None:
+        """Let go of what waits."""
+        self._budget.give(self._held_bytes)
+        self._held, self._held_bytes = [], 0
+
     def _hold(self, item: Item, given: list[Item]) -> None:
+        size = len(item.payload) + _ITEM_BYTES
+        room = self._budget.take(size)
+        if room:
+            self._held_bytes += size
         self._held.append(item)
-        self._held_bytes += len(item.payload)
-        if len(self._held) > _HOLD or self._held_bytes > _HOLD_BYTES:
+        many = len(self._held) > OVERLAY_HELD_MESSAGES or self._held_bytes > OVERLAY_HELD_BYTES_PER_PUBLISHER
+        if many or not room:
             given += self.give_up()
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from ropeway.errors import SealError
+from ropeway.limits import OVERLAY_GATEWAYS_PER_MEMBER, OVERLAY_LIST_BYTES, OVERLAY_STRANGERS
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.fabric import Asked, Fabric, Handle
 from ropeway.overlay.identity import Identity
@@ -38,7 +39,6 @@ _SKEW_NS: Final = 120 * 10**9
 _CHUNK: Final = 500  # advertisements in one note
 _ASK_S: Final = 5.0
 _TAILS: Final = 512
-_STRANGERS: Final = 64  # ids that are asked who they are at a time
 
 _SHAPES: Final[Mapping[str, Mapping[str, type]]] = {
     "heartbeat": {"t": int, "v": int, "w": dict, "r": int},
@@ -68,7 +68,8 @@ class Membership:
 
     ``tails()`` gives the newest number of each reliable publisher of ours that was active lately; ``on_tails`` gets
     those of others, so that readers know what they miss. ``on_newer_crl`` is called where somebody has a newer
-    revocation list than we. ``refused`` is told of everything that is not believed.
+    revocation list than we, ``on_gone`` with the id of each gateway that has left. ``refused`` is told of everything
+    that is not believed.
     """
 
     def __init__(
@@ -82,12 +83,13 @@ class Membership:
         tails: Callable[[], dict[bytes, int]],
         on_tails: Callable[[bytes, dict[bytes, int]], None],
         on_newer_crl: Callable[[], None],
+        on_gone: Callable[[bytes], None],
         refused: Callable[[str, SealError], None],
     ) -> None:
         self._fabric, self._identity, self._trust = fabric, identity, trust
         self._rib, self._notes = rib, notes
         self._tails, self._on_tails, self._refused = tails, on_tails, refused
-        self._on_newer_crl = on_newer_crl
+        self._on_newer_crl, self._on_gone = on_newer_crl, on_gone
         self._own: dict[bytes, bytes] = {}  # endpoint: sealed advertisement
         self._added: dict[bytes, bytes] = {}
         self._removed: list[bytes] = []
@@ -221,7 +223,7 @@ class Membership:
 
     def _crowded(self) -> bool:
         """True where so many ids wait to be known that they are hardly gateways."""
-        return sum(known.certificate is None for known in self._known.values()) >= _STRANGERS
+        return sum(known.certificate is None for known in self._known.values()) >= OVERLAY_STRANGERS
 
     def _heard(self, key: str, raw: bytes) -> None:
         gateway = _gateway_of(key)
@@ -292,7 +294,8 @@ class Membership:
         pause_s = _AGAIN_S
         try:
             while self._known.get(gateway) is known:
-                answers = await self._fabric.ask(f"rw/m/{gateway.hex()}", b"", _ASK_S)
+                key = f"rw/m/{gateway.hex()}"
+                answers = await self._fabric.ask(key, b"", _ASK_S, limit_bytes=OVERLAY_LIST_BYTES)
                 try:
                     version = await self._take_list(gateway, known, answers)
                 except SealError as error:
@@ -323,6 +326,9 @@ class Membership:
         certificate = self._trust.check(hello["c"])
         if abs(hello["t"] - time.time_ns()) > _SKEW_NS:
             raise SealError(Refusal.TOO_OLD, f"{certificate.name} tells a time that is far from ours")
+        others = sum(other.name == certificate.name for other in self._known.values() if other is not known)
+        if others >= OVERLAY_GATEWAYS_PER_MEMBER:
+            raise SealError(Refusal.NO_RIGHT, f"{certificate.name} has {others} gateways already")
         raws: list[bytes] = []
         for answer in answers[1:]:
             body = self._notes.open(answer, gateway, "adverts", _SHAPES["adverts"], lambda _: certificate)
@@ -356,6 +362,7 @@ class Membership:
         if known.certificate is not None:
             log.info("overlay: %s has left", known.name)
         self._rib.gone(gateway)
+        self._on_gone(gateway)
         self._news.set()
 
     def recheck(self) -> None:

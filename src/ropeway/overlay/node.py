@@ -16,16 +16,18 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol
 
 from ropeway.errors import CallFailed, IdentityError, NotServed, RopewayError, SealError
+from ropeway.limits import OVERLAY_CRL_BYTES, OVERLAY_MESSAGE_BYTES, OVERLAY_ROUTED_BYTES
 from ropeway.overlay.advert import VERB_OF, Advertisement, advert_key, make_advert
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.fabric import CRL_KEY, Asked, Fabric, Handle
 from ropeway.overlay.feed import Feed
+from ropeway.overlay.held import Held
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.membership import Membership
 from ropeway.overlay.note import NoteKey
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rib import Rib
-from ropeway.overlay.rpc import Rpc
+from ropeway.overlay.rpc import Rpc, part
 from ropeway.overlay.source import Source
 from ropeway.overlay.trust import Trust
 from ropeway.overlay.zenoh_config import gateway_config, gateway_id
@@ -38,6 +40,8 @@ log = logging.getLogger("ropeway.overlay")
 _CHECK_S: Final = 5.0
 _ASK_CRL_S: Final = 20.0
 _ACTIVE_S: Final = 15.0
+_REFUSALS: Final = 1024  # kinds of them that are told apart
+_CRLS: Final = 4  # of the largest size that are looked at
 
 Policy = Callable[[str, str, Certificate], bool]
 """Whether ``(verb, ROS name, certificate)`` is allowed here, beyond what the certificate says."""
@@ -62,7 +66,8 @@ class OverlayNode:
 
     ``routers`` and ``listen`` are Zenoh endpoints (``tls/host:7447``); left out, the routers are those of the bundle,
     and direct links are taken on every interface at a free port, with mutual authentication as everywhere. ``policy``
-    is asked beyond certificates. ``rotate_s``: content keys serve so long.
+    is asked beyond certificates. ``rotate_s``: content keys serve so long. ``max_message_bytes``: what a message that
+    is read may have, unpacked.
     """
 
     def __init__(
@@ -73,6 +78,7 @@ class OverlayNode:
         listen: Sequence[str] = ("tls/0.0.0.0:0",),
         policy: Policy | None = None,
         rotate_s: float = 600.0,
+        max_message_bytes: int = OVERLAY_MESSAGE_BYTES,
     ) -> None:
         if identity.name_secret is None:
             raise IdentityError(identity.name, "it is a router, which reads and writes nothing; take a member's bundle")
@@ -83,10 +89,18 @@ class OverlayNode:
         self.routers = tuple(identity.routers if routers is None else routers)
         self.listen = tuple(listen)
         self.rotate_s = rotate_s
+        self.max_message_bytes = max_message_bytes
+        self.held = Held()
         self.refusals: Counter[tuple[str, Refusal]] = Counter()
         self.denials: dict[str, str] = {}
         self.policy = policy or (lambda verb, name, certificate: True)
-        config = gateway_config(identity, gateway=self.gateway, connect=self.routers, listen=self.listen)
+        config = gateway_config(
+            identity,
+            gateway=self.gateway,
+            connect=self.routers,
+            listen=self.listen,
+            max_message_bytes=max_message_bytes + OVERLAY_ROUTED_BYTES - OVERLAY_MESSAGE_BYTES,
+        )
         self.fabric = Fabric(config, self.gateway, routers=self.routers)
         self.rib = Rib(self.secret, refused=self.refused)
         self.rpc = Rpc(self.fabric, identity, self.trust, self.refused)
@@ -99,6 +113,7 @@ class OverlayNode:
             tails=self._tails,
             on_tails=self._on_tails,
             on_newer_crl=lambda: self._ask_crl.set(),
+            on_gone=self.rpc.forget,
             refused=self.refused,
         )
         self.sources: dict[bytes, Source] = {}
@@ -126,7 +141,8 @@ class OverlayNode:
                 self.rpc.answers("ping", self._answer_ping)
                 self.rpc.open()
                 self._ends.append(self.fabric.serve(CRL_KEY, self._tell_crl))
-                self._ends.append(self.fabric.hear(CRL_KEY, lambda _, raw: self._take_crl(raw)))
+                take = self.fabric.hear(CRL_KEY, lambda _, raw: self._take_crl(raw), limit_bytes=OVERLAY_CRL_BYTES)
+                self._ends.append(take)
                 await self.membership.open()
                 self._checking = Supervised(self._keep_checking, "overlay checks").start()
             self._opened += 1
@@ -165,7 +181,7 @@ class OverlayNode:
 
     async def _ask_for_crl(self) -> None:
         try:
-            for raw in await self.fabric.ask(CRL_KEY, b"", 2.0):
+            for raw in await self.fabric.ask(CRL_KEY, b"", 2.0, limit_bytes=_CRLS * OVERLAY_CRL_BYTES):
                 self._take_crl(raw)
         except RopewayError as error:
             log.debug("overlay: nobody told which certificates are revoked: %s", error)
@@ -189,6 +205,8 @@ class OverlayNode:
     def refused(self, who: str, error: SealError) -> None:
         """Count something that is not believed."""
         assert isinstance(error.reason, Refusal)
+        if len(self.refusals) >= _REFUSALS and (who, error.reason) not in self.refusals:
+            who = "others"  # whoever invents names shall not fill our memory with them
         self.refusals[who, error.reason] += 1
         level = logging.WARNING if self.refusals[who, error.reason] == 1 else logging.DEBUG
         log.log(level, "overlay: refused what comes from %s: %s", who, error)
@@ -197,6 +215,8 @@ class OverlayNode:
         """A publisher does not give us its key."""
         if self.denials.get(advert.name) != text:
             log.warning("overlay: %s cannot be read: %s", advert.name, text)
+            while len(self.denials) >= _REFUSALS:
+                del self.denials[next(iter(self.denials))]
             self.denials[advert.name] = text
 
     def _take_crl(self, raw: bytes) -> None:
@@ -235,7 +255,15 @@ class OverlayNode:
         """What is published under a name, read from now on."""
         feed = self.feeds.get(name)
         if feed is None:
-            feed = self.feeds[name] = Feed(self.fabric, self.rpc, name, self.refused, self.denied)
+            feed = self.feeds[name] = Feed(
+                self.fabric,
+                self.rpc,
+                name,
+                self.refused,
+                self.denied,
+                limit_bytes=self.max_message_bytes,
+                held=self.held,
+            )
             feed.open(asyncio.get_running_loop())
         return feed
 
@@ -268,7 +296,7 @@ class OverlayNode:
     # ── what we answer ─────────────────────────────────────────────────────────────────────────────────────────
 
     def _source(self, request: Mapping[str, Any]) -> Source:
-        source = self.sources.get(request["of"])
+        source = self.sources.get(part(request, "of", bytes))
         if source is None:
             raise CallFailed("key", "this publisher has gone")
         return source
@@ -278,15 +306,15 @@ class OverlayNode:
         granted = source.grant(peer)
         on_granted = self.on_granted.get(source.endpoint)
         if on_granted is not None:
-            on_granted([bytes(endpoint) for endpoint in request["for"]])
+            on_granted([endpoint for endpoint in part(request, "for", list) if type(endpoint) is bytes])
         return granted
 
     async def _answer_history(self, peer: Certificate, request: Mapping[str, Any]) -> Any:
-        upto = request["upto"]
-        return self._source(request).history(peer, int(request["after"]), None if upto is None else int(upto))
+        upto = None if request.get("upto") is None else part(request, "upto", int)
+        return self._source(request).history(peer, part(request, "after", int), upto)
 
     async def _answer_call(self, peer: Certificate, request: Mapping[str, Any]) -> Any:
-        provider = self.providers.get(request["of"])
+        provider = self.providers.get(part(request, "of", bytes))
         if provider is None:
             raise NotServed(str(request.get("name", "")))
         return await provider.answer_remote(peer, request)

@@ -19,6 +19,8 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from ropeway.errors import SealError
+from ropeway.limits import OVERLAY_NOTE_BYTES
+from ropeway.overlay.cbor import loads, pair
 from ropeway.overlay.refusal import Refusal
 
 __all__ = ["NoteKey", "Verifier"]
@@ -64,18 +66,16 @@ class NoteKey:
         """
         if len(raw) < _NONCE_BYTES + 16:
             raise SealError(Refusal.TRUNCATED, f"a note of {len(raw)} bytes")
+        if len(raw) > OVERLAY_NOTE_BYTES:
+            raise SealError(Refusal.TOO_BIG, f"a note of {len(raw)} bytes")
         about = _about(gateway, kind)
         try:
             signed = self._cipher.decrypt(raw[:_NONCE_BYTES], raw[_NONCE_BYTES:], about)
         except InvalidTag:
             raise SealError(Refusal.BAD_TAG, f"a note ({kind})") from None
-        try:
-            text, signature = cbor2.loads(signed)
-            body = cbor2.loads(text)
-        except (cbor2.CBORDecodeError, ValueError, TypeError) as error:
-            raise SealError(Refusal.MALFORMED, f"a note ({kind})") from error
-        fits = isinstance(body, dict) and all(type(body.get(key)) is kind for key, kind in shape.items())
-        if not fits or not isinstance(signature, bytes):
+        text, signature = pair(signed, f"a note ({kind})")
+        body = loads(text, f"a note ({kind})")
+        if not isinstance(body, dict) or any(type(body.get(key)) is not kind for key, kind in shape.items()):
             raise SealError(Refusal.MALFORMED, f"a note ({kind})")
         if not certify(body).verify_signature(hashlib.sha256(about + text).digest(), signature):
             raise SealError(Refusal.BAD_SIGNATURE, f"a note ({kind})")

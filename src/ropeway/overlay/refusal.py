@@ -19,6 +19,7 @@ class Refusal(enum.Enum):
     BAD_TAG = "it was altered, or sealed with another key"
     REPLAYED = "it came before"
     TOO_OLD = "it is older than what is still expected"
+    TOO_BIG = "it is larger than what is taken"
     TRUNCATED = "it is cut short"
     WRONG_NAME = "it belongs to another name"
     NO_RIGHT = "its sender has no right to do this"

@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Final
+from typing import Any
 
 from ropeway.errors import SealError
+from ropeway.limits import OVERLAY_ADVERTISEMENTS_PER_GATEWAY
 from ropeway.overlay.advert import Advertisement, advert_key, read_advert
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.refusal import Refusal
@@ -15,8 +16,6 @@ from ropeway.overlay.refusal import Refusal
 __all__ = ["Rib"]
 
 log = logging.getLogger("ropeway.overlay")
-
-_PER_GATEWAY: Final = 100_000  # advertisements
 
 OnChange = Callable[[Advertisement, bool], None]
 
@@ -93,8 +92,8 @@ class Rib:
                 continue
             if advert.endpoint in known:
                 continue
-            if len(known) >= _PER_GATEWAY:
-                text = f"{certificate.name} advertises more than {_PER_GATEWAY} names"
+            if len(known) >= OVERLAY_ADVERTISEMENTS_PER_GATEWAY:
+                text = f"{certificate.name} advertises more than {OVERLAY_ADVERTISEMENTS_PER_GATEWAY} names"
                 self._refused(certificate.name, SealError(Refusal.NO_RIGHT, text))
                 return
             known[advert.endpoint] = advert

@@ -12,11 +12,14 @@ import logging
 import time
 from collections import Counter, OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any, Final
+from functools import partial
+from typing import Any, Final, TypeVar
 
 import cbor2
 
 from ropeway.errors import CallTimeout, ProviderLost, RopewayError, SealError
+from ropeway.limits import OVERLAY_CHANNELS, OVERLAY_REQUEST_ITEMS, OVERLAY_REQUESTS, OVERLAY_REQUESTS_BYTES
+from ropeway.overlay.cbor import loads
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.channel import Channel, Initiator, peek_channel, respond
 from ropeway.overlay.fabric import Asked, Fabric, Handle
@@ -25,21 +28,29 @@ from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.trust import Trust
 from ropeway.tasks import Chores, describe, end
 
-__all__ = ["Answer", "RemoteError", "Rpc", "key_of"]
+__all__ = ["Answer", "RemoteError", "Rpc", "key_of", "part"]
 
 log = logging.getLogger("ropeway.overlay")
 
 _HELLO: Final = b"\x01"
 _SEALED: Final = b"\x02"
 _REFUSED: Final = b"\x00"
-_CHANNELS: Final = 4096  # that others opened; the one that was not used for longest goes
-_UNDER_WAY: Final = 4096
 _HELLO_S: Final = 3.0
 _LARGE_BYTES: Final = 1 << 16  # more is sent from a thread
 _ABOUT_BYTES: Final = 24  # of a request: its channel and its number, which its answer is bound to
 
+T = TypeVar("T")
+
 Answer = Callable[[Certificate, Mapping[str, Any]], Awaitable[Any]]
 """Answers a request of the owner of a certificate."""
+
+
+def part(request: Mapping[str, Any], key: str, kind: type[T]) -> T:
+    """Return one value of a request. Raises ``SealError`` where it is of another kind."""
+    value = request.get(key)
+    if type(value) is not kind:
+        raise SealError(Refusal.MALFORMED, f"a request, whose {key!r} is no {kind.__name__}")
+    return value
 
 
 def key_of(gateway: bytes) -> str:
@@ -64,12 +75,14 @@ class Rpc:
         self._channels: dict[bytes, Channel] = {}
         self._inbound: OrderedDict[bytes, Channel] = OrderedDict()
         self._tasks = Chores()
+        self._under_way_bytes = 0
         self._ends: list[Handle] = []
         self.counts: Counter[str] = Counter()
 
     def open(self) -> None:
         """Take requests from now on."""
-        self._ends.append(self._fabric.serve(key_of(self._fabric.gateway), self._take))
+        key = key_of(self._fabric.gateway)
+        self._ends.append(self._fabric.serve(key, self._take, limit_bytes=OVERLAY_REQUESTS_BYTES))
 
     async def close(self) -> None:
         """Answer no more."""
@@ -132,10 +145,7 @@ class Rpc:
 
     @staticmethod
     def _read(raw: bytes) -> Any:
-        try:
-            answer = cbor2.loads(raw)
-        except (cbor2.CBORDecodeError, ValueError) as error:
-            raise SealError(Refusal.MALFORMED, "an answer") from error
+        answer = loads(raw, "an answer", items=OVERLAY_REQUEST_ITEMS)
         if not isinstance(answer, dict):
             raise SealError(Refusal.MALFORMED, "an answer")
         if "error" in answer:
@@ -192,7 +202,7 @@ class Rpc:
             asked.answer(_REFUSED + str(error).encode())
             return
         self._inbound[channel.id] = channel
-        while len(self._inbound) > _CHANNELS:
+        while len(self._inbound) > OVERLAY_CHANNELS:
             self._inbound.popitem(last=False)
         asked.answer(_HELLO + reply)
 
@@ -202,22 +212,23 @@ class Rpc:
             if channel is None or not channel.usable():
                 asked.answer(_REFUSED)
                 return
-            request = cbor2.loads(channel.open(packet))
+            request = loads(channel.open(packet), "a request", items=OVERLAY_REQUEST_ITEMS)
             self._trust.check(channel.peer.der)
         except SealError as error:
             self._refused("a request", error)
             asked.answer(_REFUSED)
             return
-        except (cbor2.CBORDecodeError, ValueError):
-            self._refused("a request", SealError(Refusal.MALFORMED))
-            asked.answer(_REFUSED)
-            return
         self._inbound.move_to_end(channel.id)
-        if len(self._tasks) >= _UNDER_WAY:
-            busy = {"error": "CallFailed", "text": f"busy with {_UNDER_WAY} requests"}
+        if len(self._tasks) >= OVERLAY_REQUESTS or self._under_way_bytes + len(packet) > OVERLAY_REQUESTS_BYTES:
+            busy = {"error": "CallFailed", "text": f"busy with {len(self._tasks)} requests"}
             asked.answer(self._sealed(channel, busy, packet[:_ABOUT_BYTES]))
             return
-        self._tasks.start(self._answer(asked, channel, request, packet[:_ABOUT_BYTES]), "overlay request")
+        self._under_way_bytes += len(packet)
+        task = self._tasks.start(self._answer(asked, channel, request, packet[:_ABOUT_BYTES]), "overlay request")
+        task.add_done_callback(partial(self._answered, len(packet)))
+
+    def _answered(self, size: int, _: object) -> None:
+        self._under_way_bytes -= size
 
     async def _answer(self, asked: Asked, channel: Channel, request: Any, about: bytes) -> None:
         reply: dict[str, Any] | None = None

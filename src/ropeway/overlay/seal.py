@@ -21,11 +21,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-import cbor2
+import cbor2  # for what we make; others' is read by ropeway.overlay.cbor
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
 from ropeway.errors import SealError
+from ropeway.limits import OVERLAY_MESSAGES_PER_PACKET
+from ropeway.overlay.cbor import loads
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.window import Window
 
@@ -61,6 +63,8 @@ def peek(packet: bytes) -> Header:
     magic, version, flags, zero, epoch, first, count, signature_bytes = _HEAD.unpack_from(packet)
     if magic != _MAGIC or version != _VERSION or flags & ~_SIGNED or zero or not count or not first:
         raise SealError(Refusal.MALFORMED, "the head of a packet")
+    if count > OVERLAY_MESSAGES_PER_PACKET:
+        raise SealError(Refusal.TOO_BIG, f"a packet of {count} messages; it may have {OVERLAY_MESSAGES_PER_PACKET}")
     if len(packet) < _HEAD.size + _TAG_BYTES + signature_bytes:
         raise SealError(Refusal.TRUNCATED, f"a packet of {len(packet)} bytes")
     return Header(epoch, first, count, signature_bytes, bool(flags & _SIGNED))
@@ -91,10 +95,10 @@ class Grant:
     def from_cbor(cls, raw: bytes) -> Grant:
         """Read it. Raises ``SealError``."""
         try:
-            first, second, counter = cbor2.loads(raw)
+            first, second, counter = loads(raw, "a grant")
             keys = [ContentKey(_int(epoch, 32), _secret(secret)) for epoch, secret in (first, second)]
             return cls(keys[0], keys[1], _int(counter, 64))
-        except (cbor2.CBORDecodeError, ValueError, TypeError) as error:
+        except (ValueError, TypeError) as error:
             raise SealError(Refusal.MALFORMED, "a grant") from error
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from ropeway.errors import SealError
+from ropeway.limits import OVERLAY_HISTORY_BYTES
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.item import RAW, Item, head, pack
 from ropeway.overlay.refusal import Refusal
@@ -18,7 +19,6 @@ __all__ = ["Source"]
 
 _KEEP_BYTES: Final = 64 << 20  # above, the oldest go, whatever the depth; one message always stays
 _KEEP_ALL: Final = 10_000
-_REPLY_BYTES: Final = 128 << 20
 
 
 class Source:
@@ -90,7 +90,7 @@ class Source:
         found: list[bytes] = []
         size = 0
         for item in reversed(self._kept):
-            if item.number <= after or size > _REPLY_BYTES:
+            if item.number <= after or size > OVERLAY_HISTORY_BYTES:
                 break
             if upto is None or item.number <= upto:
                 found.append(pack(item))

@@ -13,6 +13,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtensionOID
 
 from ropeway.errors import SealError
+from ropeway.limits import OVERLAY_CRL_BYTES
 from ropeway.overlay.certificate import DENIED, Certificate
 from ropeway.overlay.refusal import Refusal
 
@@ -80,16 +81,19 @@ class Trust:
 
         Raises ``SealError``: MALFORMED, or UNKNOWN_CA for a list that the authority did not sign.
         """
+        if len(crl) > OVERLAY_CRL_BYTES:
+            raise SealError(Refusal.TOO_BIG, "a revocation list")
         try:
             pem = crl.startswith(b"-----")
             found = x509.load_pem_x509_crl(crl) if pem else x509.load_der_x509_crl(crl)
+            if not found.is_signature_valid(self._ca.public_key()):  # type: ignore[arg-type]
+                raise SealError(Refusal.UNKNOWN_CA, "a revocation list")
             number = found.extensions.get_extension_for_oid(ExtensionOID.CRL_NUMBER).value
-            signed = found.is_signature_valid(self._ca.public_key())  # type: ignore[arg-type]
             denied = _denied(found)
-        except (ValueError, TypeError, UnsupportedAlgorithm, x509.ExtensionNotFound) as error:
+        except SealError:
+            raise
+        except Exception as error:  # of a library that reads what others wrote, which raises many kinds
             raise SealError(Refusal.MALFORMED, "a revocation list") from error
-        if not signed:
-            raise SealError(Refusal.UNKNOWN_CA, "a revocation list")
         assert isinstance(number, x509.CRLNumber)
         with self._lock:
             if number.crl_number <= self.crl_number:

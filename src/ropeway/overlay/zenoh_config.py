@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import zenoh
 
+from ropeway.limits import OVERLAY_ROUTED_BYTES
 from ropeway.overlay.identity import Identity
 
 __all__ = ["KEYS", "MEMBER_DEAD_MS", "ROUTER_DEAD_MS", "gateway_config", "gateway_id", "router_config"]
@@ -42,7 +43,12 @@ def gateway_id() -> bytes:
 
 
 def gateway_config(
-    identity: Identity, *, gateway: bytes, connect: Sequence[str], listen: Sequence[str]
+    identity: Identity,
+    *,
+    gateway: bytes,
+    connect: Sequence[str],
+    listen: Sequence[str],
+    max_message_bytes: int = OVERLAY_ROUTED_BYTES,
 ) -> zenoh.Config:
     """For a gateway: it links with routers, and with every other gateway that it can reach.
 
@@ -53,6 +59,7 @@ def gateway_config(
         "id": gateway.hex(),
         "scouting/gossip/autoconnect": {"router": ["router"]},
         "transport/link/tx/lease": ROUTER_DEAD_MS,  # what is announced: by it the far end judges
+        "transport/link/rx/max_message_size": max_message_bytes,
     }
     return _config(identity, connect, listen, more)
 
@@ -111,6 +118,7 @@ def _config(identity: Identity, connect: Sequence[str], listen: Sequence[str], m
         "transport/link/tls": tls,
         "transport/link/tx/lease": MEMBER_DEAD_MS,
         "transport/link/tx/keep_alive": 4,
+        "transport/link/rx/max_message_size": OVERLAY_ROUTED_BYTES,  # put together before it is passed on
         "transport/link/tx/queue/batching/enabled": False,  # what is sent is batched already, and would wait
         # Who writes to a link that takes nothing waits so long at most (microseconds), and holds up its end meanwhile:
         # 32 kB in half a second are 0.5 Mbit/s, and a slower link is none to Zenoh.

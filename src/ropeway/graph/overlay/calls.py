@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import (
@@ -18,10 +20,11 @@ from ropeway.errors import (
 )
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
 from ropeway.graph.direct import LEFT, Running, answer
+from ropeway.limits import OVERLAY_REMEMBERED_BYTES
 from ropeway.overlay.advert import Advertisement
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.refusal import Refusal
-from ropeway.overlay.rpc import RemoteError
+from ropeway.overlay.rpc import RemoteError, part
 from ropeway.tasks import end
 
 if TYPE_CHECKING:
@@ -44,7 +47,9 @@ class OverlayService:
         self.closed = False
         self._graph, self._handler = graph, handler
         self._running = Running()
-        self._known: dict[bytes, asyncio.Task[bytes]] = {}
+        self._known: dict[bytes, asyncio.Task[bytes] | None] = {}  # ``None``: answered, and its answer forgotten
+        self._kept: deque[tuple[bytes, int]] = deque()
+        self._kept_bytes = 0
 
     async def answer_remote(self, caller: Certificate, request: Mapping[str, Any]) -> bytes:
         """Answer a call of another gateway. Raises ``CallError``, or ``SealError`` where it may not call."""
@@ -52,18 +57,34 @@ class OverlayService:
             raise SealError(Refusal.NO_RIGHT, f"{caller.name} may not call {self.service}")
         if self.closed:
             raise ProviderLost(self.service, LEFT)
-        id, timeout_s = bytes(request["id"]), min(float(request["timeout"]), LONGEST_S)
+        id, timeout_s = part(request, "id", bytes), _timeout_s(request)
         task = self._known.get(id)
+        if task is None and id in self._known:
+            raise CallFailed(self.service, "this call was answered before")
         if task is None:
-            asked = Request(
-                bytes(request["payload"]), id, tuple(map(str, request["via"])), str(request["caller"]), timeout_s
-            )
+            payload, via = part(request, "payload", bytes), part(request, "via", list)
+            asked = Request(payload, id, tuple(map(str, via)), part(request, "caller", str), timeout_s)
             work = answer(self.service, self._running, self._handle(asked), timeout_s)
             task = self._known[id] = asyncio.create_task(work, name=f"serve {self.service}")
-            task.add_done_callback(_retrieved)
-            while len(self._known) > _REMEMBERED and next(iter(self._known.values())).done():
-                del self._known[next(iter(self._known))]
+            task.add_done_callback(partial(self._answered, id))
         return await asyncio.shield(task)
+
+    def _answered(self, id: bytes, task: asyncio.Task[bytes]) -> None:
+        """Keep the answer for a call that comes twice; of many answers the oldest are forgotten, so are large ones."""
+        if not task.cancelled() and task.exception() is None:
+            self._kept.append((id, len(task.result())))
+            self._kept_bytes += len(task.result())
+        while self._kept_bytes > OVERLAY_REMEMBERED_BYTES or len(self._kept) > _REMEMBERED:
+            oldest, size = self._kept.popleft()
+            self._kept_bytes -= size
+            if oldest in self._known:
+                self._known[oldest] = None
+        while len(self._known) > _REMEMBERED:
+            first = next(iter(self._known))
+            known = self._known[first]
+            if known is not None and not known.done():
+                return
+            del self._known[first]
 
     async def _handle(self, request: Request) -> bytes:
         return bytes(await self._handler(request))
@@ -79,9 +100,11 @@ class OverlayService:
         await end(*self._known.values())
 
 
-def _retrieved(task: asyncio.Task[bytes]) -> None:
-    if not task.cancelled():
-        task.exception()
+def _timeout_s(request: Mapping[str, Any]) -> float:
+    value = request.get("timeout")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+        raise SealError(Refusal.MALFORMED, "a request, whose 'timeout' is no time")
+    return min(float(value), LONGEST_S)
 
 
 class OverlayClient:
@@ -147,7 +170,7 @@ class OverlayClient:
                 raise CallTimeout(self.service, timeout_s)
             if task.cancelled():
                 raise ProviderLost(self.service, "its gateway has gone")
-            return bytes(task.result())
+            return task.result()
         except RemoteError as error:
             raise _error(self.service, error, timeout_s) from None
         except CallTimeout:
@@ -177,7 +200,9 @@ class OverlayClient:
                 "payload": bytes(request.payload),
             }
             try:
-                answer: bytes = await self._graph.node.rpc.ask(provider.gateway, asked, left_s, lane=self._graph.lane)
+                answer = await self._graph.node.rpc.ask(provider.gateway, asked, left_s, lane=self._graph.lane)
+                if type(answer) is not bytes:
+                    raise SealError(Refusal.MALFORMED, "an answer")
                 return answer
             except ProviderLost:
                 given_up = given_up or loop.time() + _NO_WAY_S

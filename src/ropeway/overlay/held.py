@@ -1,0 +1,28 @@
+"""A budget for what waits in one gateway, of all publishers together."""
+
+from __future__ import annotations
+
+from ropeway.limits import OVERLAY_HELD_BYTES
+
+__all__ = ["Held"]
+
+
+class Held:
+    """Counts bytes that are held; the owner of some gives them back when it lets them go."""
+
+    __slots__ = ("bytes", "limit_bytes")
+
+    def __init__(self, limit_bytes: int = OVERLAY_HELD_BYTES) -> None:
+        self.limit_bytes = limit_bytes
+        self.bytes = 0
+
+    def take(self, size: int) -> bool:
+        """Hold ``size`` bytes more; return false, and hold nothing, where there is no room."""
+        if self.bytes + size > self.limit_bytes:
+            return False
+        self.bytes += size
+        return True
+
+    def give(self, size: int) -> None:
+        """Hold ``size`` bytes less."""
+        self.bytes -= size

@@ -1,0 +1,128 @@
+"""What members send costs a member no more than its limits, and nothing once they have left."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import tracemalloc
+from collections.abc import AsyncIterator
+
+import pytest
+
+from ropeway.graph.overlay import OverlayGraph
+from ropeway.overlay.fabric import Fabric
+from ropeway.overlay.feed import Feed, Stream
+from ropeway.overlay.follower import Follower
+from ropeway.overlay.held import Held
+from ropeway.overlay.item import RAW, ZSTD, Item
+from ropeway.overlay.node import OverlayNode
+from ropeway.overlay.refusal import Refusal
+from ropeway.qos import QoS
+from tests.contract.conftest import Inbox
+from tests.overlay.conftest import Site
+from tests.overlay.fleet import member
+from tests.overlay.hostile import bomb
+from tests.overlay.test_attacks import STRING, refusals, text
+from tests.until import until
+
+MIB = 1 << 20
+
+
+@pytest.fixture
+async def pair(site: Site) -> AsyncIterator[tuple[OverlayGraph, OverlayGraph]]:
+    yield await site.join(), await site.join(max_message_bytes=MIB)
+
+
+async def test_a_packet_of_bombs(pair: tuple[OverlayGraph, OverlayGraph]) -> None:
+    """A packet of a few kilobytes that would be gigabytes costs its reader a message, is refused, and others follow."""
+    near, far = pair
+    inbox = Inbox()
+    await far.create_subscription("/x", STRING, QoS(), inbox)
+    publisher = await near.create_publisher("/x", STRING)
+    await until(lambda: publisher.subscribers)
+    items = [Item(n, 0, 1, b"o" * 16, 0, ZSTD, bomb(1024 * MIB)) for n in range(1, 5)]
+    packet = publisher.source.seal(items)
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        tracemalloc.reset_peak()
+        await asyncio.to_thread(near.node.fabric.put, 4, publisher.key, packet)
+        await until(lambda: Refusal.TOO_BIG in refusals(far))
+        assert tracemalloc.get_traced_memory()[1] - before < 8 * MIB
+    finally:
+        tracemalloc.stop()
+    publisher.publish(text("good"))
+    await inbox.wait(1)
+
+
+async def test_many_messages_in_one_packet(pair: tuple[OverlayGraph, OverlayGraph]) -> None:
+    """A packet of more messages than a sender puts in one is refused unread."""
+    near, far = pair
+    await far.create_subscription("/x", STRING, QoS(), lambda _: None)
+    publisher = await near.create_publisher("/x", STRING)
+    await until(lambda: publisher.subscribers)
+    packet = publisher.source.seal([Item(n, 0, 1, b"o" * 16, 0, RAW, b"") for n in range(1, 60_000)])
+    await asyncio.to_thread(near.node.fabric.put, 4, publisher.key, packet)
+    await until(lambda: Refusal.TOO_BIG in refusals(far))
+
+
+async def test_packets_without_a_key(pair: tuple[OverlayGraph, OverlayGraph]) -> None:
+    """Packets whose key nobody has wait within the budget of the node, and are let go of with their publisher."""
+    near, far = pair
+    far.node.held.limit_bytes = 3 * MIB
+    await far.create_subscription("/x", STRING, QoS(), lambda _: None)
+    publisher = await near.create_publisher("/x", STRING)
+    await until(lambda: publisher.subscribers)
+    junk = bytearray(publisher.source.seal([Item(1, 0, 1, b"o" * 16, 0, RAW, bytes(MIB - 1000))]))
+    junk[4:8] = b"\xff\xff\xff\xff"  # an epoch that was never granted
+    for _ in range(20):
+        await asyncio.to_thread(near.node.fabric.put, 4, publisher.key, bytes(junk))
+    await until(lambda: Refusal.NO_KEY in refusals(far))
+    assert far.node.held.bytes <= 3 * MIB
+    await publisher.close()
+    await until(lambda: far.node.held.bytes == 0)
+
+
+def test_messages_behind_a_gap() -> None:
+    """What waits for a message that is missing is taken from the budget, and given on where that is used up."""
+    held = Held(10_000)
+    follower = Follower(reliable=True, history=False, start=0, held=held)
+    assert follower.arrived([Item(2, 0, 2, b"", 0, RAW, bytes(5000))]) == []
+    assert 5000 <= held.bytes <= 10_000
+    given = follower.arrived([Item(3, 0, 3, b"", 0, RAW, bytes(6000))])
+    assert [item.number for item in given] == [2, 3]
+    assert (follower.lost, held.bytes) == (1, 0)
+    follower.arrived([Item(5, 0, 5, b"", 0, RAW, bytes(5000))])
+    follower.forget()
+    assert held.bytes == 0
+
+
+async def test_everybody_has_left(site: Site) -> None:
+    """After members have come, published, read, called and left again, nothing of theirs is held."""
+    graph = await site.join()
+    await graph.create_subscription("/x", STRING, None, lambda _: None)
+    identities = [member("guest") for _ in range(6)]
+
+    async def visits(count: int) -> None:
+        guests = [OverlayGraph(OverlayNode(who, routers=[site.endpoint], listen=())) for who in identities[:count]]
+        for guest in guests:
+            await guest.open()
+        for guest in guests:
+            publisher = await guest.create_publisher("/x", STRING)
+            await until(lambda: publisher.subscribers, 30)  # noqa: B023
+            publisher.publish(text("hello"))
+        for guest in guests:
+            await guest.close()
+        await until(lambda: not graph.node.membership.gateways(), 30)
+
+    def census() -> dict[str, int]:
+        gc.collect()
+        kinds = (Stream, Follower, Feed, Fabric, OverlayGraph)
+        return {kind.__name__: sum(type(found) is kind for found in gc.get_objects()) for kind in kinds}
+
+    before = census()
+    await visits(6)
+    assert census() == before
+    assert graph.node.held.bytes == 0
+    assert not graph.node.rib.all("publisher")
+    assert not graph.node.rpc._channels
