@@ -31,6 +31,11 @@ class Place:
         assert result.returncode == 0, result.stderr
         return result.stdout
 
+    def fail(self, *words: str) -> str:
+        result = self._ropeway(*words)
+        assert result.returncode == 1
+        return result.stderr
+
     def start(self, *words: str) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", "ropeway", *words]
         return subprocess.Popen(
@@ -94,3 +99,17 @@ def test_mistakes(place: Place, ropeway: Ropeway) -> None:
     assert (graph.returncode, "keys issue" in graph.stderr) == (1, True)
     option = ropeway("topic", "list", "-g", f"overlay:{place.file('cloud.ropeway')}?colour=red")
     assert "router and unique" in option.stderr
+
+
+def test_revoking_twice(place: Place) -> None:
+    """A revocation that reached nobody is pushed by the same command once a router can be reached."""
+    fleet, operator = place.file("acme"), place.file("operator.ropeway")
+    place.run("keys", "issue", "operator", "--fleet", fleet, "--output", operator)
+    alone = place.file("alone.ropeway")
+    place.run("keys", "issue", "alone", "--fleet", fleet, "--output", alone, "--connect", free_endpoint())
+    failed = place.fail("keys", "revoke", "robot", "--fleet", fleet, "--push", alone)
+    assert "can be reached" in failed
+    assert "use --push" in place.fail("keys", "revoke", "robot", "--fleet", fleet)
+    told = json.loads(place.run("keys", "revoke", "robot", "--fleet", fleet, "--push", operator, "--json"))
+    assert (told["revoked"], told["told"]) == ([], 1)
+    assert "it was before" in place.run("keys", "revoke", "robot", "--fleet", fleet, "--push", operator)

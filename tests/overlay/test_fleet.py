@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import stat
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from ropeway.errors import IdentityError
+from ropeway.overlay import fleet as fleet_module
 from ropeway.overlay.fleet import Fleet, make_request, new_key, valid_name
 from ropeway.overlay.identity import Identity, private_pem, write_private
 from ropeway.overlay.rights import EVERYTHING, Rights
@@ -132,3 +137,100 @@ def test_names_and_places(tmp_path: Path) -> None:
     with pytest.raises(IdentityError, match="ed25519, rsa"):
         Fleet.create("g", tmp_path / "g", algorithm="dsa")
     assert not (tmp_path / "g").exists()
+
+
+ISSUE = """
+import sys
+from pathlib import Path
+from ropeway.overlay.fleet import Fleet
+fleet = Fleet(Path(sys.argv[1]))
+sys.stdin.readline()
+for number in range(3):
+    print(fleet.issue(f"{sys.argv[2]}-{number}").certificate.serial)
+"""
+
+
+def test_many_at_once(tmp_path: Path) -> None:
+    """What several processes issue at the same time is all recorded, and all of it can be revoked."""
+    made = Fleet.create("f", tmp_path / "f")
+    command = [sys.executable, "-c", ISSUE, str(made.directory)]
+    issuers = [
+        subprocess.Popen([*command, f"n{n}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        for n in range(4)
+    ]
+    for issuer in issuers:
+        assert issuer.stdin is not None
+        issuer.stdin.write("go\n")
+        issuer.stdin.flush()
+    serials = {int(line) for issuer in issuers for line in issuer.communicate()[0].split()}
+    assert len(serials) == 12
+    assert {row["serial"] for row in Fleet(made.directory).issued()} == serials
+    revoked = {serial for n in range(4) for number in range(3) for serial in made.revoke(f"n{n}-{number}")}
+    assert revoked == serials
+    assert {entry.serial_number for entry in Fleet(made.directory).crl} == serials
+
+
+@pytest.mark.parametrize("operation", ["issue", "renew", "revoke", "sign"])
+def test_a_crash_in_the_middle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, operation: str) -> None:
+    """Wherever a change is broken off, the fleet opens, no certificate was handed out unrecorded, and it can go on."""
+    csr = make_request("guest", new_key("ed25519")).encode()
+    write = fleet_module.write_durable
+    for steps in range(4):
+        made = Fleet.create("f", tmp_path / f"f{steps}")
+        made.issue("robot1")
+        made.issue("gone")
+        made.revoke("gone")
+        left = steps
+
+        def crash(path: Path, data: bytes) -> None:
+            nonlocal left
+            if left == 0:
+                raise KeyboardInterrupt
+            left -= 1
+            write(path, data)
+
+        work = {
+            "issue": lambda: made.issue("gone"),  # noqa: B023
+            "renew": lambda: made.renew("robot1"),  # noqa: B023
+            "revoke": lambda: made.revoke("robot1"),  # noqa: B023
+            "sign": lambda: made.sign_request(csr),  # noqa: B023
+        }[operation]
+        with monkeypatch.context() as patch:
+            patch.setattr(fleet_module, "write_durable", crash)
+            handed: Any = None
+            with contextlib.suppress(KeyboardInterrupt):
+                handed = work()
+        again = Fleet(made.directory)
+        recorded = {row["serial"] for row in again.issued()}
+        if isinstance(handed, Identity):
+            assert handed.certificate.serial in recorded
+        again.issue("next")
+        if not again.is_revoked("robot1"):
+            again.revoke("robot1")
+        listed = {entry.serial_number for entry in Fleet(made.directory).crl}
+        assert {row["serial"] for row in again.issued() if row["name"] == "robot1"} <= listed
+
+
+def test_a_fleet_is_made_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fleet whose making fails leaves nothing behind."""
+
+    def fail(path: Path, data: bytes) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(fleet_module, "write_durable", fail)
+        with pytest.raises(IdentityError, match="No space left"):
+            Fleet.create("f", tmp_path / "f")
+    assert not list(tmp_path.iterdir())
+    Fleet.create("f", tmp_path / "f")
+
+
+def test_renewing_who_is_revoked(tmp_path: Path) -> None:
+    """A member that was revoked is not let in again by renewing it, only by issuing it anew."""
+    made = Fleet.create("f", tmp_path / "f")
+    made.issue("robot1")
+    made.revoke("robot1")
+    with pytest.raises(IdentityError, match="keys issue"):
+        made.renew("robot1")
+    made.issue("robot1")
+    assert not made.is_revoked("robot1")

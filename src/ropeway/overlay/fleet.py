@@ -7,14 +7,20 @@
             name.secret  what global names are made under (0600); no signing key
             crl.pem      who was revoked
             fleet.json   what was issued
+            lock         held by who changes it
+
+Changes are made one at a time, by however many processes, and each is on the disk before anything of it is handed out:
+a certificate that exists can be revoked.
 """
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import json
 import secrets
-from collections.abc import Sequence
+import shutil
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,6 +33,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from ropeway.errors import IdentityError
 from ropeway.overlay.certificate import DENIED, MEMBER, RIGHTS, ROUTER, Certificate, PrivateKey, common_name
+from ropeway.overlay.durable import locked, write_durable
 from ropeway.overlay.identity import Identity, bundle_text, private_pem, write_private
 from ropeway.overlay.rights import EVERYTHING, Rights
 
@@ -62,12 +69,12 @@ class Fleet:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
+        self._record: dict[str, Any]
         try:
             self.ca = x509.load_pem_x509_certificate((directory / "ca.pem").read_bytes())
             key = load_pem_private_key((directory / "ca.key").read_bytes(), None)
             self.name_secret = bytes.fromhex((directory / "name.secret").read_text().strip())
-            self.crl = x509.load_pem_x509_crl((directory / "crl.pem").read_bytes())
-            self._record: dict[str, Any] = json.loads((directory / "fleet.json").read_text())
+            self._read()
         except (OSError, ValueError, TypeError) as error:
             raise IdentityError(
                 str(directory), f"it is not the directory of a fleet ({error}); make one with: ropeway keys init NAME"
@@ -81,12 +88,21 @@ class Fleet:
         """Make a fleet in a directory that does not exist yet."""
         valid_name(name)
         key = new_key(algorithm)
+        directory = directory.absolute()
+        if directory.exists():
+            raise IdentityError(str(directory), "it exists already; a fleet is never made anew in place")
+        made = directory.with_name(f".{directory.name}.{secrets.token_hex(4)}")  # all of it is there, or nothing
         try:
-            directory.mkdir(mode=0o700, parents=True)
-        except FileExistsError:
-            raise IdentityError(str(directory), "it exists already; a fleet is never made anew in place") from None
+            made.mkdir(mode=0o700, parents=True)
+            cls._fill(made, name, key, routers)
+            made.rename(directory)
         except OSError as error:
+            shutil.rmtree(made, ignore_errors=True)
             raise IdentityError(str(directory), f"it cannot be made: {error.strerror}") from error
+        return cls(directory)
+
+    @staticmethod
+    def _fill(directory: Path, name: str, key: PrivateKey, routers: Sequence[str]) -> None:
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
         now = datetime.datetime.now(datetime.UTC)
         ca = (
@@ -102,13 +118,23 @@ class Fleet:
             .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
             .sign(key, _hash(key))
         )
-        (directory / "ca.pem").write_bytes(ca.public_bytes(Encoding.PEM))
+        write_durable(directory / "ca.pem", ca.public_bytes(Encoding.PEM))
         write_private(directory / "ca.key", private_pem(key))
         write_private(directory / "name.secret", secrets.token_hex(32) + "\n")
-        (directory / "crl.pem").write_bytes(_crl(ca, key, 1, ()).public_bytes(Encoding.PEM))
+        write_durable(directory / "crl.pem", _crl(ca, key, 1, ()).public_bytes(Encoding.PEM))
         record = {"name": name, "created": now.isoformat(), "routers": list(routers), "issued": []}
-        (directory / "fleet.json").write_text(json.dumps(record, indent=1) + "\n")
-        return cls(directory)
+        write_durable(directory / "fleet.json", _json(record))
+
+    def _read(self) -> None:
+        self.crl = x509.load_pem_x509_crl((self.directory / "crl.pem").read_bytes())
+        self._record = json.loads((self.directory / "fleet.json").read_text())
+
+    @contextlib.contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Change the fleet as it is now, while nobody else does."""
+        with locked(self.directory / "lock"):
+            self._read()
+            yield
 
     @property
     def name(self) -> str:
@@ -141,10 +167,10 @@ class Fleet:
         routers: Sequence[str] = (),
     ) -> Identity:
         """A new identity with a new key."""
-        self._free(name)
         key = new_key(self.algorithm)
-        certificate = self._certify(name, key.public_key(), role, rights, days)
-        return self._identity(certificate, key, role, routers)
+        with self._changing():
+            certificate = self._certify(self._free(name), key.public_key(), role, rights, days)
+            return self._identity(certificate, key, role, routers)
 
     def sign_request(
         self,
@@ -164,40 +190,50 @@ class Fleet:
             raise IdentityError("the request", f"it is no certificate signing request: {error}") from error
         if not good:
             raise IdentityError("the request", "its signature does not match its key")
-        name = self._free(common_name(request.subject))
-        certificate = self._certify(name, key, role, rights, days)
         secret = self.name_secret if role == "member" else None
-        return bundle_text(
-            certificate, self.ca, secret, self._routers(routers), self.crl_der(), key=None, fleet=self.name
-        )
+        with self._changing():
+            certificate = self._certify(self._free(common_name(request.subject)), key, role, rights, days)
+            return bundle_text(
+                certificate, self.ca, secret, self._routers(routers), self.crl_der(), key=None, fleet=self.name
+            )
 
     def renew(self, name: str, *, days: float = 365.0) -> Identity:
         """A new key and certificate for a member, with the rights it has; the old certificate goes on until it ends."""
-        row = self._row(name)
-        rights = Rights(**{verb: tuple(patterns) for verb, patterns in row["rights"].items()})
         key = new_key(self.algorithm)
-        certificate = self._certify(name, key.public_key(), row["role"], rights, days)
-        return self._identity(certificate, key, row["role"], tuple(row.get("routers", ())))
+        with self._changing():
+            row = self._row(name)
+            if row.get("revoked"):
+                raise IdentityError(name, "it is revoked; issue it anew with: ropeway keys issue")
+            rights = Rights(**{verb: tuple(patterns) for verb, patterns in row["rights"].items()})
+            certificate = self._certify(name, key.public_key(), row["role"], rights, days)
+            return self._identity(certificate, key, row["role"], tuple(row.get("routers", ())))
 
     def revoke(self, name: str) -> list[int]:
         """Revoke every certificate of a name; the serial numbers. The list has to reach the others (``--push``)."""
-        self._row(name)
-        serials = [row["serial"] for row in self._record["issued"] if row["name"] == name and not row.get("revoked")]
-        if not serials:
-            raise IdentityError(name, "it is revoked already")
-        for row in self._record["issued"]:
-            if row["name"] == name:
-                row["revoked"] = True
-        self._renew_crl([*(entry.serial_number for entry in self.crl), *serials])
-        self._save()
-        return serials
+        with self._changing():
+            self._row(name)
+            issued = self._record["issued"]
+            serials = [row["serial"] for row in issued if row["name"] == name and not row.get("revoked")]
+            if not serials:
+                raise IdentityError(name, "it is revoked already; to tell the overlay again, use --push BUNDLE")
+            for row in issued:
+                if row["name"] == name:
+                    row["revoked"] = True
+            self._renew_crl({*(entry.serial_number for entry in self.crl), *serials})
+            self._save()
+            return serials
 
-    def _renew_crl(self, serials: Sequence[int]) -> None:
+    def is_revoked(self, name: str) -> bool:
+        """Whether every certificate of a name is revoked. Raises ``IdentityError`` where it never had one."""
+        self._row(name)
+        return all(row.get("revoked") for row in self._record["issued"] if row["name"] == name)
+
+    def _renew_crl(self, serials: Collection[int]) -> None:
         number = self.crl.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
         alive = {row["name"] for row in self._record["issued"] if not row.get("revoked")}
         denied = sorted({row["name"] for row in self._record["issued"]} - alive)
         self.crl = _crl(self.ca, self._key, number + 1, serials, denied)
-        (self.directory / "crl.pem").write_bytes(self.crl.public_bytes(Encoding.PEM))
+        write_durable(self.directory / "crl.pem", self.crl.public_bytes(Encoding.PEM))
 
     def _free(self, name: str) -> str:
         valid_name(name)
@@ -267,10 +303,7 @@ class Fleet:
         return certificate
 
     def _save(self) -> None:
-        path = self.directory / "fleet.json"
-        new = path.with_suffix(".new")
-        new.write_text(json.dumps(self._record, indent=1) + "\n")
-        new.replace(path)
+        write_durable(self.directory / "fleet.json", _json(self._record))
 
 
 def make_request(name: str, key: PrivateKey) -> str:
@@ -278,6 +311,10 @@ def make_request(name: str, key: PrivateKey) -> str:
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, valid_name(name))])
     made = x509.CertificateSigningRequestBuilder().subject_name(subject).sign(key, _hash(key))
     return made.public_bytes(Encoding.PEM).decode()
+
+
+def _json(record: Mapping[str, Any]) -> bytes:
+    return (json.dumps(record, indent=1) + "\n").encode()
 
 
 def _hash(key: PrivateKey) -> hashes.SHA256 | None:
@@ -299,7 +336,7 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
 
 
 def _crl(
-    ca: x509.Certificate, key: PrivateKey, number: int, serials: Sequence[int], denied: Sequence[str] = ()
+    ca: x509.Certificate, key: PrivateKey, number: int, serials: Collection[int], denied: Sequence[str] = ()
 ) -> x509.CertificateRevocationList:
     now = datetime.datetime.now(datetime.UTC)
     built = (

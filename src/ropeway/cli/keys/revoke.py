@@ -30,11 +30,14 @@ def revoke(
 ) -> None:
     """Revoke all certificates of NAME. With --push running routers and gateways know within a minute.
 
+    Where nobody could be told, the same command again tells them.
+
     Without it, give crl.pem of the fleet to the routers (ropeway router --crl), which tell everybody else.
     """
     made = open_fleet(fleet)
     identity = Identity.load(push) if push is not None else None
-    serials = made.revoke(name)
+    again = identity is not None and made.is_revoked(name)
+    serials = [] if again else made.revoke(name)
     told = None
     if identity is not None:
         from ropeway.overlay.router import push_crl  # loads Zenoh
@@ -43,7 +46,8 @@ def revoke(
     if as_json:
         print_json({"name": name, "revoked": [f"{serial:x}" for serial in serials], "told": told})
         return
-    answer(f"{name} is revoked ({len(serials)} certificate{'s' if len(serials) != 1 else ''}).")
+    how = "it was before" if again else f"{len(serials)} certificate{'s' if len(serials) != 1 else ''}"
+    answer(f"{name} is revoked ({how}).")
     if told is None:
         answer(f"Nobody was told: push it with --push BUNDLE, or give {made.directory / 'crl.pem'} to the routers.")
     else:
