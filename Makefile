@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 BENCHES = paper loopback urgent big start readers services clients overlay nodes
 export PYTHON
 
-.PHONY: help demo demo-iort test lint bench clean
+.PHONY: help demo demo-iort test test-all lint bench fuzz clean
 
 help: ## show this
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-10s %s\n", $$1, $$2}'
@@ -17,7 +17,10 @@ demo: $(VENV)/runtime.stamp ## two networks, two gateways, a camera each way; DE
 demo-iort: $(VENV)/demo.stamp ## one command to a ROS 2, a ROS 1 and another robot; DEMO="--keyboard" for yourself
 	@$(BIN)/ropeway demo-iort $(DEMO)
 
-test: $(VENV)/dev.stamp ## all tests; TEST="-k outbox" for some
+test: $(VENV)/dev.stamp ## all tests but the slow ones; TEST="-k outbox" for some
+	@$(BIN)/python -m pytest -q -m "not slow" $(TEST)
+
+test-all: $(VENV)/dev.stamp ## all tests, with a short run of the fuzzer and of everything that must not grow
 	@$(BIN)/python -m pytest -q $(TEST)
 
 lint: $(VENV)/dev.stamp ## style, types, and the direction of imports
@@ -28,6 +31,9 @@ lint: $(VENV)/dev.stamp ## style, types, and the direction of imports
 
 bench: $(VENV)/dev.stamp ## the figures of the README; BENCH="loopback" for one
 	@for name in $(or $(BENCH),$(BENCHES)); do $(BIN)/python -m bench.$$name || exit 1; done
+
+fuzz: $(VENV)/dev.stamp ## look for inputs that break parsers; FUZZ="cdr xml-rpc --seconds 3600" for some, longer
+	@$(BIN)/python -m fuzz $(FUZZ)
 
 clean: ## remove the environment and all caches
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache dist build

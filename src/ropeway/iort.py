@@ -473,7 +473,7 @@ class _Copy:
                         told = json.load(file)
                     value = _value_of(told, told["system"], told["topic"])
                     waiting = [_value_of(one, value.system, value.topic) for one in told.get("unsent", ())]
-                except (OSError, ValueError, KeyError, TypeError, AttributeError):
+                except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
                     continue  # not ours, or half of one
                 key = (value.system, value.topic)
                 self.values[key] = value
@@ -620,6 +620,14 @@ class _Connection(asyncio.Protocol):
     def close(self) -> None:
         if self.transport is not None:
             self.transport.close()
+
+
+def _number(packet: Packet, key: str) -> int:
+    """A whole number of up to 63 bits in the head of a packet; 0 where there is none. Raises ``NodeError``."""
+    text = packet.head.get(key, "0")
+    if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) < 1 << 63):
+        raise NodeError("malformed", "{}={} is no whole number of up to 63 bits".format(key, text[:40]))
+    return int(text)
 
 
 def _checked(answer: Packet) -> Packet:
@@ -874,7 +882,10 @@ class AsyncNode:
     async def list(self, pattern_system: str = "*", pattern_topic: str = "*") -> List[Dict[str, Any]]:
         """The last values whose names fit, as JSON objects. Raises ``NodeError``."""
         answer = await self.request(pattern_system, pattern_topic, "+list", {})
-        found: List[Dict[str, Any]] = json.loads(answer.data.decode())
+        try:
+            found: List[Dict[str, Any]] = json.loads(answer.data.decode())
+        except (ValueError, RecursionError):
+            raise NodeError("malformed", "the server's list is no JSON text") from None
         return found
 
     async def request(
@@ -975,10 +986,14 @@ class AsyncNode:
             self._acknowledged(connection, value, answer)
 
     def _acknowledged(self, connection: _Connection, value: Value, answer: Packet) -> None:
-        version = answer.head.get("v", "")
-        if version.isdigit():
-            value.version = int(version)
-            self._version = max(self._version, value.version)
+        try:
+            version = _number(answer, "v")
+        except NodeError:
+            self.faults += 1
+            version = 0
+        if version:
+            value.version = version
+            self._version = max(self._version, version)
         if connection.mode == "remote":
             self._copy.settle(value)
 
@@ -1004,8 +1019,8 @@ class AsyncNode:
             packet.system,
             packet.topic,
             packet.data,
-            int(head.get("v", "0")),
-            int(head.get("t", "0")),
+            _number(packet, "v"),
+            _number(packet, "t"),
             head.get("o", ""),
             head.get("k", ""),
             connection.mode,
@@ -1031,7 +1046,7 @@ class AsyncNode:
             return
         try:
             value = self._value(connection, packet)
-        except ValueError:
+        except NodeError:
             self.faults += 1
             return
         self._learned(value)
@@ -1162,12 +1177,11 @@ class AsyncNode:
             answer = await connection.ask(self.system, "-", "+hello", head, timeout_s=_CONNECT_S)
             if answer.op != "+ok":
                 raise NodeError("malformed", "what answers there is no server of nodes")
-            now = answer.head.get("t", "")
-            if now.isdigit():
-                self._offset_ns = int(now) - (before + time.time_ns()) // 2
+            now = _number(answer, "t")
+            if now:
+                self._offset_ns = now - (before + time.time_ns()) // 2
             self.note = answer.data.decode(errors="replace")
-            most = answer.head.get("max", "")
-            connection.max_bytes = int(most) if most.isdigit() else 0
+            connection.max_bytes = _number(answer, "max")
         except NodeError as error:
             self.last_error = "{}: {}".format(url, error)
             connection.close()

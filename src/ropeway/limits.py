@@ -29,6 +29,12 @@ PATTERNS: Final = 64
 SHOWN_TEXT_CHARACTERS: Final = 500
 """What a peer says went wrong, as far as it is logged or passed on."""
 
+PARAMETER_TEXT_CHARACTERS: Final = 1_024
+"""A text of a client that is read as YAML, as the value of a parameter. A longer one stands for itself."""
+
+PARAMETER_BRACKETS: Final = 16
+"""Opening brackets in such a text. The values of parameters have one; each that stays open costs more than the last."""
+
 # ── Quality of service ─────────────────────────────────────────────────────────────────────────────────────────────
 
 QOS_DEPTH_SAMPLES: Final = 10_000

@@ -442,3 +442,31 @@ def test_old_python(tmp_path: Path) -> None:
         assert done.stdout == "(3, 8) [1.0, 2.0] remote\n", done.stderr
     finally:
         server.kill()
+
+
+async def test_a_server_that_tells_no_numbers() -> None:
+    """A version or a list that is none is a fault of the server, and the next value is taken."""
+    got: list[Value] = []
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        parser = iort.Parser()
+        while data := await reader.read(65536):
+            for packet in parser.feed(data):
+                assert isinstance(packet, iort.Packet)
+                number = packet.head.get("n", "0")
+                if packet.op == "+sub":
+                    for version in ("\u00b2", "9" * 5000, "-1", "7"):
+                        writer.write(iort.pack("01", "S", "t", "+val", {"v": version}, b"x"))
+                text = b"[" * 5000 if packet.op == "+list" else b""
+                writer.write(iort.pack("01", "-", "-", "+ok", {"n": number}, text))
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    async with server, AsyncNode("A", f"iort://127.0.0.1:{port}") as node:
+        await node.wait_mode("remote", 10)
+        await node.subscribe("t", got.append, system="S")
+        await until(lambda: got)
+        assert ([value.version for value in got], node.faults) == ([7], 3)
+        with pytest.raises(NodeError, match="no JSON") as told:
+            await node.list()
+        assert told.value.code == "malformed"

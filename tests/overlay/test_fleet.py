@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import json
 import stat
@@ -83,6 +84,9 @@ def test_damaged_bundles(tmp_path: Path) -> None:
     made = Fleet.create("f", tmp_path / "f")
     good = json.loads(made.issue("robot1").to_text())
     other = json.loads(made.issue("robot2").to_text())
+    unknown_kind = good["key"].replace("MC4CAQAwBQYDK2Vw", "MC4CAQAwBQYDK2V5")  # another number for its algorithm
+    der = base64.b64decode("".join(good["certificate"].splitlines()[1:-1])).replace(b"\xa0\3\2\1\2", b"\xa0\3\2\1\x1a")
+    odd_version = f"-----BEGIN CERTIFICATE-----\n{base64.encodebytes(der).decode()}-----END CERTIFICATE-----\n"
     cases = {
         "no such bundle": None,
         "it is no bundle": "certainly not",
@@ -90,6 +94,9 @@ def test_damaged_bundles(tmp_path: Path) -> None:
         "keys join": json.dumps({k: v for k, v in good.items() if k != "key"}),
         "it is damaged": json.dumps({**good, "certificate": "x"}),
         "have a new one issued": json.dumps({**good, "name_secret": "zz"}),
+        "damaged .*key": json.dumps({**good, "key": unknown_kind}),
+        "damaged .*version": json.dumps({**good, "certificate": odd_version}),
+        r"it is no bundle; ": "[" * 5000,
         "do not go together": json.dumps({**good, "key": other["key"]}),
     }
     for said, text in cases.items():

@@ -39,3 +39,12 @@ def test_round_trip() -> None:
     for raw in (b"", b"[]", b"{", b'{"fly": ["*"]}', b'{"call": "*"}', b'{"call": [1]}'):
         with pytest.raises(ValueError):
             Rights.from_json(raw)
+
+
+@pytest.mark.parametrize(
+    "raw", [b"[" * 5000, b"[]", b'{"publish": 1}', b'{"publish": [1]}', b'{"drive": []}', b"\xff", b""]
+)
+def test_refuses_what_are_no_rights(raw: bytes) -> None:
+    """An extension that holds anything else is refused, however it is made."""
+    with pytest.raises(ValueError, match=r"."):
+        Rights.from_json(raw)

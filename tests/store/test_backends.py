@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -145,3 +146,19 @@ def test_not_a_store(tmp_path: Path) -> None:
     with pytest.raises(StoreUnavailable, match="move it away"):
         make_backend(str(path)).open()
     assert path.read_bytes() == b"something else" * 1000
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[" * 5000, '{"version": 1e999}', '{"version": 1e3}', '{"version": 9223372036854775808}', '{"base64": 5}', "null"],
+)
+def test_one_bad_file_fails_alone(tmp_path: Path, text: str) -> None:
+    """A file that is none of ours, or whose numbers are none, is left alone, and the others are read."""
+    backend = make_backend(f"{tmp_path}/values/")
+    backend.open()
+    backend.write([entry(b"x", 1), entry(b"y", 2, topic="odom")], 0)
+    (path,) = tmp_path.glob("values/*/cmd_vel.json")
+    told = json.loads(path.read_text())
+    path.write_text(json.dumps(told)[:-1] + ", " + text[1:] if text.startswith("{") else text)
+    assert [each.topic for each in backend.load()] == ["odom"]
+    backend.close()

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ropeway.errors import InvalidFrame
-from ropeway.wire.frames import JsonAssembler, cbor_loads, json_loads, loads
+from ropeway.wire.frames import JsonAssembler, cbor_loads, json_loads, json_value, loads
 
 A = {"op": "publish", "topic": "/a", "msg": {"data": 'x"{}[]\\'}}
 B = {"op": "subscribe", "topic": "/b", "list": [1, -2.5, True, None, {}, [], "é"]}
@@ -242,3 +242,11 @@ def test_every_object_survives_being_cut(objects: list[dict[str, Any]], size: in
     expected = [{**x, "op": "x"} for x in objects]
     if assembler.garbage_bytes == 0:  # a piece may look like an operation of its own
         assert found == expected
+
+
+@pytest.mark.parametrize("text", ["[" * 5000, "[" * 200 + "]" * 200, "1" * 5000, "{", "", '"\\ud800"'])
+def test_a_text_that_is_no_frame_raises_value_error(text: str) -> None:
+    """What cannot be used is refused with one kind of error, also where Python's own parser overflows its stack."""
+    with pytest.raises(ValueError, match=r"."):
+        json_value(text)
+    assert json_value('{"a": [1, 2.5, null]}') == {"a": [1, 2.5, None]}

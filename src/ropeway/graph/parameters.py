@@ -140,7 +140,7 @@ def parse_value(text: str) -> ParameterValue:
     """
     try:
         value = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError):
+    except (yaml.YAMLError, ValueError, RecursionError):
         return text
     if isinstance(value, (bool, int, float, list)):
         try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import os
 import socket
@@ -20,6 +19,7 @@ from ropeway.link.connection import Connection, Limits
 from ropeway.link.front import Admission, Admit, Front, Http, Port
 from ropeway.link.handshakes import watch_handshakes
 from ropeway.link.http import Request, Response, reply
+from ropeway.wire.frames import json_value
 
 __all__ = ["Server", "connect", "listen"]
 
@@ -177,7 +177,7 @@ def _redirects(response: Any) -> str:
 def _said(error: picows.WSError) -> str:
     """The reason in an answer that is no WebSocket, as other gateways give it."""
     try:
-        reason = json.loads(getattr(error, "raw_body", None) or b"{}")["error"]
+        reason = json_value(getattr(error, "raw_body", None) or b"{}")["error"]
     except (ValueError, KeyError, TypeError):
         return ""
     return f": {reason}" if isinstance(reason, str) and reason.isprintable() and len(reason) <= 200 else ""

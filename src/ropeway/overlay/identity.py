@@ -21,8 +21,9 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_private_key,
 )
 
-from ropeway.errors import IdentityError, SealError
+from ropeway.errors import IdentityError
 from ropeway.overlay.certificate import Certificate, PrivateKey, common_name, sign
+from ropeway.wire.frames import json_value
 
 __all__ = ["Identity", "bundle_text", "private_pem", "public_bytes", "read_bundle", "write_private"]
 
@@ -110,7 +111,7 @@ class Identity:
             secret = bytes.fromhex(found["name_secret"]) if found.get("name_secret") else None
             crl = x509.load_pem_x509_crl(found["crl"].encode()).public_bytes(Encoding.DER) if found.get("crl") else b""
             routers = tuple(map(str, found.get("routers", ())))
-        except (KeyError, ValueError, TypeError, AttributeError, SealError) as error:
+        except Exception as error:  # of a library that reads what others wrote, which raises many kinds
             raise IdentityError(source, f"it is damaged ({error}); have a new one issued") from error
         if not isinstance(key, (Ed25519PrivateKey, RSAPrivateKey)):
             raise IdentityError(source, "its key is neither Ed25519 nor RSA; have a new one issued")
@@ -159,7 +160,7 @@ def bundle_text(
 def read_bundle(text: str, source: str) -> Mapping[str, Any]:
     """The fields of a bundle. Raises ``IdentityError`` for anything else."""
     try:
-        found = json.loads(text)
+        found = json_value(text)
     except ValueError:
         found = None
     if not isinstance(found, dict) or "ropeway" not in found:

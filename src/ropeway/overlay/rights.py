@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
+from ropeway.wire.frames import json_value
+
 __all__ = ["EVERYTHING", "VERBS", "Rights"]
 
 VERBS: Final = ("publish", "subscribe", "call", "offer")
@@ -43,7 +45,7 @@ class Rights:
     @classmethod
     def from_json(cls, raw: bytes) -> Rights:
         """Read it. Raises ``ValueError`` for anything else."""
-        found: Any = json.loads(raw)
+        found: Any = json_value(raw)
         if not isinstance(found, dict) or not found.keys() <= set(VERBS):
             raise ValueError("no rights")
         for patterns in found.values():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import json
 import threading
 from typing import Final
 
@@ -16,6 +15,7 @@ from ropeway.errors import SealError
 from ropeway.limits import OVERLAY_CRL_BYTES
 from ropeway.overlay.certificate import DENIED, Certificate
 from ropeway.overlay.refusal import Refusal
+from ropeway.wire.frames import json_value
 
 __all__ = ["Trust"]
 
@@ -110,4 +110,4 @@ def _denied(crl: x509.CertificateRevocationList) -> frozenset[str]:
     except x509.ExtensionNotFound:
         return frozenset()
     assert isinstance(found, x509.UnrecognizedExtension)
-    return frozenset(map(str, json.loads(found.value)))
+    return frozenset(map(str, json_value(found.value)))

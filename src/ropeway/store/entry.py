@@ -11,13 +11,15 @@ from typing import Any, Final, Protocol
 from ropeway.errors import ValueRefused
 from ropeway.iort import kind_of
 
-__all__ = ["CDR", "MAX_NAME_BYTES", "Backend", "Entry", "Key", "Versions", "as_json", "check_name"]
+__all__ = ["CDR", "MAX_NAME_BYTES", "Backend", "Entry", "Key", "Versions", "as_json", "check_name", "whole"]
 
 CDR: Final = "cdr"
 """The form of an entry that is a message of ROS."""
 
 MAX_NAME_BYTES: Final = 200
 """The longest name of a system or a topic, in UTF-8: a file system takes 255 bytes."""
+
+_LARGEST: Final = 1 << 63
 
 Key = tuple[str, str]
 """System and topic."""
@@ -117,6 +119,13 @@ class Backend(Protocol):
 
     def close(self) -> None:
         """Let go; harmless twice."""
+
+
+def whole(value: object) -> int:
+    """Return a version or a stamp as it stands in a file or a database. Raises ``ValueError`` for what is none."""
+    if type(value) is not int or not -_LARGEST <= value < _LARGEST:
+        raise ValueError(f"{value!r:.40} is no whole number of 64 bits")
+    return value
 
 
 def check_name(system: str, topic: str) -> None:

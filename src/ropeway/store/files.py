@@ -17,7 +17,8 @@ from typing import Any, Final
 from urllib.parse import quote
 
 from ropeway.errors import StoreUnavailable
-from ropeway.store.entry import Entry, Key, as_json
+from ropeway.store.entry import Entry, Key, as_json, whole
+from ropeway.wire.frames import json_value
 
 __all__ = ["FilesBackend"]
 
@@ -110,15 +111,15 @@ def _file_name(name: str) -> str:
 
 def _read(path: Path) -> Entry | None:
     try:
-        value: Any = json.loads(path.read_bytes())
+        value: Any = json_value(path.read_bytes())
         raw = value.get("base64")
         data = value["data"].encode() if raw is None else base64.b64decode(raw, validate=True)
         return Entry(
             str(value["system"]),
             str(value["topic"]),
             data,
-            int(value["version"]),
-            int(value["stamp_ns"]),
+            whole(value["version"]),
+            whole(value["stamp_ns"]),
             str(value.get("origin", "")),
             str(value.get("type", "")),
             str(value.get("form", "")),

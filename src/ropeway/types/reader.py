@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import cbor2
 
@@ -34,7 +34,7 @@ __all__ = ["FLAVOURS", "Reader", "make_reader"]
 
 FLAVOURS: Final = ("object", "json", "cbor", "rosgw", "json64")
 _TUPLE_LIMIT: Final = 64
-_EMPTY_LIMIT: Final = 65536
+_EMPTY_LIMIT: Final = 65536  # elements of no size at all (ROS 1's empty messages) in one message
 _TAGS: Final = {
     "uint16": 69,
     "uint32": 70,
@@ -51,23 +51,24 @@ Reader = Callable[[bytes, int, int], tuple[Any, int]]
 """``(raw, start, end) -> (value, next)``; raises ``values.Short``, ``struct.error``, ``ValueError``."""
 
 
-class _Target(NamedTuple):
-    """A variable that a run is unpacked into: one number, or a list of ``count`` where that is not 0."""
-
-    name: str
-    code: str
-    count: int = 0
-
-
 def make_reader(plan: Plan, flavour: str) -> Reader:
     """The function that reads messages of this plan. ``start`` is 4 for CDR (behind its header), 0 for ROS 1."""
-    return _Source(plan.layout, flavour, {}).function(plan)
+    empties = values.Empties(_EMPTY_LIMIT)
+    read = _Source(plan.layout, flavour, {}, empties).function(plan)
+    if not empties.wanted:
+        return read
+
+    def read_anew(raw: bytes, start: int, end: int) -> tuple[Any, int]:
+        empties.begin()
+        return read(raw, start, end)
+
+    return read_anew
 
 
 class _Source:
-    def __init__(self, layout: str, flavour: str, made: dict[int, Reader]) -> None:
+    def __init__(self, layout: str, flavour: str, made: dict[int, Reader], empties: values.Empties) -> None:
         self.cdr = layout == "cdr"
-        self.layout, self.made = layout, made
+        self.layout, self.made, self.empties = layout, made, empties
         self.texts = flavour == "json64"
         self.flavour = "json" if self.texts else flavour
         self.lines: list[str] = []
@@ -83,7 +84,7 @@ class _Source:
         return made
 
     def inner(self) -> _Source:
-        return _Source(self.layout, "json64" if self.texts else self.flavour, self.made)
+        return _Source(self.layout, "json64" if self.texts else self.flavour, self.made, self.empties)
 
     def line(self, text: str) -> None:
         self.lines.append(" " * self.indent + text)
@@ -122,20 +123,19 @@ class _Source:
 
     def run(self, run: Run) -> None:
         self.align(run.align)
-        targets: list[_Target] = []
-        after = []
+        targets, after = [], []
         code = "<"
         for slot in run.slots:
             if slot.use == "pad":
                 code += f"{slot.count}x"
             elif slot.use == "length":
-                targets.append(_Target(f"n{_index(slot)}", slot.code))
+                targets.append((f"n{_index(slot)}", slot.code, 1))
                 code += slot.code
             elif slot.leaf is not None and slot.leaf.type.kind == "scalar":
-                targets.append(_Target(f"v{slot.leaf.index}", slot.code))
+                targets.append((f"v{slot.leaf.index}", slot.code, 1))
                 code += slot.code
             elif self.as_tuple(slot):
-                targets.append(_Target(f"v{_index(slot)}", slot.code, slot.count))
+                targets.append((f"v{_index(slot)}", slot.code, slot.count))
                 code += f"{slot.count}{slot.code}"
             else:
                 assert slot.leaf is not None
@@ -154,29 +154,29 @@ class _Source:
             if slot.use == "length" and slot.leaf is not None:
                 self.limit(slot.leaf)
 
-    def unpack(self, targets: list[_Target], code: str) -> None:
+    def unpack(self, targets: list[tuple[str, str, int]], code: str) -> None:
         if not targets:
             self.line(f"if p + {struct.calcsize(code)} > end: raise Short")
             return
         self.runs += 1
         unpack = self.constant(f"u{self.runs}", struct.Struct(code).unpack_from)
-        if not any(target.count for target in targets):
-            self.line(", ".join(target.name for target in targets) + f", = {unpack}(raw, p)")
+        if all(count == 1 for _, _, count in targets):
+            self.line(", ".join(name for name, _, _ in targets) + f", = {unpack}(raw, p)")
             return
         self.line(f"t = {unpack}(raw, p)")
         position = 0
         for name, letter, count in targets:
-            if not count:
+            if count == 1:
                 self.line(f"{name} = t[{position}]")
             else:
                 cut = f"t[{position}:{position + count}]"
                 self.line(f"{name} = {cut if self.flavour == 'json' and letter != '?' else f'list({cut})'}")
-            position += count or 1
+            position += count
 
-    def widen(self, targets: list[_Target]) -> None:
+    def widen(self, targets: list[tuple[str, str, int]]) -> None:
         """Have ``cbor.dumps`` write NaN and infinity in full."""
-        names = [name for name, letter, count in targets if letter in "fd" and not count]
-        lists = [name for name, letter, count in targets if letter in "fd" and count]
+        names = [name for name, letter, count in targets if letter in "fd" and count == 1]
+        lists = [name for name, letter, count in targets if letter in "fd" and count > 1]
         if not names and not lists:
             return
         total = " + ".join([*names, *(f"sum({name})" for name in lists)])
@@ -267,8 +267,11 @@ class _Source:
     def loop(self, step: Loop) -> None:
         type, name = step.leaf.type, f"v{step.leaf.index}"
         count = f"n{step.leaf.index}" if type.kind == "sequence" else str(type.size)
-        # elements of no size at all (ROS 1's empty messages) must not make a list of any length from four bytes
-        self.line(f"if {count} * {step.minimum or 1} > {'end - p' if step.minimum else _EMPTY_LIMIT}: raise Short")
+        if step.minimum:
+            self.line(f"if {count} * {step.minimum} > end - p: raise Short")
+        else:
+            self.empties.wanted = True
+            self.line(f"{self.constant('take', self.empties.take)}({count})")
         self.line(f"{name} = []")
         self.line(f"for _ in range({count}):")
         self.indent += 1

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import struct
 import sys
+import threading
 from array import array
 from collections.abc import Callable, Mapping
 from typing import Any, Final, TypeVar
@@ -18,6 +19,7 @@ import orjson
 import pybase64
 
 __all__ = [
+    "Empties",
     "Misfit",
     "Short",
     "base64_text",
@@ -51,6 +53,27 @@ class Misfit(Exception):
 
 class Short(Exception):
     """The bytes end before the message does, or a length in them is impossible."""
+
+
+class Empties(threading.local):
+    """Counts the elements of one message that take no bytes, which nothing else bounds.
+
+    ``wanted`` tells whether a type has any. Each thread counts the message that it reads.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self.limit = self.left = limit
+        self.wanted = False
+
+    def begin(self) -> None:
+        """Begin a message."""
+        self.left = self.limit
+
+    def take(self, count: int) -> None:
+        """Count elements. Raises ``Short`` above the limit."""
+        self.left -= count
+        if self.left < 0:
+            raise Short(f"more than {self.limit} elements without content")
 
 
 def base64_text(raw: bytes, start: int, end: int) -> orjson.Fragment:

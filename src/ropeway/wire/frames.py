@@ -18,7 +18,7 @@ import orjson
 
 from ropeway.errors import InvalidFrame
 
-__all__ = ["MAX_DEPTH", "JsonAssembler", "cbor_loads", "json_loads", "loads"]
+__all__ = ["MAX_DEPTH", "JsonAssembler", "cbor_loads", "json_loads", "json_value", "loads"]
 
 MAX_DEPTH: Final = 128
 """Containers within containers; ROS messages have about ten."""
@@ -52,6 +52,19 @@ def json_loads(data: bytes | bytearray | memoryview | str, max_depth: int = MAX_
     except orjson.JSONDecodeError:
         value = _lenient(data)
     _check_depth(data, value, max_depth)
+    return value
+
+
+def json_value(data: bytes | str) -> Any:
+    """Return the value of a JSON text that is no frame: what stands in a certificate, a file, a parameter.
+
+    Raises ``ValueError`` for everything that is not to be used, also where it is nested too deeply.
+    """
+    try:
+        value = _lenient(data)  # keeps whole numbers of any size
+        _check_depth(data, value, MAX_DEPTH)
+    except InvalidFrame as error:
+        raise ValueError(error.reason) from None
     return value
 
 

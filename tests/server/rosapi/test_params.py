@@ -125,6 +125,7 @@ async def test_set_an_unknown_type(place: Place, camera: ParameterNode) -> None:
         ("/robot:what", "2", "what was not declared"),
         ("/robot:width", "seven", "JSON"),
         ("/robot:width", "", "JSON"),
+        ("/robot:width", "[" * 5000, "JSON"),
         ("/nobody:width", "7", "Service /nobody/set_parameters is not available"),
         ("width", "7", "Malformed"),
         ("/robot:width", "123456789012345678901234567890", ""),

@@ -48,6 +48,7 @@ from ropeway.qos import DEFAULT, LATCHED, QoS
 from ropeway.store import Entry
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
+from ropeway.wire.frames import json_value
 
 __all__ = ["IortGraph"]
 
@@ -347,7 +348,7 @@ def _profile(text: str, *, latched: bool) -> QoS:
     """
     if text:
         try:
-            return QoS.parse(json.loads(text))
+            return QoS.parse(json_value(text))
         except (ValueError, TypeError):
             pass
     return LATCHED if latched else DEFAULT

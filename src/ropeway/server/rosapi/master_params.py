@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 from ropeway.errors import RopewayError
 from ropeway.server.rosapi.globs import Globs
 from ropeway.server.rosapi.params import from_json, to_json
+from ropeway.wire.frames import json_value
 
 __all__ = ["MasterParams", "ParameterServer"]
 
@@ -51,9 +51,9 @@ class MasterParams:
     async def set(self, name: str, value: str) -> dict[str, Any]:
         """Set a parameter to a JSON text."""
         try:
-            given = json.loads(value)
+            given = json_value(value)
         except ValueError as error:
-            reason = f"the value of a parameter is a JSON text, which {value!r} is not: {error}"
+            reason = f"the value of a parameter is a JSON text, which {value!r:.100} is not: {error}"
             return {"successful": False, "reason": reason}
         _, reason = await self._tried(name, lambda: self._server.set_param(_absolute(name), given))
         return {"successful": not reason, "reason": reason}

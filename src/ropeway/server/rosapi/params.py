@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.errors import CallError, CallTimeout, RopewayError
+from ropeway.errors import CallError, CallTimeout, RopewayError, ValueMismatch
 from ropeway.graph.parameters import (
     ParameterType,
     ParameterValue,
@@ -20,10 +20,13 @@ from ropeway.graph.parameters import (
     nodes_with_parameters,
     parse_value,
     set_parameters,
+    type_of,
 )
+from ropeway.limits import PARAMETER_BRACKETS, PARAMETER_TEXT_CHARACTERS
 from ropeway.server.rosapi.globs import Globs
 from ropeway.server.rosapi.picture import is_hidden_node
 from ropeway.tasks import end
+from ropeway.wire.frames import json_value
 
 if TYPE_CHECKING:
     from ropeway.graph.base import Graph
@@ -73,10 +76,10 @@ class Params:
             async with asyncio.timeout(self._timeout_s):
                 node, parameter = self._split(name, "set_parameters")
                 try:
-                    given = json.loads(value)
+                    given = json_value(value)
                 except ValueError as error:
                     raise _Refused(
-                        f"the value of a parameter is a JSON text, which {value!r} is not: {error}"
+                        f"the value of a parameter is a JSON text, which {value!r:.100} is not: {error}"
                     ) from None
                 wanted = await self._typed(node, parameter, given, value)
                 refused = await set_parameters(
@@ -180,7 +183,7 @@ class Params:
 
 def _fitted(given: Any, text: str, kind: ParameterType) -> ParameterValue:
     if isinstance(given, str):
-        return given if kind is ParameterType.STRING else parse_value(given)
+        return given if kind is ParameterType.STRING else _read(given)
     if kind is ParameterType.STRING:
         return text
     if _is_number(given):
@@ -190,6 +193,16 @@ def _fitted(given: Any, text: str, kind: ParameterType) -> ParameterValue:
             return bytes(given)
         mixed = any(isinstance(n, float) for n in given)
         return [float(n) for n in given] if mixed or kind in _NUMBERS else given
+    try:
+        return given if type_of(given) is not ParameterType.NOT_SET else text
+    except ValueMismatch:
+        return text
+
+
+def _read(text: str) -> ParameterValue:
+    """Return what a text stands for, as ``ros2 param set`` reads it; a long or a nested one stands for itself."""
+    if len(text) > PARAMETER_TEXT_CHARACTERS or text.count("[") + text.count("{") > PARAMETER_BRACKETS:
+        return text
     return parse_value(text)
 
 
@@ -210,7 +223,7 @@ def _reason(error: BaseException) -> str:
 def from_json(text: str) -> Any:
     """The value of a JSON text; an empty text where it is none."""
     try:
-        return json.loads(text) if text else ""
+        return json_value(text) if text else ""
     except ValueError:
         return ""
 

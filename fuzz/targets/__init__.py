@@ -1,0 +1,61 @@
+"""The targets: each module has some, and is imported only when one of them is fuzzed, so that it is instrumented."""
+
+from __future__ import annotations
+
+from typing import Final
+
+__all__ = ["MODULES"]
+
+MODULES: Final = {
+    "json-operations": "operations",
+    "json-stream": "operations",
+    "cbor-operations": "operations",
+    "fragments": "operations",
+    "values": "bodies",
+    "bodies": "bodies",
+    "records": "records",
+    "zstd": "filters",
+    "planes": "filters",
+    "filtered": "filters",
+    "png": "pictures",
+    "png-rows": "pictures",
+    "cdr": "messages",
+    "ros1-messages": "messages",
+    "definitions": "definitions",
+    "interfaces": "definitions",
+    "idl": "definitions",
+    "names": "texts",
+    "qos": "texts",
+    "robot-texts": "texts",
+    "parameter-values": "texts",
+    "json-configuration": "configuration",
+    "yaml-configuration": "configuration",
+    "parameter-files": "configuration",
+    "http-heads": "http",
+    "xml-rpc": "ros1",
+    "tcpros-headers": "ros1",
+    "tcpros-streams": "ros1",
+    "ros1-actions": "ros1",
+    "node-packets": "nodes",
+    "node-answers": "nodes",
+    "node-files": "nodes",
+    "store-files": "nodes",
+    "adverts": "overlay",
+    "notes": "overlay",
+    "seals": "overlay",
+    "sealed-items": "overlay",
+    "grants": "overlay",
+    "greetings": "overlay",
+    "certificates": "certificates",
+    "rights": "certificates",
+    "revocations": "certificates",
+    "bundles": "certificates",
+    "participants": "dds",
+    "rtps": "dds",
+    "requests": "dds",
+    "mcap": "bags",
+    "mcap-records": "bags",
+    "rosbag1": "bags",
+    "rosbag2": "bags",
+}
+"""The name of every target, and the module that has it."""

@@ -1,0 +1,20 @@
+"""A fleet with a member, made anew in each process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ropeway.overlay.fleet import Fleet
+from ropeway.overlay.identity import Identity
+
+__all__ = ["FLEET", "MEMBER"]
+
+
+def _make() -> tuple[Fleet, Identity]:
+    with TemporaryDirectory(prefix="fuzz-") as folder:
+        fleet = Fleet.create("fuzz", Path(folder) / "fuzz")
+        return fleet, fleet.issue("member")
+
+
+FLEET, MEMBER = _make()

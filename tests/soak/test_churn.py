@@ -1,0 +1,57 @@
+"""Visitors who come and go by the thousand, after whom a gateway is what it was before."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+
+import pytest
+
+from tests.soak.process import serving
+from tests.soak.visits import VISITS, Visit, is_a_gateway
+
+COUNT = int(os.environ.get("ROPEWAY_VISITS", "2000"))
+WARM_UP = 200
+AT_ONCE = 20
+GROWTH_BYTES = 8 << 20
+GROWTH_OBJECTS = 1100  # bounded memories of what was: 1,024 calls, 512 definitions
+CONFIG = {
+    "gateway": {
+        "name": "churn",
+        "graphs": ["memory:churn"],
+        "listen": ["ws://127.0.0.1:0", "iort://127.0.0.1:0"],
+        "clients": {"unregister_timeout_s": 0.2},
+        "store": {"path": "memory:"},
+    }
+}
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+
+
+async def visit(one: Visit, ports: list[int], numbers: range) -> None:
+    """All of these visits, some at a time."""
+    waiting = iter(numbers)
+
+    async def visitor() -> None:
+        for number in waiting:
+            await one(ports, number)
+
+    await asyncio.gather(*(visitor() for _ in range(AT_ONCE)))
+
+
+UNMENDED = pytest.mark.xfail(reason="definitions that a client told are kept", strict=False)
+
+
+@pytest.mark.parametrize(
+    "one", [pytest.param(v, marks=UNMENDED) if v is is_a_gateway else v for v in VISITS], ids=lambda one: one.__name__
+)
+async def test_visits_leave_nothing(one: Visit) -> None:
+    """Memory, descriptors, threads, tasks, sessions and objects after thousands of visits are those after a few."""
+    async with serving(CONFIG) as gateway:
+        await visit(one, gateway.ports, range(WARM_UP))
+        before = await gateway.settled()
+        await visit(one, gateway.ports, range(WARM_UP, WARM_UP + COUNT))
+        after = await gateway.settled(before)
+    assert after.threads <= before.threads
+    assert {kind: n for kind, n in after.grown(before).items() if n > GROWTH_OBJECTS} == {}
+    assert after.rss_bytes - before.rss_bytes < GROWTH_BYTES
