@@ -27,6 +27,8 @@ MATRIX = {
     + "\nstring<=5 short_text\nwstring<=5 short_wide\nuint8 last\n",
     "probe/msg/Arrays": "\n".join(f"{base}[3] {base}_values" for base in (*CODES, "string", "wstring"))
     + "\nInner[2] inners\nEmpty[2] empties\nuint8 last\n",
+    "probe/msg/Ones": "\n".join(f"{base}[1] {base}_values" for base in (*CODES, "string", "wstring"))
+    + "\nInner[1] inners\nEmpty[1] empties\nuint8 last\n",
     "probe/msg/Sequences": "\n".join(f"{base}[] {base}_values" for base in (*CODES, "string", "wstring"))
     + "\nInner[] inners\nEmpty[] empties\nuint8 last\n",
     "probe/msg/Bounded": "\n".join(f"{base}[<=3] {base}_values" for base in (*CODES, "string", "wstring"))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from typing import Any
 
 import cbor2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ropeway.types import TypeRegistry
-from ropeway.types.layout import Planner
+from ropeway.types.layout import CODES, Planner
 from ropeway.types.reader import FLAVOURS, make_reader
 from ropeway.types.values import Short
 
@@ -114,3 +117,19 @@ def test_long_integers_as_texts() -> None:
     assert (value["f"], value["g"], value["h"]) == (["0"] * 100, 1.5, ["1"])
     assert json.loads(codec.json(cdr))["d"] == [inner]
     assert (texts.long_texts, codec.long_texts) == (True, False)
+
+
+@given(base=st.sampled_from((*CODES, "string", "wstring", "Inner")), count=st.integers(1, 4), lone=st.booleans())
+def test_arrays_of_any_length_stay_arrays(base: str, count: int, lone: bool) -> None:
+    """A fixed array is an array in every flavour, of one element too, alone or beside other fields."""
+    registry = TypeRegistry()
+    registry.add_text("probe/msg/Inner", "int8 x\n")
+    registry.add_text("probe/msg/Fixed", f"{base}[{count}] values\n" + ("" if lone else "float64 last\n"))
+    codec = registry.codec("probe/msg/Fixed")
+    cdr = codec.encode({})
+    values = json.loads(codec.json(cdr))["values"]
+    assert len(base64.b64decode(values) if isinstance(values, str) else values) == count
+    for message in (codec.decode(cdr), codec.cbor(cdr), codec.rosgw(cdr)):
+        assert hasattr(message["values"], "__len__")
+        assert codec.encode(message) == cdr
+    assert codec.from_ros1(codec.ros1(cdr)) == cdr

@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import cbor2
 
@@ -49,6 +49,14 @@ _TAGS: Final = {
 
 Reader = Callable[[bytes, int, int], tuple[Any, int]]
 """``(raw, start, end) -> (value, next)``; raises ``values.Short``, ``struct.error``, ``ValueError``."""
+
+
+class _Target(NamedTuple):
+    """A variable that a run is unpacked into: one number, or a list of ``count`` where that is not 0."""
+
+    name: str
+    code: str
+    count: int = 0
 
 
 def make_reader(plan: Plan, flavour: str) -> Reader:
@@ -123,19 +131,20 @@ class _Source:
 
     def run(self, run: Run) -> None:
         self.align(run.align)
-        targets, after = [], []
+        targets: list[_Target] = []
+        after = []
         code = "<"
         for slot in run.slots:
             if slot.use == "pad":
                 code += f"{slot.count}x"
             elif slot.use == "length":
-                targets.append((f"n{_index(slot)}", slot.code, 1))
+                targets.append(_Target(f"n{_index(slot)}", slot.code))
                 code += slot.code
             elif slot.leaf is not None and slot.leaf.type.kind == "scalar":
-                targets.append((f"v{slot.leaf.index}", slot.code, 1))
+                targets.append(_Target(f"v{slot.leaf.index}", slot.code))
                 code += slot.code
             elif self.as_tuple(slot):
-                targets.append((f"v{_index(slot)}", slot.code, slot.count))
+                targets.append(_Target(f"v{_index(slot)}", slot.code, slot.count))
                 code += f"{slot.count}{slot.code}"
             else:
                 assert slot.leaf is not None
@@ -154,29 +163,29 @@ class _Source:
             if slot.use == "length" and slot.leaf is not None:
                 self.limit(slot.leaf)
 
-    def unpack(self, targets: list[tuple[str, str, int]], code: str) -> None:
+    def unpack(self, targets: list[_Target], code: str) -> None:
         if not targets:
             self.line(f"if p + {struct.calcsize(code)} > end: raise Short")
             return
         self.runs += 1
         unpack = self.constant(f"u{self.runs}", struct.Struct(code).unpack_from)
-        if all(count == 1 for _, _, count in targets):
-            self.line(", ".join(name for name, _, _ in targets) + f", = {unpack}(raw, p)")
+        if not any(target.count for target in targets):
+            self.line(", ".join(target.name for target in targets) + f", = {unpack}(raw, p)")
             return
         self.line(f"t = {unpack}(raw, p)")
         position = 0
         for name, letter, count in targets:
-            if count == 1:
+            if not count:
                 self.line(f"{name} = t[{position}]")
             else:
                 cut = f"t[{position}:{position + count}]"
                 self.line(f"{name} = {cut if self.flavour == 'json' and letter != '?' else f'list({cut})'}")
-            position += count
+            position += count or 1
 
-    def widen(self, targets: list[tuple[str, str, int]]) -> None:
+    def widen(self, targets: list[_Target]) -> None:
         """Have ``cbor.dumps`` write NaN and infinity in full."""
-        names = [name for name, letter, count in targets if letter in "fd" and count == 1]
-        lists = [name for name, letter, count in targets if letter in "fd" and count > 1]
+        names = [name for name, letter, count in targets if letter in "fd" and not count]
+        lists = [name for name, letter, count in targets if letter in "fd" and count]
         if not names and not lists:
             return
         total = " + ".join([*names, *(f"sum({name})" for name in lists)])
