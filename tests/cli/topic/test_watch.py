@@ -12,7 +12,7 @@ import typer
 from ropeway.cli.session import Session
 from ropeway.cli.topic.delay import gauge
 from ropeway.cli.topic.echo import echo, formatter
-from ropeway.cli.topic.pub import parse_values, publish
+from ropeway.cli.topic.pub import publish
 from ropeway.cli.topic.render import Style
 from ropeway.cli.topic.watch import meter, resolve_type
 from ropeway.cli.topic.window import Rate
@@ -183,15 +183,3 @@ async def test_publish_waits_for_subscribers(pair: tuple[Session, Session], caps
     said = capsys.readouterr().err
     assert "Waiting for at least 1 matching subscription(s)..." in said
     assert "Timed out waiting for subscribers of /a: expected 1, there are 0" in said
-
-
-def test_values_in_yaml(capsys: pytest.CaptureFixture[str]) -> None:
-    """Values are YAML; an automatic header asks for the time of sending."""
-    assert parse_values("{data: 'on', n: [1, 2.5]}") == {"data": "on", "n": [1, 2.5]}
-    assert parse_values("data: on") == {"data": "on"}
-    assert parse_values("") == {}
-    assert parse_values("header: auto") == {"header": {"stamp": "now"}}
-    for wrong in ("[1]", "{data: ", "3"):
-        with pytest.raises(typer.Exit):
-            parse_values(wrong)
-    assert "the values need to be a mapping" in capsys.readouterr().err

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 from collections import deque
 from collections.abc import Callable
 from typing import Annotated, Any, Final
@@ -15,8 +14,8 @@ from ropeway.cli.action.info import ActionArgument
 from ropeway.cli.console import answer, complain, fail, print_json
 from ropeway.cli.loop import run
 from ropeway.cli.session import GraphOption, JsonOption, Session, TypesOption, full_name, open_session
-from ropeway.cli.topic.pub import parse_values
 from ropeway.cli.topic.render import Style, as_yaml, pick, shown
+from ropeway.cli.values import fitted, typed_values
 from ropeway.errors import CallError, CallTimeout, GoalRejected, NotServed
 from ropeway.graph.calls import ActionClient, ClientGoal, Goal, GoalStatus, Outcome
 from ropeway.tasks import end
@@ -110,7 +109,8 @@ async def send_goal(
     anything is sent, and ``CallError``.
     """
     full = canonical_name(type, "action")
-    payload = session.registry.codec(f"{full}_Goal").from_json(values)
+    codec = session.registry.codec(f"{full}_Goal")
+    payload = codec.from_json(fitted(session.registry, codec.type, values))
     client = await session.graph.create_action_client(action, full)
     news = _Feedback(teller) if feedback else None
     goal = Goal(payload, caller="ropeway action send_goal")
@@ -190,7 +190,7 @@ def send_goal_command(
 ) -> None:
     """Send a goal to ACTION and wait for its end; Ctrl-C cancels it. The exit code is 0 for a goal that succeeded."""
     name = full_name(action)
-    fields = parse_values(sys.stdin.read() if stdin else values)
+    fields = typed_values(values, stdin=stdin)
 
     async def main() -> Outcome:
         async with open_session(graph, types) as session:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -14,8 +13,8 @@ from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.loop import run
 from ropeway.cli.service.info import ServiceArgument
 from ropeway.cli.session import GraphOption, JsonOption, Session, TypesOption, full_name, open_session
-from ropeway.cli.topic.pub import parse_values
 from ropeway.cli.topic.render import Style, as_python
+from ropeway.cli.values import fitted, typed_values
 from ropeway.errors import CallTimeout, NotServed
 from ropeway.graph.calls import Client, Request
 from ropeway.types.definition import canonical_name
@@ -43,7 +42,7 @@ async def call(
     """
     full = canonical_name(type, "srv")
     codec = session.registry.codec(f"{full}_Request")
-    codec.from_json(values)
+    values = fitted(session.registry, codec.type, values)
     client = await session.graph.create_client(service, full)
     try:
         loop = asyncio.get_running_loop()
@@ -81,7 +80,7 @@ def call_command(
 ) -> None:
     """Call SERVICE and print its response."""
     name = full_name(service)
-    fields = parse_values(sys.stdin.read() if stdin else values)
+    fields = typed_values(values, stdin=stdin)
 
     async def main() -> None:
         async with open_session(graph, types) as session:

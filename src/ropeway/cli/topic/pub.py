@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 import time
 from collections.abc import Callable
 from typing import Annotated, Any, Final
@@ -27,34 +26,14 @@ from ropeway.cli.session import (
     topic_name,
 )
 from ropeway.cli.topic.render import Style, as_python
-from ropeway.errors import ConfigError
-from ropeway.gateway.document import read_yaml
+from ropeway.cli.values import fitted, typed_values
 from ropeway.graph.base import SEQ_NONE, Publisher, Sample, new_origin
 from ropeway.qos import QoS
 
-__all__ = ["app", "parse_values", "publish"]
+__all__ = ["app", "publish"]
 
 app = typer.Typer(add_completion=False)
 _TELL_S: Final = 1.0
-
-
-def parse_values(text: str) -> dict[str, Any]:
-    """The fields in a YAML (or JSON) text; ``auto`` for a header means the time of sending.
-
-    Ends with a sentence where the text is no mapping.
-    """
-    try:
-        values = read_yaml(text)
-    except ConfigError as error:
-        where, what = error.problems[0]
-        fail(f"the values cannot be read: {where}: {what}", 2)
-    if values is None:
-        return {}
-    if not isinstance(values, dict):
-        fail(f"the values need to be a mapping in YAML, such as '{{data: hi}}', not {text!r}", 2)
-    if values.get("header") == "auto":
-        values["header"] = {"stamp": "now"}
-    return values
 
 
 async def publish(
@@ -77,7 +56,7 @@ async def publish(
     that do not fit, before anything is sent.
     """
     codec = session.registry.codec(type)
-    codec.from_json(values)
+    values = fitted(session.registry, type, values)
     publisher = await session.graph.create_publisher(topic, codec.type, qos)
     sent = 0
     try:
@@ -165,7 +144,7 @@ def pub(
         fail("--once and --times exclude each other; give one", 2)
     name = topic_name(topic)
     qos = qos_of(qos_profile, qos_depth, qos_history, qos_reliability, qos_durability)
-    fields = parse_values(sys.stdin.read() if stdin else values)
+    fields = typed_values(values, stdin=stdin)
     limit = 1 if once else times or None
 
     async def main() -> None:
