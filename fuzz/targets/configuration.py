@@ -65,7 +65,7 @@ TARGETS: Final = {
         _WORDS,
     ),
     "yaml-configuration": Target(
-        _yaml, (ConfigError,), lambda: [*NESTED_JSON, _YAML.encode(), b"a: &a [*a]"], _WORDS, cpu_s=3.0
+        _yaml, (ConfigError,), lambda: [_YAML.encode(), b"a: &a [*a]", b"- " * 1000], _WORDS, cpu_s=3.0
     ),
-    "parameter-files": Target(_file, (ConfigError,), lambda: [*NESTED_JSON, _PARAMETERS.encode()], _WORDS, cpu_s=3.0),
+    "parameter-files": Target(_file, (ConfigError,), lambda: [_PARAMETERS.encode(), b"- " * 1000], _WORDS, cpu_s=3.0),
 }

@@ -25,7 +25,7 @@ def say(**what: Any) -> None:
 def arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("role", choices=("pub", "sub", "look"))
+    parser.add_argument("role", choices=("pub", "sub", "look", "watch"))
     parser.add_argument("topic")
     parser.add_argument("type")
     parser.add_argument("--node", default="peer")
@@ -83,6 +83,17 @@ def look(node: Node, topic: str, end: float) -> None:
     )
 
 
+def watch(node: Node, topic: str, end: float) -> None:
+    """Tell how many publishers and subscriptions a topic has, whenever that changes."""
+    known = None
+    while time.monotonic() < end:
+        rclpy.spin_once(node, timeout_sec=0.05)
+        found = node.count_publishers(topic), node.count_subscribers(topic)
+        if found != known:
+            known = found
+            say(counts=found)
+
+
 def main() -> None:
     """Play the role until the time is over."""
     args = arguments()
@@ -99,6 +110,10 @@ def main() -> None:
     end = time.monotonic() + args.seconds
     if args.role == "look":
         look(node, args.topic, end)
+        return
+    if args.role == "watch":
+        say(ready=rclpy.get_rmw_implementation_identifier())
+        watch(node, args.topic, end)
         return
     if args.role == "sub":
         node.create_subscription(cls, args.topic, lambda message: say(**told(message)), profile)

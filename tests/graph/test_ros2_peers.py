@@ -127,6 +127,24 @@ async def test_hears_a_genuine_publisher(world: World) -> None:
     assert end.qos.depth == (10 if world.rmw == "rmw_cyclonedds_cpp" else 0)
 
 
+async def test_what_is_withdrawn_is_gone(world: World) -> None:
+    """A genuine node sees a publisher and a subscription of ours come and go, again and again, and counts none twice."""
+    watcher = await world.node("watch", "/ours", STRING)
+    graph = await world.graph()
+
+    def counts() -> list[tuple[int, int]]:
+        return [tuple(each["counts"]) for each in watcher.said if "counts" in each]
+
+    for _ in range(3):
+        publisher = await graph.create_publisher("/ours", STRING, QoS(depth=10))
+        subscription = await graph.create_subscription("/ours", STRING, None, Inbox())
+        await watcher.wait(lambda: counts()[-1] == (1, 1))
+        await publisher.close()
+        await subscription.close()
+        await watcher.wait(lambda: counts()[-1] == (0, 0))
+    assert max(counts()) == (1, 1)
+
+
 async def test_is_heard_by_a_genuine_reader(world: World) -> None:
     """What we publish arrives at a node, in order and without loss."""
     listener = await world.node("sub", "/cmd", STRING, "--depth", "100")

@@ -20,11 +20,12 @@ def ours(profile: Profile) -> ElementTree.Element:
 
 
 def test_transport() -> None:
-    """Datagrams are small enough for Fast DDS's socket buffer, and our own buffers are large."""
+    """Fast DDS gets datagrams that fit its socket buffer, and withdrawals that it reads; our own buffers are large."""
     domain = ours(make_profile("dds:0", None, {}))
     assert domain.findtext("General/MaxMessageSize") == "8192B"
     assert domain.findtext("General/FragmentSize") == "8000B"
     assert domain.findtext("Internal/Watermarks/WhcHigh") == "16MB"
+    assert domain.findtext("Internal/GenerateKeyhash") == "true"
     buffer = domain.find("Internal/SocketReceiveBufferSize")
     assert buffer is not None
     assert buffer.attrib == {"min": "default", "max": "8MB"}

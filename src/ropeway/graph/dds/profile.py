@@ -93,6 +93,9 @@ def make_profile(graph: str, interface: str | None = None, environ: Mapping[str,
         # No minimum: where net.core.rmem_max is lower, a smaller buffer is better than no domain.
         f'<SocketReceiveBufferSize min="default" max="{_SOCKET_BUFFER}"/>',
         f"<Watermarks><WhcHigh>{_WRITER_CACHE}</WhcHigh></Watermarks>",
+        # Fast DDS takes from a withdrawal only its key hash: without, what we withdraw stays listed at its nodes.
+        # Topics of ROS have no keys, so that nothing but discovery gets longer.
+        "<GenerateKeyhash>true</GenerateKeyhash>",
     ]
     ours = (
         '<CycloneDDS><Domain id="any">'
