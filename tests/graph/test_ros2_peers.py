@@ -128,7 +128,7 @@ async def test_hears_a_genuine_publisher(world: World) -> None:
 
 
 async def test_what_is_withdrawn_is_gone(world: World) -> None:
-    """A genuine node sees a publisher and a subscription of ours come and go, again and again, and counts none twice."""
+    """A genuine node sees a publisher and a subscription of ours come and go again and again, and counts none twice."""
     watcher = await world.node("watch", "/ours", STRING)
     graph = await world.graph()
 
