@@ -145,6 +145,36 @@ def test_wrong_number_of_parts() -> None:
         parse_interface("p/action/Go", "int64 a\n---\n")
 
 
+@given(st.integers(3, 9), st.sampled_from(["", " ", "\t", "# why", " # why", " and more", "\r"]))
+def test_separators(length: int, behind: str) -> None:
+    """A separator is a line that begins with three dashes or more once its comment is gone, as ROS 1 reads it."""
+    line = "-" * length + behind
+    request, response, _ = parse_interface("p/srv/Add", f"int8 a # ---\n# {line}\n{line}\nint8 b\n")
+    assert [f.name for f in (*request.fields, *response.fields)] == ["a", "b"]
+    parts = parse_interface("p/action/Go", f"int8 a\n{line}\n{line}\nint8 c\n")
+    assert [[f.name for f in part.fields] for part in parts[:3]] == [["a"], [], ["c"]]
+
+
+def test_faults_of_parts_have_the_line_of_the_file() -> None:
+    """A fault in the second part of a service is told with its line in the file."""
+    with pytest.raises(InvalidDefinition, match="line 4: "):
+        parse_interface("p/srv/Add", "int8 a\nint8 b\n---\nwhat\n")
+
+
+def test_a_byte_may_be_signed() -> None:
+    """A byte is signed in ROS 1 and unsigned in ROS 2: both spellings of the same bits are taken."""
+    definition = parse_msg("p/msg/N", "byte ALL=-1\nbyte MOST=255\nbyte LEAST=-128\nbyte a -5\n")
+    assert [(c.value, c.text) for c in definition.constants] == [(255, "-1"), (255, "255"), (128, "-128")]
+    assert definition.fields[0].default == 251
+    with pytest.raises(InvalidDefinition, match="-129 is not in the range of byte"):
+        parse_msg("p/msg/N", "byte A=-129\n")
+
+
+def test_odd_signs_in_comments_end_no_line() -> None:
+    """A form feed or another sign that Unicode counts as the end of a line does not end a comment."""
+    assert [f.name for f in fields("int8 a # one\x0ctwo\x85three\u2028four\rint8 b")] == ["a", "b"]
+
+
 def test_sections() -> None:
     """A concatenated text comes apart at its headings."""
     rule = "=" * 80

@@ -121,10 +121,63 @@ def test_faults_name_the_file(tmp_path: Path) -> None:
     """A definition that cannot be parsed is told with its file and line."""
     file = write(tmp_path / "p/msg/A.msg", "int8 a\nint8 b b b\n")
     registry = TypeRegistry()
-    with pytest.raises(InvalidDefinition, match=r"A\.msg: the definition of p/msg/A cannot be used: line 2"):
-        registry.add_path(file)
+    assert registry.add_path(file) == 1
+    for _ in range(2):
+        with pytest.raises(InvalidDefinition, match=r"A\.msg: the definition of p/msg/A cannot be used: line 2"):
+            registry.codec("p/A")
     with pytest.raises(InvalidDefinition, match=r"^the definition of p/msg/A cannot be used: line 1"):
         registry.add_text("p/msg/A", "x")
+
+
+def test_a_bad_definition_fails_alone(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Files that cannot be read are told once each; all others are known, and only what needs a bad one fails."""
+    write(tmp_path / "p/msg/Good.msg", "int8 a\n")
+    write(tmp_path / "p/msg/Bad.msg", "int8\n")
+    write(tmp_path / "p/msg/Needs.msg", "Bad b\n")
+    write(tmp_path / "p/srv/Bad.srv", "int8 a\n")
+    write(tmp_path / "p/action/Bad.action", "---\n")
+    write(tmp_path / "p/msg/Odd.idl", "module p { module msg { union Odd { }; }; };")
+    write(tmp_path / "other/p/msg/Good.msg", "int16 a\n")
+    registry = TypeRegistry()
+    assert registry.add_path(tmp_path / "p") == 6
+    assert registry.add_path(tmp_path / "other") == 1
+    assert registry.codec("p/Good").default() == {"a": 0}
+    assert len(caplog.records) == len(registry.faults) == 5
+    for name in ("p/msg/Bad", "p/msg/Needs", "p/msg/Odd", "p/srv/Bad_Request", "p/action/Bad_Goal"):
+        with pytest.raises(InvalidDefinition, match="cannot be used"):
+            registry.codec(name)
+
+
+def test_interfaces_in_idl(tmp_path: Path) -> None:
+    """A service and an action in IDL are whole interfaces, whose text is that of a .srv and .action."""
+    write(
+        tmp_path / "p/srv/Turn.idl",
+        "module p { module srv { struct Turn_Request { @default(value=2) long a; };"
+        " struct Turn_Response { uint8 structure_needs_at_least_one_member; }; }; };",
+    )
+    write(
+        tmp_path / "p/action/Park.idl",
+        "module p { module action { struct Park_Goal { long a; }; struct Park_Result { long b; };"
+        " struct Park_Feedback { long c; }; }; };",
+    )
+    registry, twin = TypeRegistry(), TypeRegistry()
+    assert registry.add_path(tmp_path) == 2
+    assert registry.text("p/srv/Turn") == "int32 a 2\n---\n"
+    for name in ("p/srv/Turn", "p/action/Park"):
+        twin.add_full_text(name, registry.full_text(name))
+        assert twin.hash(name) == registry.hash(name)
+
+
+def test_full_text_in_idl() -> None:
+    """A concatenated text in IDL, as recordings have it, defines its types."""
+    rule = "=" * 80
+    registry = TypeRegistry()
+    registry.add_full_text(
+        "p/msg/A",
+        f"{rule}\nIDL: p/msg/A\nmodule p {{ module msg {{ struct A {{ p::msg::B b; }}; }}; }};\n"
+        f"{rule}\nIDL: p/msg/B\nmodule p {{ module msg {{ struct B {{ long x; }}; }}; }};\n",
+    )
+    assert registry.codec("p/A").default() == {"b": {"x": 0}}
 
 
 def test_paths(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def _rank(file: str) -> tuple[bool, str]:
 def read_text(path: Path, name: str) -> str:
     """The text of a definition file. Raises ``InvalidDefinition`` where it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8", errors="replace")
+        return path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise InvalidDefinition(name, error.strerror or str(error), file=str(path)) from error
 
@@ -93,7 +93,7 @@ def _name_of(file: Path, packages: dict[Path, str]) -> str:
 
 def _package(directory: Path) -> str:
     try:
-        found = _PACKAGE_NAME.search((directory / "package.xml").read_text(encoding="utf-8", errors="replace"))
+        found = _PACKAGE_NAME.search((directory / "package.xml").read_text(encoding="utf-8-sig", errors="replace"))
     except OSError:
         found = None
     return found[1] if found else directory.name

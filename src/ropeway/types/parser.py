@@ -1,7 +1,7 @@
 """Reads ``.msg``, ``.srv`` and ``.action`` files and the concatenated texts of bags and peers.
 
 Follows the rules of ROS 2 and takes ROS 1's spellings (``time``, ``duration``, ``Header``, capital letters in field
-names, text constants without quotes).
+names, text constants without quotes, a negative ``byte``, separators longer than ``---`` or with a comment behind).
 """
 
 from __future__ import annotations
@@ -22,7 +22,18 @@ from ropeway.types.definition import (
     canonical_name,
 )
 
-__all__ = ["parse_action", "parse_interface", "parse_msg", "parse_sections", "parse_srv"]
+__all__ = [
+    "LARGEST_ARRAY",
+    "PARTS",
+    "RANGES",
+    "derived",
+    "is_idl",
+    "parse_action",
+    "parse_interface",
+    "parse_msg",
+    "parse_sections",
+    "parse_srv",
+]
 
 _LINE: Final = re.compile(
     r"(?P<base>[A-Za-z][A-Za-z0-9_/]*)(?:<=(?P<bound>\d{1,9}))?"
@@ -31,14 +42,24 @@ _LINE: Final = re.compile(
     r"(?:[ \t]*=[ \t]*(?P<constant>.*)|[ \t]+(?P<default>[^ \t].*))?\Z",
     re.DOTALL,
 )
-_SEPARATOR: Final = re.compile(r"^={3,}[ \t]*\r?\n(?:MSG|IDL):[ \t]*(?P<name>\S+)[ \t]*\r?$\n?", re.MULTILINE)
+_LINE_END: Final = re.compile(r"\r\n|\r|\n")
+_SEPARATOR: Final = re.compile(
+    r"^={3,}[ \t]*\r?\n(?P<kind>MSG|SRV|ACTION|IDL):[ \t]*(?P<name>\S+)[ \t]*\r?$\n?", re.MULTILINE
+)
+_MODULE: Final = re.compile(r"^[ \t]*module\s+\w+\s*\{", re.MULTILINE)
 _SPECIAL: Final = {"time": TIMES[0], "duration": TIMES[1], "Header": HEADER}
-_RANGES: Final = {
+RANGES: Final = {
     f"{sign}int{bits}": (-(1 << bits - 1), (1 << bits - 1) - 1) if not sign else (0, (1 << bits) - 1)
     for sign in ("", "u")
     for bits in (8, 16, 32, 64)
 } | {"byte": (0, 255), "char": (-128, 255)}
-_LARGEST_ARRAY: Final = 1 << 27
+"""The least and the largest number that each integer type of ROS 2 takes in a definition."""
+
+_WRITTEN: Final = RANGES | {"byte": (-128, 255)}  # a byte is signed in ROS 1, unsigned in ROS 2; both are taken
+LARGEST_ARRAY: Final = 1 << 27
+
+PARTS: Final = {"msg": ("",), "srv": ("_Request", "_Response"), "action": ("_Goal", "_Result", "_Feedback")}
+"""What the written parts of each kind of interface add to its name."""
 
 
 def parse_msg(name: str, text: str, *, siblings: Collection[str] = ()) -> Definition:
@@ -50,7 +71,7 @@ def parse_msg(name: str, text: str, *, siblings: Collection[str] = ()) -> Defini
     package, kind, _ = name.split("/")
     fields: list[Field] = []
     constants: list[Constant] = []
-    for number, raw in enumerate(text.splitlines(), 1):
+    for number, raw in enumerate(_LINE_END.split(text), 1):
         line = _without_comment(raw).strip()
         if not line or line.startswith("@"):
             continue
@@ -77,7 +98,7 @@ def parse_srv(name: str, text: str, *, siblings: Collection[str] = ()) -> list[D
     return [
         parse_msg(f"{name}_Request", request, siblings=siblings),
         parse_msg(f"{name}_Response", response, siblings=siblings),
-        _event(name),
+        *derived(name),
     ]
 
 
@@ -87,8 +108,23 @@ def parse_action(name: str, text: str, *, siblings: Collection[str] = ()) -> lis
     Raises ``InvalidDefinition``.
     """
     goal, result, feedback = _split(name, text, 3, "goal --- result --- feedback")
+    return [
+        parse_msg(f"{name}_Goal", goal, siblings=siblings),
+        parse_msg(f"{name}_Result", result, siblings=siblings),
+        parse_msg(f"{name}_Feedback", feedback, siblings=siblings),
+        *derived(name),
+    ]
+
+
+def derived(name: str) -> list[Definition]:
+    """What ROS 2 makes of a service (its event) or an action (its services and feedback) beside the written parts."""
+    kind = name.split("/")[1]
+    if kind == "srv":
+        return [_event(name)]
+    if kind == "msg":
+        return []
     uuid = Field("goal_id", FieldType("unique_identifier_msgs/msg/UUID"))
-    derived = {
+    made = {
         "_SendGoal_Request": (uuid, Field("goal", FieldType(f"{name}_Goal"))),
         "_SendGoal_Response": (Field("accepted", FieldType("bool")), Field("stamp", FieldType(TIMES[0]))),
         "_GetResult_Request": (uuid,),
@@ -96,10 +132,7 @@ def parse_action(name: str, text: str, *, siblings: Collection[str] = ()) -> lis
         "_FeedbackMessage": (uuid, Field("feedback", FieldType(f"{name}_Feedback"))),
     }
     return [
-        parse_msg(f"{name}_Goal", goal, siblings=siblings),
-        parse_msg(f"{name}_Result", result, siblings=siblings),
-        parse_msg(f"{name}_Feedback", feedback, siblings=siblings),
-        *(Definition(name + end, fields) for end, fields in derived.items()),
+        *(Definition(name + end, fields) for end, fields in made.items()),
         _event(f"{name}_SendGoal"),
         _event(f"{name}_GetResult"),
     ]
@@ -118,22 +151,35 @@ def parse_interface(name: str, text: str, *, siblings: Collection[str] = ()) -> 
 def parse_sections(name: str, text: str) -> Iterator[tuple[str, str]]:
     """The pairs of full name and text in a concatenated definition, the main one first.
 
-    Raises ``InvalidDefinition`` for a section without a proper name.
+    Recordings in IDL head the main section, too, and may repeat a section. Raises ``InvalidDefinition`` for a
+    section without a proper name.
     """
     pieces = _SEPARATOR.split(text)
-    yield name, pieces[0]
-    for section, body in zip(pieces[1::2], pieces[2::2], strict=True):
+    seen: set[str] = set()
+    if pieces[0].strip() or len(pieces) == 1 or pieces[1] != "IDL":
+        seen.add(name)
+        yield name, pieces[0]
+    for kind, section, body in zip(pieces[1::3], pieces[2::3], pieces[3::3], strict=True):
         try:
-            yield canonical_name(section), body
+            full = canonical_name(section, kind.lower() if kind in ("SRV", "ACTION") else "msg")
         except InvalidTypeName as error:
             raise InvalidDefinition(name, str(error)) from None
+        if kind == "MSG" or full not in seen:
+            seen.add(full)
+            yield full, body
+
+
+def is_idl(text: str) -> bool:
+    """True if ``text`` is written in IDL: no line of a .msg begins as a module does."""
+    return _MODULE.search(text) is not None
 
 
 def _split(name: str, text: str, count: int, wanted: str) -> list[str]:
+    """The parts of a service or action, each with empty lines before it so that its lines keep their numbers."""
     parts: list[list[str]] = [[]]
-    for line in text.splitlines():
-        if line.strip() == "---":
-            parts.append([])
+    for number, line in enumerate(_LINE_END.split(text), 1):
+        if _without_comment(line).strip().startswith("---"):
+            parts.append([""] * number)
         else:
             parts[-1].append(line)
     if len(parts) != count:
@@ -186,7 +232,7 @@ def _field_type(found: re.Match[str], package: str, siblings: Collection[str]) -
     if found["size"] is None:
         return FieldType(base, bound)
     size = int(found["size"] or 0)
-    if (found["upto"] or found["size"]) and not 0 < size <= _LARGEST_ARRAY:
+    if (found["upto"] or found["size"]) and not 0 < size <= LARGEST_ARRAY:
         raise ValueError(f"{found['size'] or 'nothing'} is not the size of an array")
     return FieldType(base, bound, "array" if found["size"] and not found["upto"] else "sequence", size)
 
@@ -237,10 +283,10 @@ def _scalar(type: FieldType, text: str) -> bool | int | float | str:
         number = int(text, 0) if not re.fullmatch(r"[-+]?0\d+", text) else int(text, 10)
     except ValueError:
         raise ValueError(f"{text} is not a value of {base}") from None
-    low, high = _RANGES[base]
+    low, high = _WRITTEN[base]
     if not low <= number <= high:
         raise ValueError(f"{text} is not in the range of {base}, {low} to {high}")
-    return number
+    return number & 0xFF if base == "byte" else number
 
 
 def _text(text: str) -> str:

@@ -8,23 +8,26 @@ first asked for.
 from __future__ import annotations
 
 import difflib
+import logging
 import os
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ropeway.errors import InvalidDefinition, InvalidTypeName, TypeConflict, UnknownType
+from ropeway.errors import InvalidDefinition, InvalidTypeName, TypeConflict, TypesError, UnknownType
 from ropeway.types.codec import MessageCodec
 from ropeway.types.definition import Definition, FieldType, canonical_name, short_name
 from ropeway.types.files import find_interfaces, find_share, read_text
 from ropeway.types.hashes import definition_md5, interface_members, rihs01
-from ropeway.types.parser import parse_interface, parse_sections
+from ropeway.types.parser import PARTS, is_idl, parse_interface, parse_sections
 from ropeway.types.standard import INTERFACES
 from ropeway.types.stores import NEWEST, from_rosbags, store_table
 from ropeway.types.typedef import typedefs
 
 __all__ = ["TypeRegistry"]
+
+log = logging.getLogger("ropeway.types")
 
 _RULE = "=" * 80
 
@@ -48,6 +51,7 @@ class TypeRegistry:
         self._codecs: dict[str, MessageCodec] = {}
         self._hashes: dict[str, str] = {}
         self._full_texts: dict[str, str] = {}
+        self.faults: list[TypesError] = []  # definitions in files that cannot be used
 
     def canonical(self, name: str, kind: str = "msg") -> str:
         """The full name ``pkg/msg/Name`` of a type.
@@ -175,13 +179,12 @@ class TypeRegistry:
         full = self.canonical(name)
         special = f"{full.split('/')[0]}/msg/Header"
         try:
-            definitions = parse_interface(full, text, siblings={special} if self._known(special) else ())
+            definitions = _parsed(full, text, siblings={special} if self._known(special) else ())
         except InvalidDefinition as error:
             if not file:
                 raise
             raise InvalidDefinition(error.name, error.reason, file=file) from None
-        sources = {full: text} if full not in {d.name for d in definitions} else {}
-        self._add(definitions, sources, replace=replace)
+        self._add(definitions, _source(full, text, definitions), replace=replace)
 
     def add_full_text(self, name: str, text: str, *, replace: bool = False) -> None:
         """Add a concatenated definition: the main text, then sections headed ``MSG: pkg/Name`` (or ``IDL:``).
@@ -194,22 +197,22 @@ class TypeRegistry:
         definitions: list[Definition] = []
         sources: dict[str, str] = {}
         for section, body in sections:
-            parsed = parse_interface(section, body, siblings=siblings)
+            parsed = _parsed(section, body, siblings=siblings)
             definitions.extend(parsed)
-            if section not in {d.name for d in parsed}:
-                sources[section] = body
+            sources.update(_source(section, body, parsed))
         self._add(definitions, sources, replace=replace)
 
     def add_path(self, path: str | os.PathLike[str]) -> int:
         """Add a ``.msg``, ``.srv``, ``.action`` or ``.idl`` file, or all of them below a directory.
 
-        Returns how many interfaces were read. What they define takes the place of built-in definitions. Raises
-        ``InvalidDefinition`` with the name of the file, ``TypeConflict``.
+        Returns how many interfaces were found. What they define takes the place of built-in definitions. One that
+        cannot be read is logged and stands in ``faults``, and whoever needs it gets the error. Raises
+        ``InvalidDefinition`` where ``path`` itself is of no use.
         """
         found = find_interfaces(Path(path))
         with self._lock:
             for name in sorted(found, key=lambda name: not name.endswith("/msg/Header")):  # its siblings look for it
-                self._read(name, found[name])
+                self._try_to_read(name, found[name])
         return len(found)
 
     def add_ament_prefix_path(self, environ: Mapping[str, str] = os.environ) -> int:
@@ -229,7 +232,8 @@ class TypeRegistry:
                 if name in loaded or (name not in self._definitions and name not in self._sources):
                     self._files.setdefault(name, file)
             for name in loaded & found.keys():
-                self._load(name)
+                if (file := self._files.pop(name, None)) is not None:
+                    self._try_to_read(name, file)
         return len(found)
 
     def _known(self, full: str) -> bool:
@@ -267,14 +271,21 @@ class TypeRegistry:
             if self._definitions.setdefault(definition.name, definition) is definition:
                 self._builtin.add(definition.name)
 
-    def _read(self, name: str, file: Path) -> None:
-        text = read_text(file, name)
-        if file.suffix == ".idl":
-            from ropeway.types.idl import parse_idl
+    def _try_to_read(self, name: str, file: Path) -> None:
+        try:
+            self._read(name, file)
+        except InvalidDefinition as error:
+            self._files[name] = file
+            self._fault(error)
+        except TypeConflict as error:
+            self._fault(error)
 
-            self._add(parse_idl(name, text, file=str(file)), {}, replace=True)
-        else:
-            self.add_text(name, text, replace=True, file=str(file))
+    def _fault(self, error: TypesError) -> None:
+        log.warning("%s", error)
+        self.faults.append(error)
+
+    def _read(self, name: str, file: Path) -> None:
+        self.add_text(name, read_text(file, name), replace=True, file=str(file))
 
     def _add(self, definitions: Iterable[Definition], sources: Mapping[str, str], *, replace: bool) -> None:
         with self._lock:
@@ -324,12 +335,29 @@ class TypeRegistry:
         """The messages whose fields stand in the text of ``full`` itself."""
         if full not in self._sources:
             return [full]
-        ends = ("_Request", "_Response") if full.split("/")[1] == "srv" else ("_Goal", "_Result", "_Feedback")
-        return [full + end for end in ends]
+        return [full + end for end in PARTS[full.split("/")[1]]]
 
     def _unknown(self, full: str, needed_by: str) -> UnknownType:
         near = difflib.get_close_matches(full, self.names(), 1, 0.75)
         return UnknownType(full, needed_by=needed_by, nearest=near[0] if near and near[0] != full else "")
+
+
+def _parsed(full: str, text: str, *, siblings: Collection[str]) -> list[Definition]:
+    if not is_idl(text):
+        return parse_interface(full, text, siblings=siblings)
+    from ropeway.types.idl import parse_idl  # seldom needed
+
+    return parse_idl(full, text)
+
+
+def _source(full: str, text: str, parsed: Iterable[Definition]) -> dict[str, str]:
+    """The text of the service or action ``full``, as a .srv or .action file; nothing for a message."""
+    parts = {definition.name: definition for definition in parsed}
+    if full in parts:
+        return {}
+    if is_idl(text):
+        text = "---\n".join(parts[full + end].text() for end in PARTS[full.split("/")[1]])
+    return {full: text}
 
 
 def _owner(full: str) -> str:
