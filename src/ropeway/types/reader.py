@@ -52,11 +52,11 @@ Reader = Callable[[bytes, int, int], tuple[Any, int]]
 
 
 class _Target(NamedTuple):
-    """A variable that a run is unpacked into: one number, or a list of ``count`` where that is not 0."""
+    """A variable that a run is unpacked into: one number, or a list of ``length`` where that is not 0."""
 
     name: str
     code: str
-    count: int = 0
+    length: int = 0
 
 
 def make_reader(plan: Plan, flavour: str) -> Reader:
@@ -169,7 +169,7 @@ class _Source:
             return
         self.runs += 1
         unpack = self.constant(f"u{self.runs}", struct.Struct(code).unpack_from)
-        if not any(target.count for target in targets):
+        if not any(target.length for target in targets):
             self.line(", ".join(target.name for target in targets) + f", = {unpack}(raw, p)")
             return
         self.line(f"t = {unpack}(raw, p)")

@@ -232,8 +232,8 @@ class TypeRegistry:
                 if name in loaded or (name not in self._definitions and name not in self._sources):
                     self._files.setdefault(name, file)
             for name in loaded & found.keys():
-                if (file := self._files.pop(name, None)) is not None:
-                    self._try_to_read(name, file)
+                if name in self._files:
+                    self._try_to_read(name, self._files.pop(name))
         return len(found)
 
     def _known(self, full: str) -> bool:
