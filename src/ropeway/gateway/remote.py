@@ -122,7 +122,8 @@ class OverlayRemote(Remote):
     @property
     def state(self) -> str:
         """One word; ``connected`` where a router or another member is linked with us."""
-        return "connected" if self.graph.node.fabric.links() else "connecting"
+        node = self.graph.node
+        return "failed" if node.trouble else "connected" if node.fabric.links() else "connecting"
 
     def status(self) -> dict[str, Any]:
         """The overlay as this member sees it."""
@@ -130,7 +131,7 @@ class OverlayRemote(Remote):
             "address": self.config.address,
             "title": self.config.title,
             "state": self.state,
-            "error": "",
+            "error": self.graph.node.trouble,
             "overlay": self.graph.node.status(),
             **({} if self.automatic is None else {"automatic": self.automatic.status()}),
         }

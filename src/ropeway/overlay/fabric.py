@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import threading
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -30,6 +31,8 @@ CRL_KEY: Final = "rw/crl"
 """Where the fleet's revocation list is told and asked for."""
 
 _CLOSE_S: Final = 5.0
+_LET_GO_S: Final = 0.3  # routers compute their maps within 0.1 s; who comes back earlier may be left off them
+_REOPEN_S: Final = 10.0  # what is sent waits so long for a new session
 _ANSWER_BYTES: Final = 100  # what an answer costs beside its payload
 _PRIORITIES: Final = (
     zenoh.Priority.REAL_TIME,
@@ -74,6 +77,13 @@ class Asked:
         self.done()
 
 
+class _Declared:
+    """Something that is declared in a session, and how."""
+
+    def __init__(self, declare: Callable[[zenoh.Session], Any]) -> None:
+        self.declare, self.made = declare, None
+
+
 class Fabric:
     """One Zenoh session. ``gateway`` is its id, 16 bytes, which is also ours in the overlay.
 
@@ -88,19 +98,52 @@ class Fabric:
         self._session: zenoh.Session | None = None
         self._lanes: dict[int, ThreadPoolExecutor] = {}
         self._link_events: Any = None
+        self._declared: dict[_Declared, None] = {}
+        self._open = asyncio.Event()
+        self._ready = threading.Event()  # the same, for threads
+        self._changing = asyncio.Lock()
         self._loop: asyncio.AbstractEventLoop
 
     async def open(self) -> None:
         """Start the session; it goes on trying to reach its routers. Raises ``GraphUnavailable``."""
         self._loop = asyncio.get_running_loop()
+        async with self._changing:
+            await self._start()
+
+    async def _start(self) -> None:
         try:
             self._session = await asyncio.to_thread(zenoh.open, self._config)
         except zenoh.ZError as error:
             raise GraphUnavailable("overlay", f"Zenoh cannot start: {error}") from error
         self._link_events = self._session.info.declare_link_events_listener(self._link_changed, history=True)
+        for declared in self._declared:
+            declared.made = declared.declare(self._session)
+        self._open.set()
+        self._ready.set()
+
+    async def reopen(self, config: zenoh.Config) -> None:
+        """Go on with another configuration: links are made anew, and what was declared is declared again.
+
+        What is sent meanwhile waits. Raises ``GraphUnavailable`` where the session cannot start; may be called again.
+        """
+        async with self._changing:
+            self._config = config
+            await self._stop()
+            await asyncio.sleep(_LET_GO_S)
+            await self._start()
 
     async def close(self) -> None:
         """End the session; nothing is delivered after this returns."""
+        async with self._changing:
+            self._declared.clear()
+            await self._stop()
+        for lane in self._lanes.values():
+            lane.shutdown(wait=False, cancel_futures=True)
+        self._lanes.clear()
+
+    async def _stop(self) -> None:
+        self._open.clear()
+        self._ready.clear()
         session, self._session = self._session, None
         listener, self._link_events = self._link_events, None
         if listener is not None:
@@ -111,9 +154,8 @@ class Fabric:
                     await asyncio.to_thread(session.close)
             except TimeoutError:
                 log.warning("overlay: Zenoh did not close within %g s", _CLOSE_S)
-        for lane in self._lanes.values():
-            lane.shutdown(wait=False, cancel_futures=True)
-        self._lanes.clear()
+        for declared in self._declared:
+            declared.made = None
 
     def _link_changed(self, event: zenoh.LinkEvent) -> None:
         """In a thread of Zenoh's."""
@@ -121,6 +163,11 @@ class Fabric:
             target = str(event.link.dst)
             to_router = target.rpartition(":")[2] in self._router_ports
             dead_links.limit(str(event.link.src), target, MEMBER_DEAD_MS if to_router else ROUTER_DEAD_MS)
+
+    def linked_with(self, names: Collection[str]) -> bool:
+        """Whether a link with one of these names in its certificate stands."""
+        links = self._session.info.links() if self._session is not None else []
+        return any(link.auth_identifier in names for link in links)
 
     @property
     def session(self) -> zenoh.Session:
@@ -137,7 +184,8 @@ class Fabric:
         def take(sample: zenoh.Sample) -> None:
             callback(str(sample.key_expr), sample.payload)
 
-        return self._ender(self.session.declare_subscriber(key, zenoh.handlers.Callback(take, indirect=False)))
+        handler = zenoh.handlers.Callback(take, indirect=False)
+        return self._declare(lambda session: session.declare_subscriber(key, handler))
 
     def hear(
         self, key: str, callback: Callable[[str, bytes], None], *, limit_bytes: int = OVERLAY_NOTE_BYTES
@@ -166,11 +214,8 @@ class Fabric:
         def take(sample: zenoh.Sample) -> None:
             inlet.put((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
-        end = self._ender(
-            self.session.liveliness().declare_subscriber(
-                key, zenoh.handlers.Callback(take, indirect=False), history=True
-            )
-        )
+        handler = zenoh.handlers.Callback(take, indirect=False)
+        end = self._declare(lambda session: session.liveliness().declare_subscriber(key, handler, history=True))
 
         def close() -> None:
             inlet.closed = True
@@ -188,8 +233,8 @@ class Fabric:
             asked = Asked(query)
             inlet.put(asked, len(asked.payload))
 
-        queryable = self.session.declare_queryable(key, zenoh.handlers.Callback(take, indirect=False), complete=True)
-        end = self._ender(queryable)
+        handler = zenoh.handlers.Callback(take, indirect=False)
+        end = self._declare(lambda session: session.declare_queryable(key, handler, complete=True))
 
         def close() -> None:
             inlet.closed = True
@@ -199,24 +244,31 @@ class Fabric:
 
     def token(self, key: str) -> Handle:
         """Show that we are alive under ``key``."""
-        return self._ender(self.session.liveliness().declare_token(key))
+        return self._declare(lambda session: session.liveliness().declare_token(key))
 
-    @staticmethod
-    def _ender(declared: Any) -> Handle:
-        kept = [declared]
+    def _declare(self, declare: Callable[[zenoh.Session], Any]) -> Handle:
+        """Declare something now, and again with every new session until it is ended."""
+        declared = _Declared(declare)
+        if not self._changing.locked():  # else it is declared with the rest
+            declared.made = declare(self.session)
+        self._declared[declared] = None
 
         def end() -> None:
-            while kept:
+            self._declared.pop(declared, None)
+            made, declared.made = declared.made, None
+            if made is not None:
                 with contextlib.suppress(zenoh.ZError):  # the session has closed
-                    kept.pop().undeclare()
+                    made.undeclare()
 
         return end
 
     # ── telling ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def tell(self, key: str, payload: bytes) -> None:
-        """Put a small note; lost where the link is congested."""
-        self.session.put(
+        """Put a small note; lost where the link is congested, and while the session is made anew."""
+        if self._session is None:
+            return
+        self._session.put(
             key,
             payload,
             congestion_control=zenoh.CongestionControl.DROP,
@@ -225,6 +277,7 @@ class Fabric:
 
     def short(self, key: str) -> zenoh.KeyExpr:
         """A key that goes over each link once, and as a number from then on; see ``forget``."""
+        self._ready.wait(_REOPEN_S)
         made: zenoh.KeyExpr = self.session.declare_keyexpr(key)
         return made
 
@@ -236,6 +289,7 @@ class Fabric:
 
     def put(self, lane: int, key: str | zenoh.KeyExpr, payload: bytes) -> None:
         """Put data; waits while the link is congested, so call it in the thread of the lane (``in_lane``)."""
+        self._ready.wait(_REOPEN_S)
         self.session.put(
             key, payload, congestion_control=zenoh.CongestionControl.BLOCK, priority=_PRIORITIES[lane], express=True
         )
@@ -260,6 +314,9 @@ class Fabric:
 
         Answers beyond ``limit_bytes`` in all are not taken.
         """
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(min(timeout_s, _REOPEN_S)):
+                await self._open.wait()
         answers: list[bytes] = []
         left = limit_bytes
         done: asyncio.Future[None] = self._loop.create_future()

@@ -74,7 +74,8 @@ class Fleet:
             self.ca = x509.load_pem_x509_certificate((directory / "ca.pem").read_bytes())
             key = load_pem_private_key((directory / "ca.key").read_bytes(), None)
             self.name_secret = bytes.fromhex((directory / "name.secret").read_text().strip())
-            self._read()
+            self.crl = x509.load_pem_x509_crl((directory / "crl.pem").read_bytes())
+            self._record = json.loads((directory / "fleet.json").read_text())
         except (OSError, ValueError, TypeError) as error:
             raise IdentityError(
                 str(directory), f"it is not the directory of a fleet ({error}); make one with: ropeway keys init NAME"
@@ -125,15 +126,16 @@ class Fleet:
         record = {"name": name, "created": now.isoformat(), "routers": list(routers), "issued": []}
         write_durable(directory / "fleet.json", _json(record))
 
-    def _read(self) -> None:
-        self.crl = x509.load_pem_x509_crl((self.directory / "crl.pem").read_bytes())
-        self._record = json.loads((self.directory / "fleet.json").read_text())
-
     @contextlib.contextmanager
     def _changing(self) -> Iterator[None]:
         """Change the fleet as it is now, while nobody else does."""
         with locked(self.directory / "lock"):
-            self._read()
+            try:
+                self._record = json.loads((self.directory / "fleet.json").read_text())
+                with contextlib.suppress(ValueError):  # what was damaged since is written again, as it was known here
+                    self.crl = x509.load_pem_x509_crl((self.directory / "crl.pem").read_bytes())
+            except (OSError, ValueError) as error:
+                raise IdentityError(str(self.directory), f"the fleet cannot be read any more: {error}") from error
             yield
 
     @property

@@ -3,6 +3,9 @@
 A gateway shows a liveliness token, and each second puts a signed heartbeat with the version of its list. A change is
 put as a delta; who finds a version that it does not have asks for the whole list. Nothing is believed that is not
 signed by a certificate of the fleet; a gateway that was not heard of for ``LEASE_S`` is gone, whatever a router says.
+
+Once a member was revoked, a gateway tells its list only over sealed channels, to members in good standing, and with it
+the key of its notes (see ``ropeway.overlay.note``).
 """
 
 from __future__ import annotations
@@ -10,16 +13,16 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
-from ropeway.errors import SealError
+from ropeway.errors import CallError, SealError
 from ropeway.limits import OVERLAY_GATEWAYS_PER_MEMBER, OVERLAY_LIST_BYTES, OVERLAY_STRANGERS
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.fabric import Asked, Fabric, Handle
 from ropeway.overlay.identity import Identity
-from ropeway.overlay.note import NoteKey
+from ropeway.overlay.note import NoteKey, note_key_id
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rib import Rib
 from ropeway.overlay.trust import Trust
@@ -37,6 +40,8 @@ _AGAIN_S: Final = 0.02  # a way to a new gateway is there a moment after its tok
 _SUSPECT_S: Final = 3.0  # a token that is gone may come back by another router
 _SKEW_NS: Final = 120 * 10**9
 _CHUNK: Final = 500  # advertisements in one note
+_ASK_SEALED: Final = b"rw-list2"
+"""Told in place of a list: it is told over sealed channels only."""
 _ASK_S: Final = 5.0
 _TAILS: Final = 512
 
@@ -60,14 +65,16 @@ class _Gateway:
     suspect: float | None = None
     sync: asyncio.Task[None] | None = None
     wanted: int = -1
-    tails: dict[bytes, int] = field(default_factory=dict)
+    notes: NoteKey | None = None
+    synced: float = float("-inf")
 
 
 class Membership:
     """Tells others what we advertise, and fills ``rib`` with what they do.
 
-    ``tails()`` gives the newest number of each reliable publisher of ours that was active lately; ``on_tails`` gets
-    those of others, so that readers know what they miss. ``on_newer_crl`` is called where somebody has a newer
+    ``ask_list(gateway, timeout_s)`` asks another gateway for what ``told_list`` of its membership gives, over a sealed
+    channel. ``tails()`` gives the newest number of each reliable publisher of ours that was active lately; ``on_tails``
+    gets those of others, so that readers know what they miss. ``on_newer_crl`` is called where somebody has a newer
     revocation list than we, ``on_gone`` with the id of each gateway that has left. ``refused`` is told of everything
     that is not believed.
     """
@@ -78,8 +85,8 @@ class Membership:
         identity: Identity,
         trust: Trust,
         rib: Rib,
-        notes: NoteKey,
         *,
+        ask_list: Callable[[bytes, float], Awaitable[Any]],
         tails: Callable[[], dict[bytes, int]],
         on_tails: Callable[[bytes, dict[bytes, int]], None],
         on_newer_crl: Callable[[], None],
@@ -87,7 +94,10 @@ class Membership:
         refused: Callable[[str, SealError], None],
     ) -> None:
         self._fabric, self._identity, self._trust = fabric, identity, trust
-        self._rib, self._notes = rib, notes
+        self._rib, self._ask_list = rib, ask_list
+        assert identity.name_secret is not None
+        self._fleet_notes = NoteKey(identity.name_secret)
+        self._notes = NoteKey.fresh() if trust.revokes else self._fleet_notes
         self._tails, self._on_tails, self._refused = tails, on_tails, refused
         self._on_newer_crl, self._on_gone = on_newer_crl, on_gone
         self._own: dict[bytes, bytes] = {}  # endpoint: sealed advertisement
@@ -180,8 +190,26 @@ class Membership:
             await asyncio.sleep(_BEAT_S)
             self._expire()
 
+    def turn_over(self) -> None:
+        """Somebody was revoked: from now on notes are sealed with a key that it does not have."""
+        self._notes = NoteKey.fresh()
+        if self._ends:
+            self._fabric.tell(f"rw/h/{self._me}", self._note("heartbeat", self._heartbeat()))
+
     def _list(self, asked: Asked) -> None:
-        """Somebody wants the whole list."""
+        """Somebody wants the whole list: it is told, or where to ask for it."""
+        if self._notes.id:
+            asked.answer(_ASK_SEALED)
+            return
+        for note in self._list_notes():
+            asked.part(note)
+        asked.done()
+
+    def told_list(self) -> dict[str, Any]:
+        """Return the whole list and the key of our notes, for a member in good standing."""
+        return {"k": self._notes.secret, "i": self._notes.id, "n": list(self._list_notes())}
+
+    def _list_notes(self) -> Iterator[bytes]:
         adverts = list(self._own.values())
         hello = {
             "c": self._identity.certificate.der,
@@ -190,10 +218,9 @@ class Membership:
             "v": self._version - bool(self._added or self._removed),  # what waits comes as a delta, too
             "of": len(adverts),
         }
-        asked.part(self._note("hello", hello))
+        yield self._note("hello", hello)
         for at in range(0, len(adverts), _CHUNK):
-            asked.part(self._note("adverts", {"t": hello["t"], "a": adverts[at : at + _CHUNK]}))
-        asked.done()
+            yield self._note("adverts", {"t": hello["t"], "a": adverts[at : at + _CHUNK]})
 
     # ── what we hear ───────────────────────────────────────────────────────────────────────────────────────────
 
@@ -237,6 +264,8 @@ class Membership:
         if known.certificate is None:
             self._sync(gateway, known)
             return
+        if self._turned_over(raw, gateway, known):
+            return
         body = self._read(raw, gateway, "heartbeat", known)
         if body is None:
             return
@@ -264,6 +293,8 @@ class Membership:
         if known.sync is not None:
             known.wanted = max(known.wanted, known.version + 1)
             return
+        if self._turned_over(raw, gateway, known):
+            return
         body = self._read(raw, gateway, "delta", known)
         if body is None or body["v"] <= known.version:
             return
@@ -275,11 +306,21 @@ class Membership:
         found = self._rib.read_all(gateway, known.certificate, body["add"])
         self._rib.apply(gateway, known.certificate, found, body["del"])
 
+    def _turned_over(self, raw: bytes, gateway: bytes, known: _Gateway) -> bool:
+        """True where a note is sealed with a key that we do not have: the gateway is asked for it, now and then."""
+        assert known.notes is not None
+        if note_key_id(raw) == known.notes.id:
+            return False
+        if self._loop.time() - known.synced > _BEAT_S / 2:
+            self._sync(gateway, known)
+        return True
+
     def _read(self, raw: bytes, gateway: bytes, kind: str, known: _Gateway) -> dict[str, Any] | None:
         assert known.certificate is not None
+        assert known.notes is not None
         certificate = known.certificate
         try:
-            body = self._notes.open(raw, gateway, kind, _SHAPES[kind], lambda _: self._trust.check(certificate.der))
+            body = known.notes.open(raw, gateway, kind, _SHAPES[kind], lambda _: self._trust.check(certificate.der))
         except SealError as error:
             self._refused(known.name, error)
             return None
@@ -295,9 +336,14 @@ class Membership:
         try:
             while self._known.get(gateway) is known:
                 key = f"rw/m/{gateway.hex()}"
-                answers = await self._fabric.ask(key, b"", _ASK_S, limit_bytes=OVERLAY_LIST_BYTES)
+                answers, notes = await self._fabric.ask(key, b"", _ASK_S, limit_bytes=OVERLAY_LIST_BYTES), None
                 try:
-                    version = await self._take_list(gateway, known, answers)
+                    if answers == [_ASK_SEALED]:
+                        answers, notes = _told(await self._ask_list(gateway, _ASK_S))
+                    version = await self._take_list(gateway, known, answers, notes or self._fleet_notes)
+                except CallError as error:  # it is not there, or does not answer us
+                    log.debug("overlay: gateway %s tells no list: %s", gateway.hex()[:8], error)
+                    version = None
                 except SealError as error:
                     self._refused(known.name or f"gateway {gateway.hex()[:8]}", error)
                     version = None
@@ -306,6 +352,7 @@ class Membership:
                     unforeseen = SealError(Refusal.MALFORMED, f"a list ({describe(error)})")
                     self._refused(known.name or f"gateway {gateway.hex()[:8]}", unforeseen)
                     version = None
+                known.synced = self._loop.time()
                 if version is not None:
                     known.version = version
                     if known.wanted <= version:
@@ -316,13 +363,10 @@ class Membership:
         finally:
             known.sync = None
 
-    async def _take_list(self, gateway: bytes, known: _Gateway, answers: list[bytes]) -> int | None:
+    async def _take_list(self, gateway: bytes, known: _Gateway, answers: list[bytes], notes: NoteKey) -> int | None:
         if not answers:
             return None
-
-        hello = self._notes.open(
-            answers[0], gateway, "hello", _SHAPES["hello"], lambda body: self._trust.check(body["c"])
-        )
+        hello = notes.open(answers[0], gateway, "hello", _SHAPES["hello"], lambda body: self._trust.check(body["c"]))
         certificate = self._trust.check(hello["c"])
         if abs(hello["t"] - time.time_ns()) > _SKEW_NS:
             raise SealError(Refusal.TOO_OLD, f"{certificate.name} tells a time that is far from ours")
@@ -331,7 +375,7 @@ class Membership:
             raise SealError(Refusal.NO_RIGHT, f"{certificate.name} has {others} gateways already")
         raws: list[bytes] = []
         for answer in answers[1:]:
-            body = self._notes.open(answer, gateway, "adverts", _SHAPES["adverts"], lambda _: certificate)
+            body = notes.open(answer, gateway, "adverts", _SHAPES["adverts"], lambda _: certificate)
             if body["t"] != hello["t"]:
                 raise SealError(Refusal.REPLAYED, "a list")
             raws += body["a"]
@@ -341,7 +385,7 @@ class Membership:
         if self._known.get(gateway) is not known:
             return None
         first = known.certificate is None
-        known.certificate, known.name = certificate, certificate.name
+        known.certificate, known.name, known.notes = certificate, certificate.name, notes
         known.told_ns = max(known.told_ns, hello["t"])
         known.heard = self._loop.time()
         self._rib.replace(gateway, certificate, adverts)
@@ -382,6 +426,14 @@ class Membership:
             lost = known.suspect is not None and now - known.suspect > _SUSPECT_S
             if lost or now - known.heard > LEASE_S:
                 self.gone(gateway)
+
+
+def _told(answer: Any) -> tuple[list[bytes], NoteKey]:
+    """What ``told_list`` of another gateway gave. Raises ``SealError``."""
+    notes = answer.get("n") if isinstance(answer, dict) else None
+    if not isinstance(notes, list) or any(type(note) is not bytes for note in notes):
+        raise SealError(Refusal.MALFORMED, "a list")
+    return notes, NoteKey.read(answer.get("k"), answer.get("i"))
 
 
 def _gateway_of(key: str) -> bytes | None:

@@ -13,7 +13,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway.errors import CallFailed, IdentityError, NotServed, RopewayError, SealError
 from ropeway.limits import OVERLAY_CRL_BYTES, OVERLAY_MESSAGE_BYTES, OVERLAY_ROUTED_BYTES
@@ -24,7 +24,6 @@ from ropeway.overlay.feed import Feed
 from ropeway.overlay.held import Held
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.membership import Membership
-from ropeway.overlay.note import NoteKey
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rib import Rib
 from ropeway.overlay.rpc import Rpc, part
@@ -32,6 +31,9 @@ from ropeway.overlay.source import Source
 from ropeway.overlay.trust import Trust
 from ropeway.overlay.zenoh_config import gateway_config, gateway_id
 from ropeway.tasks import Supervised, end
+
+if TYPE_CHECKING:
+    import zenoh
 
 __all__ = ["OverlayNode", "Policy", "Provider", "new_endpoint"]
 
@@ -93,15 +95,10 @@ class OverlayNode:
         self.held = Held()
         self.refusals: Counter[tuple[str, Refusal]] = Counter()
         self.denials: dict[str, str] = {}
+        self.trouble = ""  # why others refuse us
         self.policy = policy or (lambda verb, name, certificate: True)
-        config = gateway_config(
-            identity,
-            gateway=self.gateway,
-            connect=self.routers,
-            listen=self.listen,
-            max_message_bytes=max_message_bytes + OVERLAY_ROUTED_BYTES - OVERLAY_MESSAGE_BYTES,
-        )
-        self.fabric = Fabric(config, self.gateway, routers=self.routers)
+        self._denied = self._to_deny()
+        self.fabric = Fabric(self._config(self._denied), self.gateway, routers=self.routers)
         self.rib = Rib(self.secret, refused=self.refused)
         self.rpc = Rpc(self.fabric, identity, self.trust, self.refused)
         self.membership = Membership(
@@ -109,7 +106,7 @@ class OverlayNode:
             identity,
             self.trust,
             self.rib,
-            NoteKey(self.secret),
+            ask_list=lambda gateway, timeout_s: self.rpc.ask(gateway, {"op": "list"}, timeout_s),
             tails=self._tails,
             on_tails=self._on_tails,
             on_newer_crl=lambda: self._ask_crl.set(),
@@ -139,6 +136,7 @@ class OverlayNode:
                 self.rpc.answers("history", self._answer_history)
                 self.rpc.answers("call", self._answer_call)
                 self.rpc.answers("ping", self._answer_ping)
+                self.rpc.answers("list", self._answer_list)
                 self.rpc.open()
                 self._ends.append(self.fabric.serve(CRL_KEY, self._tell_crl))
                 take = self.fabric.hear(CRL_KEY, lambda _, raw: self._take_crl(raw), limit_bytes=OVERLAY_CRL_BYTES)
@@ -165,6 +163,20 @@ class OverlayNode:
             self._ends.clear()
             await self.fabric.close()
 
+    def _to_deny(self) -> frozenset[str]:
+        """Whose links shall carry nothing; our own name among them would help nobody."""
+        return self.trust.denied - {self.identity.name}
+
+    def _config(self, denied: frozenset[str]) -> zenoh.Config:
+        return gateway_config(
+            self.identity,
+            gateway=self.gateway,
+            connect=self.routers,
+            listen=self.listen,
+            max_message_bytes=self.max_message_bytes + OVERLAY_ROUTED_BYTES - OVERLAY_MESSAGE_BYTES,
+            denied=denied,
+        )
+
     async def _keep_checking(self) -> None:
         """Ask for revocations, now and then and when somebody has newer ones; see who lost its right meanwhile."""
         loop = asyncio.get_running_loop()
@@ -175,6 +187,11 @@ class OverlayNode:
                 asked = loop.time()
                 await self._ask_for_crl()
             self.recheck()
+            denied = self._to_deny()
+            if denied != self._denied and (self.listen or self.fabric.linked_with(denied)):
+                log.info("overlay: links are made anew, to carry nothing for %s", ", ".join(sorted(denied)) or "nobody")
+                await self.fabric.reopen(self._config(denied))
+                self._denied = denied
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_CHECK_S):
                     await self._ask_crl.wait()
@@ -188,10 +205,22 @@ class OverlayNode:
 
     def recheck(self) -> None:
         """See who lost its right: by revocation, by time. Keys that have served their time are replaced, too."""
+        self._check_own()
         self.membership.recheck()
         self.rpc.recheck()
         for source in self.sources.values():
             source.recheck(self._good)
+
+    def _check_own(self) -> None:
+        """See whether we are in good standing ourselves, and say so if we are not."""
+        try:
+            self.trust.check(self.identity.certificate.der)
+        except SealError as error:
+            if not self.trouble:
+                self.trouble = f"{error}; others refuse us: have a new one issued with: ropeway keys issue"
+                log.error("overlay: our own certificate is good no longer: %s", self.trouble)
+        else:
+            self.trouble = ""
 
     def _good(self, certificate: Certificate) -> bool:
         try:
@@ -230,6 +259,9 @@ class OverlayNode:
         if newer:
             log.info("overlay: revocation list %d is in force", self.trust.crl_number)
             self.recheck()
+            if self.trust.revokes:
+                self.membership.turn_over()
+            self._ask_crl.set()  # what else it changes is done next
 
     def _tell_crl(self, asked: Asked) -> None:
         asked.answer(self.trust.crl)
@@ -319,6 +351,9 @@ class OverlayNode:
             raise NotServed(str(request.get("name", "")))
         return await provider.answer_remote(peer, request)
 
+    async def _answer_list(self, peer: Certificate, request: Mapping[str, Any]) -> Any:
+        return self.membership.told_list()
+
     async def _answer_ping(self, peer: Certificate, request: Mapping[str, Any]) -> Any:
         return time.time_ns()
 
@@ -357,6 +392,7 @@ class OverlayNode:
             "fleet": self.identity.fleet,
             "gateway": self.gateway.hex(),
             "expires": certificate.not_after.isoformat(),
+            "trouble": self.trouble,
             "routers": sorted(links - {gateway.hex() for gateway in known}),
             "revocations": self.trust.crl_number,
             "gateways": [

@@ -11,14 +11,18 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import GraphUnavailable, IdentityError, RopewayError, SealError
+from ropeway.limits import OVERLAY_CRL_BYTES
 from ropeway.overlay.fabric import CRL_KEY, Asked, Fabric, Handle
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.trust import Trust
 from ropeway.overlay.zenoh_config import gateway_config, gateway_id, router_config
 from ropeway.tasks import Supervised, end
+
+if TYPE_CHECKING:
+    import zenoh
 
 __all__ = ["Router", "push_crl"]
 
@@ -94,11 +98,21 @@ class Router:
 
     async def _open(self) -> None:
         self._denied = self.trust.denied
-        config = router_config(self.identity, connect=self.connect, listen=self.listen, denied=self._denied)
-        fabric = Fabric(config, b"")
+        fabric = Fabric(self._config(self._denied), b"")
         await fabric.open()
         self._fabric = fabric
-        self._ends = [fabric.serve(CRL_KEY, self._tell), fabric.hear(CRL_KEY, lambda _, raw: self._take(raw))]
+        take = fabric.hear(CRL_KEY, lambda _, raw: self._take(raw), limit_bytes=OVERLAY_CRL_BYTES)
+        self._ends = [fabric.serve(CRL_KEY, self._tell), take]
+
+    def _config(self, denied: frozenset[str]) -> zenoh.Config:
+        return router_config(self.identity, connect=self.connect, listen=self.listen, denied=denied)
+
+    async def _deny(self) -> None:
+        """Make all links anew, with nothing for those that the list denies."""
+        assert self._fabric is not None
+        denied = self.trust.denied
+        await self._fabric.reopen(self._config(denied))
+        self._denied = denied
 
     async def _close(self) -> None:
         for handle in self._ends:
@@ -115,8 +129,7 @@ class Router:
             if self.trust.denied != self._denied:
                 names = ", ".join(sorted(self.trust.denied)) or "nobody"
                 self._say(f"revocation list {self.trust.crl_number} denies {names}")
-                await self._close()
-                await self._open()
+                await self._deny()
             self._newer.clear()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._look_s):

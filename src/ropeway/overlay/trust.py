@@ -72,6 +72,11 @@ class Trust:
             raise SealError(Refusal.REVOKED, certificate.name)
         return certificate
 
+    @property
+    def revokes(self) -> bool:
+        """Return whether anybody was ever revoked."""
+        return bool(self._revoked)
+
     def revoked(self, serial: int) -> bool:
         """True if the certificate with this serial number was revoked."""
         return serial in self._revoked

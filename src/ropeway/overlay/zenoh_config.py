@@ -17,6 +17,9 @@ __all__ = ["KEYS", "MEMBER_DEAD_MS", "ROUTER_DEAD_MS", "gateway_config", "gatewa
 KEYS: Final = "rw/**"
 """All that travels in an overlay lies under this key expression."""
 
+_DENIED: Final = ("rw/a/**", "rw/d/**", "rw/g/**", "rw/h/**", "rw/l/**", "rw/m/**")
+"""All of it but the revocation list."""
+
 # A dead link is known within these times. A router knows it first: a member that comes again before its router has let
 # go of the old link is taken off the routers' map, new link and all, once the old one is closed.
 ROUTER_DEAD_MS: Final = 1000
@@ -49,48 +52,57 @@ def gateway_config(
     connect: Sequence[str],
     listen: Sequence[str],
     max_message_bytes: int = OVERLAY_ROUTED_BYTES,
+    denied: Collection[str] = (),
 ) -> zenoh.Config:
     """For a gateway: it links with routers, and with every other gateway that it can reach.
+
+    ``denied`` are names in certificates whose links carry nothing but the revocation list.
 
     To Zenoh it is a router like the others: those of its kinds that are not, peers, get nothing through a router that
     stands between them.
     """
-    more = {
+    more: dict[str, Any] = {
         "id": gateway.hex(),
         "scouting/gossip/autoconnect": {"router": ["router"]},
         "transport/link/tx/lease": ROUTER_DEAD_MS,  # what is announced: by it the far end judges
         "transport/link/rx/max_message_size": max_message_bytes,
     }
+    if denied:
+        more["access_control"] = _access(denied)
     return _config(identity, connect, listen, more)
 
 
 def router_config(
     identity: Identity, *, connect: Sequence[str], listen: Sequence[str], denied: Collection[str] = ()
 ) -> zenoh.Config:
-    """For a router. ``denied`` are names in certificates that may do nothing."""
-    rules: list[dict[str, Any]] = [
-        {
-            "id": "overlay",
-            "messages": list(_MESSAGES),
-            "flows": ["ingress", "egress"],
-            "permission": "allow",
-            "key_exprs": [KEYS],
-        }
-    ]
-    subjects: list[dict[str, Any]] = [{"id": "everybody"}]
-    policies: list[dict[str, Any]] = [{"rules": ["overlay"], "subjects": ["everybody"]}]
+    """For a router. ``denied`` are names in certificates that may do nothing but learn that they are."""
+    more = {"access_control": _access(denied), "scouting/gossip/autoconnect": {"router": []}}
+    return _config(identity, connect, listen, more)
+
+
+def _access(denied: Collection[str]) -> dict[str, Any]:
+    """Everything of the overlay for everybody, but for ``denied``: they are told which certificates are revoked.
+
+    Where one rule allows what another one denies, Zenoh allows it. So as soon as somebody is denied something, all else
+    is allowed by default, and by no rule.
+    """
     if denied:
-        rules.append({**rules[0], "id": "revoked", "permission": "deny"})
-        subjects.append({"id": "revoked", "cert_common_names": sorted(denied)})
-        policies.append({"rules": ["revoked"], "subjects": ["revoked"]})
-    access = {
+        rule = _rule("revoked", "deny", list(_DENIED))
+        subject: dict[str, Any] = {"id": "revoked", "cert_common_names": sorted(denied)}
+    else:
+        rule, subject = _rule("overlay", "allow", [KEYS]), {"id": "everybody"}
+    return {
         "enabled": True,
-        "default_permission": "deny",
-        "rules": rules,
-        "subjects": subjects,
-        "policies": policies,
+        "default_permission": "allow" if denied else "deny",
+        "rules": [rule],
+        "subjects": [subject],
+        "policies": [{"rules": [rule["id"]], "subjects": [subject["id"]]}],
     }
-    return _config(identity, connect, listen, {"access_control": access, "scouting/gossip/autoconnect": {"router": []}})
+
+
+def _rule(id: str, permission: str, keys: list[str]) -> dict[str, Any]:
+    flows = ["ingress", "egress"]
+    return {"id": id, "messages": list(_MESSAGES), "flows": flows, "permission": permission, "key_exprs": keys}
 
 
 def _config(identity: Identity, connect: Sequence[str], listen: Sequence[str], more: dict[str, Any]) -> zenoh.Config:
