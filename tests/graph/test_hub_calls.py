@@ -117,6 +117,17 @@ async def test_same_call_runs_once(place: Place) -> None:
     assert place.hub.calls.repeated == 2
 
 
+async def test_a_server_that_is_not_reached_in_a_short_time(place: Place) -> None:
+    """Who gives a call less time than reaching a server may take hears of the time, not that nobody serves it."""
+    await place.robot.create_service("/s", "std_srvs/srv/SetBool", says(b""))  # type: ignore[arg-type]
+    view = place.hub.view("a")
+    await until(lambda: place.hub.graph.services()["/s"].servers)
+    with pytest.raises(CallTimeout):
+        await call(view, "/s", timeout_s=0.05)  # of a type that is never reached
+    with pytest.raises(NotServed):
+        await call(view, "/other", timeout_s=0.05)
+
+
 async def test_failure_is_not_repeated(place: Place) -> None:
     """A call that failed at the provider is not run again under its id; one that nobody served may be."""
     runs = []

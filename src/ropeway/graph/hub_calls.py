@@ -8,7 +8,7 @@ from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.errors import CallFailed, GraphUnavailable, NotServed, ProviderLost
+from ropeway.errors import CallFailed, CallTimeout, GraphUnavailable, NotServed, ProviderLost
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import (
     DEFAULT_TIMEOUT_S,
@@ -248,6 +248,12 @@ class ViewClient:
         return self._inner.available if self._inner is not None else False
 
     @property
+    def listed(self) -> bool:
+        """True if the graph knows a server, reached or not."""
+        info = self._calls.graph.services().get(self.service)
+        return info is not None and bool(info.servers)
+
+    @property
     def busy(self) -> bool:
         """True while a call is under way."""
         return self._under_way.busy
@@ -286,6 +292,8 @@ class ViewClient:
             and self.available is False
             and not await self.wait_available(min(NOBODY_S, timeout_s))
         ):
+            if timeout_s < NOBODY_S and self.listed:  # the caller's time was too short for a server that came just now
+                raise CallTimeout(self.service, timeout_s)
             raise NotServed(self.service)
         left = max(deadline - loop.time(), 0.001)
         provider = self._provider()

@@ -37,6 +37,7 @@ __all__ = ["ServiceOps", "tell_state"]
 
 log = logging.getLogger("ropeway.server")
 
+_SERVER_S: Final = 1.0  # a server that was seen and not reached yet is waited for so long, besides the call's own time
 _CLIENTS_LIMIT: Final = 32  # services that one client calls again soon
 
 
@@ -114,8 +115,11 @@ class ServiceOps:
         timeout_s = self._timeout_s(op.timeout)
         request = Request(payload, timeout_s=timeout_s, **passage(session, extra))
         client = await self._client(name, type)
-        if not known and client.available is False:
-            raise NotServed(name)  # at once, as rosbridge does, which does not know the type then
+        if client.available is False:
+            if client.listed:
+                await client.wait_available(_SERVER_S)
+            elif not known:
+                raise NotServed(name)  # at once, as rosbridge does, which does not know the type then
         response = await client.call(request, timeout_s)
         session.peer.send_op(
             ops.ServiceResponse(service=op.service, values=None, result=True, id=op.id),

@@ -20,7 +20,10 @@ import pytest
 from ropeway.errors import ProviderLost
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.graph.dds import DdsGraph
+from ropeway.graph.hub import Hub
+from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
+from tests.server.client import Client
 from tests.until import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
@@ -127,6 +130,30 @@ async def test_served_late(world: World) -> None:
     graph = await world.graph()
     await graph.create_service("/add", ADD, add)
     assert (await node.done()).items() >= {"answered": 50, "wrong": 0}.items()
+
+
+async def test_called_as_soon_as_it_is_seen(world: World) -> None:
+    """Clients of a server of ours whose calls have little time never hear that a node they see does not serve."""
+    graph = await world.graph()
+    hub = Hub(graph)
+    await hub.open()
+    world.stack.push_async_callback(hub.close)
+    server = RosbridgeServer(hub, REGISTRY)
+    world.stack.push_async_callback(server.close)
+    port = (await server.listen("ws://127.0.0.1:0")).port
+    client = await world.stack.enter_async_context(Client(port))
+    starting = asyncio.create_task(world.node("serve", "/add"))
+    answers: list[Any] = []
+    async with asyncio.timeout(30):
+        while not answers or not answers[-1]["result"]:
+            listed = bool((seen := graph.services().get("/add")) and seen.servers)
+            operation = {"op": "call_service", "service": "/add", "type": ADD, "args": {"a": 1, "b": 2}, "timeout": 0.1}
+            client.send({**operation, "id": str(len(answers))})
+            answers.append(await client.json())
+            if listed and not answers[-1]["result"]:
+                assert answers[-1]["values"] == "Timeout exceeded while waiting for service response"
+    await starting
+    assert answers[-1]["values"] == {"sum": 3}
 
 
 async def test_called(world: World) -> None:

@@ -229,6 +229,8 @@ class FastClient:
             nobody = max(_NOBODY_S, self._opened + _FRESH_S - self._loop.time())
             if not await self.wait_available(min(timeout_s, nobody)):
                 self._check_open()
+                if timeout_s < nobody:  # it is only made where a server is known
+                    raise TimeoutError
                 raise NotServed(self.service)
             async with asyncio.timeout_at(until):
                 ticket = await self._window.enter()
