@@ -84,5 +84,8 @@ class ScriptedGateway:
     def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
         raise AssertionError("topics are not expected")
 
+    def takes(self, channel: int) -> bool:
+        return False
+
     def lost(self, code: int, reason: str) -> None:
         pass

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from ropeway.budget import Budget
 from ropeway.errors import ConnectFailed
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.websocket import Server, connect, listen
@@ -379,6 +380,52 @@ async def test_broken_frames(place: Place, data: bytes, code: int) -> None:
     assert end.value.code == code
     await until(lambda: far.connection.closed)
     assert far.got == []
+
+
+@pytest.mark.parametrize("rsv", [1, 2, 4, 7])
+async def test_reserved_bits(place: Place, rsv: int) -> None:
+    """A frame of an extension that was not agreed upon ends the connection, whatever it is."""
+    await place.listen()
+    client, end = await place.client()
+    client.raw(frame(TEXT, b"hello", rsv=rsv) + frame(TEXT, b"again"))
+    assert (await client.closed())[0] == 1002
+    assert end.got == []
+
+
+async def test_nothing_is_read(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who reads nothing of much that waits is closed after a while; who reads slowly is not."""
+    monkeypatch.setattr("ropeway.link.connection.UNREAD_S", 0.0)
+    await place.listen()
+    client, end = await place.client()
+    connection = end.connection
+    connection.send_binary(bytes(32 << 20))
+    connection.look()
+    unsent = connection.unsent_bytes
+    assert unsent > 1 << 20
+    await client.reader.readexactly(16 << 20)
+    await until(lambda: connection.unsent_bytes < unsent)
+    connection.look()
+    assert connection._closing is None
+    while not end.ends:
+        connection.look()
+        await asyncio.sleep(0.01)
+    assert end.ends[0][0] == 1008
+    assert "was read" in end.ends[0][1]
+
+
+async def test_too_much_is_held(place: Place) -> None:
+    """A connection for which too much is held is closed, and what was held is gone with it."""
+    budget = Budget(account_limit_bytes=1 << 20)
+    await place.listen(Limits(ping_interval_s=None, max_message_bytes=8 << 20, budget=budget))
+    client, end = await place.client()
+    client.raw(frame(TEXT, bytes(900_000), fin=False))
+    client.raw(frame(CONTINUATION, bytes(300_000), fin=False))
+    code, reason = await client.closed()
+    assert code == 1008
+    assert "unfinished messages" in reason
+    await until(lambda: bool(end.ends))
+    assert budget.held_bytes == 0
+    assert budget.ended == {"connection": 1}
 
 
 async def test_unread_answers_to_pings(place: Place) -> None:

@@ -7,7 +7,7 @@ import json
 import os
 import random
 import time
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Container, Mapping, Sequence
 from contextlib import AsyncExitStack
 from typing import Any
 
@@ -46,6 +46,7 @@ class Handler:
         self.arrivals: list[Arrival] = []
         self.ends: list[tuple[int, str]] = []
         self.error: Exception | None = None
+        self.channels: Container[int] = range(1 << 16)
 
     def operation(self, op: ops.Op) -> None:
         self.operations.append(op)
@@ -60,6 +61,9 @@ class Handler:
     def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
         assert all(a.channel == channel for a in arrivals)
         self.arrivals.extend(arrivals)
+
+    def takes(self, channel: int) -> bool:
+        return channel in self.channels
 
     def lost(self, code: int, reason: str) -> None:
         self.ends.append((code, reason))

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import os
+import tracemalloc
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ropeway.errors import InvalidFrame, MessageTooBig
+from ropeway.errors import InvalidFrame, MessageTooBig, WireError
+from ropeway.limits import UNFINISHED_MESSAGE_S, UNFINISHED_MESSAGES
 from ropeway.wire.records import HEADER_BYTES, Arrival, RecordReader, RecordWriter
 
 
-def reader(limit: int = 1 << 20, refused: list[tuple[int, MessageTooBig]] | None = None) -> RecordReader:
+def reader(limit: int = 1 << 20, refused: list[tuple[int, WireError]] | None = None) -> RecordReader:
     return RecordReader(limit, lambda channel, error: refused.append((channel, error)) if refused is not None else None)
 
 
@@ -76,15 +78,82 @@ def test_too_big() -> None:
     assert [(channel, error.size_bytes) for channel, error in refused] == [(9, 5000), (9, 2000)]
 
 
+def first(channel: int, total: int, part: bytes = b"x") -> bytes:
+    """The frame that begins a message."""
+    out: list[bytes] = []
+    RecordWriter().first(out, channel, 3, total, part, bytes(16), 1, 1)
+    return b"".join(out)
+
+
+def more(channel: int, part: bytes) -> bytes:
+    """A frame that goes on with a message."""
+    out: list[bytes] = []
+    RecordWriter().more(out, channel, part)
+    return b"".join(out)
+
+
 def test_unfinished_are_bounded() -> None:
-    """A peer that begins messages and never ends them is refused above twice the limit."""
-    refused: list[tuple[int, MessageTooBig]] = []
-    writer, read = RecordWriter(), reader(1000, refused)
+    """Of messages that never end, no more than twice the limit of one is kept."""
+    refused: list[tuple[int, WireError]] = []
+    read = reader(1000, refused)
     for channel in range(1, 6):
-        out: list[bytes] = []
-        writer.first(out, channel, 3, 900, b"x", bytes(16), 1, 1)
-        read.read(b"".join(out))
+        read.read(first(channel, 900, bytes(800)))
     assert [channel for channel, _ in refused] == [3, 4, 5]
+    assert read.pending_bytes == 1600
+
+
+def test_nothing_is_reserved() -> None:
+    """A message takes what came of it, and not what it announced."""
+    limit = 64 << 20
+    read = reader(limit)
+    tracemalloc.start()
+    try:
+        for channel in range(1, 1 + UNFINISHED_MESSAGES):
+            read.read(first(channel, limit))
+        held, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert held < 100 * UNFINISHED_MESSAGES + (1 << 20)
+    assert read.pending_bytes == UNFINISHED_MESSAGES
+
+
+def test_too_many_unfinished() -> None:
+    """No more than so many messages are unfinished at a time; those that are go on."""
+    refused: list[tuple[int, WireError]] = []
+    read = reader(1000, refused)
+    for channel in range(1, 3 + UNFINISHED_MESSAGES):
+        read.read(first(channel, 2))
+    assert [channel for channel, _ in refused] == [UNFINISHED_MESSAGES + 1, UNFINISHED_MESSAGES + 2]
+    assert [arrival.body for arrival in read.read(more(1, b"y"))] == [b"xy"]
+
+
+def test_nothing_more_comes() -> None:
+    """A message of which nothing more comes is dropped after a while; one that goes on slowly is not."""
+    now, refused = [0.0], []
+    read = RecordReader(1000, lambda channel, error: refused.append(channel), clock=lambda: now[0])
+    read.read(first(1, 10))
+    read.read(first(2, 3))
+    now[0] = UNFINISHED_MESSAGE_S
+    read.read(more(2, b"y"))
+    now[0] += 1
+    read.expire()
+    assert refused == [1]
+    assert read.pending_bytes == 2
+    assert read.read(more(1, b"y")) == []
+    assert [arrival.body for arrival in read.read(more(2, b"z"))] == [b"xyz"]
+    assert read.pending_bytes == 0
+
+
+def test_channels_that_nobody_has() -> None:
+    """Of a message in parts on a channel that nobody has, nothing is kept."""
+    refused: list[int] = []
+    read = RecordReader(1000, lambda channel, error: refused.append(channel), lambda channel: channel == 2)
+    assert read.read(first(1, 3, b"ab") + more(1, b"c")) == []
+    assert refused == [1]
+    assert [arrival.body for arrival in read.read(first(2, 3, b"ab") + more(2, b"c"))] == [b"abc"]
+    read.read(first(2, 3))
+    read.clear()
+    assert read.pending_bytes == 0
 
 
 @pytest.mark.parametrize(

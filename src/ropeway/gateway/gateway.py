@@ -75,6 +75,7 @@ class Gateway:
         self.remotes: list[Remote] = []
         self.node: OverlayNode | None = None
         self.store: Store | None = None
+        self.budget = config.gateway.budget()
         self.nodes: Nodes | None = None
         self._node = node or config.gateway.name
         self._reuse_port = reuse_port
@@ -111,7 +112,7 @@ class Gateway:
             allow_open_files(settings.clients.max_clients + nodes)
         if self.config.stores:
             self.store = await self._open_store(stack)
-        limits = Limits(max_message_bytes=settings.max_message_bytes)
+        limits = Limits(max_message_bytes=settings.max_message_bytes, budget=self.budget)
         links = [url for url in settings.listen if not is_iort(url)]
         if links:
             server = RosbridgeServer(
@@ -339,6 +340,7 @@ class Gateway:
             ],
             "remotes": [remote.status() for remote in self.remotes],
             "routes": [row for remote in self.remotes for row in remote.routes()],
+            "memory": self.budget.status(),
             "access": summed(server.status() for server in self.servers),
             "sessions": [session.status() for server in self.servers for session in server.sessions],
             **({} if self.store is None else {"store": self.store.status()}),

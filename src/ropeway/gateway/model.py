@@ -19,6 +19,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from ropeway.budget import ACCOUNT_BYTES, PROCESS_BYTES, Budget
 from ropeway.errors import InvalidName, InvalidTypeName
 from ropeway.gateway.address import default_graph, parse_graph, parse_link, parse_listen
 from ropeway.gateway.auth_model import AuthConfig, GlobsConfig, Secret
@@ -426,6 +427,26 @@ class GatewayConfig(Model):
     ] = Field(0, description='0: one process; a number of processes; or "per-remote"')
     types: Many[ExistingPath] = Field((), description="files and directories with .msg, .srv and .action definitions")
     max_message_bytes: int = Field(64 * _MIB, ge=1024, description="a longer message closes its connection")
+    max_connection_bytes: int | None = Field(
+        None,
+        ge=1 << 20,
+        description="what one connection may have the gateway hold in memory (128 MiB, or twice the longest message); "
+        "more closes it",
+    )
+    max_held_bytes: int | None = Field(
+        None,
+        ge=1 << 20,
+        description="what all connections of a process may have it hold in memory (512 MiB, or eight times the longest "
+        "message): then nobody else may connect, and who holds the most is closed",
+    )
+
+    def budget(self) -> Budget:
+        """Return the bounds on what connections may have a process hold."""
+        largest = self.max_message_bytes
+        return Budget(
+            limit_bytes=self.max_held_bytes or max(PROCESS_BYTES, 8 * largest),
+            account_limit_bytes=self.max_connection_bytes or max(ACCOUNT_BYTES, 2 * largest),
+        )
 
 
 class Document(Model):

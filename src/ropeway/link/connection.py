@@ -12,11 +12,13 @@ import logging
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from picows import WSCloseCode, WSFrame, WSListener, WSMsgType, WSTransport
 
+from ropeway.budget import Budget
+from ropeway.limits import UNREAD_S, UNREAD_STATUS_BYTES
 from ropeway.link.flow import Flow
 from ropeway.link.http import Request
 from ropeway.link.window import tcp_info
@@ -39,12 +41,14 @@ class Limits:
     ``max_message_bytes``: inbound; more closes with 1009 (64 MiB carries a 60 MB point cloud).
     ``ping_interval_s``: a ping is sent this long after the last one; ``silence_s``: the peer is given up after so
     long without a byte (the two defaults notice a cut within 5 s). ``None`` turns the watch off.
+    ``budget`` bounds what this connection and all others that share it may have us hold.
     """
 
     max_message_bytes: int = 64 << 20
     ping_interval_s: float | None = 1.0
     silence_s: float | None = 4.0
     open_timeout_s: float = 5.0
+    budget: Budget = field(default_factory=Budget, compare=False)
 
 
 class Connection(WSListener):
@@ -70,6 +74,7 @@ class Connection(WSListener):
         self.on_binary: Callable[[bytes | memoryview], None] = _ignore
         self.on_writable: Callable[[], None] = _nothing
         self.on_closed: Callable[[int, str], None] = _ignore_close
+        self.on_look: Callable[[], None] = _nothing
         self.bytes_in = self.bytes_out = self.frames_in = self.frames_out = 0
         self.secure = False
         self.handshake: Request | None = None
@@ -79,6 +84,11 @@ class Connection(WSListener):
         self._socket: Any = None
         self._unfinished: bytearray | None = None  # a message in continuation frames, as far as it came
         self._unfinished_text = False
+        self._heard_before_frame = 0  # what the operating system had received when no message was half here
+        self._frames_seen = 0
+        self._taken_bytes = 0  # what the operating system had taken when it took something last …
+        self._taken_s = time.monotonic()  # … and when that was
+        self.account = limits.budget.open(self._ended_by_budget)
         self._pong: bytes | None = None  # the answer to the last ping, which waits until the link takes it
         self._last_heard = time.monotonic()
         self._heard_bytes = 0
@@ -146,6 +156,7 @@ class Connection(WSListener):
             return
         self._close_code, self._close_reason = code, reason
         self._open = False
+        self._unfinished = None
         try:
             close_code = WSCloseCode(code)
         except ValueError:
@@ -188,6 +199,8 @@ class Connection(WSListener):
             self.server, self.dated = headers.get("Server", ""), "Date" in headers
         self.flow.open(self._socket)
         self._open = True
+        self.account.hold("unfinished messages", self._unfinished_bytes)
+        self.account.hold("what it does not read", lambda: self.unsent_bytes)
         self._last_heard = time.monotonic()
         if self.limits.ping_interval_s is not None:
             self._watch = asyncio.get_running_loop().create_task(self._watch_peer(), name=f"watch {self.peer}")
@@ -200,6 +213,10 @@ class Connection(WSListener):
         self._last_heard = time.monotonic()
         size = frame.payload_size
         self.bytes_in += size
+        if frame.rsv1 or frame.rsv2 or frame.rsv3:
+            if self._closing is None:
+                self._fail(1002, "a frame with reserved bits came, whose extension nobody asked for")
+            return
         if kind == WSMsgType.BINARY or kind == WSMsgType.TEXT:
             if self._closing is not None:
                 return
@@ -211,6 +228,7 @@ class Connection(WSListener):
                     self.on_binary(frame.get_payload_as_memoryview())
                 else:
                     self.on_text(frame.get_payload_as_bytes())
+                self.account.received(self.bytes_in)
             else:
                 self._unfinished = bytearray(frame.get_payload_as_memoryview())
                 self._unfinished_text = kind == WSMsgType.TEXT
@@ -238,6 +256,9 @@ class Connection(WSListener):
             self._fail(1009, f"a message may have {self.limits.max_message_bytes} bytes at most")
             return
         message += frame.get_payload_as_memoryview()
+        self.account.received(self.bytes_in)
+        if self._unfinished is None:
+            return
         if frame.fin:
             self.frames_in += 1
             self._unfinished = None
@@ -268,9 +289,11 @@ class Connection(WSListener):
             self._closing.cancel()
         if self._watch is not None and self._watch is not asyncio.current_task():
             self._watch.cancel()
+        self.account.close()
         if not self._closed.is_set():
             self._closed.set()
             self.on_closed(self._close_code, self._close_reason)
+        self._unfinished = self._transport = None  # with all that the transport holds: no cycle keeps it
 
     def pause_writing(self) -> None:
         """Called by the transport when it holds bytes that the operating system did not take."""
@@ -281,11 +304,38 @@ class Connection(WSListener):
         self.flow.drained()
 
     def _fail(self, code: int, reason: str) -> None:
-        self._unfinished = None
         log.warning("%s: closed: %s", self.peer, reason)
         self.close(code, reason)
 
     # ── the watch ──────────────────────────────────────────────────────────────────────────────────────────────
+
+    def look(self) -> None:
+        """See whether the connection still does what it should; called about once a second."""
+        if self._closing is not None or self._closed.is_set():
+            return
+        self.on_look()
+        self._look_at_unread()
+        self.account.look()
+
+    def _look_at_unread(self) -> None:
+        """Close a connection that reads nothing of much that waits for it."""
+        unsent, now = self.unsent_bytes, time.monotonic()
+        taken = self.bytes_out - unsent
+        if unsent <= UNREAD_STATUS_BYTES or taken > self._taken_bytes:
+            self._taken_bytes, self._taken_s = taken, now
+        elif now - self._taken_s > UNREAD_S:
+            self._fail(1008, f"nothing of {unsent} bytes was read for {UNREAD_S:g} s")
+
+    def _unfinished_bytes(self) -> int:
+        """Return what is here of a message that is not complete: in continuation frames, and in a single one."""
+        unfinished = len(self._unfinished) if self._unfinished is not None else 0
+        received = self._received_bytes()
+        if self.frames_in != self._frames_seen or received < self._heard_before_frame:
+            self._frames_seen, self._heard_before_frame = self.frames_in, received
+        return unfinished + min(received - self._heard_before_frame, self.limits.max_message_bytes)
+
+    def _ended_by_budget(self, reason: str) -> None:
+        self._fail(1008, reason)
 
     async def _watch_peer(self) -> None:
         looked_at = time.monotonic()
@@ -299,6 +349,7 @@ class Connection(WSListener):
                 if received != self._heard_bytes:  # part of a message counts as a sign of life
                     self._heard_bytes = received
                     self._last_heard = max(self._last_heard, looked_at)
+                self.look()
                 looked_at = time.monotonic()
                 silence = self.silence_s
                 if silence is not None and looked_at - self._last_heard > silence:

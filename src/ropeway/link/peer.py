@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 from ropeway.errors import InvalidFrame, MessageTooBig, RopewayError, WireError
+from ropeway.limits import UNREAD_ANSWERS_BYTES
 from ropeway.link.calls import OP_CHANNELS, WAITING_LIMIT_BYTES, OpSender, Unsent
 from ropeway.link.channel import Channel, Outgoing
 from ropeway.link.complaints import Complaints
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from ropeway.types import MessageCodec, TypeRegistry
 
 __all__ = ["CONTROL_OPS", "Channel", "Outgoing", "Packing", "Peer", "PeerHandler", "Unsent"]
-
-_CONTROL_LIMIT_BYTES: Final = 32 << 20  # answers that a peer does not read; more closes the connection
 
 CONTROL_OPS: Final = frozenset(
     {
@@ -71,6 +70,9 @@ class PeerHandler(Protocol):
     def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
         """Messages came on a channel, still encoded."""
 
+    def takes(self, channel: int) -> bool:
+        """Return whether messages are expected on a channel; parts of others are not even kept."""
+
     def lost(self, code: int, reason: str) -> None:
         """The connection is gone."""
 
@@ -100,7 +102,7 @@ class Peer:
         self.rtt_s: float | None = None
         self.clock_offset_ns: int | None = None  # the peer's clock minus ours, once it is measured
         self._offset_rtt = float("inf")
-        self._reader = RecordReader(self.limit_bytes, self._refused)
+        self._reader = RecordReader(self.limit_bytes, self._refused, self._takes)
         self._assembler = wire_codec.JsonAssembler(limit_bytes=self.limit_bytes)
         self._defragmenter = Defragmenter(limit_bytes=self.limit_bytes)
         self._packing: Packing | None = None  # of the operations that are being taken
@@ -108,6 +110,12 @@ class Peer:
         connection.on_binary = self._on_binary
         connection.on_writable = self.sender.pump
         connection.on_closed = self._on_closed
+        connection.on_look = self._expire
+        hold = connection.account.hold
+        hold("messages in parts", lambda: self._reader.pending_bytes)
+        hold("fragments", lambda: self._defragmenter.held_bytes)
+        hold("unfinished JSON", lambda: self._assembler.pending_bytes)
+        hold("queues", lambda: self.sender.outbox.bytes)
 
     def speak(self, dialect: Dialect) -> None:
         """Speak to a plain peer as ``dialect``, from now on."""
@@ -120,7 +128,7 @@ class Peer:
         connection = self.connection
         if connection.closed:
             return
-        if not connection.writable and connection.unsent_bytes > _CONTROL_LIMIT_BYTES:
+        if not connection.writable and connection.unsent_bytes > UNREAD_ANSWERS_BYTES:
             connection.close(1008, "answers are not read")
             return
         message = op if isinstance(op, Mapping) else op.to_dict()
@@ -164,7 +172,7 @@ class Peer:
                 message[field] = wire_codec.encode_value(payload, codec)
             self.send(message)
             return
-        if payload is None and sender.waiting_bytes > WAITING_LIMIT_BYTES + _CONTROL_LIMIT_BYTES:
+        if payload is None and sender.waiting_bytes > WAITING_LIMIT_BYTES + UNREAD_ANSWERS_BYTES:
             self.connection.close(1008, "answers are not read")
             return
         sender.send(
@@ -335,9 +343,18 @@ class Peer:
         """Drop the unfinished message of an inbound channel."""
         self._reader.forget(channel)
 
-    def _refused(self, channel: int, error: MessageTooBig) -> None:
-        self.complaints.note("size", f"channel {channel}", error)
-        self.send({"op": "refused", "channel": channel, "reason": str(error)})
+    def _takes(self, channel: int) -> bool:
+        return channel in OP_CHANNELS or self.handler.takes(channel)
+
+    def _refused(self, channel: int, error: WireError) -> None:
+        self.complaints.note("size" if isinstance(error, MessageTooBig) else "frame", f"channel {channel}", error)
+        if isinstance(error, MessageTooBig):
+            self.send({"op": "refused", "channel": channel, "reason": str(error)})
+
+    def _expire(self) -> None:
+        """Drop unfinished messages of which nothing more comes."""
+        self._reader.expire()
+        self._defragmenter.expire()
 
     # ── the clock and the end ──────────────────────────────────────────────────────────────────────────────────
 
@@ -360,4 +377,7 @@ class Peer:
 
     def _on_closed(self, code: int, reason: str) -> None:
         self.sender.close()
+        self._reader.clear()
+        self._defragmenter.clear()
+        self._assembler.clear()
         self.handler.lost(code, reason)

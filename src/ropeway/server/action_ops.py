@@ -223,6 +223,7 @@ class SentGoal:
         if types and type not in types:
             raise TypeConflict(name, types[0], type)
         payload = decode_args(session, op.args, op.compression, type + "_Goal")
+        op.args = None  # in CDR it takes least
         codecs = [codec_of(session, type + part) for part in ("_Result", "_Feedback")]
         encoding = str(extra.get("encoding") or "auto")
         client = await session.view.create_action_client(name, type)
@@ -235,7 +236,8 @@ class SentGoal:
             self._goal.set_result(goal)
             if session.gateway:
                 session.peer.send_op({"op": "accepted", **_id(op)})
-            outcome = await goal.result()
+            with session.holding(len(payload)):
+                outcome = await goal.result()
         finally:
             await client.close()
         self._result(outcome, type, codecs[0], encoding)

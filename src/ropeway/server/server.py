@@ -164,6 +164,8 @@ class RosbridgeServer:
 
     def _full(self, role: Role) -> str:
         """Why there is no place for one more of this role; ``""`` where there is."""
+        if full := self.limits.budget.full:
+            return full
         most = self.door.max_clients
         if most is not None and len(self.sessions) >= most:
             return f"there are {most} clients, and no more may come"

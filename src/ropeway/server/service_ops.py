@@ -112,6 +112,7 @@ class ServiceOps:
         session.learn(type, extra)
         codec = codec_of(session, type + "_Response")
         payload = decode_args(session, op.args, op.compression, type + "_Request")
+        op.args = None  # in CDR it takes least
         timeout_s = self._timeout_s(op.timeout)
         request = Request(payload, timeout_s=timeout_s, **passage(session, extra))
         client = await self._client(name, type)
@@ -120,7 +121,8 @@ class ServiceOps:
                 await client.wait_available(_SERVER_S)
             elif not known:
                 raise NotServed(name)  # at once, as rosbridge does, which does not know the type then
-        response = await client.call(request, timeout_s)
+        with session.holding(len(payload)):
+            response = await client.call(request, timeout_s)
         session.peer.send_op(
             ops.ServiceResponse(service=op.service, values=None, result=True, id=op.id),
             payload=response,

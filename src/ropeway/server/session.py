@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway.errors import AccessDenied, InvalidOperation, RopewayError, WireError
@@ -19,6 +20,7 @@ from ropeway.server.service_ops import ServiceOps
 from ropeway.server.topic_ops import Retire, TopicOps
 from ropeway.server.topics import TopicIn, TopicOut
 from ropeway.server.watch import Watch
+from ropeway.types.told import Teller
 from ropeway.wire import ops
 from ropeway.wire.dialect import ROPEWAY
 from ropeway.wire.records import Arrival
@@ -34,8 +36,7 @@ log = logging.getLogger("ropeway.server")
 
 _RESUME_AT: Final = 32  # operations that still wait when the socket is read again
 _PAUSE_BYTES: Final = 64 << 20  # received while operations wait
-_DEFINITIONS_LIMIT: Final = 4096
-_DEFINITION_LIMIT: Final = 1 << 20  # characters
+_LONG_CODECS: Final = 1024  # codecs for clients that want texts for numbers of 64 bits
 _RATED: Final[Mapping[type, tuple[str, str]]] = {
     ops.Publish: ("publish", "topic"),
     ops.Advertise: ("publish", "topic"),
@@ -105,8 +106,14 @@ class Session:
         self._rated_bytes = 0
         self._idle_bytes = 0  # what had been received before operations had to wait
         self._watch: Watch | None = None
-        self._definitions = 0
+        self._teller = Teller(registry)
         self._gone = False
+        self._requests_bytes = 0
+        hold = connection.account.hold
+        hold("operations that wait", self._waiting_bytes)
+        hold("requests under way", lambda: self._requests_bytes)
+        hold("topics", lambda: self.topics.held_bytes)
+        hold("definitions", lambda: self._teller.held_bytes)
         query = connection.handshake.query if connection.handshake is not None else {}
         self._tells_status = query.get("status", ["0"])[-1].lower() not in ("0", "", "false", "no", "none")
         self._long_texts = query.get("int64", [""])[-1] == "text"
@@ -157,6 +164,7 @@ class Session:
         await self.services.leave()
         await self.actions.leave()
         await self.topics.leave()
+        self._teller.leave()
 
     @property
     def lingers(self) -> bool:
@@ -213,7 +221,19 @@ class Session:
 
     @property
     def _heavy(self) -> bool:
-        return self.peer.connection.bytes_in - self._idle_bytes > _PAUSE_BYTES
+        return self._waiting_bytes() > _PAUSE_BYTES
+
+    def _waiting_bytes(self) -> int:
+        return self.peer.connection.bytes_in - self._idle_bytes if self._waiting else 0
+
+    @contextlib.contextmanager
+    def holding(self, size: int) -> Iterator[None]:
+        """Count a request of the client that is under way."""
+        self._requests_bytes += size
+        try:
+            yield
+        finally:
+            self._requests_bytes -= size
 
     def control(self, message: Mapping[str, Any]) -> None:
         """A message of the Ropeway dialect came."""
@@ -257,6 +277,10 @@ class Session:
             return False
         return True
 
+    def takes(self, channel: int) -> bool:
+        """Return whether the client has advertised a channel, or is about to."""
+        return self.topics.takes(channel, self._waiting)
+
     def lost(self, code: int, reason: str) -> None:
         """The connection is gone."""
         self._gone = True
@@ -289,6 +313,7 @@ class Session:
     def tick(self) -> None:
         """Bring the meters up to date, and tell a gateway how its topics arrive; called about once a second."""
         self.topics.tick()
+        self.peer.connection.look()
         if self.gateway:
             self.peer.ping()
 
@@ -383,7 +408,7 @@ class Session:
             return codec
         known = self._long_codecs.get(type)
         if known is None:
-            if len(self._long_codecs) >= _DEFINITIONS_LIMIT:
+            if len(self._long_codecs) >= _LONG_CODECS:
                 self._long_codecs.clear()
             known = self._long_codecs[type] = codec.with_long_texts()
         return known
@@ -391,9 +416,5 @@ class Session:
     def learn(self, type: str, extra: Mapping[str, Any] | None) -> None:
         """Take the definition of a type that a gateway sent along. Raises ``RopewayError`` for one that is no good."""
         text = (extra or {}).get("definition")
-        if not self.gateway or not isinstance(text, str) or self.registry.has(type):
-            return
-        self._definitions += 1
-        if self._definitions > _DEFINITIONS_LIMIT or len(text) > _DEFINITION_LIMIT:
-            raise InvalidOperation("", f"the definition of {type} is one too many, or too long")
-        self.registry.add_full_text(type, text)
+        if self.gateway and isinstance(text, str):
+            self._teller.tell(type, text)

@@ -13,7 +13,7 @@ from ropeway.graph.base import resolve_name
 from ropeway.limits import IDS_PER_TOPIC, TOPICS_PER_CLIENT
 from ropeway.qos import QoS
 from ropeway.server.bodies import type_of
-from ropeway.server.topics import TopicIn, TopicOut, topic_status
+from ropeway.server.topics import REGISTRATION_BYTES, TopicIn, TopicOut, topic_status
 from ropeway.tasks import Supervised, end
 from ropeway.wire import ops
 from ropeway.wire.dialect import ROSGW
@@ -75,6 +75,14 @@ class TopicOps:
             self.inputs.pop(topic.topic, None)
             await topic.close()
 
+    @property
+    def held_bytes(self) -> int:
+        """What is kept for the client's topics."""
+        waiting = sum(map(len, self._unborn.values()))
+        inputs = sum(topic.held_bytes for topic in self._all_inputs())
+        outputs = sum(output.held_bytes for output in self._all_outputs())
+        return inputs + outputs + REGISTRATION_BYTES * waiting
+
     def tick(self) -> None:
         """Bring the meters up to date, and tell a gateway how its topics arrive."""
         for topic in self._all_inputs():
@@ -107,6 +115,12 @@ class TopicOps:
             return False
         known.published(op)
         return True
+
+    def takes(self, channel: int, waiting: Sequence[object]) -> bool:
+        """Return whether a channel is advertised, or about to be by an operation that waits."""
+        return channel in self.input_channels or any(
+            isinstance(op, ops.Advertise) and (op.ropeway or {}).get("channel") == channel for op in waiting
+        )
 
     def arrived(self, channel: int, arrivals: Sequence[Arrival], waiting: Sequence[object]) -> None:
         """Messages came on a channel; ``waiting`` are the operations that have not had their turn."""

@@ -25,10 +25,11 @@ if TYPE_CHECKING:
     from ropeway.server.session import Session
     from ropeway.types import MessageCodec
 
-__all__ = ["TopicIn", "TopicOut", "topic_status"]
+__all__ = ["REGISTRATION_BYTES", "TopicIn", "TopicOut", "topic_status"]
 
 log = logging.getLogger("ropeway.server")
 
+REGISTRATION_BYTES: Final = 2 << 10  # of one id of one topic: the operation, its names, and the place in tables
 _EARLY_LIMIT_BYTES: Final = 16 << 20  # what may wait while a publisher is being made
 _PRIORITY_OF_COMPRESSION: Final = {
     "none": 0,
@@ -56,7 +57,7 @@ class TopicIn:
         self._codec: MessageCodec | None = None
         self.lost: Counter[Lost] = Counter()
         self._early: deque[Sample] = deque()
-        self._early_bytes = 0
+        self._early_bytes = 0  # of what waits until there is a publisher
         self._origin = new_origin()
 
     def ready(self, publisher: Publisher) -> None:
@@ -70,6 +71,11 @@ class TopicIn:
             publisher.on_demand(
                 lambda count: self.session.peer.send({"op": "demand", "channel": number, "count": count})
             )
+
+    @property
+    def held_bytes(self) -> int:
+        """What is kept for the client."""
+        return self._early_bytes + REGISTRATION_BYTES * len(self.ids)
 
     def codec(self) -> MessageCodec:
         """How to read the client's messages. Raises ``UnknownType``."""
@@ -149,6 +155,12 @@ class TopicOut:
         self._throttle: Throttle | None = None
         self._wanted_definition = False
         self._depth: int | None = None
+
+    @property
+    def held_bytes(self) -> int:
+        """What is kept for the client, besides what waits for the link."""
+        throttled = self._throttle.bytes if self._throttle is not None else 0
+        return throttled + REGISTRATION_BYTES * len(self.requests)
 
     def settle(self) -> None:
         """Fit the channel to what all requests of the client ask for together."""

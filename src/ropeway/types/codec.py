@@ -59,7 +59,7 @@ class MessageCodec:
             for field in self._definition.wire_fields
         )
         self._stamped = bool(first) and first[0].type.base == HEADER and first[0].type.kind == "scalar"
-        self._plan: Plan = Planner(registry.definition).plan(name)
+        self.plan: Plan = Planner(registry.definition).plan(name)
         self._json = "json"
         self._readers: dict[str, Reader] = {}
         self._write: Writer | None = None
@@ -165,7 +165,7 @@ class MessageCodec:
     def _read(self, flavour: str, cdr: bytes) -> Any:
         read = self._readers.get(flavour)
         if read is None:
-            read = self._readers[flavour] = make_reader(self._plan, flavour)
+            read = self._readers[flavour] = make_reader(self.plan, flavour)
         raw = cdr if cdr.__class__ is bytes else bytes(cdr)
         try:
             if raw[:2] != _LITTLE:
@@ -182,12 +182,12 @@ class MessageCodec:
             raise DecodeError(
                 self.type, "CDR", f"it begins with {raw[:4].hex(' ') or 'nothing'}, not with 00 01 or 00 00"
             )
-        return to_little_endian(self._plan, raw)
+        return to_little_endian(self.plan, raw)
 
     def _encode(self, value: Any, now_ns: Callable[[], int] | None = None) -> bytes:
         write = self._write
         if write is None:
-            write = self._write = make_writer(self._plan)
+            write = self._write = make_writer(self.plan)
         out = [_CDR_HEADER]
         try:
             write(value, out, 0)

@@ -51,6 +51,8 @@ def parse_idl(name: str, text: str, *, file: str = "") -> list[Definition]:
             definition.check()
     except IdlError as error:
         raise InvalidDefinition(name, str(error), file=file) from None
+    except RecursionError:
+        raise InvalidDefinition(name, "its types or expressions are nested too deep", file=file) from None
     except InvalidDefinition as error:
         raise InvalidDefinition(error.name, error.reason, file=file) from None
     return [*found.values(), *(() if missing else derived(name))]

@@ -105,6 +105,7 @@ class Loop:
     node: Struct | Leaf
     steps: list[Step]
     minimum: int
+    objects: int
 
 
 @dataclass(slots=True, eq=False)
@@ -120,12 +121,16 @@ Step = Run | Text | Numbers | Loop | Call
 
 @dataclass(slots=True, eq=False)
 class Plan:
-    """All steps of one message. ``minimum`` is the least number of bytes that it needs."""
+    """All steps of one message.
+
+    ``minimum`` is the least number of bytes that it needs, ``objects`` the least number of texts and messages in it.
+    """
 
     type: str
     node: Struct
     steps: list[Step]
     minimum: int
+    objects: int
     layout: str
 
 
@@ -151,7 +156,7 @@ class Planner:
             draft = _Draft(self, 8 if aligned else 1)
             node = draft.message(name, self._above[-1] if self._above else "")
             draft.close()
-            self.plans[key] = Plan(name, node, draft.steps, draft.minimum, self.layout)
+            self.plans[key] = Plan(name, node, draft.steps, draft.minimum, draft.objects, self.layout)
         return self.plans[key]
 
     def enter(self, name: str, parent: str) -> Definition:
@@ -178,13 +183,14 @@ class _Draft:
         self.steps: list[Step] = []
         self.run: Run | None = None
         self.step, self.rest = step, 0
-        self.minimum = 0
+        self.minimum = self.objects = 0
         self.leaves = 0
         self.loops = 0
 
     def message(self, name: str, parent: str) -> Struct:
         """Add all fields of a message."""
         definition = self.planner.enter(name, parent)
+        self.objects += 1
         fields = definition.wire_fields
         if name == HEADER and not self.cdr:
             self.add("pad", "x", 4, 1)
@@ -248,6 +254,7 @@ class _Draft:
         """Add a string."""
         self.add("length", "I", 1, 4, leaf)
         self.close()
+        self.objects += 1
         self.steps.append(Text(leaf))
         if leaf.type.base == "string" or not self.cdr:
             self.step, self.rest = 1, 0
@@ -264,13 +271,13 @@ class _Draft:
     def loop(self, leaf: Leaf, parent: str) -> None:
         """Add an array or sequence of messages or strings."""
         self.close()
-        outer, before = self.steps, self.minimum
+        outer, before, objects = self.steps, self.minimum, self.objects
         self.loops += 1
         inner = FieldType(leaf.type.base, leaf.type.bound)
         leaves = self.leaves
         while True:
             entry = (self.step, self.rest)
-            self.steps, self.minimum, self.leaves = [], 0, leaves
+            self.steps, self.minimum, self.objects, self.leaves = [], 0, 0, leaves
             if not inner.is_message:
                 node: Struct | Leaf = self.leaf(inner)
                 self.text(node)  # type: ignore[arg-type]
@@ -284,11 +291,12 @@ class _Draft:
             if (self.step, self.rest) == entry:
                 break
         self.loops -= 1
-        found = Loop(leaf, node, self.steps, self.minimum)
-        self.steps, self.minimum = outer, before
+        found = Loop(leaf, node, self.steps, self.minimum, self.objects)
+        self.steps, self.minimum, self.objects = outer, before, objects
         self.steps.append(found)
         if leaf.type.kind == "array":
             self._grow(found.minimum * leaf.type.size)
+            self.objects += found.objects * leaf.type.size
 
     def call(self, leaf: Leaf) -> None:
         """Add a message by a plan of its own."""
@@ -296,6 +304,7 @@ class _Draft:
         plan = self.planner.plan(leaf.type.base, aligned=False)
         self.steps.append(Call(leaf, plan))
         self._grow(plan.minimum)
+        self.objects += plan.objects
         self.step, self.rest = 1, 0
 
     def _meet(self, step: int, rest: int) -> None:

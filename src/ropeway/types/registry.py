@@ -11,7 +11,7 @@ import difflib
 import logging
 import os
 import threading
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Container, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from ropeway.types.hashes import definition_md5, interface_members, rihs01
 from ropeway.types.parser import PARTS, is_idl, parse_interface, parse_sections
 from ropeway.types.standard import INTERFACES
 from ropeway.types.stores import NEWEST, from_rosbags, store_table
+from ropeway.types.told import Teller, Told, check_size
 from ropeway.types.typedef import typedefs
 
 __all__ = ["TypeRegistry"]
@@ -30,6 +31,7 @@ __all__ = ["TypeRegistry"]
 log = logging.getLogger("ropeway.types")
 
 _RULE = "=" * 80
+_CANDIDATES = 200  # names that a misspelt one is compared with, each in about 10 us
 
 
 class TypeRegistry:
@@ -52,6 +54,9 @@ class TypeRegistry:
         self._hashes: dict[str, str] = {}
         self._full_texts: dict[str, str] = {}
         self.faults: list[TypesError] = []  # definitions in files that cannot be used
+        self._neighbours: dict[str, list[str]] | None = None  # made when somebody misspells a name
+        self.told = Told()
+        self._told_codecs: dict[str, set[str]] = {}  # made of told definitions, and of which
 
     def canonical(self, name: str, kind: str = "msg") -> str:
         """The full name ``pkg/msg/Name`` of a type.
@@ -104,10 +109,19 @@ class TypeRegistry:
             with self._lock:
                 found = self._codecs.get(full)
                 if found is None:
-                    found = self._codecs[full] = MessageCodec(full, self)
+                    found = self._codecs[full] = self._made(full)
                 if len(self._codecs) < 8192:
                     self._codecs[name] = found
         return found
+
+    def _made(self, full: str) -> MessageCodec:
+        codec = MessageCodec(full, self)
+        if len(self.told):
+            parts = {full, *self.dependencies(full)}
+            if any(part in self.told for part in parts):
+                check_size(full, codec.plan)
+                self._told_codecs[full] = parts
+        return codec
 
     def dependencies(self, name: str) -> list[str]:
         """The full names of all messages that ``name`` (a message, service or action) is made of, each once.
@@ -191,16 +205,37 @@ class TypeRegistry:
 
         All or nothing is added. Errors as in ``add_text``.
         """
+        self._add(*_parse_full(self.canonical(name), text), replace=replace)
+
+    def add_told(self, name: str, text: str, teller: Teller) -> None:
+        """Add a concatenated definition that a peer told; ``Teller.tell`` is the way to call it."""
         full = self.canonical(name)
-        sections = list(parse_sections(full, text))
-        siblings = {section for section, _ in sections}
-        definitions: list[Definition] = []
-        sources: dict[str, str] = {}
-        for section, body in sections:
-            parsed = _parsed(section, body, siblings=siblings)
-            definitions.extend(parsed)
-            sources.update(_source(section, body, parsed))
-        self._add(definitions, sources, replace=replace)
+        definitions, sources = _parse_full(full, text)
+        teller.admit(full, definitions)
+        with self._lock:
+            names = [*(definition.name for definition in definitions), *sources]
+            over = {each for each in names if self.told.replaceable(each, teller)}
+            known = {each for each in names if self._known(each)}
+            self._add(definitions, sources, over=over)
+            for each in over:
+                self.told.replaced(each)
+            mine = {each for each in names if each not in known or each in over or each in self.told}
+            teller.added(mine, [definition for definition in definitions if definition.name in mine])
+
+    def forget(self, names: Collection[str]) -> None:
+        """Remove definitions that nobody tells any more, and what was made of them."""
+        if not names:
+            return
+        with self._lock:
+            for name in names:
+                self._definitions.pop(name, None)
+                self._sources.pop(name, None)
+            stale = {full for full, parts in self._told_codecs.items() if not parts.isdisjoint(names)}
+            for full in stale:
+                del self._told_codecs[full]
+            self._codecs = {key: codec for key, codec in self._codecs.items() if codec.type not in stale}
+            self._hashes.clear()
+            self._full_texts.clear()
 
     def add_path(self, path: str | os.PathLike[str]) -> int:
         """Add a ``.msg``, ``.srv``, ``.action`` or ``.idl`` file, or all of them below a directory.
@@ -231,6 +266,7 @@ class TypeRegistry:
             for name, file in found.items():
                 if name in loaded or (name not in self._definitions and name not in self._sources):
                     self._files.setdefault(name, file)
+            self._neighbours = None
             for name in loaded & found.keys():
                 if name in self._files:
                     self._try_to_read(name, self._files.pop(name))
@@ -287,7 +323,16 @@ class TypeRegistry:
     def _read(self, name: str, file: Path) -> None:
         self.add_text(name, read_text(file, name), replace=True, file=str(file))
 
-    def _add(self, definitions: Iterable[Definition], sources: Mapping[str, str], *, replace: bool) -> None:
+    def _add(
+        self,
+        definitions: Iterable[Definition],
+        sources: Mapping[str, str],
+        *,
+        replace: bool = False,
+        over: Container[str] = (),
+    ) -> None:
+        """Add definitions; ``over`` names those that take the place of others of their name."""
+        self._neighbours = None
         with self._lock:
             fresh: dict[str, Definition] = {}
             changed = False
@@ -297,7 +342,7 @@ class TypeRegistry:
                     self._load(name)
                 known = fresh.get(name) or self._definitions.get(name)
                 if known is not None:
-                    replaces = replace and name in self._builtin and name not in fresh
+                    replaces = ((replace and name in self._builtin) or name in over) and name not in fresh
                     if known.same_layout(definition):
                         if not replaces:
                             continue
@@ -314,6 +359,7 @@ class TypeRegistry:
 
     def _forget(self) -> None:
         self._codecs.clear()
+        self._told_codecs.clear()
         self._hashes.clear()
         self._full_texts.clear()
 
@@ -338,7 +384,12 @@ class TypeRegistry:
         return [full + end for end in PARTS[full.split("/")[1]]]
 
     def _unknown(self, full: str, needed_by: str) -> UnknownType:
-        near = difflib.get_close_matches(full, self.names(), 1, 0.75)
+        package, _, base = full.split("/")
+        with self._lock:
+            if self._neighbours is None:
+                self._neighbours = _neighbours(name for name in self.names() if name not in self.told)
+            candidates = [*self._neighbours.get(package, ()), *self._neighbours.get(base.lower(), ())]
+        near = difflib.get_close_matches(full, candidates[:_CANDIDATES], 1, 0.75)
         return UnknownType(full, needed_by=needed_by, nearest=near[0] if near and near[0] != full else "")
 
 
@@ -358,6 +409,29 @@ def _source(full: str, text: str, parsed: Iterable[Definition]) -> dict[str, str
     if is_idl(text):
         text = "---\n".join(parts[full + end].text() for end in PARTS[full.split("/")[1]])
     return {full: text}
+
+
+def _neighbours(names: Iterable[str]) -> dict[str, list[str]]:
+    """Return the names that a misspelt one may mean: by package, and by the last part in lower case."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        package, _, base = name.split("/")
+        found.setdefault(package, []).append(name)
+        found.setdefault(base.lower(), []).append(name)
+    return found
+
+
+def _parse_full(full: str, text: str) -> tuple[list[Definition], dict[str, str]]:
+    """Return the definitions in a concatenated text, and the texts of its services and actions."""
+    sections = list(parse_sections(full, text))
+    siblings = {section for section, _ in sections}
+    definitions: list[Definition] = []
+    sources: dict[str, str] = {}
+    for section, body in sections:
+        parsed = _parsed(section, body, siblings=siblings)
+        definitions.extend(parsed)
+        sources.update(_source(section, body, parsed))
+    return definitions, sources
 
 
 def _owner(full: str) -> str:

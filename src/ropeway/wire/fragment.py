@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Final
 
 from ropeway.errors import InvalidOperation
+from ropeway.limits import FRAGMENTS, UNFINISHED_MESSAGES
 from ropeway.wire.ops import Fragment, dumps
 
 __all__ = ["MIN_FRAGMENT_SIZE", "Defragmenter", "Fragmenter"]
@@ -47,6 +48,9 @@ class Fragmenter:
         ]
 
 
+_KEEPING_BYTES: Final = 160  # of one piece, besides its characters: an entry of a table, a number and a header
+
+
 class _Partial:
     __slots__ = ("began_s", "parts", "size", "total")
 
@@ -68,17 +72,27 @@ class Defragmenter:
         self,
         *,
         limit_bytes: int = 64 << 20,
-        limit_fragments: int = 1 << 16,
-        limit_texts: int = 256,
+        limit_fragments: int = FRAGMENTS,
+        limit_texts: int = UNFINISHED_MESSAGES,
         timeout_s: float = 600.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.limit_bytes, self.limit_fragments, self.limit_texts = limit_bytes, limit_fragments, limit_texts
         self.timeout_s = timeout_s
-        self.pending_bytes = 0
+        self.pending_bytes = self.pending_fragments = 0
         self.forgotten = 0  # texts that never became complete
         self._clock = clock
         self._partials: OrderedDict[bytes, _Partial] = OrderedDict()  # the oldest first
+
+    @property
+    def held_bytes(self) -> int:
+        """What is kept in all: pieces may be so small that keeping them costs more than they hold."""
+        return self.pending_bytes + _KEEPING_BYTES * (self.pending_fragments + len(self._partials))
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._partials.clear()
+        self.pending_bytes = self.pending_fragments = 0
 
     @property
     def pending(self) -> int:
@@ -118,10 +132,12 @@ class Defragmenter:
         partial.parts[num] = data
         partial.size += len(data)
         self.pending_bytes += len(data)
+        self.pending_fragments += 1
         if len(partial.parts) < partial.total:
             return None
         del self._partials[key]
         self.pending_bytes -= partial.size
+        self.pending_fragments -= partial.total
         return b"".join(partial.parts[i] for i in range(partial.total))
 
     def expire(self) -> None:
@@ -136,12 +152,15 @@ class Defragmenter:
     def _forget(self, key: bytes) -> None:
         partial = self._partials.pop(key)
         if partial.parts is not None:
-            self.pending_bytes -= partial.size
-            self.forgotten += 1
+            self._release(partial)
 
     def _give_up(self, partial: _Partial, fragment: Fragment, reason: str) -> InvalidOperation:
-        self.pending_bytes -= partial.size
-        self.forgotten += 1
-        partial.parts = None
-        partial.size = 0
+        self._release(partial)
         return InvalidOperation("fragment", reason, id=fragment.id)
+
+    def _release(self, partial: _Partial) -> None:
+        assert partial.parts is not None
+        self.pending_bytes -= partial.size
+        self.pending_fragments -= len(partial.parts)
+        self.forgotten += 1
+        partial.parts, partial.size = None, 0

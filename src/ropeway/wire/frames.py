@@ -17,17 +17,15 @@ import numpy as np
 import orjson
 
 from ropeway.errors import InvalidFrame
+from ropeway.limits import NESTED_CONTAINERS
 
-__all__ = ["MAX_DEPTH", "JsonAssembler", "cbor_loads", "json_loads", "json_value", "loads"]
-
-MAX_DEPTH: Final = 128
-"""Containers within containers; ROS messages have about ten."""
+__all__ = ["JsonAssembler", "cbor_loads", "json_loads", "json_value", "loads"]
 
 _PENDING_LIMIT_BYTES: Final = 16 << 20
 
 
 def loads(
-    data: bytes | bytearray | memoryview | str, *, text: bool, max_depth: int = MAX_DEPTH
+    data: bytes | bytearray | memoryview | str, *, text: bool, max_depth: int = NESTED_CONTAINERS
 ) -> list[dict[Any, Any]]:
     """The objects of one frame, in order: JSON, several of them one after the other, or (binary) one CBOR map.
 
@@ -45,7 +43,7 @@ def loads(
     return objects
 
 
-def json_loads(data: bytes | bytearray | memoryview | str, max_depth: int = MAX_DEPTH) -> Any:
+def json_loads(data: bytes | bytearray | memoryview | str, max_depth: int = NESTED_CONTAINERS) -> Any:
     """One JSON value. Takes ``NaN`` and ``Infinity``; raises ``InvalidFrame``."""
     try:
         value = orjson.loads(data)
@@ -62,7 +60,7 @@ def json_value(data: bytes | str) -> Any:
     """
     try:
         value = _lenient(data)  # keeps whole numbers of any size
-        _check_depth(data, value, MAX_DEPTH)
+        _check_depth(data, value, NESTED_CONTAINERS)
     except InvalidFrame as error:
         raise ValueError(error.reason) from None
     return value
@@ -136,7 +134,7 @@ _NO_TAGS: Final[Mapping[int, Callable[[Any], Any]]] = dict.fromkeys(
 )
 
 
-def cbor_loads(data: bytes | bytearray | memoryview, max_depth: int = MAX_DEPTH) -> Any:
+def cbor_loads(data: bytes | bytearray | memoryview, max_depth: int = NESTED_CONTAINERS) -> Any:
     """One CBOR value; arrays by RFC 8746 stay ``cbor2.CBORTag``. Raises ``InvalidFrame``."""
     try:
         return cbor2.loads(data, semantic_decoders=_NO_TAGS, max_depth=max_depth)
@@ -185,7 +183,7 @@ class JsonAssembler:
     by itself ends an object that was never finished.
     """
 
-    def __init__(self, *, limit_bytes: int = _PENDING_LIMIT_BYTES, max_depth: int = MAX_DEPTH) -> None:
+    def __init__(self, *, limit_bytes: int = _PENDING_LIMIT_BYTES, max_depth: int = NESTED_CONTAINERS) -> None:
         self.limit_bytes = limit_bytes
         self.max_depth = max_depth
         self.garbage_bytes = 0
@@ -200,6 +198,11 @@ class JsonAssembler:
     def pending_bytes(self) -> int:
         """How much of an incomplete object is kept."""
         return len(self._buffer)
+
+    def clear(self) -> None:
+        """Forget what is kept of an incomplete object."""
+        self._buffer = bytearray()
+        self._open.clear()
 
     def feed(self, data: bytes | bytearray | memoryview | str, *, text: bool) -> list[dict[Any, Any]]:
         """The objects that this frame completes; none while the first one is not complete.

@@ -17,11 +17,13 @@ but ``origin`` is not: another gateway's publisher stood between them on a netwo
 from __future__ import annotations
 
 import struct
+import time
 from collections import OrderedDict
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from ropeway.errors import InvalidFrame, MessageTooBig
+from ropeway.errors import InvalidFrame, MessageTooBig, WireError
+from ropeway.limits import ORIGINS_PER_CONNECTION, UNFINISHED_MESSAGE_S, UNFINISHED_MESSAGES
 
 __all__ = ["HEADER_BYTES", "Arrival", "RecordReader", "RecordWriter"]
 
@@ -34,7 +36,6 @@ ORIGIN: Final = 4
 _HEADER: Final = struct.Struct("<BBHHHIQq")
 _TOTAL: Final = struct.Struct("<I")
 HEADER_BYTES: Final = _HEADER.size
-_ORIGINS: Final = 4096  # remembered per direction; an older one is declared again when it comes back
 
 
 class Arrival(NamedTuple):
@@ -59,7 +60,7 @@ class RecordWriter:
         index = self._origins.get(origin)
         if index is not None:
             return index
-        if len(self._origins) < _ORIGINS:
+        if len(self._origins) < ORIGINS_PER_CONNECTION:
             index = len(self._origins)
         else:
             _, index = self._origins.popitem(last=False)
@@ -111,27 +112,39 @@ class RecordWriter:
 
 
 class _Partial:
-    __slots__ = ("buffer", "encoding", "filled", "origin", "relayed", "seq", "stamp_ns")
+    """A message of which more is still to come. Its buffer grows with what comes, whatever total it announced."""
+
+    __slots__ = ("buffer", "encoding", "origin", "relayed", "seq", "stamp_ns", "total", "touched_s")
 
     def __init__(self, encoding: int, total: int, origin: bytes, seq: int, stamp_ns: int, relayed: bool) -> None:
         self.encoding, self.origin, self.seq, self.stamp_ns, self.relayed = encoding, origin, seq, stamp_ns, relayed
-        self.buffer = bytearray(total)
-        self.filled = 0
+        self.total = total
+        self.buffer = bytearray()
+        self.touched_s = 0.0  # when a part came
 
 
 class RecordReader:
     """Reads the records of one direction of a connection.
 
-    ``limit_bytes`` bounds a single message and the sum of all unfinished ones. A message above it is reported to
-    ``on_refused`` once and its parts are skipped; the connection goes on.
+    ``limit_bytes`` bounds a single message, and twice as much what all unfinished ones have. A message above it is
+    reported to ``on_refused`` once and its parts are skipped; the connection goes on. So it does where ``takes`` says
+    that nobody has this channel, and where nothing more came of a message for ``UNFINISHED_MESSAGE_S``, of which
+    ``expire`` tells. ``clock`` counts seconds.
     """
 
-    def __init__(self, limit_bytes: int, on_refused: Callable[[int, MessageTooBig], None]) -> None:
+    def __init__(
+        self,
+        limit_bytes: int,
+        on_refused: Callable[[int, WireError], None],
+        takes: Callable[[int], bool] = lambda channel: True,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.limit_bytes = limit_bytes
-        self._on_refused = on_refused
+        self.pending_bytes = 0  # of unfinished messages
+        self._on_refused, self._takes, self._clock = on_refused, takes, clock
         self._origins: dict[int, bytes] = {}
         self._partials: dict[int, _Partial] = {}
-        self._partial_bytes = 0
 
     def read(self, data: bytes | memoryview) -> list[Arrival]:
         """The messages that this frame completes.
@@ -168,8 +181,8 @@ class RecordReader:
                     raise InvalidFrame(f"origin {index} was never declared, or the part has no length", size)
                 self._first(channel, encoding, view[at:end], origin, seq, stamp_ns, bool(flags & 1), done)
             elif kind == ORIGIN:
-                if length != 16 or index >= _ORIGINS:
-                    raise InvalidFrame("an origin has 16 bytes and a number below 4096", size)
+                if length != 16 or index >= ORIGINS_PER_CONNECTION:
+                    raise InvalidFrame(f"an origin has 16 bytes and a number below {ORIGINS_PER_CONNECTION}", size)
                 origins[index] = bytes(view[at:end])
             else:
                 raise InvalidFrame(f"records of kind {kind} are unknown", size)
@@ -180,7 +193,19 @@ class RecordReader:
         """Drop the unfinished message of a channel."""
         partial = self._partials.pop(channel, None)
         if partial is not None:
-            self._partial_bytes -= len(partial.buffer)
+            self.pending_bytes -= len(partial.buffer)
+
+    def clear(self) -> None:
+        """Drop all unfinished messages."""
+        self._partials.clear()
+        self.pending_bytes = 0
+
+    def expire(self) -> None:
+        """Drop the unfinished messages of which nothing more came for too long."""
+        oldest_s = self._clock() - UNFINISHED_MESSAGE_S
+        for channel in [channel for channel, partial in self._partials.items() if partial.touched_s < oldest_s]:
+            self.forget(channel)
+            self._on_refused(channel, InvalidFrame(f"nothing more came of a message for {UNFINISHED_MESSAGE_S:g} s"))
 
     def _first(
         self,
@@ -195,8 +220,14 @@ class RecordReader:
     ) -> None:
         self.forget(channel)
         (total,) = _TOTAL.unpack_from(body)
-        if total > self.limit_bytes or self._partial_bytes + total > 2 * self.limit_bytes:
+        if total > self.limit_bytes:
             self._on_refused(channel, MessageTooBig(total, self.limit_bytes))
+            return
+        if not self._takes(channel):
+            self._on_refused(channel, InvalidFrame("a message in parts came on a channel that nobody has"))
+            return
+        if len(self._partials) >= UNFINISHED_MESSAGES:
+            self._on_refused(channel, InvalidFrame(f"{UNFINISHED_MESSAGES} messages are unfinished already"))
             return
         part = len(body) - 4
         if part > total:
@@ -206,21 +237,29 @@ class RecordReader:
             return
         partial = _Partial(encoding, total, origin, seq, stamp_ns, relayed)
         self._partials[channel] = partial
-        self._partial_bytes += total
-        partial.buffer[:part] = body[4:]
-        partial.filled = part
+        self._take(channel, partial, body[4:])
 
     def _more(self, channel: int, body: memoryview, done: list[Arrival]) -> None:
         partial = self._partials.get(channel)
         if partial is None:
             return  # refused before, or its channel was closed
-        end = partial.filled + len(body)
-        if end > len(partial.buffer):
+        if len(partial.buffer) + len(body) > partial.total:
             self.forget(channel)
             raise InvalidFrame(f"the parts on channel {channel} are longer than their message")
-        partial.buffer[partial.filled : end] = body
-        partial.filled = end
-        if end == len(partial.buffer):
+        if not self._take(channel, partial, body):
+            return
+        if len(partial.buffer) == partial.total:
             self.forget(channel)
             p = partial
             done.append(Arrival(channel, p.encoding, bytes(p.buffer), p.origin, p.seq, p.stamp_ns, p.relayed))
+
+    def _take(self, channel: int, partial: _Partial, part: memoryview) -> bool:
+        """Add a part to its message; false where that is given up since too much is unfinished."""
+        if self.pending_bytes + len(part) > 2 * self.limit_bytes:
+            self.forget(channel)
+            self._on_refused(channel, MessageTooBig(self.pending_bytes + len(part), 2 * self.limit_bytes))
+            return False
+        partial.buffer += part
+        partial.touched_s = self._clock()
+        self.pending_bytes += len(part)
+        return True

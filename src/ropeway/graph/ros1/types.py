@@ -15,11 +15,13 @@ from typing import Final
 
 from ropeway.errors import InvalidDefinition, TypeConflict, TypesError, UnknownType
 from ropeway.graph.ros1.convert import Converter
+from ropeway.limits import DEFINITION_CHARACTERS, DEFINITIONS_PER_GATEWAY
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import HEADER, TIMES, Definition, Field, FieldType, canonical_name, short_name
 from ropeway.types.hashes import definition_md5
 from ropeway.types.parser import parse_interface, parse_sections
 from ropeway.types.stores import from_rosbags, store_table
+from ropeway.types.told import Teller
 
 __all__ = ["ANY", "Ros1Type", "Ros1Types"]
 
@@ -27,7 +29,6 @@ ANY: Final = "*"
 """The MD5 sum, or type, that fits every other."""
 
 _RULE: Final = "=" * 80
-_TOLD_LIMIT: Final = 4096  # types learned from publishers
 _ACTION_PARTS: Final = ("Goal", "Result", "Feedback")
 
 
@@ -52,6 +53,7 @@ class Ros1Types:
         self.registry = registry
         self._store = store_table("noetic")
         self._told: dict[str, Definition] = {}
+        self._teller = Teller(registry, graph=True)
         self._definitions: dict[str, Definition] = {}
         self._converters: dict[tuple[str, str], Converter] = {}
         self._types: dict[str, Ros1Type] = {}
@@ -174,11 +176,10 @@ class Ros1Types:
     def teach(self, type: str) -> None:
         """Make a message that only ROS 1 knows known to the registry. Raises ``TypesError``."""
         full = canonical_name(type)
-        if self.registry.has(full):
+        if self.registry.has(full) and full not in self.registry.told:
             return
         for name in reversed(list(self._needs(full))):
-            if not self.registry.has(name):
-                self.registry.add_text(name, _ros2_text(self.definition(name)))
+            self._teller.tell(name, _ros2_text(self.definition(name)))
 
     def learn(self, type: str, md5: str, text: str) -> bool:
         """Take over the definition of ``type`` that a publisher tells; true if anything is new.
@@ -193,6 +194,8 @@ class Ros1Types:
             known = None
         if known is not None and (known.sure or known.md5 == md5):
             return False
+        if len(text) > DEFINITION_CHARACTERS:
+            raise InvalidDefinition(full, f"it has {len(text)} characters; at most {DEFINITION_CHARACTERS} are taken")
         told: dict[str, Definition] = {}
         sections = list(parse_sections(full, text))
         siblings = {name for name, _ in sections if name != HEADER}
@@ -204,8 +207,9 @@ class Ros1Types:
         def known_or_told(name: str) -> Definition:
             return told.get(name) or self.definition(name, needed_by=full)
 
-        if len(self._told) + len(told) > _TOLD_LIMIT:
-            raise InvalidDefinition(full, f"more than {_TOLD_LIMIT} types were told by publishers")
+        self._teller.admit(full, list(told.values()))
+        if len(self._told) + len(told) > DEFINITIONS_PER_GATEWAY:
+            raise InvalidDefinition(full, f"more than {DEFINITIONS_PER_GATEWAY} types were told by publishers")
         if (summed := definition_md5(full, known_or_told)) != md5:
             raise TypeConflict(full, f"the sum {md5}", f"a definition whose sum is {summed}")
         self._told.update(told)

@@ -41,6 +41,7 @@ from ropeway.link.websocket import connect
 from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import Supervised, end
 from ropeway.types import TypeRegistry
+from ropeway.types.told import Teller
 from ropeway.wire import ops
 from ropeway.wire.codec import unpack_png
 from ropeway.wire.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL
@@ -103,6 +104,7 @@ class RosbridgeGraph:
         self._keeper = Keeper(url, limits or Limits(), self._connect)
         self._noted_types: set[str] = set()
         self.plain_server = PlainServer(url, self.registry)
+        self.teller = Teller(self.registry, graph=True)
         self._traffic = (0, 0)
         self._wants_calls = False  # somebody asked what is served there
 
@@ -160,6 +162,7 @@ class RosbridgeGraph:
                     await connection.wait_closed()
         await self._keeper.stop()
         self._changes.close()
+        self.teller.leave()
 
     async def _connect(self, limits: Limits) -> Callable[[], Awaitable[None]]:
         peers: list[Peer] = []
@@ -433,6 +436,10 @@ class RosbridgeGraph:
             subscription.arrived(arrivals)
         elif self.peer is not None:
             self.peer.complaints.note("unknown topic", f"channel {channel}", "nobody subscribed to it")
+
+    def takes(self, channel: int) -> bool:
+        """Return whether somebody here reads a channel."""
+        return channel in self._subscriptions
 
     def lost(self, code: int, reason: str) -> None:
         """The connection is gone; ``_keep_connected`` goes on from here."""

@@ -301,8 +301,8 @@ class RemoteSubscription:
     def learned(self, note: Mapping[str, Any]) -> None:
         """The far side sent the definition of the type."""
         text = note.get("definition")
-        if isinstance(text, str) and not self.graph.registry.has(self.type):
-            self.graph.registry.add_full_text(self.type, text)
+        if isinstance(text, str):
+            self.graph.teller.tell(self.type, text)
 
     def _codec_for(self, encoding: int) -> MessageCodec | None:
         if wire_codec.encoding_name(encoding) in ("rawzip", "zstd"):

@@ -1,0 +1,137 @@
+"""Definitions that peers tell: bounded, believed as far as who tells them, and forgotten with the last who told them.
+
+A definition from a graph (a publisher, a remote that was configured) takes the place of one that clients told. Between
+clients the first one counts while it is connected; what the system or its files define is never touched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Final
+
+from ropeway.errors import InvalidDefinition
+from ropeway.limits import (
+    DEFINITION_CHARACTERS,
+    DEFINITION_FIELDS,
+    DEFINITIONS_PER_CONNECTION,
+    DEFINITIONS_PER_GATEWAY,
+    FIELDS_PER_CONNECTION,
+    FIELDS_PER_GRAPH,
+    FIXED_ARRAY_BYTES,
+    FIXED_ARRAY_OBJECTS,
+)
+from ropeway.types.definition import Definition
+
+if TYPE_CHECKING:
+    from ropeway.types.layout import Plan
+    from ropeway.types.registry import TypeRegistry
+
+__all__ = ["Teller", "Told", "check_size"]
+
+_FIELD_BYTES: Final = 8 << 10  # of a field, with the code that reads and writes it
+
+
+class Told:
+    """Who told which definition of one registry."""
+
+    def __init__(self) -> None:
+        self._tellers: dict[str, set[Teller]] = {}  # by the name of the definition
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._tellers
+
+    def __len__(self) -> int:
+        return len(self._tellers)
+
+    def replaceable(self, name: str, teller: Teller) -> bool:
+        """Return whether ``teller`` knows better: it is a graph, and only clients told ``name`` before."""
+        tellers = self._tellers.get(name)
+        return teller.graph and tellers is not None and not any(other.graph for other in tellers)
+
+    def replaced(self, name: str) -> None:
+        """Note that what was told of ``name`` is no longer believed."""
+        self._tellers.pop(name, None)
+
+    def enter(self, name: str, teller: Teller) -> None:
+        """Note that ``teller`` told ``name``, too."""
+        self._tellers.setdefault(name, set()).add(teller)
+
+    def leave(self, names: Iterable[str], teller: Teller) -> list[str]:
+        """Forget that ``teller`` told these; return those that nobody else did."""
+        alone = []
+        for name in names:
+            tellers = self._tellers.get(name, set())
+            tellers.discard(teller)
+            if not tellers and self._tellers.pop(name, None) is not None:
+                alone.append(name)
+        return alone
+
+
+class Teller:
+    """One peer that tells definitions. ``graph`` is true for one that a graph vouches for."""
+
+    def __init__(self, registry: TypeRegistry, *, graph: bool = False) -> None:
+        self.graph = graph
+        self._registry = registry
+        self._texts: dict[str, str] = {}
+        self._names: set[str] = set()
+        self._fields = 0
+
+    @property
+    def held_bytes(self) -> int:
+        """What is kept of what it told, with the code that is made of it."""
+        return self._fields * _FIELD_BYTES
+
+    def tell(self, name: str, text: str) -> None:
+        """Take the definition of ``name`` (in full) with all that it needs, unless the system has one.
+
+        Raises ``InvalidDefinition`` for one that is no good, too large or one too many, ``TypeConflict`` where others
+        told something else.
+        """
+        registry = self._registry
+        if self._texts.get(name) == text or (registry.has(name) and name not in registry.told):
+            return
+        if len(text) > DEFINITION_CHARACTERS:
+            raise InvalidDefinition(name, f"it has {len(text)} characters; at most {DEFINITION_CHARACTERS} are taken")
+        most = DEFINITIONS_PER_GATEWAY if self.graph else DEFINITIONS_PER_CONNECTION
+        if len(self._texts) >= most or len(registry.told) >= DEFINITIONS_PER_GATEWAY:
+            raise InvalidDefinition(name, "it is one too many; name a file with it under types in the configuration")
+        registry.add_told(name, text, self)
+        self._texts[name] = text
+
+    def admit(self, name: str, definitions: list[Definition]) -> None:
+        """Raise ``InvalidDefinition`` if these have more fields than anybody may tell."""
+        fields = sum(map(_fields, definitions))
+        if fields > DEFINITION_FIELDS:
+            raise InvalidDefinition(name, f"it has {fields} fields; at most {DEFINITION_FIELDS} are taken")
+        most = FIELDS_PER_GRAPH if self.graph else FIELDS_PER_CONNECTION
+        if self._fields + fields > most:
+            raise InvalidDefinition(name, f"with it more than {most} fields would be told")
+
+    def added(self, names: Iterable[str], definitions: Iterable[Definition]) -> None:
+        """Note what it told of what only peers have."""
+        self._names.update(names)
+        self._fields += sum(map(_fields, definitions))
+        for name in names:
+            self._registry.told.enter(name, self)
+
+    def leave(self) -> None:
+        """Forget what nobody else told."""
+        self._registry.forget(self._registry.told.leave(self._names, self))
+        self._texts.clear()
+        self._names.clear()
+        self._fields = 0
+
+
+def _fields(definition: Definition) -> int:
+    return len(definition.fields) + len(definition.constants)
+
+
+def check_size(name: str, plan: Plan) -> None:
+    """Raise ``InvalidDefinition`` for a told type whose empty message is large: fixed arrays make it so."""
+    if plan.minimum > FIXED_ARRAY_BYTES:
+        reason = f"its fixed arrays have {plan.minimum} bytes; at most {FIXED_ARRAY_BYTES} are taken"
+        raise InvalidDefinition(name, reason)
+    if plan.objects > FIXED_ARRAY_OBJECTS:
+        reason = f"its fixed arrays have {plan.objects} texts and messages; at most {FIXED_ARRAY_OBJECTS} are taken"
+        raise InvalidDefinition(name, reason)
