@@ -119,7 +119,7 @@ BOMBS = {
         f"================\nMSG: my/C{i}\nmy/C{i + 1} a\n" for i in range(500)
     ) + "================\nMSG: my/C500\nbool x\n",
     "itself": "my/Bomb[5] a\n",
-    "nested idl": "module my { module msg { struct Bomb { " + "sequence<" * 5000 + "boolean" + ">" * 5000 + " a; }; }; };",
+    "nested idl": f"module my {{ module msg {{ struct Bomb {{ {'sequence<' * 5000}boolean{'>' * 5000} a; }}; }}; }};",
     "nested expression": "module my { module msg { const long A = " + "(" * 5000 + "1" + ")" * 5000 + "; }; };",
 }  # fmt: skip
 
