@@ -35,6 +35,12 @@ class Process:
         assert self._popen.stdout is not None
         return self._popen.stdout.readline()
 
+    def tell(self, line: str = "") -> None:
+        """Write it a line."""
+        assert self._popen.stdin is not None
+        self._popen.stdin.write(line + "\n")
+        self._popen.stdin.flush()
+
     def finish(self, timeout_s: float = 30) -> str:
         """Wait for its end; gives the rest of its output."""
         return self._popen.communicate(timeout=timeout_s)[0]

@@ -326,13 +326,6 @@ def member(name: str, where: dict[str, str], role: str, *more: str, namespace: s
     return Process(namespace, *ME, role, "--identity", where[name], *more, quiet=False)
 
 
-def tell(process: Process) -> None:
-    """Tell a role to come to an end."""
-    assert process._popen.stdin is not None
-    process._popen.stdin.write("\n")
-    process._popen.stdin.flush()
-
-
 def sealing(as_json: bool) -> None:
     """What sealing and opening cost of the processor, with and without signatures, alone in one thread."""
     key = ed25519.Ed25519PrivateKey.generate()
@@ -423,7 +416,7 @@ def _flood(kind: str, path: str, size: int, seconds: float, where: dict[str, str
         source.line()
         sent = json.loads(source.line())
         time.sleep(1)
-        tell(sink)
+        sink.tell()
         lines = sink.finish(30).splitlines()
         got: dict[str, float] = json.loads(lines[-1])
         got["cpu"] = (got["cpu"] + sent["cpu"]) / max(got["count"], 1)
@@ -799,9 +792,9 @@ def roam(as_json: bool) -> None:
                             capture_output=True,
                         )
                 time.sleep(8)
-                tell(ends[0])
+                ends[0].tell()
                 sent = json.loads(ends[0].line())["sent"]
-                tell(ends[1])
+                ends[1].tell()
                 got = json.loads(ends[1].line())
                 got["missing"] += sent - got["last"]
                 rows.append(
