@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.writer import Writer as McapWriter
 
 from ropeway.cli.bagfile import Bag, BagTopic, Record
-from ropeway.cli.player import Played, play, read_ahead, restamped
+from ropeway.cli.player import Pace, Played, play, read_ahead, restamped
 from ropeway.cli.session import Session
 from ropeway.graph.base import Sample
 from ropeway.types import TypeRegistry
-from tests.cli.conftest import until
+from tests.cli.conftest import Ropeway, until
 
 POINT = "geometry_msgs/msg/PointStamped"
 STRING = "std_msgs/msg/String"
@@ -177,3 +180,70 @@ async def test_errors_of_the_recording_reach_the_player() -> None:
 def test_played_starts_at_nothing() -> None:
     """A fresh count is zero."""
     assert (Played().messages, Played().rounds) == (0, 0)
+
+
+SECOND = 10**9
+STAMPS = st.one_of(st.integers(0, 2**64 - 1), st.integers(0, 10 * SECOND))
+
+
+@given(st.lists(STAMPS, min_size=1, max_size=40))
+def test_no_stamp_is_waited_for_for_ever(stamps: list[int]) -> None:
+    """Whatever the stamps, no message is due long after the one before, and none before it."""
+    pace = Pace(60.0)
+    due = [pace.due(stamp) for stamp in stamps]
+    assert all(0 <= after - before <= 60.0 for before, after in itertools.pairwise(due))
+    assert due[0] == 0
+
+
+def test_pauses_are_kept_up_to_a_limit() -> None:
+    """Messages keep their distance, also those behind an impossible stamp, and what is skipped is counted."""
+    pace = Pace(60.0)
+    start = 1_700_000_000 * SECOND
+    stamps = [0, start, start + SECOND, 2**63, start + 2 * SECOND, start + 4 * SECOND, start + 3 * SECOND]
+    assert [pace.due(stamp) for stamp in stamps] == [0.0, 1.0, 2.0, 3.0, 3.0, 5.0, 5.0]
+    assert pace.jumps == 3
+    assert pace.longest_s > 7e9
+
+
+def played_by_cli(ropeway: Ropeway, path: Path, *more: str) -> tuple[int, str]:
+    """Status and words of ``ropeway play``."""
+    done = ropeway("play", str(path), "--wait", "0", *more)
+    return done.returncode, done.stderr
+
+
+def test_a_recording_that_plays_nothing_fails(ropeway: Ropeway, tmp_path: Path) -> None:
+    """A recording with messages none of which can be played fails and says why; one without messages does not."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start("ros1")
+        schema = writer.register_schema("std_msgs/String", "ros1msg", b"string data\n")
+        channel = writer.register_channel("/text", "ros1", schema)
+        writer.add_message(channel, 1, b"\xff", 1)
+        writer.finish()
+    status, words = played_by_cli(ropeway, path)
+    assert status == 1
+    assert "none of the 1 messages" in words
+    assert "not of their type: /text" in words
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start("ros2")
+        writer.finish()
+    assert played_by_cli(ropeway, path)[0] == 0
+
+
+def test_impossible_stamps_are_told(ropeway: Ropeway, tmp_path: Path) -> None:
+    """Stamps of 1970 and of the far future are played without waiting, and it is told."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start("ros2")
+        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
+        channel = writer.register_channel("/text", "cdr", schema)
+        for stamp in (0, 1_700_000_000 * SECOND, 2**63):
+            writer.add_message(channel, stamp, b"\0\1\0\0\1\0\0\0\0", stamp)
+        writer.finish()
+    status, words = played_by_cli(ropeway, path)
+    assert status == 0
+    assert "Played 3 messages" in words
+    assert "238 years were played as 1 s (2 of them)" in words

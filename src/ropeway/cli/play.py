@@ -14,7 +14,7 @@ import typer
 from ropeway.cli.bagfile import Bag
 from ropeway.cli.console import complain, fail, print_json
 from ropeway.cli.loop import run
-from ropeway.cli.player import Played, play
+from ropeway.cli.player import MAX_GAP_S, Played, play
 from ropeway.cli.session import GraphOption, JsonOption, TypesOption, open_session
 
 __all__ = ["app"]
@@ -39,6 +39,10 @@ def play_command(
     wait: Annotated[
         float, typer.Option("--wait", min=0.0, help="Seconds at most to wait until somebody reads each topic.")
     ] = 1.0,
+    max_gap: Annotated[
+        float,
+        typer.Option("--max-gap", min=0.0, help="Seconds of the longest pause that is kept; others become 1 s."),
+    ] = MAX_GAP_S,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
     types: TypesOption = None,
     as_json: JsonOption = False,
@@ -46,7 +50,7 @@ def play_command(
     """Publish the recording BAG at its own pace."""
     wanted = [name if name.startswith("/") else f"/{name}" for text in topics or [] for name in text.split(",") if name]
 
-    async def main() -> tuple[Played, dict[str, int]]:
+    async def main() -> tuple[Played, dict[str, int], int]:
         async with open_session(graph, types) as session:
             with Bag(bag, session.registry) as opened:
                 _tell_problems(opened, wanted)
@@ -60,12 +64,13 @@ def play_command(
                         restamp=restamp,
                         for_s=for_s or None,
                         wait_s=wait,
+                        max_gap_s=max_gap,
                         told=told,
                     )
-                return played, dict(opened.dropped)
+                return played, dict(opened.dropped), _held(opened, wanted)
 
     began = time.monotonic()
-    played, dropped = run(main())
+    played, dropped, held = run(main())
     seconds = time.monotonic() - began
     if as_json:
         print_json(
@@ -83,6 +88,15 @@ def play_command(
             f"Played {played.messages} messages of {topics_played} topics, "
             f"{played.bytes / 1e6:.1f} MB, in {seconds:.1f} s."
         )
+    if played.jumps and not quiet:
+        complain(
+            f"Pauses of up to {_span(played.longest_jump_s)} were played as 1 s ({played.jumps} of them); "
+            "--max-gap keeps longer ones."
+        )
+    if dropped:
+        complain(f"{sum(dropped.values())} messages were left out, as they are not of their type: {', '.join(dropped)}")
+    if held and not played.messages and not for_s:
+        fail(f"none of the {held} messages in {bag} could be played")
 
 
 def _tell_problems(bag: Bag, wanted: list[str]) -> None:
@@ -94,8 +108,21 @@ def _tell_problems(bag: Bag, wanted: list[str]) -> None:
     for topic in chosen:
         if topic.problem:
             complain(f"{topic.name} is not played: {topic.problem}")
-    if all(topic.problem for topic in chosen):
+    if chosen and all(topic.problem for topic in chosen):
         fail(f"nothing in {bag.path} can be played")
+
+
+def _held(bag: Bag, wanted: list[str]) -> int:
+    """How many messages the recording has of the topics to play."""
+    return sum(topic.count for topic in bag.topics if not wanted or topic.name in wanted)
+
+
+def _span(seconds: float) -> str:
+    """A duration for people."""
+    for unit, size in (("years", 31_557_600), ("days", 86_400), ("h", 3_600)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"
 
 
 def _progress(bag: Bag, *, loop: bool, shown: bool) -> AbstractContextManager[Callable[[Played], None]]:

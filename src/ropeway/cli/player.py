@@ -23,7 +23,13 @@ from ropeway.errors import TypesError
 from ropeway.graph.base import SEQ_NONE, Graph, Publisher, Sample, new_origin
 from ropeway.types.definition import HEADER, FieldType
 
-__all__ = ["Played", "play", "read_ahead", "restamped"]
+__all__ = ["MAX_GAP_S", "Pace", "Played", "play", "read_ahead", "restamped"]
+
+MAX_GAP_S: Final = 60.0
+"""The longest pause that is played as it was recorded. Longer ones are seldom meant: a recorder that was stopped, a
+clock that was set, a stamp of 1970 or 2262."""
+
+_JUMP_S: Final = 1.0  # how long a longer pause is played
 
 _BATCH_BYTES: Final = 8 << 20  # two of them at most are held: the one that plays and the one that is read
 _BATCH_RECORDS: Final = 512
@@ -41,7 +47,40 @@ class Played:
     bytes: int = 0
     position_s: float = 0.0
     rounds: int = 0
+    jumps: int = 0
+    longest_jump_s: float = 0.0
     by_topic: Counter[str] = field(default_factory=Counter)
+
+
+class Pace:
+    """When each message of a round is due, counted from its first.
+
+    Stamps that lie further apart than ``max_gap_s``, forwards or backwards, are no pause that anybody wants to wait
+    for: the message comes a second after the one before (at once, where time went back). ``jumps`` counts them, and
+    ``longest_s`` is the longest.
+    """
+
+    def __init__(self, max_gap_s: float) -> None:
+        self.jumps = 0
+        self.longest_s = 0.0
+        self.due_s = 0.0
+        self._max_gap_s = max_gap_s
+        self._base_ns: int | None = None
+        self._base_s = 0.0
+        self._last_ns = 0
+
+    def due(self, time_ns: int) -> float:
+        """When the message of this time is due."""
+        if self._base_ns is None:
+            self._base_ns = self._last_ns = time_ns
+        gap_s = (time_ns - self._last_ns) / 1e9
+        if abs(gap_s) > self._max_gap_s:
+            self.jumps += 1
+            self.longest_s = max(self.longest_s, abs(gap_s))
+            self._base_ns, self._base_s = time_ns, self.due_s + (_JUMP_S if gap_s > 0 else 0.0)
+        self._last_ns = time_ns
+        self.due_s = max(self.due_s, self._base_s + (time_ns - self._base_ns) / 1e9)
+        return self.due_s
 
 
 def restamped(payload: bytes, now_ns: int) -> bytes:
@@ -118,32 +157,34 @@ async def play(
     restamp: bool = False,
     for_s: float | None = None,
     wait_s: float = 0.0,
+    max_gap_s: float = MAX_GAP_S,
     rename: Callable[[str], str] = str,
     told: Callable[[Played], None] = lambda played: None,
 ) -> Played:
     """Publish the recording on ``graph``; returns what was played.
 
     ``rate`` is how much faster than recorded; ``for_s`` ends it after so many seconds (``None``: at its end);
-    ``wait_s`` is how long to wait for subscribers first; ``restamp`` puts the time of sending into headers; ``told``
-    is called after each message.
+    ``wait_s`` is how long to wait for subscribers first; ``max_gap_s`` is the longest pause to keep (see ``Pace``);
+    ``restamp`` puts the time of sending into headers; ``told`` is called after each message.
     """
     chosen = [topic for topic in bag.topics if not topic.problem and (not topics or topic.name in topics)]
     publishers = {t: await graph.create_publisher(rename(t.name), t.type, t.qos) for t in chosen}
     stamped = {topic for topic in chosen if restamp and _starts_with_header(bag, topic)}
-    origin, played, round_s = new_origin(), Played(), _round_s(bag)
+    origin, played, before_s = new_origin(), Played(), 0.0
     clock = asyncio.get_running_loop()
     try:
         await _readers(publishers.values(), wait_s)
         began = 0.0
         ends = math.inf
         while chosen:
+            pace, first = Pace(max_gap_s), played.messages
             async with aclosing(read_ahead(bag.records(topics))) as batches:
                 async for record in _flat(batches):
                     if not played.messages:  # the clock starts when the first batch has been read
                         began = clock.time()
                         ends = math.inf if for_s is None else began + for_s
-                    offset_s = (record.time_ns - bag.start_ns) / 1e9
-                    due = began + (played.rounds * round_s + offset_s) / rate
+                    offset_s = pace.due(record.time_ns)
+                    due = began + (before_s + offset_s) / rate
                     left = min(due, ends) - clock.time()
                     if left > 0 or played.messages % _BREATHER == 0:
                         await asyncio.sleep(max(left, 0))
@@ -156,8 +197,10 @@ async def play(
                     played.bytes += len(payload)
                     played.position_s = offset_s
                     played.by_topic[record.topic.name] += 1
+                    played.jumps, played.longest_jump_s = pace.jumps, pace.longest_s
                     told(played)
             played.rounds += 1
+            before_s += _round_s(pace.due_s, played.messages - first)
             if not loop or not played.messages:
                 break
         return played
@@ -172,7 +215,6 @@ async def _flat(batches: AsyncIterator[list[Record]]) -> AsyncIterator[Record]:
             yield record
 
 
-def _round_s(bag: Bag) -> float:
+def _round_s(duration_s: float, count: int) -> float:
     """How long one round of a loop takes: the recording, and a usual gap before it starts again."""
-    count = sum(topic.count for topic in bag.topics)
-    return bag.duration_s * count / (count - 1) if count > 1 and bag.duration_s else 1.0
+    return duration_s * count / (count - 1) if count > 1 and duration_s else 1.0

@@ -1,0 +1,61 @@
+"""Tells what kind of recording a file is, and opens it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Final
+
+from ropeway.cli.recording.folder import FolderSource
+from ropeway.cli.recording.mcap import McapSource
+from ropeway.cli.recording.ros1 import Ros1Scan, Ros1Source
+from ropeway.cli.recording.source import DAMAGED, Source
+from ropeway.cli.recording.sqlite import SqliteSource
+
+__all__ = ["open_recording"]
+
+_MCAP: Final = b"\x89MCAP0\r\n"
+_POINTER: Final = b"version https://git-lfs.github.com/spec/"
+
+
+def open_recording(path: Path) -> AbstractContextManager[Source]:
+    """The recording at ``path``, to be entered. Raises ``ValueError`` for what is none, and ``DAMAGED``."""
+    if path.is_dir():
+        _refuse_pointer(path / "metadata.yaml")
+        return FolderSource(path, _open_file)
+    return _open_file(path)
+
+
+def _open_file(path: Path) -> AbstractContextManager[Source]:
+    _refuse_pointer(path)
+    with path.open("rb") as file:
+        magic = file.read(16)
+    if magic.startswith(_MCAP):
+        return McapSource(path)
+    if magic.startswith(b"#ROSBAG V"):
+        return _bag(path)
+    if magic.startswith(b"SQLite format 3"):
+        return SqliteSource(path)
+    raise ValueError(f"{path.name} is no recording of a known kind (MCAP, rosbag2 or ROS 1 bag)")
+
+
+@contextmanager
+def _bag(path: Path) -> Iterator[Source]:
+    try:
+        source: Ros1Source | Ros1Scan = Ros1Source(path).__enter__()
+    except DAMAGED:
+        source = Ros1Scan(path).__enter__()
+    try:
+        yield source
+    finally:
+        source.__exit__()
+
+
+def _refuse_pointer(path: Path) -> None:
+    """Name a pointer of Git LFS as what it is: a checkout without ``git lfs pull`` has them in place of files."""
+    if not path.is_file():
+        return
+    with path.open("rb") as file:
+        if file.read(len(_POINTER)) == _POINTER:
+            raise ValueError(f"{path.name} is a pointer of Git LFS, not the file itself; `git lfs pull` brings it")

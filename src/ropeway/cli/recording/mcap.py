@@ -1,0 +1,150 @@
+"""MCAP files, with every optional record or without, whole or cut short."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Final, Self
+
+from mcap.reader import make_reader
+from mcap.records import Channel as McapChannel
+from mcap.records import Chunk, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.summary import Summary
+
+from ropeway.cli.recording.source import DAMAGED, DEFINITIONS, Channel, profiles_in, recorded_qos
+
+__all__ = ["McapSource"]
+
+_RECORD_LIMIT_BYTES: Final = 1 << 30  # a length above is damage; writers close a chunk at some MiB
+
+
+class McapSource:
+    """An MCAP file, of either profile.
+
+    A summary that tells everything makes reading it fast and in order. Else the file is read through once, to know
+    what it has, and then played in its own order: to sort it, all of it would have to be held.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("rb")
+        self.channels: list[Channel] = []
+        self.start_ns = self.end_ns = 0
+        self.notes: list[str] = []
+        self._indexed = False
+
+    def __enter__(self) -> Self:
+        try:
+            summary = self._summary()
+            if summary is not None and summary.statistics is not None:
+                self._indexed = bool(summary.chunk_indexes)
+                self.start_ns = summary.statistics.message_start_time
+                self.end_ns = summary.statistics.message_end_time
+                self._list(summary.channels, summary.schemas, summary.statistics.channel_message_counts)
+            else:
+                self._scan()
+        except BaseException:
+            self._file.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def messages(self, ids: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+        """The messages of these channels."""
+        wanted = frozenset(ids)
+        if not self._indexed:
+            for record in self._records():
+                if isinstance(record, Message) and record.channel_id in wanted:
+                    yield record.channel_id, record.log_time, record.data
+            return
+        topics = [channel.topic for channel in self.channels if channel.id in wanted]
+        self._file.seek(0)
+        for _, channel, message in make_reader(self._file).iter_messages(topics=topics):
+            if channel.id in wanted:
+                yield channel.id, message.log_time, message.data
+
+    def _summary(self) -> Summary | None:
+        """The summary, if it is all that is needed to find every message."""
+        try:
+            summary = make_reader(self._file).get_summary()
+        except DAMAGED:
+            return None
+        if summary is None or summary.statistics is None:
+            return None
+        statistics, chunks = summary.statistics, summary.chunk_indexes
+        channels = summary.channels.values()
+        indexed = sum(len(chunk.message_index_offsets) > 0 for chunk in chunks)
+        whole = (
+            statistics.channel_count == len(channels)
+            and statistics.chunk_count == len(chunks) == indexed
+            and all(channel.schema_id in summary.schemas for channel in channels if channel.schema_id)
+            and sum(statistics.channel_message_counts.values()) == statistics.message_count
+        )
+        return summary if whole else None
+
+    def _scan(self) -> None:
+        """Learn what there is by reading all of it."""
+        channels: dict[int, McapChannel] = {}
+        schemas: dict[int, Schema] = {}
+        counts: Counter[int] = Counter()
+        for record in self._records(self.notes):
+            if isinstance(record, Schema):
+                schemas.setdefault(record.id, record)
+            elif isinstance(record, McapChannel):
+                channels.setdefault(record.id, record)
+            elif isinstance(record, Message):
+                self.start_ns = min(self.start_ns, record.log_time) if counts else record.log_time
+                self.end_ns = max(self.end_ns, record.log_time)
+                counts[record.channel_id] += 1
+        if self.notes and not channels:
+            raise ValueError("the recording is cut short or damaged, and nothing in it is whole")
+        self._list(channels, schemas, counts)
+
+    def _records(self, notes: list[str] | None = None) -> Iterator[McapRecord]:
+        """All records that are whole; ``notes`` is told what is not."""
+        self._file.seek(0)
+        damaged = 0
+        try:
+            reader = StreamReader(self._file, emit_chunks=True, record_size_limit=_RECORD_LIMIT_BYTES)
+            for record in reader.records:
+                if not isinstance(record, Chunk):
+                    yield record
+                    continue
+                try:
+                    inner = breakup_chunk(record)
+                except DAMAGED:
+                    damaged += 1
+                else:
+                    yield from inner
+        except DAMAGED:
+            if notes is not None:
+                notes.append(
+                    "it is cut short or damaged; what is whole is played, and `mcap recover` makes a whole file of it"
+                )
+        if damaged and notes is not None:
+            notes.append(f"{damaged} of its chunks cannot be read, and what they hold is left out")
+
+    def _list(
+        self, channels: dict[int, McapChannel], schemas: dict[int, Schema], counts: dict[int, int] | Counter[int]
+    ) -> None:
+        for channel in channels.values():
+            schema = schemas.get(channel.schema_id)
+            known = schema is not None and schema.encoding in DEFINITIONS
+            self.channels.append(
+                Channel(
+                    id=channel.id,
+                    topic=channel.topic,
+                    type=schema.name if schema else "",
+                    definition=schema.data.decode(errors="replace") if known and schema else None,
+                    encoding=channel.message_encoding,
+                    count=counts.get(channel.id, 0),
+                    qos=recorded_qos(
+                        channel.topic,
+                        profiles_in(channel.metadata.get("offered_qos_profiles", "")),
+                        latched=channel.metadata.get("latching") == "1",
+                    ),
+                )
+            )

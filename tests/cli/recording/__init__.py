@@ -1,0 +1,1 @@
+"""Files of recordings: whole, cut short, and odd."""
