@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ropeway.limits import QOS_DEPTH_SAMPLES
-from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA, QoS, common_qos
+from ropeway.qos import DEFAULT, LATCHED, PROFILES, SENSOR_DATA, QoS, common_qos, unmet
 
 
 def test_nothing_offered() -> None:
@@ -49,3 +49,13 @@ def test_depth_is_bounded() -> None:
     assert replace(QoS(), depth=deep).depth == QOS_DEPTH_SAMPLES
     latched = QoS(durability="transient_local", depth=QOS_DEPTH_SAMPLES)
     assert common_qos([latched, latched]).depth == QOS_DEPTH_SAMPLES
+
+
+def test_unmet_policies() -> None:
+    """A reader does not match a writer that offers less than it asks for, and the policies are named."""
+    assert unmet(SENSOR_DATA, None) == ()
+    assert unmet(DEFAULT, SENSOR_DATA) == unmet(LATCHED, DEFAULT) == ()
+    assert unmet(SENSOR_DATA, LATCHED) == ("reliability", "durability")
+    assert unmet(SENSOR_DATA, PROFILES["best_available"]) == ()
+    assert unmet(QoS(deadline_s=2.0), QoS(deadline_s=1.0)) == unmet(DEFAULT, QoS(deadline_s=1.0)) == ("deadline",)
+    assert unmet(QoS(deadline_s=1.0), QoS(deadline_s=2.0)) == ()

@@ -27,6 +27,7 @@
     │       └── GoalRejected      the action server does not take this goal
     ├── LinkError                 a connection between two gateways
     │   ├── ConnectFailed         nobody answered, or the answer was a refusal
+    │   ├── Refused               the peer does not give, or take, what it was asked for
     │   └── OutboxFull            more calls and answers wait for the link than it may hold
     ├── OverlayError              the global overlay
     │   ├── IdentityError         a bundle, certificate or key that cannot be used
@@ -71,6 +72,7 @@ __all__ = [
     "OutboxFull",
     "OverlayError",
     "ProviderLost",
+    "Refused",
     "RopewayError",
     "SealError",
     "StoreError",
@@ -272,6 +274,14 @@ class ConnectFailed(LinkError):
     def __init__(self, address: str, reason: str, *, retryable: bool = True) -> None:
         self.address, self.reason, self.retryable = address, reason, retryable
         super().__init__(f"{address}: {reason}")
+
+
+class Refused(LinkError):
+    """The peer at ``address`` does not give, or take, the topic ``name``; ``reason`` is what it says."""
+
+    def __init__(self, address: str, name: str, reason: str) -> None:
+        self.address, self.name, self.reason = address, name, reason
+        super().__init__(f"{address}: {name} was refused: {_short(reason)}")
 
 
 class OutboxFull(LinkError):

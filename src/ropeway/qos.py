@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from ropeway.limits import QOS_DEPTH_SAMPLES
 
-__all__ = ["DEFAULT", "LATCHED", "SENSOR_DATA", "QoS", "common_qos"]
+__all__ = ["DEFAULT", "LATCHED", "PROFILES", "SENSOR_DATA", "QoS", "common_qos", "unmet"]
 
 _CHOICES: Final = {
     "history": ("keep_last", "keep_all"),
@@ -122,6 +122,36 @@ def _duration(key: str, value: object) -> float | None:
 DEFAULT: Final = QoS()
 SENSOR_DATA: Final = QoS(reliability="best_effort", depth=5)
 LATCHED: Final = QoS(durability="transient_local", depth=1)
+
+PROFILES: Final[Mapping[str, QoS]] = {
+    "default": DEFAULT,
+    "system_default": QoS(depth=1),
+    "sensor_data": SENSOR_DATA,
+    "services_default": DEFAULT,
+    "parameters": QoS(depth=1000),
+    "parameter_events": QoS(depth=1000),
+    "action_status_default": LATCHED,
+    "best_available": QoS(reliability="best_available", durability="best_available"),
+    "latched": LATCHED,
+}
+"""The profiles of ROS 2 by name, and ``latched``."""
+
+
+def unmet(offer: QoS, ask: QoS | None) -> tuple[str, ...]:
+    """Return the policies that keep a reader that asks for ``ask`` from matching a writer that offers ``offer``.
+
+    ``None`` asks for whatever is offered.
+    """
+    if ask is None:
+        return ()
+    found = []
+    if not offer.reliable and ask.reliability == "reliable":
+        found.append("reliability")
+    if ask.durability == "transient_local" and not offer.transient_local:
+        found.append("durability")
+    if ask.deadline_s is not None and (offer.deadline_s is None or offer.deadline_s > ask.deadline_s):
+        found.append("deadline")
+    return tuple(found)
 
 
 def common_qos(offered: Iterable[QoS], fallback: QoS = DEFAULT) -> QoS:

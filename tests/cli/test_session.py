@@ -10,7 +10,9 @@ import pytest
 import typer
 
 from ropeway.cli.session import Session, default_graph, find_topic, qos_of, settle, topic_name
+from ropeway.errors import GraphUnavailable
 from ropeway.graph.memory import MemoryGraph
+from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 
 STRING = "std_msgs/msg/String"
@@ -104,3 +106,14 @@ async def test_settle_waits_for_what_is_announced() -> None:
         began = time.monotonic()
         assert list(await settle(graph, 10.0)) == ["/a"]
         assert 0.7 < time.monotonic() - began < 5.0
+
+
+async def test_nothing_there(pair: tuple[Session, Session], capsys: pytest.CaptureFixture[str]) -> None:
+    """An empty network is told as such; where nobody tells what there is, that is an error."""
+    assert await settle(pair[0].graph, 0.0) == {}
+    assert "nothing was discovered on" in capsys.readouterr().err
+    graph = RosbridgeGraph("ws://127.0.0.1:9", wait=False)
+    await graph.open()
+    with pytest.raises(GraphUnavailable, match=r"ws://127\.0\.0\.1:9: "):
+        await settle(graph, 0.0)
+    await graph.close()

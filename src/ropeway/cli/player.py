@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from ropeway.cli.bagfile import Bag, BagTopic, Record
+from ropeway.cli.patience import patiently
 from ropeway.errors import TypesError
 from ropeway.graph.base import SEQ_NONE, Graph, Publisher, Sample, new_origin
 from ropeway.types.definition import HEADER, FieldType
@@ -124,13 +125,13 @@ def _starts_with_header(bag: Bag, topic: BagTopic) -> bool:
 
 async def _readers(publishers: Collection[Publisher], wait_s: float) -> None:
     """Wait until somebody reads each topic, at most ``wait_s``."""
-    waiting = {id(p) for p in publishers if p.subscribers == 0}
+    waiting = {id(p): p.topic for p in publishers if p.subscribers == 0}
     done = asyncio.Event()
 
     def watch(publisher: Publisher) -> None:
         def changed(count: int) -> None:
             if count:
-                waiting.discard(id(publisher))
+                waiting.pop(id(publisher), None)
             if not waiting:
                 done.set()
 
@@ -141,7 +142,8 @@ async def _readers(publishers: Collection[Publisher], wait_s: float) -> None:
     if not waiting:
         return
     try:
-        async with asyncio.timeout(wait_s):
+        said = patiently(lambda: f"waiting {wait_s:g} s at most for readers of {', '.join(sorted(waiting.values()))}")
+        async with said, asyncio.timeout(wait_s):
             await done.wait()
     except TimeoutError:
         return

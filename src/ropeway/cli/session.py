@@ -12,11 +12,13 @@ from typing import Annotated, Final, TypeVar
 
 import typer
 
-from ropeway.cli.console import fail
-from ropeway.errors import InvalidName
+from ropeway.cli.console import complain, fail
+from ropeway.cli.patience import patiently
+from ropeway.errors import GraphUnavailable, InvalidName
+from ropeway.graph.answer import Telling
 from ropeway.graph.base import Graph, NodeInfo, TopicInfo, resolve_name
 from ropeway.graph.calls import ActionInfo, ServiceInfo
-from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA, QoS
+from ropeway.qos import DEFAULT, PROFILES, QoS
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
 
@@ -47,7 +49,6 @@ T = TypeVar("T")
 P = TypeVar("P", ServiceInfo, ActionInfo)
 
 _QUIET_S: Final = 0.3  # no news for so long: what is there has been discovered
-_PROFILES: Final[Mapping[str, QoS]] = {"default": DEFAULT, "sensor_data": SENSOR_DATA, "latched": LATCHED}
 
 GraphOption = Annotated[
     str,
@@ -68,7 +69,7 @@ TypesOption = Annotated[
     list[Path] | None,
     typer.Option("--types", help="More definitions: a .msg file or a directory of them.", show_default=False),
 ]
-QosProfile = Annotated[str, typer.Option("--qos-profile", help=f"A profile: {', '.join(_PROFILES)}.")]
+QosProfile = Annotated[str, typer.Option("--qos-profile", help=f"A profile: {', '.join(PROFILES)}.")]
 QosDepth = Annotated[int | None, typer.Option("--qos-depth", min=0, help="How many messages are kept.")]
 QosHistory = Annotated[str, typer.Option("--qos-history", help="keep_last or keep_all.")]
 QosReliability = Annotated[str, typer.Option("--qos-reliability", help="reliable or best_effort.")]
@@ -100,7 +101,9 @@ async def open_session(url: str = "", types: list[Path] | None = None) -> AsyncI
     registry.add_ament_prefix_path()
     for path in types or []:
         registry.add_path(path)
-    graph = await open_graph(url or default_graph(), registry=registry, name=f"ropeway_{os.getpid()}")
+    address = url or default_graph()
+    async with patiently(lambda: f"waiting for {address} to answer"):
+        graph = await open_graph(address, registry=registry, name=f"ropeway_{os.getpid()}")
     try:
         yield Session(graph, registry)
     finally:
@@ -122,14 +125,14 @@ def full_name(name: str) -> str:
 
 def qos_of(profile: str, depth: int | None, history: str, reliability: str, durability: str) -> QoS | None:
     """The profile that the options ask for; ``None`` where they ask for nothing."""
-    if profile and profile not in _PROFILES:
-        fail(f"{profile!r} is not a QoS profile; use one of {', '.join(_PROFILES)}", 2)
+    if profile and profile not in PROFILES:
+        fail(f"{profile!r} is not a QoS profile; use one of {', '.join(PROFILES)}", 2)
     given = {"history": history, "depth": depth, "reliability": reliability, "durability": durability}
     policies = {key: value for key, value in given.items() if value not in ("", None)}
     if not profile and not policies:
         return None
     try:
-        return QoS.parse(policies, _PROFILES.get(profile, DEFAULT))
+        return QoS.parse(policies, PROFILES.get(profile, DEFAULT))
     except ValueError as error:
         fail(str(error), 2)
 
@@ -160,6 +163,8 @@ async def discover(
                 return found
             left = deadline - loop.time()
             if left <= 0:
+                if done is None and not found:
+                    _found_nothing(graph, spin_time_s)
                 return found
             news.clear()
             try:
@@ -170,6 +175,13 @@ async def discover(
                     return found
     finally:
         await end(listener)
+
+
+def _found_nothing(graph: Graph, spin_time_s: float) -> None:
+    """Say that there is nothing, so that nobody takes it for a fault; fail where nobody would tell if there were."""
+    if isinstance(graph, Telling) and graph.untold:
+        raise GraphUnavailable(graph.name, graph.untold)
+    complain(f"nothing was discovered on {graph.name} within {spin_time_s:g} s; wait longer with --spin-time")
 
 
 async def settle(

@@ -13,6 +13,7 @@ import typer
 from ropeway.cli.action.info import ActionArgument
 from ropeway.cli.console import answer, complain, fail, print_json
 from ropeway.cli.loop import run
+from ropeway.cli.patience import patiently
 from ropeway.cli.session import GraphOption, JsonOption, Session, TypesOption, full_name, open_session
 from ropeway.cli.topic.render import Style, as_yaml, pick, shown
 from ropeway.cli.values import fitted, typed_values
@@ -116,7 +117,8 @@ async def send_goal(
     goal = Goal(payload, caller="ropeway action send_goal")
     sending = asyncio.create_task(_send(client, goal, news, timeout_s), name=f"send goal to {action}")
     try:
-        sent = await asyncio.shield(sending)
+        async with patiently(lambda: _waiting_for(client, timeout_s)):
+            sent = await asyncio.shield(sending)
         teller.accepted(sent.id)
         if news is not None:
             news.release()
@@ -130,6 +132,12 @@ async def send_goal(
         await client.close()
     teller.outcome(outcome)
     return outcome
+
+
+def _waiting_for(client: ActionClient, timeout_s: float) -> str:
+    if client.available:
+        return f"waiting for {client.action} to accept the goal ({timeout_s:g} s at most)"
+    return f"waiting for an action server of {client.action} ({timeout_s:g} s at most)"
 
 
 class _Feedback:

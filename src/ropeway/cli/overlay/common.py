@@ -10,6 +10,7 @@ from typing import Annotated, Final
 
 import typer
 
+from ropeway.cli.patience import patiently
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.overlay import OverlayGraph
 from ropeway.overlay.identity import Identity
@@ -32,8 +33,10 @@ async def joined(identity: Path, routers: list[str] | None, spin_time_s: float) 
     graph = OverlayGraph(node)
     await graph.open()
     try:
-        if not await node.fabric.linked(_LINK_S):
-            where = ", ".join(node.routers) or "none: name one with --router"
+        where = ", ".join(node.routers) or "none: name one with --router"
+        async with patiently(lambda: f"waiting for a router ({where}), {_LINK_S:g} s at most"):
+            linked = await node.fabric.linked(_LINK_S)
+        if not linked:
             raise GraphUnavailable("overlay", f"no router can be reached ({where})")
         try:
             async with asyncio.timeout(spin_time_s):

@@ -9,6 +9,7 @@ import typer
 
 from ropeway.cli.console import fail
 from ropeway.cli.loop import run
+from ropeway.cli.patience import patiently
 from ropeway.cli.session import Session, open_session
 from ropeway.errors import CallTimeout, NotServed
 from ropeway.graph.parameters import ParameterType, ParameterValue, type_of
@@ -38,7 +39,11 @@ def ask(graph: str, node: str, timeout_s: float, work: Callable[[Session], Corou
     """Run ``work`` on the graph at the URL; a node that does not answer ends with a sentence."""
 
     async def main() -> T:
-        async with open_session(graph) as session:
+        whom = f"node {node}" if node else "the nodes"
+        async with (
+            open_session(graph) as session,
+            patiently(lambda: f"waiting for {whom} to answer ({timeout_s:g} s at most)"),
+        ):
             return await work(session)
 
     try:

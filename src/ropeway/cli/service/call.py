@@ -11,6 +11,7 @@ import typer
 
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.loop import run
+from ropeway.cli.patience import patiently
 from ropeway.cli.service.info import ServiceArgument
 from ropeway.cli.session import GraphOption, JsonOption, Session, TypesOption, full_name, open_session
 from ropeway.cli.topic.render import Style, as_python
@@ -61,7 +62,15 @@ async def _call_once(
     client: Client, payload: bytes, timeout_s: float, asking: Callable[[bytes], None], told: Callable[[bytes], None]
 ) -> None:
     asking(payload)
-    told(await client.call(Request(payload, caller="ropeway service call"), timeout_s))
+
+    def waiting_for() -> str:
+        if client.available:
+            return f"waiting for the response of {client.service} ({timeout_s:g} s at most)"
+        return f"waiting for {client.service} to become available ({timeout_s:g} s at most)"
+
+    async with patiently(waiting_for):
+        response = await client.call(Request(payload, caller="ropeway service call"), timeout_s)
+    told(response)
 
 
 @app.command("call")

@@ -11,6 +11,8 @@ import typer
 
 from ropeway.cli.console import answer, complain, fail
 from ropeway.cli.loop import run
+from ropeway.cli.patience import patiently, why_silent
+from ropeway.cli.refusal import unless_refused
 from ropeway.cli.session import (
     GraphOption,
     JsonOption,
@@ -100,22 +102,30 @@ async def echo(
     printed = 0
     subscription = await session.graph.create_subscription(topic, type, qos, received)
     try:
-        while count is None or printed < count:
-            sample = await waiting.get()
-            if lost:
-                complain(f"{lost} messages were lost, because they come faster than they can be printed")
-                lost = 0
-            try:
-                emit(form(sample))
-            except DecodeError as error:
-                complain(f"A message was not printed: {error}")
-                continue
-            except LookupError as error:
-                fail(str(error.args[0]))
-            printed += 1
+        with unless_refused(session.graph, subscription):
+            async with patiently(lambda: why_silent(session.graph, topic, type, qos)) as patience:
+                while count is None or printed < count:
+                    sample = await waiting.get()
+                    patience.over()
+                    if lost:
+                        complain(f"{lost} messages were lost, because they come faster than they can be printed")
+                        lost = 0
+                    printed += _emit(form, sample, emit)
     finally:
         await subscription.close()
     return printed
+
+
+def _emit(form: Formatter, sample: Sample, emit: Callable[[str], None]) -> bool:
+    """Print a message; return whether it could be printed."""
+    try:
+        emit(form(sample))
+    except DecodeError as error:
+        complain(f"A message was not printed: {error}")
+        return False
+    except LookupError as error:
+        fail(str(error.args[0]))
+    return True
 
 
 @app.command("echo")

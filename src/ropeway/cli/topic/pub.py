@@ -11,6 +11,7 @@ import typer
 
 from ropeway.cli.console import answer, complain, fail, print_json
 from ropeway.cli.loop import run
+from ropeway.cli.refusal import taken, unless_refused
 from ropeway.cli.session import (
     GraphOption,
     JsonOption,
@@ -58,24 +59,37 @@ async def publish(
     codec = session.registry.codec(type)
     values = fitted(session.registry, type, values)
     publisher = await session.graph.create_publisher(topic, codec.type, qos)
-    sent = 0
     try:
-        await _subscribers(publisher, wait, wait_s)
-        loop = asyncio.get_running_loop()
-        due = loop.time()
-        origin = new_origin()
-        while times is None or sent < times:
-            now_ns = time.time_ns()
-            payload = codec.from_json(values)
-            publisher.publish(Sample(payload, codec.type, now_ns, origin, SEQ_NONE))
-            sent += 1
-            told(sent, payload)
-            due += 1.0 / rate_hz
-            if times is None or sent < times:
-                await asyncio.sleep(max(due - loop.time(), 0))
-        await asyncio.sleep(keep_alive_s)  # what is on its way still needs its sender
+        with unless_refused(session.graph, publisher):
+            await taken(session.graph, publisher)
+            await _subscribers(publisher, wait, wait_s)
+            sent = await _send(publisher, lambda: codec.from_json(values), rate_hz, times, told)
+            await asyncio.sleep(keep_alive_s)  # what is on its way still needs its sender
     finally:
         await publisher.close()
+    return sent
+
+
+async def _send(
+    publisher: Publisher,
+    make: Callable[[], bytes],
+    rate_hz: float,
+    times: int | None,
+    told: Callable[[int, bytes], None],
+) -> int:
+    loop = asyncio.get_running_loop()
+    due = loop.time()
+    origin = new_origin()
+    sent = 0
+    while times is None or sent < times:
+        now_ns = time.time_ns()
+        payload = make()
+        publisher.publish(Sample(payload, publisher.type, now_ns, origin, SEQ_NONE))
+        sent += 1
+        told(sent, payload)
+        due += 1.0 / rate_hz
+        if times is None or sent < times:
+            await asyncio.sleep(max(due - loop.time(), 0))
     return sent
 
 

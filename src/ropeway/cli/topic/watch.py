@@ -10,6 +10,8 @@ from typing import Annotated
 import typer
 
 from ropeway.cli.console import answer, complain, fail, print_json
+from ropeway.cli.patience import patiently, why_silent
+from ropeway.cli.refusal import unless_refused
 from ropeway.cli.session import Session, find_topic, open_session
 from ropeway.cli.topic.window import Meter
 from ropeway.graph.base import Sample
@@ -52,30 +54,37 @@ async def meter(
 
     Where it has nothing new to tell, ``silence`` is printed.
     """
+    async with patiently(lambda: why_silent(session.graph, topic, type, qos)) as patience:
 
-    def received(batch: Sequence[Sample]) -> None:
-        for sample in batch:
-            gauge.add(sample)
+        def received(batch: Sequence[Sample]) -> None:
+            patience.over()
+            for sample in batch:
+                gauge.add(sample)
 
-    subscription = await session.graph.create_subscription(topic, type, qos, received)
-    try:
-        loop = asyncio.get_running_loop()
-        due = loop.time()
-        started = False
-        while True:
-            due += period_s
-            await asyncio.sleep(max(due - loop.time(), 0))
-            reading = gauge.read()
-            started = started or reading is not None
-            if reading is None:
-                if silence and started and not as_json:
-                    answer(silence)
-            elif as_json:
-                print_json({"topic": topic, **reading.json})
-            else:
-                answer(reading.text)
-    finally:
-        await subscription.close()
+        subscription = await session.graph.create_subscription(topic, type, qos, received)
+        try:
+            with unless_refused(session.graph, subscription):
+                await _read_out(gauge, topic, as_json=as_json, silence=silence, period_s=period_s)
+        finally:
+            await subscription.close()
+
+
+async def _read_out(gauge: Meter, topic: str, *, as_json: bool, silence: str, period_s: float) -> None:
+    loop = asyncio.get_running_loop()
+    due = loop.time()
+    started = False
+    while True:
+        due += period_s
+        await asyncio.sleep(max(due - loop.time(), 0))
+        reading = gauge.read()
+        started = started or reading is not None
+        if reading is None:
+            if silence and started and not as_json:
+                answer(silence)
+        elif as_json:
+            print_json({"topic": topic, **reading.json})
+        else:
+            answer(reading.text)
 
 
 async def meter_main(

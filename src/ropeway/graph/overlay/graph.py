@@ -123,6 +123,13 @@ class OverlayGraph:
         await self.node.close()
         self._changes.close()
 
+    @property
+    def untold(self) -> str:
+        """See ``Telling.untold``."""
+        if self.node.fabric.links():
+            return ""
+        return f"no router can be reached ({', '.join(self.node.routers) or 'none is named'})"
+
     def _check(self, name: str, type: str) -> None:
         if not self._open:
             raise GraphUnavailable(self.name, "is not open; call open() first")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ropeway.qos import QoS
+from ropeway.qos import QoS, unmet
 
 __all__ = ["matches"]
 
@@ -12,8 +12,4 @@ def matches(offer: QoS | None, ask: QoS | None) -> bool:
 
     ``None`` asks for whatever is offered.
     """
-    if offer is None or ask is None:
-        return True
-    return (offer.reliable or not ask.reliable or ask.reliability == "best_available") and (
-        offer.transient_local or not ask.transient_local
-    )
+    return offer is None or not unmet(offer, ask)

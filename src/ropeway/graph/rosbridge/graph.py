@@ -106,6 +106,7 @@ class RosbridgeGraph:
         self.plain_server = PlainServer(url, self.registry)
         self.teller = Teller(self.registry, graph=True)
         self._traffic = (0, 0)
+        self._rosapi_error = ""
         self._wants_calls = False  # somebody asked what is served there
 
     # ── opening, the connection, closing ───────────────────────────────────────────────────────────────────────
@@ -123,6 +124,10 @@ class RosbridgeGraph:
     def on_state(self, callback: Callable[[LinkState], None]) -> None:
         """Call with the state of the connection, now and at each change."""
         self._keeper.on_state(callback)
+
+    def on_answer(self, callback: Callable[[str], None]) -> None:
+        """See ``Answering.on_answer``: whether the server lets us in."""
+        self._keeper.answers.on_answer(callback)
 
     async def open(self) -> None:
         """Connect; see the class for ``wait``."""
@@ -229,8 +234,10 @@ class RosbridgeGraph:
                     await self.mirror.ask_rosapi(self.calls.plain)
                     if self._wants_calls:
                         await self.mirror.ask_calls(self.calls.plain)
+                    self._rosapi_error = ""
                 except GraphUnavailable as error:
-                    log.debug("%s: %s", self.name, error)
+                    self._rosapi_error = f"it does not answer what is asked of rosapi: {error.reason}"
+                    log.debug("%s: %s", self.name, self._rosapi_error)
                     self.mirror.filled.set()
                 await asyncio.sleep(_ROSAPI_S)
             else:
@@ -323,6 +330,13 @@ class RosbridgeGraph:
         """What the far graph showed last; empty without ``watch`` or with the connection down."""
         return dict(self.mirror.topics)
 
+    @property
+    def untold(self) -> str:
+        """See ``Telling.untold``."""
+        if self.peer is None:
+            return self.last_error or "it is not connected"
+        return self._rosapi_error if self.mirror.filled.is_set() else "it has not told yet what there is"
+
     def services(self) -> dict[str, ServiceInfo]:
         """What the far graph showed last, and what is served from here; a plain server is asked from now on."""
         self._wants_calls = True
@@ -410,8 +424,10 @@ class RosbridgeGraph:
         elif self.calls.control(message):
             return
         elif op == "demand" and publisher is not None and isinstance(message.get("count"), int):
+            publisher.answers.tell("")
             publisher.demand(message["count"])
         elif op == "adopted" and subscription is not None:
+            subscription.answers.tell("")
             if isinstance(message.get("qos"), Mapping):
                 with contextlib.suppress(ValueError):
                     subscription.adopted(QoS.parse(message["qos"]))
@@ -425,8 +441,9 @@ class RosbridgeGraph:
             self.mirror.update(message)
 
     def _was_refused(self, part: RemotePublisher | RemoteSubscription | None, reason: str) -> None:
-        if part is not None and part.refused != reason:
-            part.refused = reason
+        if part is None or part.refused == reason:
+            return
+        if not part.answers.tell(reason):
             log.warning("%s: %s was refused: %s", self.name, part.topic, reason)
 
     def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Final
 
 from ropeway.errors import ConnectFailed
+from ropeway.graph.answer import Answers
 from ropeway.link.connection import Limits
 from ropeway.tasks import Supervised, describe, end
 
@@ -50,6 +51,7 @@ class Keeper:
         self.name, self.limits = name, limits
         self.state = LinkState.IDLE
         self.last_error = ""
+        self.answers = Answers()
         self.rtt_s = 0.0
         self.leaving = False
         self._connect = connect
@@ -88,6 +90,7 @@ class Keeper:
         """The connection stands there now."""
         if state is LinkState.CONNECTED:
             self._tried(None)
+            self.answers.tell("")
         if state is not self.state:
             self.state = state
             for callback in list(self._callbacks):
@@ -138,3 +141,5 @@ class Keeper:
             self.last_error = str(error)
             log.warning("%s (trying again %s)", error, "until it answers" if error.retryable else "every 10 s")
         self._tried(error)
+        if not error.retryable:
+            self.answers.tell(error.reason)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import MessageTooBig, TypesError
+from ropeway.graph.answer import Answers
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample, SampleCallback, Undelivered, new_origin
 from ropeway.graph.history import History
 from ropeway.link.outbox import Lost
@@ -60,7 +61,7 @@ class RemotePublisher:
         self.channel: Channel | None = None
         self.lost: Counter[Lost] = Counter()
         self.sent = self.sent_bytes = 0
-        self.refused = ""
+        self.answers = Answers()
         self.remote_delay_s: float | None = None  # from this gateway's reception to the far one's
         self._gid = new_origin()
         self._seq = 0
@@ -95,6 +96,15 @@ class RemotePublisher:
     def subscribers(self) -> int | None:
         """Readers on the far graph, where it can tell."""
         return self._count
+
+    @property
+    def refused(self) -> str:
+        """Why the far side does not take the topic, ``""`` where it does."""
+        return self.answers.reason
+
+    def on_answer(self, callback: Callable[[str], None]) -> None:
+        """See ``Answering.on_answer``."""
+        self.answers.on_answer(callback)
 
     def on_demand(self, callback: Callable[[int], None]) -> None:
         """Call with the number of readers on the far graph, now and at each change."""
@@ -147,6 +157,8 @@ class RemotePublisher:
         )
         for sample in self._history.replay():
             self.channel.put(sample)
+        if plain:
+            self.answers.tell("")  # a server that has something against it does not say so
 
     def disconnected(self) -> None:
         """The connection is gone."""
@@ -196,7 +208,7 @@ class RemoteSubscription:
         self.graph = graph
         self.number = graph.next_number()
         self.id = f"subscribe:{topic}:{self.number}"
-        self.refused = ""
+        self.answers = Answers()
         self._asked = qos
         self._qos = qos or DEFAULT
         self._callback = callback
@@ -212,6 +224,15 @@ class RemoteSubscription:
     def qos(self) -> QoS:
         """The profile in use on the far graph, as far as it is known."""
         return self._qos
+
+    @property
+    def refused(self) -> str:
+        """Why the far side does not give the topic, ``""`` where it does."""
+        return self.answers.reason
+
+    def on_answer(self, callback: Callable[[str], None]) -> None:
+        """See ``Answering.on_answer``."""
+        self.answers.on_answer(callback)
 
     def on_qos(self, callback: Callable[[QoS], None]) -> None:
         """Call with the profile, now and when the far graph adopts another."""

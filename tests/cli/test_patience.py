@@ -1,0 +1,67 @@
+"""What a verb says while it waits."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import pytest
+
+from ropeway.cli import patience
+from ropeway.cli.patience import Patience, patiently, why_silent
+from ropeway.cli.session import Session
+from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA
+
+STRING = "std_msgs/msg/String"
+
+
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody waits for long."""
+    monkeypatch.setattr(patience, "_PATIENCE_S", 0.001)
+
+
+async def said_until(said: Callable[[], str], text: str) -> str:
+    """Everything that was said, once ``text`` is in it."""
+    all_said = ""
+    async with asyncio.timeout(5):
+        while text not in all_said:
+            await asyncio.sleep(0.001)
+            all_said += said()
+    return all_said
+
+
+@pytest.mark.usefixtures("hasty")
+async def test_waiting_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    """What is waited for is said, and said again only when it is something else."""
+    reasons = ["for a", "for a", "for b"]
+    async with patiently(lambda: reasons.pop(0) if len(reasons) > 1 else reasons[0]):
+        said = await said_until(lambda: capsys.readouterr().err, "for b")
+    assert said == "for a\nfor b\n"
+
+
+@pytest.mark.usefixtures("hasty")
+async def test_what_has_come_is_waited_for_no_longer(capsys: pytest.CaptureFixture[str]) -> None:
+    """Once it has come, nothing is said."""
+    waiting = Patience(lambda: "for a")
+    waiting.over()
+    await waiting.watch()
+    assert capsys.readouterr().err == ""
+
+
+async def test_why_nothing_comes(pair: tuple[Session, Session]) -> None:
+    """The graph tells that nobody publishes, or publishes another type or with other QoS, or sends nothing."""
+    here, there = pair
+    await there.graph.create_publisher("/odom", STRING, SENSOR_DATA)
+
+    def why(topic: str, type: str = STRING, qos: patience.QoS | None = None) -> str:
+        return why_silent(here.graph, topic, type, qos).removeprefix(f"waiting for a message on {topic}: ")
+
+    assert why("/odomm") == f'nobody publishes it on {here.graph.name}; did you mean "/odom"?'
+    assert why("/camera") == f"nobody publishes it on {here.graph.name}"
+    assert why("/odom", "std_msgs/msg/Int8") == f"it is published as {STRING}, and std_msgs/msg/Int8 was asked for"
+    assert why("/odom", qos=DEFAULT).startswith("its publishers offer incompatible QoS (RELIABILITY)")
+    assert why("/odom", qos=LATCHED).startswith("its publishers offer incompatible QoS (DURABILITY, RELIABILITY)")
+    assert why("/odom") == f"1 publisher on {here.graph.name}, none of which has sent anything"
+    await there.graph.create_publisher("/odom", STRING, DEFAULT)
+    assert why("/odom", qos=DEFAULT) == f"2 publishers on {here.graph.name}, none of which has sent anything"
