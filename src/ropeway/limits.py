@@ -78,6 +78,9 @@ TOPICS_PER_CLIENT: Final = 4_096
 IDS_PER_TOPIC: Final = 1_024
 """Registrations, each with an id of its own, of one topic by one client."""
 
+REMEMBERED_PUBLISH_IDS: Final = 1_024
+"""Ids of messages of one topic of one client that are remembered, where the client asks to drop repeated ones."""
+
 CALLS_PER_CLIENT: Final = 1_024
 """Calls of one client that are under way."""
 

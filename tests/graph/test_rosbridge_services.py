@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from typing import Any
 
+import cbor2
 import pytest
 
 from ropeway.errors import (
@@ -241,6 +242,28 @@ async def test_closing(stack: AsyncExitStack, fake: FakeServer) -> None:
     assert second.available is False
     with pytest.raises(GraphUnavailable):
         await graph.create_service("/add", ADD, add)
+
+
+async def test_serves_on_rosgw(stack: AsyncExitStack, fake: FakeServer) -> None:
+    """A rosgw server is told the configured encoding, and is answered in the one that its call names."""
+    graph = await connect(stack, fake.url)
+    assert graph.peer is not None
+    graph.peer.speak(ROSGW)
+    service = await graph.create_service("/add", ADD, add, delivery=Delivery(encoding="zip"))
+    (told,) = await heard(fake, "advertise_service")
+    assert told["compression"] == "zip"
+    assert service.encoding == "none"  # nobody has asked for another yet
+    fake.say({"op": "call_service", "id": "1", "service": "/add", "args": {"a": 2, "b": 3}, "compression": "zip"})
+    await until(lambda: fake.binaries)
+    answer = cbor2.loads(fake.binaries[0])
+    assert (answer["op"], answer["id"], answer["compression"]) == ("service_response", "1", "zip")
+    assert decode_value(answer["values"], "zip", RESPONSE) == total(5)
+    assert service.encoding == "zip"
+    odd = await graph.create_service("/odd", ADD, add, delivery=Delivery(encoding="zstd"))
+    assert "compression" not in (await heard(fake, "advertise_service", 2))[-1]
+    assert odd.encoding == "none"
+    client = await graph.create_client("/far", ADD, delivery=Delivery(encoding="zip"))
+    assert client.encoding == "none"
 
 
 async def test_rosgw_is_called_one_by_one(stack: AsyncExitStack, fake: FakeServer) -> None:

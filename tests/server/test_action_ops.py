@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import json
+import struct
 from typing import Any
 
+import cbor2
+import lz4.frame
 import pytest
 
 from ropeway.errors import GoalRejected
@@ -505,20 +507,24 @@ async def test_bad_advertisements(place: Place, op: str, kind: str) -> None:
 
 
 async def test_rosgw_carries_out(place: Place) -> None:
-    """A gateway of the older kind carries out goals: it names its goals besides, and gives no status."""
+    """A gateway of the older kind carries out goals: it gets them as it asked, names them besides, gives no status."""
     bridge = "0" * 31 + "1"
     provider = await offer(place, id=f"exposeact:{bridge}:1", compression="zip")
     caller = await place.client()
     caller.send(goal(feedback=True))
-    request = await provider.json()
+    got = await provider.receive()
+    assert not got.text
+    request = cbor2.loads(got.data)
+    body = request.pop("args")
     assert request == {
         "op": "send_action_goal",
         "id": "action_goal:/fib:1",
         "action": "/fib",
         "action_type": "example_interfaces/Fibonacci",
-        "args": {"order": 3},
         "feedback": True,
+        "compression": "zip",
     }
+    assert cbor2.loads(lz4.frame.decompress(body)) == {"order": 3}
     common = {"goal_id": "5" * 32, "action": "/fib", "result": True, "id": request["id"]}
     provider.send({"op": "action_feedback", **common, "values": {"sequence": [1]}})
     provider.send({"op": "action_result", **common, "values": {"sequence": [1, 2]}})
@@ -528,15 +534,52 @@ async def test_rosgw_carries_out(place: Place) -> None:
 
 
 async def test_rosgw_sends(place: Place) -> None:
-    """A gateway of the older kind sends goals with their type under another name, and gets its results as text."""
+    """A gateway of the older kind names the type otherwise, gets feedback unasked, and all in the encoding it named."""
 
     async def execute(goal: ServerGoal) -> Outcome:
+        goal.feedback(sequence(1))
         return Outcome(GoalStatus.SUCCEEDED, sequence(ordered(goal)))
 
     await serve(place, execute)
     client = await place.client()
     common = {"op": "send_action_goal", "id": "act:" + "7" * 32, "action": "/fib", "compression": "zip"}
     client.send({**common, "type": FIBONACCI, "args": {"order": 2}})
+    for op, values in (("action_feedback", [1]), ("action_result", [2])):
+        got = await client.receive()
+        assert not got.text
+        answer = cbor2.loads(got.data)
+        assert (answer["op"], answer["id"], answer["compression"]) == (op, "act:" + "7" * 32, "zip")
+        assert cbor2.loads(lz4.frame.decompress(answer["values"]))["sequence"] == struct.pack("<i", *values)
+
+
+async def test_rosgw_that_names_nothing(place: Place) -> None:
+    """The id of its goals alone is a sign of a gateway of the older kind: it gets feedback, as text."""
+
+    async def execute(goal: ServerGoal) -> Outcome:
+        goal.feedback(sequence(1))
+        return Outcome(GoalStatus.SUCCEEDED, sequence(2))
+
+    await serve(place, execute)
+    client = await place.client()
+    client.send(goal("act:" + "8" * 32))
+    assert (await client.json())["values"] == {"sequence": [1]}
+    assert await client.json() == result(4, 2, id="act:" + "8" * 32)
+
+
+async def test_rosbridge_client_asks_for_an_encoding(place: Place) -> None:
+    """A client of rosbridge gets results in the binary encoding that it names, and no feedback unasked."""
+
+    async def execute(goal: ServerGoal) -> Outcome:
+        goal.feedback(sequence(1))
+        return Outcome(GoalStatus.SUCCEEDED, sequence(2))
+
+    await serve(place, execute)
+    client = await place.client()
+    client.send(goal(compression="cbor-raw"))
     got = await client.receive()
-    assert got.text
-    assert json.loads(got.data) == result(4, 2, id="act:" + "7" * 32)
+    answer = cbor2.loads(got.data)
+    assert (answer["op"], answer["compression"], answer["values"]["bytes"]) == (
+        "action_result",
+        "cbor-raw",
+        sequence(2),
+    )

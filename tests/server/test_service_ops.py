@@ -7,11 +7,13 @@ import json
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+import cbor2
 import pytest
 
 from ropeway.errors import CallError, CallFailed, ProviderLost
 from ropeway.graph.calls import Client as GraphClient
 from ropeway.graph.calls import Request
+from ropeway.wire.codec import decode_value
 from tests.contract.test_services import ADD, add, addends, total
 from tests.server.client import BINARY, Client
 from tests.server.conftest import Place
@@ -350,6 +352,31 @@ async def offer(place: Place, name: str = "/add", type: str = "example_interface
     client.send({"op": "advertise_service", "service": name, "type": type, **more})
     await client.done()
     return client
+
+
+@pytest.mark.parametrize("encoding", ["cbor", "cbor-raw", "zip", "rawzip"])
+async def test_named_encodings(place: Place, encoding: str) -> None:
+    """A peer that names an encoding for a call, or for a service of its own, gets responses and requests in it."""
+    request, response = place.registry.codec(f"{ADD}_Request"), place.registry.codec(f"{ADD}_Response")
+    await serve(place)
+    client = await place.client()
+    message = json.loads(CALL + '"args":{"a":2,"b":3}}')
+    client.send({**message, "id": "svc:" + "5" * 32, "compression": encoding})
+    got = await client.receive()
+    answer = cbor2.loads(got.data)
+    assert (got.text, answer["result"], answer["compression"]) == (False, True, encoding)
+    assert decode_value(answer["values"], encoding, response) == total(5)
+    provider = await offer(place, "/far", compression=encoding)
+    caller = await calling(place, "/far")
+    pending = asyncio.ensure_future(caller.call(Request(addends(20, 1))))
+    got = await provider.receive()
+    asked = cbor2.loads(got.data)
+    assert (got.text, asked["compression"]) == (False, encoding)
+    assert decode_value(asked["args"], encoding, request) == addends(20, 1)
+    provider.send(
+        {"op": "service_response", "service": "/far", "id": asked["id"], "result": True, "values": {"sum": 7}}
+    )
+    assert await pending == total(7)
 
 
 @pytest.mark.parametrize("type", ["example_interfaces/AddTwoInts", ADD, "/example_interfaces//AddTwoInts"])

@@ -100,6 +100,38 @@ async def test_publishes(place: Place, type: str) -> None:
     await client.nothing()
 
 
+@pytest.mark.parametrize("advertised", [True, False])
+async def test_repeated_ids(place: Place, advertised: bool) -> None:
+    """A message whose id came before is dropped for a client that says that its ids are unique, and for no other."""
+    inbox = await reader(place)
+    unique: dict[str, Any] = {"ropeway": {"unique_ids": True}}
+    client, plain = await place.client(), await place.client()
+    client.send({**CHATTER, **(unique if advertised else {})})
+    plain.send(CHATTER)
+    for id in ("a", "a", "b", "a", 7, 7):
+        client.send(said(str(id), id=id, **({} if advertised else unique)))
+    client.send(said("none"))
+    client.send(said("none"))
+    await inbox.wait(5)
+    plain.send(said("a", id="a"))
+    plain.send(said("a", id="a"))
+    await inbox.wait(7)
+    assert inbox.payloads == [text(word) for word in ("a", "b", "7", "none", "none", "a", "a")]
+
+
+async def test_repeated_ids_of_rosgw(place: Place) -> None:
+    """A gateway of the older kind means by an id that a message is the same: it is delivered once."""
+    inbox = await reader(place)
+    client = await place.client()
+    client.send({**CHATTER, "compression": "cbor"})
+    for id in ("1", "1", "2"):
+        client.send(said(id, id=id))
+    await inbox.wait(2)
+    client.send(said("3", id="3"))
+    await inbox.wait(3)
+    assert inbox.payloads == [text("1"), text("2"), text("3")]
+
+
 async def test_relative_names(place: Place) -> None:
     """A relative name is the absolute one on the network, and is told back as the client gave it."""
     inbox = await reader(place)

@@ -98,6 +98,12 @@ class Offer:
             return "taken"
         return "active" if self._server is not None else "waiting"
 
+    @property
+    def encoding(self) -> str:
+        """In what requests and answers travel, where the side that a link leads to can tell; else as configured."""
+        found = (getattr(part, "encoding", None) for part in (self._server, self._client))
+        return next((encoding for encoding in found if encoding is not None), self.delivery.encoding)
+
     def done(self, how: str, took_s: float) -> None:
         """A request has ended."""
         self.counts[how] += 1

@@ -166,7 +166,7 @@ def _route(route: Route, bridge: Bridge, state: str) -> dict[str, Any]:
         return common | _topic(route, bridge)
     return common | {
         "error": bridge.error or (f"offered by {bridge.taken_by}" if bridge.taken_by else ""),
-        "encoding": route.delivery.encoding,
+        "encoding": bridge.encoding,
         "requests": sum(bridge.counts.values()),
         "under_way": bridge.under_way,
         "ended": dict(bridge.counts),
@@ -179,9 +179,8 @@ def _topic(route: Route, bridge: TopicBridge) -> dict[str, Any]:
     drops: dict[str, int] = {reason.value: n for reason, n in bridge.drops.items() if n}
     delay, encoding = meter.delay_s, route.delivery.encoding
     publisher = bridge.publisher
-    way = getattr(publisher, "channel", None) or getattr(publisher, "packing", None)
-    if way is not None:
-        encoding = way.used
+    ways = (getattr(publisher, "channel", None), getattr(publisher, "packing", None), bridge.subscription)
+    encoding = next((used for way in ways if (used := getattr(way, "used", None)) is not None), encoding)
     for reason, n in getattr(publisher, "lost", {}).items():
         if n:
             drops[reason.value] = n

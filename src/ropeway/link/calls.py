@@ -2,12 +2,15 @@
 
 A Ropeway gateway gets them as CBOR in records, each priority on a channel of its own (``OP_CHANNELS``), so that a
 command goes before the images and a large answer in parts that urgent messages overtake. Everybody else gets JSON
-text. What concerns one call or goal (operations with one ``id``) never overtakes itself.
+text, or CBOR where the peer named an encoding. What concerns one call or goal (operations with one ``id``) never
+overtakes itself.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import orjson
@@ -22,6 +25,7 @@ from ropeway.wire import ops
 if TYPE_CHECKING:
     from ropeway.link.sender import Sender
     from ropeway.types import MessageCodec
+    from ropeway.wire.dialect import Dialect
 
 __all__ = ["OP_CHANNELS", "WAITING_LIMIT_BYTES", "OpSender", "Unsent"]
 
@@ -47,7 +51,7 @@ class _OutgoingOp:
     """An operation that waits; ``payload`` is its frame or record, or the CDR that a thread has yet to encode."""
 
     __slots__ = ("fragment_size", "key", "make", "on_unsent", "origin", "payload", "ready", "relayed", "seq",
-                 "stamp_ns", "type")  # fmt: skip
+                 "stamp_ns", "text", "type")  # fmt: skip
 
     def __init__(
         self,
@@ -56,7 +60,10 @@ class _OutgoingOp:
         key: str,
         fragment_size: int | None,
         on_unsent: Unsent | None,
+        *,
+        text: bool,
     ) -> None:
+        self.text = text
         self.payload, self.make, self.key = payload, make, key
         self.ready = make is None
         self.fragment_size, self.on_unsent = fragment_size, on_unsent
@@ -100,8 +107,9 @@ class _OpChannel(Channel):
         return not sample.ready
 
     def frame(self, sample: Outgoing, encoding: str) -> wire_codec.Frame:
-        """The text frame. Raises ``TypesError``."""
-        return wire_codec.Frame(True, self.body(sample, encoding))
+        """The frame for a plain peer. Raises ``TypesError``."""
+        assert isinstance(sample, _OutgoingOp)
+        return wire_codec.Frame(sample.text, sample.encoded())
 
     def body(self, sample: Outgoing, encoding: str) -> bytes:
         """The body of the record. Raises ``TypesError``."""
@@ -167,7 +175,9 @@ class OpSender:
             used = self._encoding(encoding, size)
             write = _write_cbor
         else:
-            used, write = "none", _write_json
+            dialect = self._sender.dialect
+            used = encoding if encoding in dialect.bodies else "none"
+            write = _write_json if used == "none" or payload is None else partial(_write_plain_cbor, dialect)
         make: Callable[[], bytes] | None = None
         if payload is not None and size >= _THREAD_BYTES and used not in _COPIED:
             data = payload
@@ -184,7 +194,8 @@ class OpSender:
         lane = self._lane(key, priority, len(data))
         if key:
             self._waiting[key] = (lane, self._waiting.get(key, (lane, 0))[1] + 1)
-        self._channel(lane).put(_OutgoingOp(data, make, key, fragment_size, on_unsent))
+        text = write is _write_json
+        self._channel(lane).put(_OutgoingOp(data, make, key, fragment_size, on_unsent, text=text))
 
     def _encoding(self, encoding: str, size: int) -> str:
         if encoding != "auto":
@@ -227,6 +238,18 @@ def _write_json(
     if payload is None:
         return ops.dumps(message)
     return ops.dumps({**message, field: wire_codec.encode_value(payload, codec)})
+
+
+def _write_plain_cbor(
+    dialect: Dialect,
+    message: Mapping[str, Any],
+    payload: bytes,
+    field: str,
+    codec: MessageCodec | None,
+    encoding: str,
+) -> bytes:
+    body = wire_codec.encode_value(payload, codec, encoding, dialect=dialect, stamp_ns=time.time_ns())
+    return cbor_dumps({**message, field: body, "compression": encoding})
 
 
 def _write_cbor(

@@ -33,6 +33,7 @@ class Lost(enum.Enum):
     EXPIRED = "it was older than the lifespan of its topic"
     UNSENT = "the link closed before it could be sent"
     ENCODE = "it could not be encoded"
+    REPEATED = "its id had come before"
 
 
 class Message(Protocol):

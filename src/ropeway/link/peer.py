@@ -153,7 +153,8 @@ class Peer:
         """Send an operation of services and actions; what has one ``id`` arrives in the order in which it is sent.
 
         ``payload`` is the CDR of the body, which takes the place of ``field``; ``None`` sends the operation as it is.
-        A plain peer gets JSON text, in fragments of ``fragment_size`` characters where that is given. A Ropeway
+        A plain peer gets JSON text, in fragments of ``fragment_size`` characters where that is given, or CBOR where
+        ``encoding`` is one that it may ask for. A Ropeway
         gateway gets the ``encoding`` that is asked for: ``auto`` is raw CDR, compressed on a slow link. ``codec`` may
         be ``None`` for encodings that need none, and not otherwise. ``priority`` is a lane, 0 to 7; left out, what is
         small goes in lane 1 and the rest in lane 4.

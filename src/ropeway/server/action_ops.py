@@ -22,9 +22,10 @@ from ropeway.graph.base import resolve_name
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ClientGoal, Goal, GoalStatus, Outcome
 from ropeway.limits import ACTIONS_PER_CLIENT, GOALS_PER_CLIENT, UNREAD_STATUS_BYTES
 from ropeway.server.action_offers import OfferedAction, TakenGoal
-from ropeway.server.bodies import codec_of, decode_args, failure_note, passage, text_of, type_of
+from ropeway.server.bodies import answer_encoding, codec_of, decode_args, failure_note, passage, text_of, type_of
 from ropeway.tasks import end
 from ropeway.wire import ops
+from ropeway.wire.dialect import ROSGW
 
 if TYPE_CHECKING:
     from ropeway.server.session import Session
@@ -225,7 +226,7 @@ class SentGoal:
         payload = decode_args(session, op.args, op.compression, type + "_Goal")
         op.args = None  # in CDR it takes least
         codecs = [codec_of(session, type + part) for part in ("_Result", "_Feedback")]
-        encoding = str(extra.get("encoding") or "auto")
+        encoding = answer_encoding(session, op)
         client = await session.view.create_action_client(name, type)
         try:
             goal = await client.send_goal(
@@ -244,7 +245,7 @@ class SentGoal:
 
     def _feedback(self, payload: bytes, codec: Any, encoding: str) -> None:
         op, session = self.op, self._session
-        if not op.feedback:
+        if not op.feedback and session.peer.dialect is not ROSGW:  # which does not ask, and wants it
             return
         if session.peer.connection.unsent_bytes > UNREAD_STATUS_BYTES:
             session.peer.complaints.note("action_feedback", op.action, "feedback is not read")

@@ -14,8 +14,9 @@ from ropeway.wire.dialect import ROSBRIDGE
 if TYPE_CHECKING:
     from ropeway.server.session import Session
     from ropeway.types import MessageCodec
+    from ropeway.wire import ops
 
-__all__ = ["codec_of", "decode_args", "decode_body", "failure_note", "passage", "text_of", "type_of"]
+__all__ = ["answer_encoding", "codec_of", "decode_args", "decode_body", "failure_note", "passage", "text_of", "type_of"]
 
 
 def type_of(session: Session, name: str, kind: str) -> str:
@@ -70,6 +71,13 @@ def decode_args(session: Session, value: Any, compression: str | None, type: str
     if session.peer.dialect is ROSBRIDGE and not isinstance(value, (dict, list)):
         value = None
     return decode_body(session, value, compression, type)
+
+
+def answer_encoding(session: Session, op: ops.CallService | ops.SendActionGoal) -> str:
+    """Return the encoding that a client asked for its answers to be in."""
+    if session.gateway:
+        return str((op.ropeway or {}).get("encoding") or "auto")
+    return op.compression or "none"
 
 
 def text_of(error: Exception) -> str:

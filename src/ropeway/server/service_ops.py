@@ -25,7 +25,16 @@ from ropeway.graph.base import Delivery, resolve_name
 from ropeway.graph.calls import Request
 from ropeway.graph.rosbridge.notes import call_note, received
 from ropeway.limits import CALLS_PER_CLIENT, CALLS_PER_OFFERED_SERVICE, LONGEST_CALL_S, SERVICES_PER_CLIENT
-from ropeway.server.bodies import codec_of, decode_args, decode_body, failure_note, passage, text_of, type_of
+from ropeway.server.bodies import (
+    answer_encoding,
+    codec_of,
+    decode_args,
+    decode_body,
+    failure_note,
+    passage,
+    text_of,
+    type_of,
+)
 from ropeway.tasks import end
 from ropeway.wire import ops
 
@@ -128,7 +137,7 @@ class ServiceOps:
             payload=response,
             field="values",
             codec=codec,
-            encoding=str(extra.get("encoding") or "auto"),
+            encoding=answer_encoding(session, op),
             fragment_size=op.fragment_size,
             on_unsent=partial(self.refuse, op),
         )

@@ -173,6 +173,7 @@ class TopicOps:
         early = known is not None and (known.topic, known.type) == (op.topic, type)
         topic = known if known is not None and early else TopicIn(session, op.topic, type, op.compression)
         topic.number = number
+        topic.unique = (op.ropeway or {}).get("unique_ids") is True
         publisher = await session.view.create_publisher(name, type, qos)
         topic.name = publisher.topic
         _add(topic.ids, op.id)

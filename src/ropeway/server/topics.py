@@ -11,12 +11,13 @@ from ropeway.bridge.meter import Meter
 from ropeway.bridge.pipeline import Drop, RateLimit
 from ropeway.errors import MessageTooBig, TypesError
 from ropeway.graph.base import SEQ_NONE, Sample, new_origin
-from ropeway.limits import LONGEST_THROTTLE_MS, QOS_DEPTH_SAMPLES
+from ropeway.limits import LONGEST_THROTTLE_MS, QOS_DEPTH_SAMPLES, REMEMBERED_PUBLISH_IDS
 from ropeway.link.outbox import Lost
 from ropeway.qos import QoS
 from ropeway.server.throttle import Throttle
 from ropeway.wire import codec as wire_codec
 from ropeway.wire import ops
+from ropeway.wire.dialect import ROSGW
 from ropeway.wire.records import Arrival
 
 if TYPE_CHECKING:
@@ -50,6 +51,8 @@ class TopicIn:
         self.session, self.topic, self.type, self.compression = session, topic, type, compression
         self.name = ""  # on the graph, once it is published there
         self.ids: set[str] = set()
+        self.unique = False  # the client asked that a message whose id came before be dropped
+        self._ids_seen: dict[int, None] = {}
         self.publisher: Publisher | None = None
         self.meter = Meter()
         self.number: int | None = None
@@ -85,6 +88,9 @@ class TopicIn:
 
     def published(self, op: ops.Publish) -> None:
         """A message came as a plain ``publish``. Raises ``TypesError``."""
+        if ops.present(op.id) and self._unique(op) and not self._is_new(op.id):
+            self.lost[Lost.REPEATED] += 1
+            return
         compression = op.compression or self.compression
         raw = compression in ("cbor-raw", "rawzip")
         peer = self.session.peer
@@ -92,6 +98,19 @@ class TopicIn:
             op.msg, compression, None if raw else self.codec(), limit_bytes=peer.limit_bytes
         )
         self._publish(Sample(payload, self.type, self.session.clock(), self._origin, SEQ_NONE))
+
+    def _unique(self, op: ops.Publish) -> bool:
+        """Return whether the id of a message says which one it is: gateways of the older kind mean that, others ask."""
+        return self.unique or self.session.peer.dialect is ROSGW or (op.ropeway or {}).get("unique_ids") is True
+
+    def _is_new(self, id: object) -> bool:
+        key = hash(repr(id))
+        if key in self._ids_seen:
+            return False
+        self._ids_seen[key] = None
+        if len(self._ids_seen) > REMEMBERED_PUBLISH_IDS:
+            del self._ids_seen[next(iter(self._ids_seen))]
+        return True
 
     def arrived(self, arrivals: Sequence[Arrival]) -> None:
         """Messages came in records."""

@@ -34,15 +34,17 @@ class Dialect:
     """What a peer understands.
 
     ``subscribe`` and ``publish`` are the encodings in which it may be sent what it subscribed to, and in which it
-    takes what is published to it. ``tagged``: typed arrays in CBOR carry RFC 8746 tags (otherwise they are bare
-    byte strings). ``names_compression``: a message names its encoding under ``compression``. ``fragments``: it puts
-    ``fragment`` operations together. ``cancels``: it knows ``cancel_action_goal``. ``records``: binary frames are
-    ``ropeway.wire.records``.
+    takes what is published to it. ``bodies`` are the binary ones that it may ask for with the ``compression`` of a
+    request, of a goal, or of a service or action that it offers. ``tagged``: typed arrays in CBOR carry RFC 8746 tags
+    (otherwise they are bare byte strings). ``names_compression``: a message names its encoding under ``compression``.
+    ``fragments``: it puts ``fragment`` operations together. ``cancels``: it knows ``cancel_action_goal``. ``records``:
+    binary frames are ``ropeway.wire.records``.
     """
 
     name: str
     subscribe: frozenset[str]
     publish: frozenset[str]
+    bodies: frozenset[str]
     tagged: bool = True
     names_compression: bool = False
     fragments: bool = True
@@ -57,26 +59,34 @@ _ROSGW_ENCODINGS: Final = frozenset(("none", "cbor", "cbor-raw", "zip", "rawzip"
 _ALL: Final = _ROSGW_ENCODINGS | {"png", "zstd"}
 
 ROSBRIDGE: Final = Dialect(
-    "rosbridge", subscribe=frozenset(("none", "png", "cbor", "cbor-raw")), publish=frozenset(("none",))
+    "rosbridge",
+    subscribe=frozenset(("none", "png", "cbor", "cbor-raw")),
+    publish=frozenset(("none",)),
+    bodies=frozenset(("cbor", "cbor-raw")),
 )
 ROSGW: Final = Dialect(
     "rosgw",
     subscribe=_ROSGW_ENCODINGS,
     publish=_ROSGW_ENCODINGS,
+    bodies=_ROSGW_ENCODINGS - {"none"},
     tagged=False,
     names_compression=True,
     fragments=False,
     cancels=False,
 )
-ROPEWAY: Final = Dialect("ropeway", subscribe=_ALL, publish=_ALL, names_compression=True, records=True)
+ROPEWAY: Final = Dialect(
+    "ropeway", subscribe=_ALL, publish=_ALL, bodies=frozenset(), names_compression=True, records=True
+)
 
 DIALECTS: Final = {dialect.name: dialect for dialect in (ROSBRIDGE, ROSGW, ROPEWAY)}
 
 _ROSBRIDGE_SERVERS: Final = ("tornado", "autobahn", "websocket++")
 
-# rosgw numbers its requests below 32 hexadecimal digits that name its bridge; no client library does
+# rosgw numbers its requests below 32 hexadecimal digits that name its bridge, and its calls and goals are such digits;
+# no client library does either
 _ROSGW_ID: Final = re.compile(
     r"(?:un)?(?:advertise|subscribe):[0-9a-f]{32}:\d+|(?:expose|del)(?:srv|act):[0-9a-f]{32}:\d+"
+    r"|(?:svc|act):[0-9a-f]{32}"
 )
 _ROSGW_ONLY: Final = frozenset(("zip", "rawzip"))
 

@@ -21,7 +21,7 @@ from ropeway.errors import (
 )
 from ropeway.graph.base import Delivery, Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Goal, GoalStatus, Outcome
-from ropeway.graph.rosbridge.calls import lane
+from ropeway.graph.rosbridge.calls import lane, travelling
 from ropeway.graph.rosbridge.notes import call_note, received
 from ropeway.tasks import end
 from ropeway.wire import ops
@@ -185,6 +185,11 @@ class RemoteActionClient:
         """As the far gateway shows it; false with the link down, ``None`` if the peer does not tell."""
         return False if self.closed else self.calls.available("action", self.action)
 
+    @property
+    def encoding(self) -> str:
+        """In what goals travel: a plain server has named no encoding."""
+        return travelling(self.delivery, self.calls.peer, None)
+
     async def wait_available(self, timeout_s: float) -> bool:
         """See ``ActionClient``."""
         return await self.calls.wait_available(self, timeout_s)
@@ -256,7 +261,7 @@ class RemoteActionClient:
                 payload=goal.payload,
                 field="args",
                 codec=calls.codec(f"{self.type}_Goal"),
-                encoding=self.delivery.encoding,
+                encoding=self.encoding,
                 priority=lane(self.delivery),
                 on_unsent=made.refuse,
             )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway.errors import GraphUnavailable, InvalidName, RopewayError, UnknownType
 from ropeway.graph.base import NO_HINTS, Delivery, Undelivered
+from ropeway.graph.rosbridge.notes import read_note
 from ropeway.wire import ops
 from ropeway.wire.dialect import ROPEWAY
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from ropeway.link.peer import Peer
     from ropeway.types import MessageCodec
 
-__all__ = ["Calls", "RemoteCaller", "lane"]
+__all__ = ["Calls", "RemoteCaller", "announced", "answer_encoding", "lane", "travelling"]
 
 _NOBODY_S: Final = 1.0  # where nobody can tell who serves what, a call that is not served is tried again for so long
 _RETRY_S: Final = 0.25
@@ -272,6 +273,28 @@ class Calls:
         return False
 
 
+def announced(delivery: Delivery, peer: Peer) -> str | None:
+    """Return the encoding to name when something is offered to a peer: what it may send requests in."""
+    dialect, encoding = peer.dialect, delivery.encoding
+    known = dialect is ROPEWAY or encoding in dialect.bodies
+    return encoding if dialect.names_compression and known and encoding != "auto" else None
+
+
+def answer_encoding(delivery: Delivery, peer: Peer, op: ops.CallService | ops.SendActionGoal) -> str:
+    """Return the encoding for answers to a request: what the peer asked for, or between gateways what is configured."""
+    if peer.dialect is not ROPEWAY:
+        return op.compression or "none"
+    wanted = read_note(op.ropeway).encoding
+    return delivery.encoding if wanted == "auto" else wanted
+
+
 def lane(delivery: Delivery) -> int | None:
     """The priority of calls: what was configured, or what fits their size."""
     return None if delivery.priority == NO_HINTS.priority else delivery.priority
+
+
+def travelling(delivery: Delivery, peer: Peer | None, asked: str | None) -> str:
+    """Return the encoding in which bodies travel: as configured between gateways, else as the peer ``asked`` for."""
+    if peer is None or peer.dialect is ROPEWAY:
+        return delivery.encoding
+    return asked if asked in peer.dialect.bodies else "none"

@@ -16,7 +16,7 @@ from ropeway.link.outbox import Lost
 from ropeway.qos import DEFAULT, QoS
 from ropeway.wire import codec as wire_codec
 from ropeway.wire import ops
-from ropeway.wire.dialect import ROPEWAY, ROSGW
+from ropeway.wire.dialect import ROPEWAY, ROSBRIDGE, ROSGW
 from ropeway.wire.records import Arrival
 
 if TYPE_CHECKING:
@@ -217,7 +217,7 @@ class RemoteSubscription:
         self._plain_origin = new_origin()
         self._plain_seq = 0
         self._peer: Peer | None = None
-        self._encoding = "none"
+        self.used = "none"  # the encoding of the last message, or what is asked for
         self.closed = False
 
     @property
@@ -261,7 +261,7 @@ class RemoteSubscription:
                 extra["want_definition"] = True
         elif encoding in ("auto", "zstd"):
             encoding = "cbor-raw"
-        self._encoding = encoding
+        self.used = encoding
         depth = queue_depth(delivery, self._qos)
         peer.send(
             ops.Subscribe(
@@ -296,6 +296,7 @@ class RemoteSubscription:
                 except (TypesError, MessageTooBig) as error:
                     self._undecodable(error)
                     continue
+            self.used = wire_codec.encoding_name(arrival.encoding)
             sent = arrival.stamp_ns - offset if arrival.stamp_ns and offset is not None else 0
             batch.append(Sample(payload, self.type, now, arrival.origin, arrival.seq, arrival.relayed, sent))
         self._deliver(batch)
@@ -312,6 +313,7 @@ class RemoteSubscription:
         except (TypesError, MessageTooBig) as error:
             self._undecodable(error)
             return
+        self.used = _encoding_of(op, self.used)
         echo = self.graph.echoes.get(self.topic)
         if echo is not None and echo.echoes(payload):
             return
@@ -365,3 +367,13 @@ def queue_depth(delivery: Delivery, qos: QoS) -> int | None:
     if qos.history == "keep_all" and qos.reliable:
         return None
     return max(qos.depth, 1)
+
+
+def _encoding_of(op: ops.Publish, asked: str) -> str:
+    """Return the encoding of a message that came; plain servers need not name it, and take unknown ones for none."""
+    if op.compression is not None:
+        return op.compression
+    raw = op.msg.get("bytes") if isinstance(op.msg, dict) else op.msg
+    if isinstance(raw, bytes):
+        return "cbor-raw"
+    return asked if asked in ROSBRIDGE.subscribe - {"cbor-raw"} else "none"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from ropeway.errors import CallFailed, GoalRejected, LinkError, ProviderLost, RopewayError
 from ropeway.graph.base import Delivery, Undelivered
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, ServerGoal
-from ropeway.graph.rosbridge.calls import lane
+from ropeway.graph.rosbridge.calls import announced, answer_encoding, lane, travelling
 from ropeway.graph.rosbridge.notes import failure, read_note
 from ropeway.graph.rosbridge.services import CALLS_LIMIT, Held
 from ropeway.tasks import end
@@ -51,8 +51,14 @@ class RemoteActionServer:
         self.closed = False
         self._calls, self._handlers = calls, handlers
         self._peer: Peer | None = None
+        self._asked: str | None = None  # the encoding that the last goal asked for
         self._goals: dict[str, _Goal] = {}
         self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def encoding(self) -> str:
+        """In what feedback and results travel."""
+        return travelling(self.delivery, self._peer, self._asked)
 
     @property
     def refused(self) -> str:
@@ -74,13 +80,12 @@ class RemoteActionServer:
                 registry.codec(f"{self.type}_{part}")
         self._peer = peer
         self.held.tell("")
-        encoding = self.delivery.encoding
         peer.send(
             ops.AdvertiseAction(
                 id=self.id,
                 action=self.action,
                 type=self.type,
-                compression=encoding if gateway and encoding != "auto" else None,
+                compression=announced(self.delivery, peer),
                 ropeway=(self._calls.graph.type_note(self.type) or None) if gateway else None,
             )
         )
@@ -97,6 +102,7 @@ class RemoteActionServer:
 
     def asked(self, op: ops.SendActionGoal, peer: Peer) -> None:
         """A goal came."""
+        self._asked = op.compression
         goal = _Goal(op, peer, repr(op.id))
         if goal.key in self._goals or len(self._goals) >= CALLS_LIMIT:
             reason = "works at it already" if goal.key in self._goals else f"is busy with {CALLS_LIMIT} goals"
@@ -183,17 +189,13 @@ class RemoteActionServer:
                 payload=payload,
                 field="values",
                 codec=self._calls.codec(f"{self.type}_Feedback"),
-                encoding=self._encoding(goal),
+                encoding=answer_encoding(self.delivery, peer, goal.op),
                 priority=lane(self.delivery),
             )
         except RopewayError as error:
             reason = Undelivered.WRITE if isinstance(error, LinkError) else Undelivered.ENCODE
             self._calls.graph.drops[self.action, reason] += 1
             peer.complaints.note("feedback", self.action, error)
-
-    def _encoding(self, goal: _Goal) -> str:
-        wanted = read_note(goal.op.ropeway).encoding
-        return self.delivery.encoding if wanted == "auto" else wanted
 
     def _end(self, goal: _Goal, outcome: Outcome) -> None:
         if goal.ended:
@@ -208,7 +210,7 @@ class RemoteActionServer:
                 payload=outcome.payload,
                 field="values",
                 codec=self._calls.codec(f"{self.type}_Result"),
-                encoding=self._encoding(goal),
+                encoding=answer_encoding(self.delivery, goal.peer, goal.op),
                 priority=lane(self.delivery),
                 on_unsent=lambda error: self._end_empty(goal, GoalStatus.ABORTED, "failed", str(error)),
             )

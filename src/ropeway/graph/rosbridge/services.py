@@ -22,7 +22,7 @@ from ropeway.errors import (
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
 from ropeway.graph.direct import Running
-from ropeway.graph.rosbridge.calls import lane
+from ropeway.graph.rosbridge.calls import announced, answer_encoding, lane, travelling
 from ropeway.graph.rosbridge.notes import call_note, failure, read_note, received
 from ropeway.tasks import end
 from ropeway.wire import ops
@@ -85,6 +85,11 @@ class RemoteClient:
         """As the far gateway shows it; false with the link down, ``None`` if the peer does not tell."""
         return False if self.closed else self._calls.available("service", self.service)
 
+    @property
+    def encoding(self) -> str:
+        """In what requests travel: a plain server has named no encoding."""
+        return travelling(self.delivery, self._calls.peer, None)
+
     async def wait_available(self, timeout_s: float) -> bool:
         """See ``Client``."""
         return await self._calls.wait_available(self, timeout_s)
@@ -143,7 +148,7 @@ class RemoteClient:
                 payload=request.payload,
                 field="args",
                 codec=calls.codec(f"{self.type}_Request"),
-                encoding=self.delivery.encoding,
+                encoding=self.encoding,
                 priority=lane(self.delivery),
                 on_unsent=unsent,
             )
@@ -183,8 +188,14 @@ class RemoteService:
         self.closed = False
         self._calls, self._handler = calls, handler
         self._peer: Peer | None = None
+        self._asked: str | None = None  # the encoding that the last call asked for
         self._answering: set[asyncio.Task[None]] = set()
         self._known: OrderedDict[bytes, asyncio.Future[bytes]] = OrderedDict()
+
+    @property
+    def encoding(self) -> str:
+        """In what answers travel."""
+        return travelling(self.delivery, self._peer, self._asked)
 
     @property
     def refused(self) -> str:
@@ -204,13 +215,12 @@ class RemoteService:
             registry.codec(f"{self.type}_Response")
         self._peer = peer
         self.held.tell("")
-        encoding = self.delivery.encoding
         peer.send(
             ops.AdvertiseService(
                 id=self.id,
                 service=self.service,
                 type=self.type,
-                compression=encoding if gateway and encoding != "auto" else None,
+                compression=announced(self.delivery, peer),
                 ropeway=(self._calls.graph.type_note(self.type) or None) if gateway else None,
             )
         )
@@ -223,6 +233,7 @@ class RemoteService:
 
     def called(self, op: ops.CallService, peer: Peer) -> None:
         """A call came."""
+        self._asked = op.compression
         if len(self._answering) >= CALLS_LIMIT:
             self._fail(op, peer, CallFailed(self.service, f"{self.service} is busy with {CALLS_LIMIT} calls"))
             return
@@ -242,7 +253,7 @@ class RemoteService:
                 payload=response,
                 field="values",
                 codec=self._calls.codec(f"{self.type}_Response"),
-                encoding=self.delivery.encoding if note.encoding == "auto" else note.encoding,
+                encoding=answer_encoding(self.delivery, peer, op),
                 priority=lane(self.delivery),
                 on_unsent=lambda error: self._fail(op, peer, error),
             )
