@@ -219,3 +219,14 @@ OVERLAY_CRL_BYTES: Final = 4 << 20
 
 OVERLAY_REMEMBERED_BYTES: Final = 16 << 20
 """Answers of one service that are kept for requests that come twice."""
+
+# ── The log ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+LOG_BURST_LINES: Final = 60
+"""Lines that one place in the code may log at once; what peers do is logged by a few dozen places."""
+
+LOG_LINES_PER_S: Final = 0.2
+"""Lines that one place in the code may log on average; the next line tells how many were left out."""
+
+LOG_LINE_CHARACTERS: Final = 2_000
+"""A line of the log, but for tracebacks."""

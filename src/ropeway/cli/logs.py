@@ -8,6 +8,7 @@ import sys
 from typing import Final
 
 from ropeway.cli.console import fail
+from ropeway.logs import LimitedHandler
 
 __all__ = ["LEVELS", "set_up"]
 
@@ -20,7 +21,7 @@ def set_up(level: str) -> str:
         fail(f"{level!r} is no log level; use one of {', '.join(LEVELS)}", 2)
     under_systemd = "JOURNAL_STREAM" in os.environ  # the journal has its own clock
     text = "%(levelname)-7s %(message)s" if under_systemd else "%(asctime)s.%(msecs)03d %(levelname)-7s %(message)s"
-    handler = logging.StreamHandler(sys.stderr)
+    handler = LimitedHandler(sys.stderr)
     handler.setFormatter(logging.Formatter(text, "%H:%M:%S"))
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
     if level.lower() != "debug":

@@ -17,6 +17,7 @@ from typing import Any
 from ropeway.errors import ConfigError, RopewayError
 from ropeway.gateway.config import parse
 from ropeway.gateway.gateway import Gateway
+from ropeway.logs import LimitedHandler
 
 __all__ = ["main"]
 
@@ -66,7 +67,9 @@ async def _main() -> int:
     if not line:
         return 0  # a spare that was never needed
     order = json.loads(line)
-    logging.basicConfig(level=order.get("log_level", "INFO"), format=f"%(message)s [{order['node']}]")
+    handler = LimitedHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter(f"%(message)s [{order['node']}]"))
+    logging.basicConfig(level=order.get("log_level", "INFO"), handlers=[handler])
     return await _run(order, reader)
 
 

@@ -10,6 +10,7 @@ from typing import Final
 
 from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, ProviderLost, RopewayError
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
+from ropeway.logs import failed
 from ropeway.tasks import Interruptible, end
 
 __all__ = ["LEFT", "DirectGoal", "Running", "answer"]
@@ -73,7 +74,7 @@ async def answer(name: str, running: Running, work: Awaitable[bytes], timeout_s:
         if limit.expired():
             raise CallTimeout(name, timeout_s) from None
         if not isinstance(error, RopewayError):
-            log.exception("the handler of %s failed", name)
+            failed(log, "the handler of %s failed", name)
         raise CallFailed(name, str(error) or type(error).__name__) from error
 
 
@@ -110,7 +111,7 @@ class DirectGoal:
             raise
         except Exception as error:  # a handler is somebody else's code; its failure is the goal's
             if not isinstance(error, RopewayError):
-                log.exception("the handler of %s failed", self._action)
+                failed(log, "the handler of %s failed", self._action)
             outcome = Outcome(GoalStatus.ABORTED, None, str(error) or type(error).__name__)
         self._finish(outcome)
         return outcome

@@ -15,6 +15,7 @@ from dataclasses import replace
 from typing import Any, Final, Generic, Protocol, TypeVar
 
 from ropeway.graph.base import SEQ_NONE, Sample, SampleCallback, Undelivered
+from ropeway.logs import failed
 from ropeway.qos import DEFAULT, QoS
 
 __all__ = ["Following", "Host", "SharedReader", "settled"]
@@ -145,7 +146,7 @@ class Following(Generic[R]):
             self._callback(fresh)
         except Exception:
             self._graph.drops[self.topic, Undelivered.CALLBACK] += len(fresh)
-            log.exception("%s: a callback for %s failed", self._graph.name, self.topic)
+            failed(log, "%s: a callback for %s failed", self._graph.name, self.topic)
 
     async def close(self) -> None:
         """Stop reading."""

@@ -22,6 +22,7 @@ from ropeway.graph.calls import (
 from ropeway.graph.direct import DirectGoal
 from ropeway.graph.holders import Entry
 from ropeway.graph.hub_calls import NOBODY_S, either
+from ropeway.logs import failed
 from ropeway.tasks import describe, end
 
 if TYPE_CHECKING:
@@ -183,7 +184,7 @@ class _ViewGoal:
         except CallError as error:
             outcome = aborted(str(error))
         except Exception as error:  # of a graph: nobody shall wait for an outcome that does not come
-            log.exception("a goal of %s has no outcome", self._action)
+            failed(log, "a goal of %s has no outcome", self._action)
             outcome = aborted(describe(error))
         if not self.ended.done():
             self.ended.set_result(outcome)

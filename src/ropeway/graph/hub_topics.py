@@ -11,6 +11,7 @@ from ropeway.graph.base import SEQ_NONE, Publisher, Sample, SampleCallback, Subs
 from ropeway.graph.history import History
 from ropeway.graph.seen import Seen
 from ropeway.graph.standby import Standby
+from ropeway.logs import failed
 from ropeway.qos import DEFAULT, QoS, common_qos
 
 if TYPE_CHECKING:
@@ -213,7 +214,7 @@ class ViewSubscription:
             self._callback(batch)
         except Exception:  # a callback is somebody else's code; the others must not suffer
             self.view.drops[self.topic, Undelivered.CALLBACK] += len(batch)
-            log.exception("%s: a callback for %s failed", self.view.name, self.topic)
+            failed(log, "%s: a callback for %s failed", self.view.name, self.topic)
 
     async def close(self) -> None:
         """Stop reading."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from ropeway.graph.base import SEQ_NONE, Sample, SampleCallback, Undelivered, new_origin
 from ropeway.graph.history import History
+from ropeway.logs import failed
 from ropeway.qos import DEFAULT, QoS, common_qos
 
 if TYPE_CHECKING:
@@ -167,7 +168,7 @@ class MemorySubscription:
             self._callback(batch)
         except Exception:
             self.graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
-            log.exception("%s: a callback for %s failed", self.graph.name, self.topic)
+            failed(log, "%s: a callback for %s failed", self.graph.name, self.topic)
 
     async def close(self) -> None:
         """Stop reading."""

@@ -133,7 +133,8 @@ class ActionOps:
         if known is None and len(self.offered) >= ACTIONS_PER_CLIENT:
             raise InvalidOperation("", f"a client may have {ACTIONS_PER_CLIENT} actions at most")
         if known is not None:
-            log.warning("%s: Duplicate action advertised. Overwriting %s.", session.peer.connection.peer, op.action)
+            text = f"Duplicate action advertised. Overwriting {op.action}."
+            session.complain("advertise_action", op.action, text, op.id)
             if known.type == type:  # the name stays taken meanwhile
                 known.restart(op)
                 return

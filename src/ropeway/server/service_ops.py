@@ -218,7 +218,8 @@ class ServiceOps:
         if known is None and len(self.offered) >= SERVICES_PER_CLIENT:
             raise InvalidOperation("", f"a client may have {SERVICES_PER_CLIENT} services at most")
         if known is not None:
-            log.warning("%s: Duplicate service advertised. Overwriting %s.", session.peer.connection.peer, op.service)
+            text = f"Duplicate service advertised. Overwriting {op.service}."
+            session.complain("advertise_service", op.service, text, op.id)
             if known.type == type:  # the name stays taken meanwhile
                 known.restart(op)
                 return

@@ -17,6 +17,7 @@ from ropeway.graph.dds.records import Peer
 from ropeway.graph.dds.rpc import MAX_SEQ, Header, join, split
 from ropeway.graph.dds.vendors import speaks_header, vendor_name
 from ropeway.graph.dds.window import Window
+from ropeway.logs import failed
 from ropeway.tasks import end
 
 if TYPE_CHECKING:
@@ -256,7 +257,7 @@ class DdsClient(Ends):
             except GraphUnavailable:
                 pass
             except Exception:  # what had arrived cannot be read; the calls fail all the same
-                log.exception("%s: reading answers of %s failed", self._graph.name, self.service)
+                failed(log, "%s: reading answers of %s failed", self._graph.name, self.service)
             for call in self._calls.values():
                 call.servers -= lost
                 if not call.servers:

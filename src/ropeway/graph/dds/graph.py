@@ -41,6 +41,7 @@ from ropeway.graph.dds.records import Discovered
 from ropeway.graph.dds.service import DdsService
 from ropeway.graph.dds.subscription import DdsSubscription, SharedReader, settled
 from ropeway.graph.dds.vendors import Helper
+from ropeway.logs import failed
 from ropeway.qos import DEFAULT, QoS, common_qos
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
@@ -304,7 +305,7 @@ class DdsGraph:
             callback(value)
         except Exception:
             self.drops[topic, Undelivered.CALLBACK] += 1
-            log.exception("%s: a callback for %s failed", self.name, topic)
+            failed(log, "%s: a callback for %s failed", self.name, topic)
 
     def attach(self, subscription: DdsSubscription, qos: QoS) -> SharedReader:
         """A reader for ``subscription``: with others where samples are volatile, its own where history is replayed."""

@@ -17,6 +17,7 @@ from ropeway.graph.dds.pace import Pace
 from ropeway.graph.dds.records import Peer
 from ropeway.graph.dds.rpc import Header, join, split
 from ropeway.graph.dds.vendors import speaks_header, vendor_name
+from ropeway.logs import failed
 from ropeway.tasks import end
 
 if TYPE_CHECKING:
@@ -196,7 +197,7 @@ class DdsService(Ends):
         except Exception as error:
             text = str(error) or type(error).__name__
             self._graph.drops[self.service, Undelivered.CALLBACK] += 1
-            log.exception("%s: the handler of %s failed", self._graph.name, self.service)
+            failed(log, "%s: the handler of %s failed", self._graph.name, self.service)
         return self._failure(text)
 
     def _failure(self, text: str) -> bytes:

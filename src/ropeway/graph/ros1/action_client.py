@@ -34,6 +34,7 @@ from ropeway.graph.ros1.action_wire import (
     read_statuses,
 )
 from ropeway.graph.ros1.writer import RawPublisher
+from ropeway.logs import failed
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.keeper import Keeper
@@ -332,7 +333,7 @@ class Ros1ActionClient:
             goal.on_feedback(payload)
         except Exception:  # a callback is somebody else's code
             self._lost("feedback", Undelivered.CALLBACK)
-            log.exception("%s: a callback for feedback of %s failed", self._node.graph, self.action)
+            failed(log, "%s: a callback for feedback of %s failed", self._node.graph, self.action)
 
     def _lost(self, topic: str, why: Undelivered) -> None:
         self._node.drops[f"{self.action}/{topic}", why] += 1

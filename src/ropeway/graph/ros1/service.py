@@ -15,6 +15,7 @@ from ropeway.graph.calls import Request, ServiceHandler
 from ropeway.graph.ros1.convert import Converter
 from ropeway.graph.ros1.tcpros import Connection
 from ropeway.graph.ros1.types import ANY
+from ropeway.logs import failed
 from ropeway.tasks import describe, end
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ class _Caller:
                 if not self._persistent:
                     self._waiting.clear()
         except Exception as error:  # nobody shall wait for an answer that does not come
-            log.exception("%s: a call of %s failed", self._door.node.graph, self.service.service)
+            failed(log, "%s: a call of %s failed", self._door.node.graph, self.service.service)
             self.connection.abort(describe(error))
         finally:
             self._work = None
@@ -90,7 +91,7 @@ class _Caller:
             return False, str(error).encode()
         except Exception as error:  # a handler is somebody else's code; its failure is this call's
             if not isinstance(error, RopewayError):
-                log.exception("the handler of %s failed", service.service)
+                failed(log, "the handler of %s failed", service.service)
             return False, (str(error) or type(error).__name__).encode()
 
     async def close(self) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from ropeway.graph.base import SampleCallback, Undelivered
 from ropeway.graph.ros1.reader import Batch, TopicReader
+from ropeway.logs import failed
 from ropeway.qos import DEFAULT, LATCHED, QoS, common_qos
 
 __all__ = ["Ros1Subscription"]
@@ -71,7 +72,7 @@ class Ros1Subscription:
         except Exception:  # a callback is somebody else's code
             node = self._reader.node
             node.drops[self.topic, Undelivered.CALLBACK] += len(samples)
-            log.exception("%s: a callback for %s failed", node.graph, self.topic)
+            failed(log, "%s: a callback for %s failed", node.graph, self.topic)
 
     async def close(self) -> None:
         """Stop reading."""

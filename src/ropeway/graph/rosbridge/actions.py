@@ -23,6 +23,7 @@ from ropeway.graph.base import Delivery, Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Goal, GoalStatus, Outcome
 from ropeway.graph.rosbridge.calls import lane, travelling
 from ropeway.graph.rosbridge.notes import call_note, received
+from ropeway.logs import failed
 from ropeway.tasks import end
 from ropeway.wire import ops
 from ropeway.wire.codec import decode_value
@@ -95,7 +96,7 @@ class RemoteGoal:
             on_feedback(payload)
         except Exception:  # a callback is somebody else's code; the connection must not suffer
             client.calls.graph.drops[client.action, Undelivered.CALLBACK] += 1
-            log.exception("%s: a callback for feedback of %s failed", client.calls.graph.name, client.action)
+            failed(log, "%s: a callback for feedback of %s failed", client.calls.graph.name, client.action)
 
     def ended(self, op: ops.ActionResult) -> None:
         """The result came."""

@@ -13,6 +13,7 @@ from ropeway.graph.answer import Answers
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample, SampleCallback, Undelivered, new_origin
 from ropeway.graph.history import History
 from ropeway.link.outbox import Lost
+from ropeway.logs import failed
 from ropeway.qos import DEFAULT, QoS
 from ropeway.wire import codec as wire_codec
 from ropeway.wire import ops
@@ -346,7 +347,7 @@ class RemoteSubscription:
             self._callback(batch)
         except Exception:  # a callback is somebody else's code; the connection must not suffer
             self.graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
-            log.exception("%s: a callback for %s failed", self.graph.name, self.topic)
+            failed(log, "%s: a callback for %s failed", self.graph.name, self.topic)
 
     async def close(self) -> None:
         """Stop reading."""

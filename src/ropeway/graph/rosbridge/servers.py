@@ -13,6 +13,7 @@ from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, ServerGoal
 from ropeway.graph.rosbridge.calls import announced, answer_encoding, lane, travelling
 from ropeway.graph.rosbridge.notes import failure, read_note
 from ropeway.graph.rosbridge.services import CALLS_LIMIT, Held
+from ropeway.logs import failed
 from ropeway.tasks import end
 from ropeway.wire import ops
 from ropeway.wire.codec import decode_value
@@ -134,7 +135,7 @@ class RemoteActionServer:
         except RopewayError as error:
             self._fail(goal, error)
         except Exception as error:  # a handler is somebody else's code; its failure is the goal's
-            log.exception("%s: the handler of %s failed", self._calls.graph.name, self.action)
+            failed(log, "%s: the handler of %s failed", self._calls.graph.name, self.action)
             self._fail(goal, error)
         else:
             self._end(goal, outcome)
@@ -174,7 +175,7 @@ class RemoteActionServer:
         except RopewayError as error:
             log.warning("%s: a goal of %s is not cancelled: %s", self._calls.graph.name, self.action, error)
         except Exception:  # a handler is somebody else's code
-            log.exception("%s: the handler of %s failed", self._calls.graph.name, self.action)
+            failed(log, "%s: the handler of %s failed", self._calls.graph.name, self.action)
         return False
 
     # ── what the peer is told ──────────────────────────────────────────────────────────────────────────────────

@@ -24,6 +24,7 @@ from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
 from ropeway.graph.direct import Running
 from ropeway.graph.rosbridge.calls import announced, answer_encoding, lane, travelling
 from ropeway.graph.rosbridge.notes import call_note, failure, read_note, received
+from ropeway.logs import failed
 from ropeway.tasks import end
 from ropeway.wire import ops
 from ropeway.wire.codec import decode_value
@@ -260,7 +261,7 @@ class RemoteService:
         except RopewayError as error:
             self._fail(op, peer, error)
         except Exception as error:  # a handler is somebody else's code; its failure is the call's
-            log.exception("%s: the handler of %s failed", self._calls.graph.name, self.service)
+            failed(log, "%s: the handler of %s failed", self._calls.graph.name, self.service)
             self._fail(op, peer, error)
 
     async def _once(self, request: Request) -> bytes:

@@ -27,6 +27,7 @@ from ropeway.graph.dds.fast.process import Helper, Unfit
 from ropeway.graph.dds.pace import Pace
 from ropeway.graph.dds.profile import Profile
 from ropeway.graph.dds.window import Window
+from ropeway.logs import failed
 from ropeway.tasks import end
 
 __all__ = ["FastClient", "FastRpc", "FastService", "Surroundings"]
@@ -360,7 +361,7 @@ class FastService:
             log.warning("%s: %s: no answer to %s: %s", self._rpc.graph, self.service, request.caller or "a node", error)
             self._leave_out(number, Undelivered.DECODE if isinstance(error, TypesError) else Undelivered.CALLBACK)
         except Exception:
-            log.exception("%s: the handler of %s failed", self._rpc.graph, self.service)
+            failed(log, "%s: the handler of %s failed", self._rpc.graph, self.service)
             self._leave_out(number, Undelivered.CALLBACK)
         else:
             await pace.turn()
