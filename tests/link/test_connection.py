@@ -111,28 +111,22 @@ async def test_messages(place: Place) -> None:
 
 
 async def test_holding_back(place: Place) -> None:
-    """A connection whose peer does not read says so, and says again when it can take more; its pace is then known."""
+    """A connection whose peer does not read says so, and says again when it can take more."""
     await place.listen(Limits(ping_interval_s=None))
     client, far = await place.client()
     connection = far.connection
-    assert connection.flow.pace.bytes_per_s is None
-    for fast in (False, True):
-        assert connection.flow.window is not None
-        if fast:
-            connection.flow.window.release()  # all that the operating system takes may be on the way
+    for _ in range(3):
         sent = 0
         while connection.writable:
             connection.send_binary(bytes(65536))
             sent += 65536
             assert sent < 64 << 20
-        assert bool(connection.unsent_bytes) == fast
+        assert connection.unsent_bytes == 0, "what waits can still be replaced"
         before = far.writables
         while sent > 0:
             sent -= len((await client.receive()).data)
         await until(lambda: connection.writable)
-        assert far.writables == before + 1
-        assert connection.unsent_bytes == 0
-    assert connection.flow.pace.bytes_per_s is not None
+        assert far.writables > before
 
 
 async def test_not_reading(place: Place) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ropeway.link.outbox import FRESH_BYTES, Lost, Outbox, Queue
+from ropeway.link.outbox import FRESH_BYTES, SMALL_BYTES, Lost, Outbox, Queue
 
 
 @dataclass
@@ -19,7 +19,10 @@ def drain(outbox: Outbox[Message], now_ns: int = 0) -> list[bytes]:
         for lane in outbox.lanes():
             taken = outbox.take(lane, now_ns)
             if taken is not None:
-                out.append(taken[1].payload)
+                queue, message = taken
+                out.append(message.payload)
+                outbox.served(queue, len(message.payload))
+                outbox.done(queue)
                 break
         else:
             return out
@@ -144,4 +147,97 @@ def test_a_replaced_message_keeps_its_turn() -> None:
         taken = outbox.take(4, 0)
         assert taken is not None
         sent.append(taken[1].payload)
+        outbox.served(taken[0], 1)
+        outbox.done(taken[0])
     assert sent == [b"a", b"b"] * 10
+
+
+def test_topics_share_by_bytes() -> None:
+    """A topic with small messages gets as many bytes as one with large ones, and each by its weight."""
+    outbox: Outbox[Message] = Outbox()
+    images: Queue[Message] = outbox.open(Queue("images"))
+    scans: Queue[Message] = outbox.open(Queue("scans", depth=None, limit_bytes=1 << 30))
+    heavy: Queue[Message] = outbox.open(Queue("heavy", weight=2.0))
+    sent = dict.fromkeys((images, scans, heavy), 0)
+    for _ in range(1000):
+        outbox.put(scans, Message(b"s" * 1000))
+    for _ in range(300):
+        for queue in (images, heavy):
+            if not queue.waiting:
+                outbox.put(queue, Message(b"i" * 30_000))
+        taken = outbox.take(4, 0)
+        assert taken is not None
+        queue, message = taken
+        sent[queue] += len(message.payload)
+        outbox.served(queue, len(message.payload))
+        outbox.done(queue)
+    assert abs(sent[images] - sent[scans]) <= 30_000
+    assert abs(sent[heavy] - 2 * sent[images]) <= 90_000
+
+
+def test_a_topic_within_its_share_gets_all_it_asks_for() -> None:
+    """A small message goes before the images of its lane that wait, and overtakes the one that is under way."""
+    outbox: Outbox[Message] = Outbox()
+    colour: Queue[Message] = outbox.open(Queue("colour"))
+    depth: Queue[Message] = outbox.open(Queue("depth"))
+    command: Queue[Message] = outbox.open(Queue("command", depth=10))
+    for round_ in range(20):
+        outbox.put(colour, Message(b"c" * 300_000))
+        outbox.put(depth, Message(b"d" * 200_000))
+        taken = outbox.take(4, 0)
+        assert taken is not None
+        image = taken[0]
+        for _ in range(len(taken[1].payload) // 4000):
+            outbox.put(command, Message(b"x" * 100))
+            outbox.served(image, 4000)
+            assert outbox.overtakes(4, image), round_
+            found = outbox.take(4, 0, small=True)
+            assert found is not None
+            assert found[0] is command
+            outbox.served(command, 100)
+            outbox.done(command)
+            assert not outbox.overtakes(4, image)
+        outbox.done(image)
+    assert not command.lost
+
+
+def test_a_flood_of_small_messages_leaves_the_large_ones_their_share() -> None:
+    """Small messages overtake a large one only until their topic has had as many bytes."""
+    outbox: Outbox[Message] = Outbox()
+    image: Queue[Message] = outbox.open(Queue("image"))
+    flood: Queue[Message] = outbox.open(Queue("flood", depth=None, limit_bytes=1 << 30))
+    outbox.put(image, Message(b"i" * 1_000_000))
+    taken = outbox.take(4, 0)
+    assert taken is not None
+    for _ in range(1000):
+        outbox.put(flood, Message(b"f" * SMALL_BYTES))
+    left, between = 1_000_000, 0
+    while left > 0:
+        if outbox.overtakes(4, image):
+            small = outbox.take(4, 0, small=True)
+            assert small is not None
+            outbox.served(flood, SMALL_BYTES)
+            outbox.done(flood)
+            between += SMALL_BYTES
+        else:
+            outbox.served(image, 4000)
+            left -= 4000
+    assert 900_000 < between < 1_100_000
+
+
+def test_a_topic_under_way_has_no_second_turn() -> None:
+    """Of a topic whose message is being sent nothing else is taken, and what waits has its turn afterwards."""
+    outbox: Outbox[Message] = Outbox()
+    queue: Queue[Message] = outbox.open(Queue("t", depth=10))
+    for i in range(2):
+        outbox.put(queue, Message(b"%d" % i))
+    assert outbox.take(4, 0) is not None
+    assert outbox.take(4, 0) is None
+    assert list(outbox.lanes()) == []
+    outbox.done(queue)
+    assert drain(outbox) == [b"1"]
+    outbox.put(queue, Message(b"2"))
+    assert outbox.take(4, 0) is not None
+    outbox.close(queue)
+    outbox.done(queue)
+    outbox.put(queue, Message(b"3"))

@@ -17,31 +17,59 @@ class Clock:
 
 
 def paced(clock: Clock, bytes_per_s: float, size: int = 300_000) -> Pace:
-    pace = Pace(clock)
+    pace = Pace()
     for _ in range(10):
         pace.carried(size, size / bytes_per_s)
     return pace
 
 
-def test_unknown_until_busy() -> None:
-    """A link that never held anything back has no known pace."""
-    assert Pace().bytes_per_s is None
+def rows(pace: Pace, rate: float, size: int, *, busy: bool, times: int = 1, begin_s: float = 0.0) -> float:
+    """Bursts of ``size`` bytes that arrive at ``rate``, 0.1 s apart; gives the time after them."""
+    now, delivered = begin_s, int(begin_s * 1e9)
+    for _ in range(times):
+        left = size
+        while left > 0:
+            step = min(left, max(int(rate * 0.002), 1500))
+            now += step / rate
+            delivered += step
+            left -= step
+            pace.observe(now, delivered, in_flight_bytes=left, busy=busy, segment_bytes=1448)
+        now += 0.1
+    return now
 
 
-def test_measures_a_busy_link() -> None:
-    """The pace is what the link carried away while it was busy."""
-    assert paced(Clock(), 12.5e6).bytes_per_s == pytest.approx(12.5e6)
+def test_unknown_at_first() -> None:
+    """Before anything was sent the pace of a link is unknown, and a few packets do not show it."""
+    pace = Pace()
+    assert pace.bytes_per_s is None
+    rows(pace, 1e6, 5000, busy=True)
+    assert pace.bytes_per_s is None
 
 
-def test_follows_a_change() -> None:
-    """After a few tenths of a busy second the pace is that of the link as it is now."""
-    pace = paced(Clock(), 12.5e6)
-    for _ in range(10):
-        pace.carried(100_000, 100_000 / 1.25e6)
-    assert pace.bytes_per_s == pytest.approx(1.25e6, rel=0.2)
-    for _ in range(100):
-        pace.carried(100_000, 100_000 / 125e6)
-    assert pace.bytes_per_s == pytest.approx(125e6, rel=0.7)
+@pytest.mark.parametrize("rate", [0.6e6, 2.5e6, 12.5e6])
+def test_bursts_show_the_pace(rate: float) -> None:
+    """Bursts show the pace of a link that is idle in between."""
+    pace = Pace()
+    rows(pace, rate, 300_000, busy=False, times=10)
+    assert pace.bytes_per_s == pytest.approx(rate, rel=0.1)
+
+
+def test_a_sender_that_sends_little_says_nothing_of_the_link() -> None:
+    """What arrives slowly because it was sent slowly does not lower the pace; on a busy link it does."""
+    pace = Pace()
+    now = rows(pace, 12.5e6, 300_000, busy=False, times=10)
+    now = rows(pace, 1e6, 300_000, busy=False, times=10, begin_s=now)
+    assert pace.bytes_per_s == pytest.approx(12.5e6, rel=0.1)
+    rows(pace, 1e6, 300_000, busy=True, times=10, begin_s=now)
+    assert pace.bytes_per_s == pytest.approx(1e6, rel=0.1)
+
+
+def test_a_faster_link_shows() -> None:
+    """A burst that arrives faster raises the pace, also of a link that is not busy."""
+    pace = Pace()
+    now = rows(pace, 1e6, 300_000, busy=True, times=10)
+    rows(pace, 12.5e6, 300_000, busy=False, times=10, begin_s=now)
+    assert pace.bytes_per_s == pytest.approx(12.5e6, rel=0.1)
 
 
 def test_raw_on_a_fast_link() -> None:
@@ -85,7 +113,7 @@ def test_raw_again_when_the_link_is_faster() -> None:
 def test_what_gets_through_decides(raw_hz: float, packed_hz: float, best: str) -> None:
     """While messages are lost, the encoding that really brings more through is used nearly all the time."""
     clock = Clock()
-    chooser = EncodingChooser(Pace(clock), clock)
+    chooser = EncodingChooser(Pace(), clock)
     chooser.ratio = 3.0
     sent = lost = 0.0
     used = []

@@ -21,7 +21,7 @@ from ropeway.budget import Budget
 from ropeway.limits import UNREAD_S, UNREAD_STATUS_BYTES
 from ropeway.link.flow import Flow
 from ropeway.link.http import Request
-from ropeway.link.window import tcp_info
+from ropeway.link.tcp import tcp_info
 from ropeway.tasks import describe
 
 __all__ = ["Connection", "Limits", "peer_address"]
@@ -115,7 +115,7 @@ class Connection(WSListener):
         self.bytes_out += size
         self.frames_out += 1
         transport.send(kind, data)
-        self.flow.sent()
+        self.flow.sent(size)
 
     @property
     def writable(self) -> bool:
@@ -297,7 +297,7 @@ class Connection(WSListener):
 
     def pause_writing(self) -> None:
         """Called by the transport when it holds bytes that the operating system did not take."""
-        self.flow.full(self.unsent_bytes)
+        self.flow.full()
 
     def resume_writing(self) -> None:
         """Called by the transport when the operating system took everything."""

@@ -1,115 +1,118 @@
-"""When a connection may send: not while the operating system is full, and not beyond the window."""
+"""When a connection may send: while its link has room, and the operating system takes what is given to it."""
 
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from ropeway.link.pace import Pace
-from ropeway.link.window import Window
+from ropeway.link.model import LinkModel
+from ropeway.link.tcp import Tcp
 
 __all__ = ["Flow"]
 
-_SHORTEST_LOOK_S: Final = 0.001
-_LONGEST_LOOK_S: Final = 0.05
-_LATE: Final = 0.3  # of the time: a look that came so late says nothing of the link
-_LATE_LOOKS: Final = 3  # in a row: then more must be on the way while we do other things
-_FASTER: Final = 1.25  # a wider window that brings so much more shows that the link has room
+_WATCHED_BYTES: Final = 16 * 1024  # so much on the way shows the pace of the link, if we look at it
+_SHORTEST_WATCH_S: Final = 0.001
+_LONGEST_WATCH_S: Final = 0.01
+_LOOKS_PER_ROUND_TRIP: Final = 8
+_PACING_GAIN: Final = 1.25  # more than the pace, so that a faster link shows
+_PACING_ROUND_TRIP_S: Final = 0.002  # nearer, bursts cost no other topic anything
+_PACING_LIMIT: Final = 50e6  # bytes per second: faster links swallow bursts
+_LOSS_TOLERANT: Final = "bbr"
 
 
 class Flow:
     """The flow of one connection. ``free`` tells whether to send; ``on_free`` is called when it is true again."""
 
     def __init__(self, on_free: Callable[[], None]) -> None:
-        self.pace = Pace()
-        self.window: Window | None = None
+        self.model = LinkModel()
+        self.pace = self.model.pace
         self.free = True
         self._on_free = on_free
-        self._full_at: float | None = None  # since when the operating system takes no more
-        self._full_bytes = 0
-        self._waits_since: float | None = None  # since when the window is used up
-        self._waits_bytes = 0
+        self._tcp: Tcp | None = None
+        self._full = False  # the operating system takes no more
+        self._held = False  # the link has no room
         self._look: asyncio.TimerHandle | None = None
-        self._look_due = 0.0
-        self._late_looks = 0
-        self._rate_when_empty = 0.0
+
+    @property
+    def known(self) -> bool:
+        """Whether the operating system tells what is on the way."""
+        return self._tcp is not None
 
     def open(self, sock: Any) -> None:
-        """The connection stands on this socket."""
-        self.window = Window(sock)
+        """Begin to send on a connected socket."""
+        tcp = Tcp(sock)
+        reading = tcp.read()
+        if reading is not None:
+            self._tcp = tcp
+            self.model.observe(reading)
 
     def close(self) -> None:
-        """Nothing is sent any more."""
-        self.window = None
+        """End: nothing is sent any more."""
+        self._tcp = None
         if self._look is not None:
             self._look.cancel()
+            self._look = None
 
-    def sent(self) -> None:
-        """Something was handed to the transport: is the window used up?"""
-        window = self.window
-        if self.free and window is not None and window.limit is not None:
-            outstanding = window.outstanding()
-            if outstanding is not None and outstanding >= window.limit:
+    def sent(self, size_bytes: int) -> None:
+        """Note what was handed to the transport, and stop sending if the link has no room for more."""
+        if self._tcp is None:
+            return
+        model = self.model
+        model.handed(size_bytes)
+        if model.room_bytes <= 0 and not self._held:
+            self._read()
+            if model.room_bytes <= 0:
+                self._held = True
                 self.free = False
-                self._waits_since, self._waits_bytes = time.monotonic(), outstanding
-                self._arm(outstanding, window.limit)
+        if self._look is None and (self._held or model.outstanding_bytes >= _WATCHED_BYTES):
+            self._arm()
 
-    def full(self, left_bytes: int) -> None:
-        """The operating system did not take ``left_bytes``."""
+    def full(self) -> None:
+        """Stop sending: the operating system did not take everything."""
+        self._full = True
         self.free = False
-        self._full_at, self._full_bytes = time.monotonic(), left_bytes
 
     def drained(self) -> None:
-        """The operating system took everything."""
-        since, self._full_at = self._full_at, None
-        if since is not None and self._waits_since is None and self.window is not None:
-            self._learn(self._full_bytes, time.monotonic() - since, self.window.outstanding() or 0)
+        """Go on: the operating system took everything."""
+        self._full = False
         self._go_on()
 
     def _go_on(self) -> None:
-        if self._full_at is None and self._waits_since is None:
+        if not self._full and not self._held and not self.free:
             self.free = True
             self._on_free()
 
-    def _arm(self, outstanding: int, limit: int) -> None:
-        """Look again when half of the window should be free."""
-        pace = self.pace.bytes_per_s
-        seconds = _SHORTEST_LOOK_S if pace is None else min((outstanding - limit // 2) / pace, _LONGEST_LOOK_S)
-        loop = asyncio.get_running_loop()
-        self._look_due = loop.time() + max(seconds, _SHORTEST_LOOK_S)
-        self._look = loop.call_at(self._look_due, self._look_again)
+    def _arm(self) -> None:
+        if self._held:
+            seconds = self.model.look_in_s
+        else:
+            rtt = self.model.base_rtt_s or 0.0
+            seconds = min(max(rtt / _LOOKS_PER_ROUND_TRIP, _SHORTEST_WATCH_S), _LONGEST_WATCH_S)
+        self._look = asyncio.get_running_loop().call_later(seconds, self._look_again)
 
     def _look_again(self) -> None:
         self._look = None
-        window, since = self.window, self._waits_since
-        if window is None or since is None:
+        if self._tcp is None:
             return
-        outstanding = window.outstanding() or 0
-        if window.limit is not None and outstanding > window.limit // 2:
-            self._arm(outstanding, window.limit)
-            return
-        self._waits_since = None
-        late_s = asyncio.get_running_loop().time() - self._look_due
-        self._learn(self._waits_bytes - outstanding, time.monotonic() - since, outstanding, late_s)
-        self._go_on()
+        self._read()
+        if self._held and self.model.room_bytes > 0:
+            self._held = False
+            self._go_on()
+        if self._look is None and (self._held or self.model.outstanding_bytes >= _WATCHED_BYTES):
+            self._arm()
 
-    def _learn(self, carried_bytes: int, seconds: float, outstanding: int, late_s: float = 0.0) -> None:
-        """Take the measure of the link, if it was busy all the time until we looked."""
-        window, pace = self.window, self.pace
-        if window is None or seconds <= 0:
+    def _read(self) -> None:
+        tcp, model = self._tcp, self.model
+        assert tcp is not None
+        reading = tcp.read()
+        if reading is None:  # the socket is gone
+            model.room_bytes = 1 << 30
             return
-        if outstanding <= window.late_bytes:
-            rate, before = carried_bytes / seconds, self._rate_when_empty
-            self._rate_when_empty = rate
-            late = late_s > _LATE * seconds
-            self._late_looks = self._late_looks + 1 if late else 0
-            if (late and self._late_looks >= _LATE_LOOKS) or (pace.bytes_per_s is None and rate > _FASTER * before):
-                window.grow()
-                return
-            if late:
-                return
-        pace.carried(carried_bytes, seconds)
-        if pace.bytes_per_s is not None:
-            window.fit(pace.bytes_per_s)
+        model.observe(reading)
+        pace = model.pace.bytes_per_s
+        if pace is not None:
+            spread = not model.starting and pace < _PACING_LIMIT and (model.base_rtt_s or 0.0) >= _PACING_ROUND_TRIP_S
+            tcp.pace(_PACING_GAIN * pace if spread else None)
+        if model.losing and tcp.congestion != _LOSS_TOLERANT:
+            tcp.use_congestion(_LOSS_TOLERANT)

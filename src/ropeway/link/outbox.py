@@ -4,7 +4,10 @@ A topic with ``keep_last`` may have ``depth`` messages waiting, and no more than
 of a camera only the newest frame waits, of a transform tree everything does. What is displaced is the oldest, and
 it is counted. A topic with ``keep_all`` waits in a first-in first-out queue that is bounded in bytes.
 
-Which message to send is decided when the link can take it, never before.
+Which message to send is decided when the link can take it, never before. The topics of a lane share the link by
+bytes, not by messages (start-time fair queueing; Goyal, Vin and Cheng, 1996): each has a virtual time, the bytes that
+it was served divided by its weight, and the topic with the smallest is next. One that was idle begins where the lane
+is, so a topic that needs less than its share gets all it asks for at once, and none saves up.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ __all__ = ["LANES", "Lost", "Outbox", "OutboxStatistics", "Queue"]
 LANES: Final = 8
 FRESH_BYTES: Final = 64 * 1024
 KEEP_ALL_LIMIT_BYTES: Final = 16 << 20
+SMALL_BYTES: Final = 16 * 1024
+"""A message of this size or less may overtake a larger one of its lane that is under way."""
 
 
 class Lost(enum.Enum):
@@ -46,6 +51,9 @@ class Message(Protocol):
 M = TypeVar("M", bound=Message)
 
 
+Lane = list[tuple[float, int, "Queue[M]"]]
+
+
 class OutboxStatistics(NamedTuple):
     """What waits now."""
 
@@ -59,21 +67,25 @@ class Queue(Generic[M]):
 
     ``depth`` counts messages, ``None`` means keep all (bounded in bytes); ``lifespan_ns`` is the age at which a
     waiting message is not worth sending; of a ``latched`` topic each of the last ``depth`` messages is wanted,
-    whatever their size.
+    whatever their size. ``weight`` is the topic's share of its lane beside those of the others. ``served`` is its
+    virtual time, and ``under_way`` is true from ``take`` to ``done``.
     """
 
     __slots__ = (
         "bytes",
         "depth",
         "key",
+        "lane",
         "latched",
         "lifespan_ns",
         "limit_bytes",
         "lost",
         "number",
         "priority",
-        "turn",
+        "served",
+        "under_way",
         "waiting",
+        "weight",
     )
 
     def __init__(
@@ -84,6 +96,7 @@ class Queue(Generic[M]):
         depth: int | None = 1,
         lifespan_ns: int | None = None,
         limit_bytes: int = KEEP_ALL_LIMIT_BYTES,
+        weight: float = 1.0,
     ) -> None:
         self.key = key
         self.priority = min(max(priority, 0), LANES - 1)
@@ -93,7 +106,11 @@ class Queue(Generic[M]):
         self.latched = False
         self.waiting: deque[M] = deque()
         self.bytes = 0
-        self.number = self.turn = 0
+        self.number = 0
+        self.lane: Lane[M] = []  # where it waits
+        self.weight = weight
+        self.served = 0.0
+        self.under_way = False
         self.lost: Counter[Lost] = Counter()
 
 
@@ -101,10 +118,11 @@ class Outbox(Generic[M]):
     """All queues of one link. Not thread-safe: it belongs to the event loop."""
 
     def __init__(self) -> None:
-        self._lanes: list[list[tuple[int, int, Queue[M]]]] = [[] for _ in range(LANES)]  # heaps: who waits longest
+        self._small: list[Lane[M]] = [[] for _ in range(LANES)]  # heaps by virtual time, of topics whose next
+        self._big: list[Lane[M]] = [[] for _ in range(LANES)]  # message is small, and of the others
+        self._times = [0.0] * LANES  # the virtual time of each lane: that of the topic in service
         self._queues: set[Queue[M]] = set()
         self._numbers = itertools.count()
-        self._turns = itertools.count(1)
         self.bytes = 0
         self.messages = 0
 
@@ -142,40 +160,68 @@ class Outbox(Generic[M]):
             lost = Lost.OVERFLOW if queue.depth is None else Lost.REPLACED
             while waiting and self.full(queue, size):
                 self._drop_oldest(queue, lost)
-        else:
-            heapq.heappush(self._lanes[queue.priority], (queue.turn, queue.number, queue))
+        first = not waiting
         waiting.append(message)
         queue.bytes += size
         self.bytes += size
         self.messages += 1
+        if first and not queue.under_way:
+            queue.served = max(queue.served, self._times[queue.priority])  # it was idle, and has saved nothing up
+            self._line_up(queue)
 
     def lanes(self) -> Iterator[int]:
         """The priorities that have something waiting, most urgent first."""
-        for priority, lane in enumerate(self._lanes):
-            if lane:
+        for priority, (small, big) in enumerate(zip(self._small, self._big, strict=True)):
+            if small or big:
                 yield priority
 
-    def take(self, priority: int, now_ns: int) -> tuple[Queue[M], M] | None:
-        """The next message of a lane: the topic that was not served for longest, and of it the oldest."""
-        lane = self._lanes[priority]
-        while lane:
-            queue = lane[0][2]
-            waiting = queue.waiting
-            message = waiting.popleft()
+    def overtakes(self, priority: int, queue: Queue[M]) -> bool:
+        """Return whether a small message that waits in a lane goes before the big one of ``queue`` is sent whole.
+
+        It does if its topic was served less: the big one is hardly later for it.
+        """
+        small = self._small[priority]
+        return bool(small) and small[0][0] <= queue.served
+
+    def take(self, priority: int, now_ns: int, *, small: bool = False) -> tuple[Queue[M], M] | None:
+        """Take the next message of a lane: of the topic that was served least, the oldest.
+
+        Tell ``served`` what is sent of it and ``done`` when it has gone; its topic has no other turn before. With
+        ``small`` only topics with a small message have a turn.
+        """
+        lane, big = self._small[priority], self._big[priority]
+        while lane or (big and not small):
+            heap = lane if not big or small or (lane and lane[0] < big[0]) else big
+            served, _, queue = heapq.heappop(heap)
+            self._times[priority] = served
+            message = queue.waiting.popleft()
             size = len(message.payload)
             queue.bytes -= size
             self.bytes -= size
             self.messages -= 1
-            queue.turn = next(self._turns)
-            if waiting:
-                heapq.heapreplace(lane, (queue.turn, queue.number, queue))
-            else:
-                heapq.heappop(lane)
             if queue.lifespan_ns is not None and now_ns - message.stamp_ns > queue.lifespan_ns:
                 queue.lost[Lost.EXPIRED] += 1
+                self.done(queue)
                 continue
+            queue.under_way = True
             return queue, message
         return None
+
+    def served(self, queue: Queue[M], size_bytes: int) -> None:
+        """Charge a topic for what was sent of its message."""
+        queue.served += size_bytes / queue.weight
+        self._times[queue.priority] = queue.served
+
+    def done(self, queue: Queue[M]) -> None:
+        """Let a topic have its next turn: its message has gone."""
+        queue.under_way = False
+        if queue.waiting and queue in self._queues:
+            self._line_up(queue)
+
+    def _line_up(self, queue: Queue[M]) -> None:
+        size = len(queue.waiting[0].payload)
+        queue.lane = (self._small if size <= SMALL_BYTES else self._big)[queue.priority]
+        heapq.heappush(queue.lane, (queue.served, queue.number, queue))
 
     def statistics(self) -> OutboxStatistics:
         """What waits now."""
@@ -190,9 +236,8 @@ class Outbox(Generic[M]):
         queue.lost[reason] += 1
 
     def _clear(self, queue: Queue[M], reason: Lost) -> None:
-        if queue.waiting:
-            lane = self._lanes[queue.priority]
-            lane.remove((queue.turn, queue.number, queue))
-            heapq.heapify(lane)
+        if queue.waiting and not queue.under_way:
+            queue.lane.remove((queue.served, queue.number, queue))
+            heapq.heapify(queue.lane)
         while queue.waiting:
             self._drop_oldest(queue, reason)

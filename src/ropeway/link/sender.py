@@ -1,7 +1,7 @@
 """Sends topics on a link, the most urgent lane first, in each the freshest of every topic.
 
 ``PlainSender`` sends whole rosbridge frames, for everybody. ``RecordSender`` sends binary records between Ropeway
-gateways: many small messages in one frame, big ones in parts that urgent messages overtake.
+gateways: many small messages in one frame, big ones in parts that urgent and small messages overtake.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 from ropeway.errors import TypesError
 from ropeway.link.channel import Channel, Outgoing
-from ropeway.link.outbox import LANES, Outbox, Queue
+from ropeway.link.outbox import LANES, SMALL_BYTES, Outbox, Queue
 from ropeway.wire.codec import ENCODING_NUMBERS, NEEDS_CODEC, Frame
 from ropeway.wire.fragment import Fragmenter
 from ropeway.wire.records import HEADER_BYTES, RecordWriter
@@ -28,10 +28,8 @@ if TYPE_CHECKING:
 __all__ = ["PlainSender", "RecordSender", "Sender"]
 
 _PART_MIN_BYTES: Final = 4 * 1024
-_PART_START_BYTES: Final = 16 * 1024
 _PART_MAX_BYTES: Final = 1 << 20
 _PART_S: Final = 0.002  # a part takes about so long on the wire, so that an urgent message waits no longer
-_QUIET_S: Final = 10.0
 
 
 class Sender:
@@ -106,9 +104,9 @@ class Sender:
     def _pump(self) -> None:
         raise NotImplementedError
 
-    def take(self, lane: int) -> tuple[Channel, Outgoing, str] | None:
+    def take(self, lane: int, *, small: bool = False) -> tuple[Channel, Outgoing, str] | None:
         """The next message of a lane, its channel and its encoding."""
-        taken = self.outbox.take(lane, time.time_ns())
+        taken = self.outbox.take(lane, time.time_ns(), small=small)
         if taken is None:
             return None
         queue, sample = taken
@@ -166,9 +164,13 @@ class PlainSender(Sender):
             try:
                 self._send(channel, sample, channel.frame(sample, encoding))
             except TypesError as error:
-                channel.failed(sample, error)
+                self._failed(channel, sample, error)
             return True
         return False
+
+    def _failed(self, channel: Channel, sample: Outgoing, error: BaseException) -> None:
+        self.outbox.done(channel.queue)
+        channel.failed(sample, error)
 
     def _make_in_thread(self, channel: Channel, sample: Outgoing, encoding: str) -> None:
         self._busy = True
@@ -178,7 +180,7 @@ class PlainSender(Sender):
         self._busy = False
         error = finished.exception()
         if error is not None:
-            channel.failed(sample, error)
+            self._failed(channel, sample, error)
         elif not channel.closed:
             frame = finished.result()
             assert isinstance(frame, Frame)
@@ -192,6 +194,8 @@ class PlainSender(Sender):
             self.connection.send_text(self._fragments.popleft())
         else:
             self.connection.send_text(frame.data)
+        self.outbox.served(channel.queue, len(frame.data))
+        self.outbox.done(channel.queue)
         channel.finished(sample, len(frame.data))
 
 
@@ -207,55 +211,51 @@ class _Cursor:
 
 
 class RecordSender(Sender):
-    """Sends records; each lane has one message under way."""
+    """Sends records; of the messages of a lane that are under way the last begun goes on first."""
 
     records = True
 
     def __init__(self, connection: Connection, complaints: Complaints, dialect: Dialect) -> None:
         super().__init__(connection, complaints, dialect)
         self._writer = RecordWriter()
-        self._cursors: list[_Cursor | None] = [None] * LANES
-        self._part_bytes = _PART_START_BYTES
-        self._samples_seen = 0
-        self._quiet_bytes = 0
+        self._under_way: list[list[_Cursor]] = [[] for _ in range(LANES)]
+        self._parts = 0  # messages under way, in all lanes
 
     def drop(self, channel: Channel) -> None:
         """Forget a channel; what waits of it, or is half sent, is lost."""
         super().drop(channel)
-        for lane, cursor in enumerate(self._cursors):
-            if cursor is not None and cursor.channel is channel:
-                self._cursors[lane] = None
+        for cursor in self._under_way[channel.queue.priority]:
+            if cursor.channel is channel:
+                self._end(cursor)
                 self.wake()  # others may have waited for this lane
+                break
 
     def _pump(self) -> None:
         connection = self.connection
-        while connection.writable and (self.outbox.messages or any(self._cursors)):
+        while connection.writable and (self.outbox.messages or self._parts):
             frame = self._gather()
             if frame is None:
                 break
             connection.send_binary(frame)
-            self._tune(len(frame))
 
     def _gather(self) -> bytes | None:
         """One frame: whole messages, or a part of one."""
         out: list[bytes] = []
         size = 0
-        while size < self._part_bytes:
+        part_bytes = self._part_bytes()
+        while size < part_bytes:
             cursor = self._next()
             if cursor is None:
                 break
-            assert cursor.body is not None
-            room = self._part_bytes - size
-            lane = cursor.channel.queue.priority
-            if cursor.at == 0 and size and room < len(cursor.body) <= self._part_bytes:
-                self._cursors[lane] = cursor  # it goes whole, in a frame of its own
-                break
+            body = cursor.body
+            assert body is not None
+            room = part_bytes - size
+            if cursor.at == 0 and size and room < len(body) <= part_bytes:
+                break  # it goes whole, in a frame of its own
             size += self._append(out, cursor, room) + HEADER_BYTES
-            if cursor.at >= len(cursor.body):
-                self._cursors[lane] = None
-                cursor.channel.finished(cursor.sample, len(cursor.body))
-            else:
-                self._cursors[lane] = cursor
+            if cursor.at >= len(body):
+                self._end(cursor)
+                cursor.channel.finished(cursor.sample, len(body))
         return b"".join(out) if out else None
 
     def _append(self, out: list[bytes], cursor: _Cursor, room: int) -> int:
@@ -273,71 +273,73 @@ class RecordSender(Sender):
             else:
                 self._writer.first(out, channel.number, number, left, memoryview(body)[:part], *about)
         cursor.at += part
+        self.outbox.served(channel.queue, part + HEADER_BYTES)
         return part
 
     def _next(self) -> _Cursor | None:
-        if not self.outbox.messages and not any(self._cursors):
-            return None
-        waiting = iter(self.outbox.lanes())
-        urgent = next(waiting, LANES)
-        for lane in range(LANES):
-            cursor = self._cursors[lane]
-            if cursor is not None:
-                if cursor.body is not None:
-                    return cursor
-                if urgent == lane:
-                    urgent = next(waiting, LANES)  # a thread is busy with this lane; look further down
-                continue
-            if lane == urgent:
+        """The message whose turn it is; it is under way from now on."""
+        outbox = self.outbox
+        if not self._parts:
+            for lane in outbox.lanes():
                 found = self._begin(lane)
                 if found is not None:
                     return found
-                urgent = next(waiting, LANES)
+            return None
+        for lane, under_way in enumerate(self._under_way):
+            current = next((cursor for cursor in reversed(under_way) if cursor.body is not None), None)
+            if current is None:
+                current = self._begin(lane)
+            elif outbox.overtakes(lane, current.channel.queue) and len(current.sample.payload) > SMALL_BYTES:
+                current = self._begin(lane, small=True) or current
+            if current is not None:
+                return current
         return None
 
-    def _begin(self, lane: int) -> _Cursor | None:
-        while (taken := self.take(lane)) is not None:
+    def _begin(self, lane: int, *, small: bool = False) -> _Cursor | None:
+        while (taken := self.take(lane, small=small)) is not None:
             channel, sample, encoding = taken
+            cursor = _Cursor(channel, sample, encoding, None)
+            self._under_way[lane].append(cursor)
+            self._parts += 1
             if channel.is_slow(sample, encoding):
-                cursor = self._cursors[lane] = _Cursor(channel, sample, encoding, None)
-                self._encode_in_thread(cursor, lane)
-                return None
+                self._encode_in_thread(cursor)
+                continue
             try:
-                return _Cursor(channel, sample, encoding, channel.body(sample, encoding))
+                cursor.body = channel.body(sample, encoding)
+                return cursor
             except TypesError as error:
+                self._end(cursor)
                 channel.failed(sample, error)
         return None
 
-    def _encode_in_thread(self, cursor: _Cursor, lane: int) -> None:
+    def _end(self, cursor: _Cursor) -> None:
+        queue = cursor.channel.queue
+        self._under_way[queue.priority].remove(cursor)
+        self._parts -= 1
+        self.outbox.done(queue)
+
+    def _encode_in_thread(self, cursor: _Cursor) -> None:
+        channel = cursor.channel
+
         def then(finished: asyncio.Future[object]) -> None:
-            if self._cursors[lane] is not cursor:
+            if cursor not in self._under_way[channel.queue.priority]:
                 return
             error = finished.exception()
             if error is not None:
-                self._cursors[lane] = None
-                cursor.channel.failed(cursor.sample, error)
+                self._end(cursor)
+                channel.failed(cursor.sample, error)
             else:
                 body = finished.result()
                 assert isinstance(body, bytes)
                 cursor.body = body
 
-        self.in_thread(lambda: cursor.channel.body(cursor.sample, cursor.encoding), then)
+        self.in_thread(lambda: channel.body(cursor.sample, cursor.encoding), then)
 
-    def _tune(self, sent_bytes: int) -> None:
-        """Fit the size of parts to the pace of the link."""
-        pace, window = self.connection.flow.pace, self.connection.flow.window
-        if pace.bytes_per_s is not None:
-            wanted = pace.bytes_per_s * _PART_S
-        elif window is not None and window.limit is not None:
-            wanted = window.limit / 2
-        else:
-            wanted = _PART_MAX_BYTES
-        self._part_bytes = int(min(max(wanted, _PART_MIN_BYTES), _PART_MAX_BYTES))
-        if pace.samples != self._samples_seen:
-            self._samples_seen = pace.samples
-            self._quiet_bytes = 0
-            return
-        self._quiet_bytes += sent_bytes
-        if self._quiet_bytes > 4 * _PART_MAX_BYTES and pace.idle_s() > _QUIET_S:  # nothing was held back for long
-            self._quiet_bytes = 0
-            pace.forget()
+    def _part_bytes(self) -> int:
+        """The size of a part: what the link carries in a moment, so that nothing urgent waits for more."""
+        flow = self.connection.flow
+        if not flow.known:
+            return _PART_MAX_BYTES
+        pace = flow.pace.bytes_per_s
+        wanted = flow.model.window_bytes / 4 if pace is None else pace * _PART_S
+        return int(min(max(wanted, _PART_MIN_BYTES), _PART_MAX_BYTES))

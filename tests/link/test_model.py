@@ -1,0 +1,133 @@
+"""ropeway.link.model over simulated links: rate, delay, buffer, jitter, loss, others, and changes of all of them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ropeway.link.model import LinkModel, Reading
+from tests.link.simulated import HEADERS_BYTES, SEGMENT_BYTES, Path, simulate
+
+_GOODPUT: Final = SEGMENT_BYTES / (SEGMENT_BYTES + HEADERS_BYTES)
+_PART_BYTES: Final = 4096
+_MBIT: Final = 125_000
+
+
+def allowed_queue_s(path: Path) -> float:
+    """A quarter of the round trip, or a part and the two segments that keep a slow link busy."""
+    serial = 2 * (_PART_BYTES + 2 * SEGMENT_BYTES) / (path.rate * (1 - path.cross))
+    return max(0.5 * path.delay_s + 2 * path.jitter_s, serial, 0.006)
+
+
+def check(path: Path, congestion: str = "open", *, warm: float = 45, seconds: float = 3.0) -> None:
+    """Let a greedy sender fill the link, and see that it is full and has no queue."""
+    round_trip = 2 * path.delay_s + 2 * SEGMENT_BYTES / path.rate
+    skip = 1.0 + warm * round_trip
+    outcome = simulate(path, congestion=congestion, seconds=skip + max(seconds, 30 * round_trip), skip_s=skip)
+    left = path.rate * (1 - path.cross) * _GOODPUT * (1 - path.loss)
+    assert outcome.rate >= 0.9 * left, (path, outcome)
+    assert outcome.queue_s <= allowed_queue_s(path), (path, outcome)
+
+
+@pytest.mark.parametrize("congestion", ["open", "reno"])
+@pytest.mark.parametrize("delay_ms", [0.1, 10, 35])
+@pytest.mark.parametrize("mbit", [2, 20, 100])
+def test_full_and_without_a_queue(mbit: float, delay_ms: float, congestion: str) -> None:
+    """A link is full at any rate and delay, and nothing waits in its deep buffer."""
+    check(Path(mbit * _MBIT, delay_ms / 1e3), congestion)
+
+
+@pytest.mark.parametrize(("jitter_ms", "loss"), [(2, 0.0), (0, 0.01), (2, 0.03), (0, 0.05)])
+def test_jitter_and_losses(jitter_ms: float, loss: float) -> None:
+    """Packets that are late, early or lost leave the link full."""
+    check(Path(20 * _MBIT, 0.01, jitter_s=jitter_ms / 1e3, loss=loss))
+
+
+def test_a_shallow_buffer() -> None:
+    """A link that holds twenty packets is full all the same."""
+    check(Path(20 * _MBIT, 0.01, buffer=20))
+
+
+@pytest.mark.parametrize("cross", [0.5, 0.8])
+def test_others_use_the_link(cross: float) -> None:
+    """What others leave of a link is used."""
+    check(Path(20 * _MBIT, 0.02, cross=cross))
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    mbit=st.floats(1, 60),
+    delay_ms=st.floats(0.1, 80),
+    jitter=st.sampled_from([0.0, 0.1, 0.2]),
+    loss=st.sampled_from([0.0, 0.0, 0.01, 0.05]),
+    seed=st.integers(0, 1000),
+)
+def test_random_links(mbit: float, delay_ms: float, jitter: float, loss: float, seed: int) -> None:
+    """Any link is full and has no queue."""
+    check(Path(mbit * _MBIT, delay_ms / 1e3, jitter_s=jitter * delay_ms / 1e3, loss=loss, seed=seed))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@settings(max_examples=1000, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    mbit=st.floats(1, 60),
+    delay_ms=st.floats(0.1, 80),
+    jitter=st.sampled_from([0.0, 0.1, 0.2]),
+    loss=st.sampled_from([0.0, 0.0, 0.01, 0.05]),
+    cross=st.sampled_from([0.0, 0.0, 0.5]),
+    seed=st.integers(0, 1000),
+)
+def test_a_thousand_links(mbit: float, delay_ms: float, jitter: float, loss: float, cross: float, seed: int) -> None:
+    """Any link is full and has no queue, a thousand times, also where others use half of it."""
+    path = Path(mbit * _MBIT, delay_ms / 1e3, jitter_s=jitter * delay_ms / 1e3, loss=loss, seed=seed, cross=cross)
+    check(path, seconds=1.0)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0, 5.0])
+@pytest.mark.parametrize("delay_ms", [10, 35])
+def test_a_change_of_rate(factor: float, delay_ms: float) -> None:
+    """Ten round trips after a change of the rate the link is full again, and a little later without a queue."""
+    delay_s = delay_ms / 1e3
+    for rounds in (10, 30):
+        path = Path(20 * _MBIT, delay_s)
+
+        def change(path: Path = path) -> None:
+            path.rate *= factor
+
+        after = 3.0 + rounds * 2 * delay_s
+        outcome = simulate(path, seconds=after + 1.0, skip_s=after, change=change, change_at=3.0)
+        assert outcome.rate >= 0.9 * path.rate * _GOODPUT, (rounds, outcome)
+        if rounds == 30:
+            assert outcome.queue_s <= allowed_queue_s(path), outcome
+
+
+@pytest.mark.parametrize(("before_ms", "after_ms"), [(10, 50), (50, 10), (5, 100)])
+def test_a_change_of_delay(before_ms: float, after_ms: float) -> None:
+    """A route that becomes longer or shorter is noticed, and the link is full again."""
+    path = Path(20 * _MBIT, before_ms / 1e3)
+
+    def change() -> None:
+        path.delay_s = after_ms / 1e3
+
+    after = 3.0 + 25 * 2 * after_ms / 1e3
+    outcome = simulate(path, seconds=after + 2.0, skip_s=after, change=change, change_at=3.0)
+    assert outcome.rate >= 0.9 * path.rate * _GOODPUT
+
+
+def reading(now: float, delivered: int, *, rtt: float = 0.02, lost: int = 0, unsent: int = 0) -> Reading:
+    """A reading of a link on which much is on the way."""
+    return Reading(now, delivered, 50_000, unsent, rtt, 0.0, lost, SEGMENT_BYTES)
+
+
+def test_losses_without_a_queue() -> None:
+    """Losses on a link without a queue say that it is no full link that loses; with a queue, or rare, they do not."""
+    for rtt, every, losing in ((0.02, 1, True), (0.2, 1, False), (0.02, 20, False)):
+        model = LinkModel()
+        model.observe(reading(0.0, 0))
+        for i in range(1, 60):
+            model.observe(reading(0.1 * i, 100_000 * i, rtt=rtt, lost=i // every, unsent=1 << 20))
+        assert model.losing is losing
