@@ -151,6 +151,7 @@ class LinkModel:
         if reading.rtt_s > 0:
             self._note_round_trip(reading.rtt_s, now)
             self._cut_at_once(reading.rtt_s)
+        held = self.room_bytes <= 0  # there was more to send than we let out
         by_window = self._allowed_bytes - self.outstanding_bytes
         by_kernel = self.unsent_limit_bytes - reading.unsent_bytes
         self.room_bytes = min(by_window, by_kernel)
@@ -158,7 +159,7 @@ class LinkModel:
             now,
             reading.delivered_bytes,
             in_flight_bytes=reading.in_flight_bytes,
-            busy=reading.unsent_bytes > 0 or (by_window <= 0 and self._is_queued(reading.rtt_s)),
+            busy=reading.unsent_bytes > 0 or (held and self._is_queued(reading.rtt_s)),
             segment_bytes=reading.segment_bytes,
         )
         self._note_round(reading, by_window <= 0, by_kernel <= 0)
@@ -224,7 +225,7 @@ class LinkModel:
         self._suspect = None
         pace = self.pace.bytes_per_s
         below = pace is None or self.window_bytes < pace * busy_s
-        if self._settling and not below:
+        if self._settling and not (below and self.starting):
             self._settling -= 1
             return
         self._quiet += 1
@@ -241,8 +242,6 @@ class LinkModel:
             return
         wanted = max(pace * (base + self.target_queue_s), self._least_bytes)
         if wanted < _CUT * self.window_bytes:
-            if self._suspect is None:
-                self._suspect = (self.window_bytes, pace)
             self._set_window(wanted)
 
     def _fit(self, base_s: float, queue_s: float, target_s: float, rate: float) -> None:
