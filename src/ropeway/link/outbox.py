@@ -156,11 +156,11 @@ class Outbox(Generic[M]):
         """Let a message wait; the oldest of its topic makes room."""
         waiting = queue.waiting
         size = len(message.payload)
+        first = not waiting
         if waiting:  # the queue keeps its turn, or a busy topic would be sent back at each replacement
             lost = Lost.OVERFLOW if queue.depth is None else Lost.REPLACED
             while waiting and self.full(queue, size):
                 self._drop_oldest(queue, lost)
-        first = not waiting
         waiting.append(message)
         queue.bytes += size
         self.bytes += size
