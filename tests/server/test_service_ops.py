@@ -674,3 +674,27 @@ async def test_status_of_services(place: Place) -> None:
     caller.send({"op": "call_service", "service": "/add"})
     await provider.json()
     assert session.status()["services"] == [{"name": "/add", "type": ADD, "calls": 1, "pending": 1, "taken_by": ""}]
+
+
+async def test_server_stops(place: Place) -> None:
+    """A call that is under way when the server stops is answered before the connection is closed."""
+    asked = asyncio.Event()
+
+    async def never(request: Request) -> bytes:
+        asked.set()
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    await serve(place, handler=never)
+    client = await place.client()
+    for id in ("1", "2"):
+        client.send({"op": "call_service", "id": id, "service": "/add", "args": {}, "timeout": 60})
+    await asked.wait()
+    await until(lambda: len(place.session.services._calls) == 2)
+    stopping = asyncio.create_task(place.server.close())
+    for id in ("1", "2"):
+        answer = await client.json()
+        assert (answer["op"], answer["id"], answer["result"]) == ("service_response", id, False)
+        assert "the gateway stops" in answer["values"]
+    assert (await client.closed())[0] == 1001
+    await stopping

@@ -18,6 +18,7 @@ from typing import Any, Final
 from ropeway.errors import GraphUnavailable
 from ropeway.gateway.config import Config
 from ropeway.gateway.counts import summed
+from ropeway.gateway.ports import check_free
 from ropeway.tasks import Supervised, end, failing
 
 __all__ = ["Supervisor", "slices"]
@@ -180,7 +181,11 @@ class Supervisor:
         self._tasks = [Supervised(worker.run, f"worker {worker.name}") for worker in self.workers]
 
     async def __aenter__(self) -> Supervisor:
-        """Start all workers and wait until each is up. Raises ``GraphUnavailable`` if one cannot start."""
+        """Start all workers and wait until each is up.
+
+        Raises ``GraphUnavailable`` if one cannot start, ``ConnectFailed`` if somebody else listens where they would.
+        """
+        await check_free(self.config.gateway.listen)
         for task in self._tasks:
             task.start()
         try:

@@ -49,15 +49,26 @@ class ActionOps:
 
     async def leave(self) -> None:
         """The client has left: its goals are cancelled, unless they may go on, and its actions withdrawn."""
+        await self._cancel_all()
+        await end(*self._tasks, *(goal.task for goal in self.goals))
+        for action in list(self.offered.values()):
+            await action.close("its provider has left")
+        self.offered.clear()
+
+    async def give_up(self, reason: str) -> None:
+        """Answer the goals that are under way: they are cancelled, and fail for this reason if nothing else comes."""
+        await self._cancel_all()
+        under_way = list(self.goals)
+        await end(*(goal.task for goal in under_way))
+        for goal in under_way:
+            self.refuse(goal.op, ProviderLost(goal.name, reason))
+
+    async def _cancel_all(self) -> None:
         for goal in list(self.goals) if self._cancel_goals else ():
             self._start(goal.cancel(), f"cancel goal of {goal.name}")
         cancelling = [task for task in self._tasks if not task.done()]
         if cancelling:
             await asyncio.wait(cancelling, timeout=_LEAVE_S)
-        await end(*self._tasks, *(goal.task for goal in self.goals))
-        for action in list(self.offered.values()):
-            await action.close("its provider has left")
-        self.offered.clear()
 
     def status(self) -> Iterator[dict[str, Any]]:
         """One row per action that the client serves."""

@@ -41,6 +41,8 @@ log = logging.getLogger("ropeway.server")
 
 _CLIENT_SILENCE_S = 30.0  # a browser tab or a robot on Wi-Fi may pause; a gateway may not
 _CLIENT_PING_S = 5.0
+_STOPS = "the gateway stops"
+_GIVE_UP_S = 2.0  # for goals to be cancelled where they are carried out
 
 
 class RosbridgeServer:
@@ -255,9 +257,14 @@ class RosbridgeServer:
         self._ticker = None
         tasks = list(self.sessions.values())
         connections = [session.peer.connection for session in self.sessions]
+        giving_up = [asyncio.create_task(session.give_up(_STOPS)) for session in self.sessions]
+        if giving_up:
+            await asyncio.wait(giving_up, timeout=_GIVE_UP_S)
+            await end(*giving_up)
+            await asyncio.sleep(0)  # answers are sent at the end of a turn of the loop
         for session in list(self.sessions):
-            session.peer.connection.close(1001, "the gateway stops")
-            session.lost(1001, "the gateway stops")
+            session.peer.connection.close(1001, _STOPS)
+            session.lost(1001, _STOPS)
         if tasks:
             await asyncio.wait(tasks, timeout=5)
         await self.lingering.close()

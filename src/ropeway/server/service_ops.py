@@ -58,7 +58,7 @@ class ServiceOps:
         self.call_timeout_s = call_timeout_s
         self.called = 0
         self.offered: dict[str, OfferedService] = {}  # by the name that the client gave
-        self._calls: set[asyncio.Task[None]] = set()
+        self._calls: dict[asyncio.Task[None], ops.CallService] = {}
         self._clients: dict[tuple[str, str], ViewClient] = {}
 
     async def leave(self) -> None:
@@ -70,6 +70,13 @@ class ServiceOps:
         for service in list(self.offered.values()):
             await service.close("its provider has left")
         self.offered.clear()
+
+    async def give_up(self, reason: str) -> None:
+        """Answer the calls that are under way: they fail for this reason."""
+        under_way = dict(self._calls)
+        await end(*under_way)
+        for op in under_way.values():
+            self.refuse(op, ProviderLost(op.name, reason))
 
     def status(self) -> Iterator[dict[str, Any]]:
         """One row per service that the client serves."""
@@ -91,11 +98,11 @@ class ServiceOps:
             self.refuse(op, CallFailed(op.name, f"too many calls: {CALLS_PER_CLIENT} of this client are under way"))
             return
         task = asyncio.create_task(self._answer(op), name=f"call of {op.service[:200]}")
-        self._calls.add(task)
+        self._calls[task] = op
         task.add_done_callback(partial(self._ended, op))
 
     def _ended(self, op: ops.CallService, task: asyncio.Task[None]) -> None:
-        self._calls.discard(task)
+        self._calls.pop(task, None)
         if not task.cancelled() and (error := task.exception()) is not None:
             log.error("%s: a call of %s failed", self.session.peer.connection.peer, op.service, exc_info=error)
             self.refuse(op, CallFailed(op.name, "internal error"))

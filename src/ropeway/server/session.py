@@ -156,6 +156,12 @@ class Session:
             if not self.lingers:
                 await self.withdraw()
 
+    async def give_up(self, reason: str) -> None:
+        """Answer what the client waits for, before its connection is closed."""
+        self._waiting.clear()
+        await self.services.give_up(reason)
+        await self.actions.give_up(reason)
+
     async def _leave(self) -> None:
         """Take back everything but the topics that linger; ``withdraw`` takes those back."""
         self._waiting.clear()

@@ -230,3 +230,19 @@ async def test_actions() -> None:
     assert t.table.topics() == {}
     assert t.told[1:] == ["node /n offers action /x (pkg/action/Go)"]
     t.table.close()
+
+
+@pytest.mark.parametrize("first", ["ours", "theirs"])
+async def test_two_of_one_name(first: str, caplog: pytest.LogCaptureFixture) -> None:
+    """Another participant with a node of our name is warned of once, whoever came first."""
+    ours = NodesRecord(P1, (NodeEntities("/gateway"),), 16, local=True)
+    theirs = NodesRecord(P2, (NodeEntities("/gateway"), NodeEntities("/other")), 16, local=False)
+    table = Table().table
+    table.apply([Joined(P2)])
+    for record in (ours, theirs) if first == "ours" else (theirs, ours):
+        table.apply([record])
+    table.apply([theirs, ours])
+    assert [r.getMessage() for r in caplog.records] == [
+        "dds:0: another participant is called /gateway, too; give one of the two another name"
+    ]
+    table.close()

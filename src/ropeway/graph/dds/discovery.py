@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
@@ -18,6 +19,8 @@ __all__ = ["Discovery"]
 
 # An endpoint is discovered a moment before the message that tells whose node it is; its event waits this long for it.
 _NODE_GRACE_S: Final = 0.25
+log = logging.getLogger("ropeway.graph.dds")
+
 _MAX_EARLY: Final = 64
 
 
@@ -82,6 +85,7 @@ class Discovery:
         self._node_of: dict[bytes, str] = {}
         self._nameless: dict[bytes, _Endpoint] = {}
         self._timer: asyncio.TimerHandle | None = None
+        self._twins: set[bytes] = set()  # participants with a node of our name, of whom the log has told
 
     def apply(self, batch: Iterable[Discovered]) -> None:
         """Take in what the thread found."""
@@ -321,6 +325,7 @@ class Discovery:
         for node in record.nodes:
             for guid in _guids((node,)):
                 self._node_of[guid] = node.name
+        self._warn_of_twins(record)
         if record.local:
             return
         old, new = {n.name for n in before}, {n.name for n in record.nodes}
@@ -329,6 +334,22 @@ class Discovery:
         for name in sorted(old - new):
             self._emit(GraphEvent(False, "node", name, graph=self._graph))
         self._tell_gid_bytes({r.gid_bytes for r in self._nodes.values() if not r.local})
+
+    def _warn_of_twins(self, record: NodesRecord) -> None:
+        """Say that another participant has a node of our name: who is called by that name is left to chance."""
+        others = [other for other in self._nodes.values() if other.local != record.local]
+        if not record.local and not record.nodes:
+            self._twins.discard(record.participant)
+        for other in others:
+            theirs = record if other.local else other
+            if shared := {node.name for node in record.nodes} & {node.name for node in other.nodes}:
+                if theirs.participant in self._twins:
+                    continue
+                self._twins.add(theirs.participant)
+                names = ", ".join(sorted(shared))
+                log.warning(
+                    "%s: another participant is called %s, too; give one of the two another name", self._graph, names
+                )
 
 
 def _guids(nodes: tuple[NodeEntities, ...]) -> Iterator[bytes]:
