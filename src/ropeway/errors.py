@@ -44,6 +44,7 @@ An error carries what a program needs as attributes and says in its text what a 
 from __future__ import annotations
 
 import enum
+from typing import Any
 
 from ropeway.limits import SHOWN_TEXT_CHARACTERS
 
@@ -177,10 +178,13 @@ class WireError(RopewayError):
 
 
 class InvalidFrame(WireError):
-    """A frame that is neither JSON nor CBOR, or not an object."""
+    """A frame that is neither JSON nor CBOR, or not an object.
 
-    def __init__(self, reason: str, size_bytes: int = 0) -> None:
-        self.reason, self.size_bytes = reason, size_bytes
+    ``message`` is what could be read of it all the same: whoever waits for an answer to it is told by its ``id``.
+    """
+
+    def __init__(self, reason: str, size_bytes: int = 0, *, message: dict[Any, Any] | None = None) -> None:
+        self.reason, self.size_bytes, self.message = reason, size_bytes, message
         super().__init__(reason)
 
 

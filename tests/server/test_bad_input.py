@@ -327,3 +327,63 @@ async def test_too_big(bare: Place) -> None:
             assert "100000" in reason
     await until(lambda: len(bare.server.sessions) == 1)
     await other.done()
+
+
+HALF = r"\ud83d"
+NESTED = "[" * 200 + "]" * 200
+UNREADABLE = {
+    "an argument": ("s", f'"service":"/nowhere","args":{{"data":"{HALF}"}}'),
+    "the name of an argument": ("s", f'"service":"/nowhere","args":{{"{HALF}":1}}'),
+    "the service": ("s", f'"service":"/{HALF}"'),
+    "the type": ("s", f'"service":"/nowhere","type":"{HALF}"'),
+    "the id": (HALF, '"service":"/nowhere"'),
+    "another key": ("s", f'"service":"/nowhere","{HALF}":0'),
+    "depth": ("s", f'"service":"/nowhere","args":{{"a":{NESTED}}}'),
+}
+
+
+@pytest.mark.parametrize("where", UNREADABLE)
+@pytest.mark.parametrize("op", ["call_service", "send_action_goal"])
+async def test_requests_that_cannot_be_read_are_answered(place: Place, op: str, where: str) -> None:
+    """A request with half a surrogate pair anywhere, or nested too deeply, fails at once under its own id."""
+    id, rest = UNREADABLE[where]
+    if op == "send_action_goal":
+        rest = rest.replace('"service"', '"action"')
+    client = await place.client()
+    client.send(f'{{"op":"{op}","id":"{id}",{rest}}}')
+    got = await client.receive()
+    assert got.text
+    answer = json.loads(got.data)
+    assert answer["result"] is False
+    assert answer["id"] == json.loads(f'"{id}"')
+    assert "half a surrogate pair" in str(answer["values"]) or "nested" in str(answer["values"])
+
+
+async def test_cbor_requests_that_cannot_be_read_are_answered(place: Place) -> None:
+    """A request in CBOR with a date, or a text that is none, in it fails at once under its own id."""
+    client = await place.client()
+    call = {"op": "call_service", "id": "s", "service": "/nowhere"}
+    for bad in (cbor2.CBORTag(0, "x"), cbor2.CBORTag(2, b"x")):
+        client.raw(frame(BINARY, cbor2.dumps({**call, "args": {"a": bad}})))
+        answer = await client.receive()
+        assert json.loads(answer.data)["id"] == "s"
+    client.raw(frame(BINARY, cbor2.dumps({**call, "args": {"a": "xx"}}).replace(b"\x62xx", b"\x62\xc3\x28")))
+    assert json.loads((await client.receive()).data)["result"] is False
+
+
+async def test_other_operations_with_an_id_are_told(place: Place) -> None:
+    """A client that wants to know is told of any operation with an id that cannot be read."""
+    client = await place.client(path="/?status=1")
+    for op in ("subscribe", "advertise", "unsubscribe", "publish"):
+        client.send(f'{{"op":"{op}","id":"x1","topic":"/{HALF}"}}')
+        answer = json.loads((await client.receive()).data)
+        assert (answer["op"], answer["id"]) == ("status", "x1")
+
+
+async def test_one_bad_object_costs_no_other_of_its_frame(place: Place) -> None:
+    """Of several objects in one frame, those that can be read are carried out and the others answered."""
+    client = await place.client()
+    bad = f'{{"op":"call_service","id":"bad","service":"/{HALF}"}}'
+    client.send(bad + '{"op":"call_service","id":"good","service":"/nowhere"}' + bad)
+    ids = [json.loads((await client.receive()).data)["id"] for _ in range(3)]
+    assert sorted(ids) == ["bad", "bad", "good"]

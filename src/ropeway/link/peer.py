@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
-from ropeway.errors import InvalidFrame, MessageTooBig, RopewayError, WireError
+from ropeway.errors import InvalidFrame, InvalidOperation, MessageTooBig, RopewayError, WireError
 from ropeway.limits import UNREAD_ANSWERS_BYTES
 from ropeway.link.calls import OP_CHANNELS, WAITING_LIMIT_BYTES, OpSender, Unsent
 from ropeway.link.channel import Channel, Outgoing
@@ -49,6 +49,7 @@ CONTROL_OPS: Final = frozenset(
     }
 )
 _CALLS: Final = 1  # calls and answers in records
+_REQUESTS: Final = ("call_service", "send_action_goal")  # answered with or without an id
 
 
 class Packing(enum.IntEnum):
@@ -232,8 +233,15 @@ class Peer:
             )
         self._packing = packing
         try:
-            for message in loads(text, text=True):
-                self._object(message)
+            try:
+                messages = loads(text, text=True)
+            except InvalidFrame as error:
+                if error.message is None:
+                    raise
+                self._refuse(error)
+            else:
+                for message in messages:
+                    self._object(message)
         finally:
             self._packing = around
 
@@ -274,7 +282,7 @@ class Peer:
                 if not isinstance(message, dict):
                     raise InvalidFrame("an operation is a map", len(arrival.body))
             except InvalidFrame as error:
-                self.complaints.note("frame", "", error)
+                self._refuse(error)
             else:
                 self._object(message)
         return others
@@ -283,10 +291,22 @@ class Peer:
         try:
             objects = self._assembler.feed(data, text=text)
         except InvalidFrame as error:
-            self.complaints.note("frame", "", error)
+            self._refuse(error)
             return
         for message in objects:
             self._object(message)
+        while self._assembler.refused:
+            self._refuse(self._assembler.refused.pop(0))
+
+    def _refuse(self, error: InvalidFrame) -> None:
+        """Answer what can be answered of a frame that is of no use: by its id, if it says which operation it is."""
+        message = error.message or {}
+        op, id = message.get("op"), message.get("id", ops.ABSENT)
+        known = isinstance(id, (str, int, float)) or (id is ops.ABSENT and op in _REQUESTS)
+        if isinstance(op, str) and known:
+            self.on_invalid(message, InvalidOperation(op, error.reason, id=id))
+        else:
+            self.complaints.note("frame", "", error)
 
     def _object(self, message: Mapping[str, Any]) -> None:
         op = message.get("op")

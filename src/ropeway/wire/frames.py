@@ -34,6 +34,8 @@ def loads(
     """
     assembler = JsonAssembler(limit_bytes=len(data) * 4, max_depth=max_depth)
     objects = assembler.feed(data, text=text)
+    if assembler.refused:
+        raise assembler.refused[0]
     if not objects and not assembler.pending_bytes:
         raise InvalidFrame("a JSON object was expected, not white space", len(data))
     if assembler.pending_bytes:
@@ -71,13 +73,25 @@ def _lenient(data: bytes | bytearray | memoryview | str) -> Any:
     try:
         text = data if isinstance(data, str) else str(data, "utf-8")
         value = json.loads(text)
-        if _HALF_PAIR.search(text):
-            json.dumps(value, ensure_ascii=False).encode()  # half a surrogate pair is no text
+        if _HALF_PAIR.search(text) and not _is_text(value):
+            raise InvalidFrame("half a surrogate pair is no text", len(data), message=_object_in(value))
     except UnicodeError as error:
         raise InvalidFrame(f"not a text: {_short(error)}", len(data)) from None
     except (ValueError, RecursionError) as error:
         raise InvalidFrame(f"not JSON: {_short(error)}", len(data)) from None
     return value
+
+
+def _is_text(value: Any) -> bool:
+    try:
+        json.dumps(value, ensure_ascii=False).encode()
+    except UnicodeError:
+        return False
+    return True
+
+
+def _object_in(value: Any) -> dict[Any, Any] | None:
+    return value if isinstance(value, dict) else None
 
 
 _HALF_PAIR: Final = re.compile(r"\\u[dD][89a-fA-F]")
@@ -114,7 +128,7 @@ def _check_depth(data: bytes | bytearray | memoryview | str, value: Any, limit: 
         ]
         if not level:
             return
-    raise InvalidFrame(f"containers are nested more than {limit} deep", len(raw))
+    raise InvalidFrame(f"containers are nested more than {limit} deep", len(raw), message=_object_in(value))
 
 
 def _short(error: Exception) -> str:
@@ -124,12 +138,12 @@ def _short(error: Exception) -> str:
 # --- CBOR -------------------------------------------------------------------------------------------------------
 
 
-def _refuse(decoder: object) -> NoReturn:
+def _refuse(*value: object) -> NoReturn:
     raise cbor2.CBORDecodeError("dates, big numbers, references and such are no part of ROS messages")
 
 
 # Every tag that cbor2 would turn into something else than a CBORTag: costly, cyclic or without use here.
-_NO_TAGS: Final[Mapping[int, Callable[[Any], Any]]] = dict.fromkeys(
+_NO_TAGS: Final[Mapping[int, Callable[..., Any]]] = dict.fromkeys(
     (0, 1, 2, 3, 4, 5, 25, 28, 29, 30, 35, 36, 37, 100, 256, 258, 260, 261, 1004, 43000, 43001, 55799), _refuse
 )
 
@@ -139,7 +153,19 @@ def cbor_loads(data: bytes | bytearray | memoryview, max_depth: int = NESTED_CON
     try:
         return cbor2.loads(data, semantic_decoders=_NO_TAGS, max_depth=max_depth)
     except (cbor2.CBORError, ValueError, TypeError, RecursionError) as error:
-        raise InvalidFrame(f"not CBOR: {_short(error)}", len(data)) from None
+        raise InvalidFrame(f"not CBOR: {_short(error)}", len(data), message=_salvaged(data)) from None
+
+
+def _salvaged(data: bytes | bytearray | memoryview) -> dict[Any, Any] | None:
+    """What a CBOR map says beside what is no part of ROS messages, so that it can be refused by its id."""
+    try:
+        value = cbor2.loads(data, semantic_decoders=_EMPTY_TAGS, max_depth=NESTED_CONTAINERS, str_errors="replace")
+    except (cbor2.CBORError, ValueError, TypeError, RecursionError):
+        return None
+    return _object_in(value)
+
+
+_EMPTY_TAGS: Final[Mapping[int, Callable[..., Any]]] = dict.fromkeys(_NO_TAGS, lambda *value: None)
 
 
 # --- JSON over several frames -----------------------------------------------------------------------------------
@@ -179,7 +205,8 @@ class JsonAssembler:
     """Takes the frames of one connection and gives their objects.
 
     ``limit_bytes`` bounds what is kept of an object that is not complete yet; ``garbage_bytes`` counts what was
-    thrown away because it is no JSON, ``pending_bytes`` what waits for the next frame. A frame that is an operation
+    thrown away because it is no JSON, ``pending_bytes`` what waits for the next frame. ``refused`` has the errors of
+    objects that are whole but of no use; whoever feeds frames takes them from there. A frame that is an operation
     by itself ends an object that was never finished.
     """
 
@@ -187,6 +214,7 @@ class JsonAssembler:
         self.limit_bytes = limit_bytes
         self.max_depth = max_depth
         self.garbage_bytes = 0
+        self.refused: list[InvalidFrame] = []
         self._buffer = bytearray()  # begins with the object that is not complete
         self._open = bytearray()  # its containers
         self._expect = _VALUE
@@ -221,7 +249,10 @@ class JsonAssembler:
         try:
             whole = json_loads(data, self.max_depth)
         except InvalidFrame as error:
-            return self._search(data, error)
+            if error.message is None or self._buffer:
+                return self._search(data, error)
+            self.refused.append(error)
+            return []
         if self._buffer:
             if not isinstance(whole, dict) or "op" not in whole:
                 return self._search(data, None)
@@ -264,8 +295,11 @@ class JsonAssembler:
             try:
                 objects.append(json_loads(bytes(self._buffer[:end]), self.max_depth))
             except InvalidFrame as inner:
-                error = error or inner
-                self.garbage_bytes += end
+                if inner.message is not None:
+                    self.refused.append(inner)
+                else:
+                    error = error or inner
+                    self.garbage_bytes += end
             del self._buffer[:end]
         if not objects and not self._buffer and self.garbage_bytes > before:
             raise error or InvalidFrame("not a JSON object", len(data))

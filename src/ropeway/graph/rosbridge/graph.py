@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequenc
 from functools import partial
 from typing import Any, Final
 
-from ropeway.errors import ConnectFailed, GraphUnavailable, RopewayError
+from ropeway.errors import ConnectFailed, GraphUnavailable, RopewayError, WireError
 from ropeway.graph.base import (
     NO_HINTS,
     Changes,
@@ -32,6 +32,7 @@ from ropeway.graph.rosbridge.keeper import Keeper, LinkState
 from ropeway.graph.rosbridge.mirror import Mirror
 from ropeway.graph.rosbridge.parts import EchoFilter, RemotePublisher, RemoteSubscription
 from ropeway.graph.rosbridge.plain import PlainServer
+from ropeway.graph.rosbridge.refusals import answer_to, failure_in
 from ropeway.graph.rosbridge.servers import RemoteActionServer
 from ropeway.graph.rosbridge.services import RemoteClient, RemoteService
 from ropeway.link.calls import OP_CHANNELS
@@ -183,6 +184,7 @@ class RosbridgeGraph:
 
     async def _converse(self, connection: Connection, peer: Peer) -> None:
         self.peer = peer
+        peer.on_invalid = lambda message, error: self._invalid(peer, message, error)
         self.connections += 1
         self._noted_types.clear()
         if peer.dialect is ROPEWAY:
@@ -411,6 +413,14 @@ class RosbridgeGraph:
             self.peer.unpacked(unpack_png(op.data, limit_bytes=self.peer.limit_bytes), Packing.IMAGE)
         elif self.peer is not None and not self.calls.operation(op, self.peer):
             self.peer.complaints.note("operation", "", f"{op.op} is not for a client")
+
+    def _invalid(self, peer: Peer, message: Mapping[str, Any], error: WireError) -> None:
+        """Answer a request that cannot be understood, and fail a call whose answer cannot be."""
+        peer.complaints.note("operation", str(message.get("topic", ""))[:200], error)
+        if (answer := answer_to(message, error)) is not None:
+            peer.send(answer)
+        elif (failure := failure_in(message, error)) is not None:
+            self.calls.operation(failure, peer)
 
     def control(self, message: Mapping[str, Any]) -> None:
         """A message of the Ropeway dialect came."""

@@ -1,0 +1,43 @@
+"""Answers to operations of a server that cannot be understood but say which they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from ropeway.errors import InvalidOperation, WireError
+from ropeway.wire import ops
+
+__all__ = ["answer_to", "failure_in"]
+
+_ABORTED: Final = 6  # as in action_msgs/GoalStatus
+
+
+def answer_to(message: Mapping[str, Any], error: WireError) -> ops.Op | None:
+    """The answer to a request that cannot be understood; ``None`` where it names no request."""
+    id = _id(error)
+    name = message.get("service", message.get("action"))
+    if not isinstance(name, str) or not ops.present(id):
+        return None
+    if message.get("op") == "call_service":
+        return ops.ServiceResponse(service=name, values=str(error), result=False, id=id)
+    if message.get("op") == "send_action_goal":
+        return ops.ActionResult(action=name, values=str(error), status=_ABORTED, result=False, id=id)
+    return None
+
+
+def failure_in(message: Mapping[str, Any], error: WireError) -> ops.Op | None:
+    """A failure in the place of an answer that cannot be understood, for whoever waits for it."""
+    id = _id(error)
+    name = message.get("service", message.get("action", ""))
+    if not ops.present(id):
+        return None
+    if message.get("op") == "service_response":
+        return ops.ServiceResponse(service=str(name), values=str(error), result=False, id=id)
+    if message.get("op") == "action_result":
+        return ops.ActionResult(action=str(name), values=str(error), status=_ABORTED, result=False, id=id)
+    return None
+
+
+def _id(error: WireError) -> object:
+    return error.id if isinstance(error, InvalidOperation) else ops.ABSENT
