@@ -10,7 +10,7 @@ import pytest
 
 from ropeway.link.http import Request, Response, parse_head
 from ropeway.server.access import EVERYTHING, Role
-from ropeway.server.door import CertificateRule, Door, TokenRule, given_token, subprotocol
+from ropeway.server.door import CertificateRule, Door, TokenRule, given_token, subprotocol, unserved
 from tests.server.conftest import Place
 from tests.until import until
 
@@ -157,6 +157,15 @@ def test_subprotocols(offered: str, chosen: str) -> None:
     assert subprotocol(request(**({"sec_websocket_protocol": offered} if offered else {}))) == chosen
 
 
+@pytest.mark.parametrize("offered", ["foxglove.websocket.v1", "foxglove.sdk.v1, x", "ropeway.2"])
+def test_subprotocols_of_others(offered: str) -> None:
+    """Who offers subprotocols of others alone is told which are served; what was offered is not repeated."""
+    told = unserved(request(sec_websocket_protocol=offered))
+    assert "rosbridge, ropeway.1 and none at all" in told
+    assert offered not in told
+    assert unserved(request(sec_websocket_protocol=f"{offered}, rosbridge")) == unserved(request()) == ""
+
+
 def test_two_readings() -> None:
     """A subprotocol may be percent-encoded, as a browser does it; a token that contains a percent sign still fits."""
     assert given_token(request(sec_websocket_protocol="bearer.a%2Fb")) == ["a%2Fb", "a/b"]
@@ -187,6 +196,14 @@ async def test_handshakes(bare: Place, caplog: pytest.LogCaptureFixture) -> None
     assert {session.access.role.name for session in bare.server.sessions} == {"operator", "viewer"}
     assert sum(bare.server.refused.values()) == 4
     assert not any("sesame" in line or "wrong-token" in line or "looking" in line for line in caplog.messages)
+
+
+async def test_unserved_subprotocol(place: Place) -> None:
+    """A viewer of another protocol is refused with 400 and a reason, which is counted; the server goes on."""
+    await refused(place, 400, subprotocol="foxglove.websocket.v1")
+    ((reason, count),) = place.server.refused.items()
+    assert (reason[:3], count) == ("400", 1)
+    assert (await place.client(subprotocol="rosbridge")).status.startswith("HTTP/1.1 101")
 
 
 async def test_full(bare: Place) -> None:

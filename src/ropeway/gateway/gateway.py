@@ -120,6 +120,7 @@ class Gateway:
                 self.registry,
                 gateway_id=self.gateway_id,
                 name=settings.name,
+                node=self._node,
                 limits=limits,
                 door=door,
                 reasons=self.missing,

@@ -18,7 +18,6 @@ from ropeway.errors import (
     TypeConflict,
     WireError,
 )
-from ropeway.graph.base import resolve_name
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ClientGoal, Goal, GoalStatus, Outcome
 from ropeway.limits import ACTIONS_PER_CLIENT, GOALS_PER_CLIENT, UNREAD_STATUS_BYTES
 from ropeway.server.action_offers import OfferedAction, TakenGoal
@@ -120,7 +119,7 @@ class ActionOps:
 
     def cancel(self, op: ops.CancelActionGoal) -> None:
         """The client asks for the end of a goal, or without an id of all its goals of the action."""
-        name = resolve_name(op.name)
+        name = self.session.names.resolve(op.name)
         found = [g for g in self.goals if g.name == name and (not ops.present(op.id) or g.op.id == op.id)]
         for goal in found:
             self._start(goal.cancel(answer=self.session.gateway), f"cancel goal of {name}")
@@ -132,7 +131,7 @@ class ActionOps:
     async def advertise(self, op: ops.AdvertiseAction) -> None:
         """The client carries out goals."""
         session = self.session
-        name = resolve_name(op.action)
+        name = session.names.resolve(op.action)
         session.access.check("advertise_action", name)
         type = type_of(session, op.type, "action")
         if type.split("/")[1] != "action":
@@ -176,7 +175,7 @@ class ActionOps:
     def _goal(self, op: ops.ActionFeedback | ops.ActionResult) -> TakenGoal:
         action = self.offered.get(op.action)
         if action is None:
-            name = resolve_name(op.action)
+            name = self.session.names.resolve(op.action)
             action = next((a for a in self.offered.values() if a.name == name), None)
         if action is None:
             raise InvalidOperation("", f"Action {op.action} has not been advertised via rosbridge.")
@@ -226,7 +225,7 @@ class SentGoal:
     async def _carry_out(self) -> None:
         op, session = self.op, self._session
         extra = op.ropeway or {}
-        name = resolve_name(op.name)
+        name = session.names.resolve(op.name)
         session.access.check("send_action_goal", name)
         type = type_of(session, op.action_type, "action")
         if type.split("/")[1] != "action":

@@ -15,7 +15,16 @@ from ropeway.link.http import Request, Response, reply
 from ropeway.server.access import EVERYTHING, Globs, Role
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 
-__all__ = ["BEARER", "PLAIN_SUBPROTOCOL", "CertificateRule", "Door", "TokenRule", "given_token", "subprotocol"]
+__all__ = [
+    "BEARER",
+    "PLAIN_SUBPROTOCOL",
+    "CertificateRule",
+    "Door",
+    "TokenRule",
+    "given_token",
+    "subprotocol",
+    "unserved",
+]
 
 BEARER: Final = "bearer."
 """A subprotocol that begins so carries a token: a browser can send no header of its own."""
@@ -140,6 +149,19 @@ def subprotocol(request: Request) -> str:
         if known in offered:
             return known
     return next((name for name in offered if name.startswith(BEARER)), "")
+
+
+def unserved(request: Request) -> str:
+    """Return why a client cannot be served that insists on subprotocols of others; ``""`` where it does not.
+
+    A browser ends a connection for which none of those is chosen that it offered, and gives no reason.
+    """
+    if not request.subprotocols or subprotocol(request):
+        return ""
+    return (  # what was offered is not repeated: a token may be among it
+        f"none of the subprotocols offered is served here, but {PLAIN_SUBPROTOCOL}, {ROPEWAY_SUBPROTOCOL} and none at "
+        "all (which is rosbridge) are; in a viewer, open a rosbridge connection"
+    )
 
 
 def _who_are_you(text: str, detail: str = "") -> Response:

@@ -20,9 +20,10 @@ from ropeway.link.front import Admission
 from ropeway.link.http import Request, Response, reply
 from ropeway.link.websocket import Server, listen
 from ropeway.server.access import EVERYTHING, Access, Role
-from ropeway.server.door import Door, subprotocol
+from ropeway.server.door import Door, subprotocol, unserved
 from ropeway.server.http import Pages
 from ropeway.server.lingering import Lingering
+from ropeway.server.names import Names
 from ropeway.server.presence import Presence, ip_address
 from ropeway.server.rosapi import Globs, Rosapi
 from ropeway.server.rosout import Rosout
@@ -50,7 +51,7 @@ class RosbridgeServer:
 
     ``unregister_timeout_s``: how long a topic stays advertised after its last client withdrew it or left (rosbridge's
     default is 10 s), so that what it said last is heard. ``rosapi_globs`` limits what rosapi shows, and
-    ``params_timeout_s`` bounds what it asks of nodes. ``publish_clients`` publishes ``/client_count`` and
+    ``params_timeout_s`` bounds what it asks of nodes. Private names of clients (``~/x``) are those of our ``node``. ``publish_clients`` publishes ``/client_count`` and
     ``/connected_clients``, ``publish_rosout`` our own warnings and errors on ``/rosout``, from the first ``listen`` on.
     """
 
@@ -74,9 +75,11 @@ class RosbridgeServer:
         ping_interval_s: float = _CLIENT_PING_S,
         cancel_goals: bool = True,
         pages: StorePages | None = None,
+        node: str = "",
     ) -> None:
         self.hub, self.registry = hub, registry
         self.gateway_id, self.name = gateway_id, name
+        self._names = Names(f"/{node or name}", ros1=hub.graph.kind == "ros1")
         self.limits = limits or Limits()
         self.unregister_timeout_s = unregister_timeout_s
         self.sessions: dict[Session, asyncio.Task[None]] = {}
@@ -151,18 +154,25 @@ class RosbridgeServer:
     def _admit(self, request: Request) -> Admission | Response:
         role = self.door.role_of(request)
         if isinstance(role, Role):
-            full = self._full(role)
-            if not full:
+            refusal = self._refusal(role, request)
+            if refusal is None:
                 limits = self.limits
                 if role.max_message_bytes is not None:
                     size = min(role.max_message_bytes, limits.max_message_bytes)
                     limits = replace(limits, max_message_bytes=size)
                 return Admission(subprotocol(request), limits, role)
-            role = reply(503, {"error": full}, Retry_After="10")
+            role = refusal
         reason = f"{role.status} {json.loads(role.body)['error']}"
         self.refused[reason] += 1
         self._complaints.note("handshake", "", f"{request.peer} is refused: {reason}")
         return role
+
+    def _refusal(self, role: Role, request: Request) -> Response | None:
+        """The answer to a client of this role that may come in, but not now or not like this."""
+        if full := self._full(role):
+            return reply(503, {"error": full}, Retry_After="10")
+        offered = unserved(request)
+        return reply(400, {"error": offered}) if offered else None
 
     def _full(self, role: Role) -> str:
         """Why there is no place for one more of this role; ``""`` where there is."""
@@ -206,6 +216,7 @@ class RosbridgeServer:
             cancel_goals=self.cancel_goals,
             access=Access(role, self.door.globs, client=connection.peer, tally=self.denied),
             rosapi=self.rosapi,
+            names=self._names,
         )
         task = asyncio.create_task(session.run(), name=f"session {connection.peer}")
         self.sessions[session] = task

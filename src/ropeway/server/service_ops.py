@@ -21,7 +21,7 @@ from ropeway.errors import (
     TypesError,
     WireError,
 )
-from ropeway.graph.base import Delivery, resolve_name
+from ropeway.graph.base import Delivery
 from ropeway.graph.calls import Request
 from ropeway.graph.rosbridge.notes import call_note, received
 from ropeway.limits import CALLS_PER_CLIENT, CALLS_PER_OFFERED_SERVICE, LONGEST_CALL_S, SERVICES_PER_CLIENT
@@ -110,7 +110,7 @@ class ServiceOps:
     async def _answer(self, op: ops.CallService) -> None:
         session = self.session
         try:
-            name = resolve_name(op.name)
+            name = session.names.resolve(op.name)
             session.access.check("call_service", name)
             if session.rosapi is not None and session.rosapi.serves(name):
                 values = await session.rosapi.call(name, op.args, session)
@@ -213,7 +213,7 @@ class ServiceOps:
     async def advertise(self, op: ops.AdvertiseService) -> None:
         """The client serves a service."""
         session = self.session
-        name = resolve_name(op.service)
+        name = session.names.resolve(op.service)
         session.access.check("advertise_service", name)
         type = type_of(session, op.type, "srv")
         if type.split("/")[1] != "srv":
@@ -258,7 +258,7 @@ class ServiceOps:
     def _offered(self, service: str) -> OfferedService:
         found = self.offered.get(service)
         if found is None:
-            name = resolve_name(service)
+            name = self.session.names.resolve(service)
             found = next((s for s in self.offered.values() if s.name == name), None)
         if found is None:
             raise InvalidOperation("", f"Service {service} has not been advertised via rosbridge.")

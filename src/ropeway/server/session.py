@@ -16,6 +16,7 @@ from ropeway.limits import UNREAD_STATUS_BYTES, WAITING_OPERATIONS
 from ropeway.link.peer import Peer
 from ropeway.server.access import Access
 from ropeway.server.action_ops import ActionOps
+from ropeway.server.names import Names
 from ropeway.server.service_ops import ServiceOps
 from ropeway.server.topic_ops import Retire, TopicOps
 from ropeway.server.topics import TopicIn, TopicOut
@@ -86,11 +87,13 @@ class Session:
         cancel_goals: bool = True,
         access: Access | None = None,
         rosapi: Rosapi | None = None,
+        names: Names | None = None,
     ) -> None:
         self.registry = registry
         self.gateway_id = gateway_id
         self.access = access or Access(client=connection.peer)
         self.rosapi = rosapi
+        self.names = names or Names(f"/{name}")
         self.peer = Peer(connection, registry, self)
         self.peer.on_invalid = self.invalid
         self.gateway = self.peer.dialect is ROPEWAY

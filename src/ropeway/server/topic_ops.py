@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import GraphError, InvalidOperation, RopewayError, TypeConflict, TypesError
-from ropeway.graph.base import resolve_name
 from ropeway.limits import IDS_PER_TOPIC, TOPICS_PER_CLIENT
 from ropeway.qos import QoS
 from ropeway.server.bodies import type_of
@@ -152,7 +151,7 @@ class TopicOps:
 
     async def _make_input(self, op: ops.Advertise, number: int | None) -> None:
         session = self.session
-        name = resolve_name(op.topic)
+        name = session.names.resolve(op.topic)
         session.access.check("publish", name)
         type = type_of(session, op.type, "msg")
         session.learn(type, op.ropeway)
@@ -273,7 +272,7 @@ class TopicOps:
     async def subscribe(self, op: ops.Subscribe) -> None:
         """The client reads a topic."""
         session = self.session
-        name = resolve_name(op.topic)
+        name = session.names.resolve(op.topic)
         session.access.check("subscribe", name)
         if not op.type and not self._types(name):
             self._wait_for_birth(op)
@@ -375,7 +374,7 @@ class TopicOps:
         async for event in changes:
             if event.kind != "publisher" or not event.discovered:
                 continue
-            for topic in [t for t in self._unborn if resolve_name(t) == event.name]:
+            for topic in [t for t in self._unborn if self.session.names.resolve(t) == event.name]:
                 for op in self._unborn.pop(topic).values():
                     self.session.push(op)
 
@@ -414,7 +413,7 @@ class TopicOps:
             raise TopicTypeConflict(name, types[0], type)
 
     def _inferred(self, topic: str) -> str:
-        types = self._types(resolve_name(topic))
+        types = self._types(self.session.names.resolve(topic))
         if not types:
             raise UnknownTopicError(topic)
         return types[0]
