@@ -583,3 +583,20 @@ async def test_rosbridge_client_asks_for_an_encoding(place: Place) -> None:
         "cbor-raw",
         sequence(2),
     )
+
+
+@pytest.mark.parametrize("cancels", [True, False])
+async def test_server_stops(bare: Place, cancels: bool) -> None:
+    """A goal that is under way when the server stops has an answer before the connection is closed."""
+    await bare.start(cancel_goals=cancels)
+    worker = Worker()
+    await serve(bare, worker)
+    client = await bare.client()
+    client.send(goal())
+    await until(lambda: worker.goals)
+    stopping = asyncio.create_task(bare.server.close())
+    answer = await client.json()
+    assert (answer["op"], answer["id"]) == ("action_result", goal()["id"])
+    assert answer["status"] == 5 or "the gateway stops" in answer["values"]
+    assert (await client.closed())[0] == 1001
+    await stopping

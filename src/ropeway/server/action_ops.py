@@ -14,6 +14,7 @@ from ropeway.errors import (
     GraphError,
     InvalidOperation,
     InvalidTypeName,
+    ProviderLost,
     RopewayError,
     TypeConflict,
     WireError,
@@ -212,15 +213,18 @@ class SentGoal:
         self._actions, self._session = actions, actions.session
         self._goal: asyncio.Future[ClientGoal | None] = asyncio.get_running_loop().create_future()
         self.task = asyncio.create_task(self._run(), name=f"goal of {op.action[:200]}")
+        self.task.add_done_callback(self._done)
 
     async def _run(self) -> None:
         try:
             await self._carry_out()
         except (RopewayError, ValueError) as error:
             self._actions.refuse(self.op, error)
-        finally:
-            if not self._goal.done():
-                self._goal.set_result(None)
+
+    def _done(self, _: asyncio.Task[None]) -> None:
+        """Who waits for the goal waits no longer, also where the task was cancelled before it began."""
+        if not self._goal.done():
+            self._goal.set_result(None)
 
     async def _carry_out(self) -> None:
         op, session = self.op, self._session
