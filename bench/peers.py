@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 import uvloop
 
+from bench.images import IMAGE, frames
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.dds import DdsGraph
 from ropeway.qos import QoS
 
-IMAGE, CLOUD, STRING, TWIST = (
-    "sensor_msgs/msg/Image",
+CLOUD, STRING, TWIST = (
     "sensor_msgs/msg/PointCloud2",
     "std_msgs/msg/String",
     "geometry_msgs/msg/TwistStamped",
@@ -64,15 +64,16 @@ def stamped(size: int) -> bytes:
 
 
 def messages(kind: str) -> tuple[str, list[bytes]]:
-    """The type and the messages of a kind: recorded ones, or ``<number>`` bytes that nothing compresses."""
+    """The type and the messages of a kind: recorded ones, made ones, or ``<number>`` bytes that nothing compresses."""
     if kind == "twist":
         return TWIST, [b"\0\1\0\0" + bytes(8) + struct.pack("<I", 1) + bytes(4) + bytes(48)]
     if kind.isdigit():
         return "sensor_msgs/msg/CompressedImage", [stamped(int(kind))]
     directory = data_directory()
     if directory is None:
-        size = {"rgb": 305352, "depth": 203592, "lidar": 248979}.get(kind, 400)
-        return "sensor_msgs/msg/CompressedImage", [stamped(size)]
+        if kind in ("rgb", "depth"):
+            return IMAGE, frames(kind)
+        return "sensor_msgs/msg/CompressedImage", [stamped({"lidar": 248979}.get(kind, 400))]
     from mcap.reader import make_reader
 
     out: list[bytes] = []
