@@ -230,3 +230,53 @@ LOG_LINES_PER_S: Final = 0.2
 
 LOG_LINE_CHARACTERS: Final = 2_000
 """A line of the log, but for tracebacks."""
+
+# ── Connections that are not let in yet ────────────────────────────────────────────────────────────────────────────
+
+PENDING_CONNECTIONS: Final = 1_024
+"""Connections of all listeners on which a TLS handshake, a request or a login is still to come. Above, the oldest is
+dropped, so that silent ones keep nobody out."""
+
+PENDING_PER_ADDRESS: Final = 256
+"""Such connections from one address (an IPv6 network of 64 bits counts as one). Above, its oldest is dropped."""
+
+LOGIN_S: Final = 10.0
+"""Time in which an IoRT node has to say who it is, where that is asked."""
+
+WRONG_TOKENS_PER_CONNECTION: Final = 3
+"""Wrong tokens on one connection of a node. The connection is closed after them."""
+
+WRONG_TOKENS: Final = 10
+"""Wrong tokens from one address that are looked at at once; one more every `WRONG_TOKEN_S`. Then it is locked out."""
+
+WRONG_TOKEN_S: Final = 10.0
+"""See `WRONG_TOKENS`. A gateway that is set up with a wrong token tries less often than that."""
+
+FIRST_LOCKOUT_S: Final = 10.0
+"""Time for which tokens of an address are refused unread after too many wrong ones. It doubles each time."""
+
+LONGEST_LOCKOUT_S: Final = 300.0
+"""The longest such time: whoever has the right token again waits no longer than that."""
+
+WRONG_TOKEN_DELAY_S: Final = 0.1
+"""How much later the answer to a wrong token is for each wrong one before it from the same address, up to 1 s."""
+
+ADDRESSES: Final = 4_096
+"""Addresses whose wrong tokens are remembered. Above, the one that was quiet longest is forgotten."""
+
+# ── Readers of the store, and IoRT nodes ───────────────────────────────────────────────────────────────────────────
+
+WATCHER_UNREAD_BYTES: Final = 4 << 20
+"""What a watcher of the store has not read. Above, its connection is closed."""
+
+WATCHER_SILENCE_S: Final = 30.0
+"""Time for which a watcher of the store may take nothing of what waits for it."""
+
+PATTERNS_PER_NODE: Final = 64
+"""Subscriptions of one node with wildcards, each of which is tried on every value."""
+
+ENDPOINTS_PER_NODE: Final = 4_096
+"""Topics that one node publishes or subscribes to."""
+
+VERSION_AHEAD_S: Final = 86_400.0
+"""How far a version, which is a time, may lie in the future. A later one would leave no room for those that follow."""

@@ -42,7 +42,7 @@ async def world() -> AsyncIterator[World]:
 
 def nodes_port(gateway: Gateway) -> int:
     assert gateway.nodes is not None
-    return gateway.nodes.server.addresses[0][1]
+    return gateway.nodes.server.listeners[0].port
 
 
 async def with_nodes(world: World, maps: list[Any], **settings: Any) -> tuple[Gateway, MemoryGraph]:
@@ -283,7 +283,7 @@ async def test_stored_topic_for_web_clients(world: World) -> None:
 
 async def http(port: int, path: str, method: str = "GET") -> tuple[int, Any]:
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
-    writer.write(f"{method} {path} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+    writer.write(f"{method} {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
     raw = await reader.read()
     writer.close()
     head, _, body = raw.partition(b"\r\n\r\n")
@@ -310,7 +310,7 @@ async def test_http(world: World) -> None:
         assert (await http(port, "/store/PEPPER", "DELETE"))[0] == 400
         assert (await http(port, "/store/PEPPER/battery", "PUT"))[0] == 405
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        writer.write(b"GET /store/PEPPER/battery?watch=1 HTTP/1.1\r\nHost: x\r\n\r\n")
+        writer.write(b"GET /store/PEPPER/battery?watch=1 HTTP/1.1\r\nHost: localhost\r\n\r\n")
         await reader.readuntil(b"\r\n\r\n")
         assert json.loads(await reader.readline())["data"] == "79"
         await node.publish("battery", "78")

@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ropeway.link.connection import Connection, Limits
+from ropeway.link.listener import Listener
 from ropeway.link.peer import Peer
-from ropeway.link.websocket import Server, listen
+from ropeway.link.websocket import listen
 from ropeway.types import TypeRegistry
 from ropeway.wire import ops
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
@@ -27,7 +28,7 @@ class ScriptedGateway:
         self.controls: list[Mapping[str, Any]] = []
         self.greets = True
         self.port = 0
-        self._server: Server | None = None
+        self._server: Listener | None = None
 
     async def start(self) -> None:
         """Listen, at the same port as before."""

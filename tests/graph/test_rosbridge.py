@@ -18,8 +18,9 @@ from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
 from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
 from ropeway.link.connection import Connection, Limits
+from ropeway.link.listener import Listener
 from ropeway.link.outbox import Lost
-from ropeway.link.websocket import Server, listen
+from ropeway.link.websocket import listen
 from ropeway.qos import LATCHED, QoS
 from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
@@ -44,7 +45,7 @@ class FakeServer:
         self.heard: list[dict[str, Any]] = []
         self.binaries: list[bytes] = []
         self.on_connection: Callable[[Connection], None] = lambda _: None
-        self._server: Server | None = None
+        self._server: Listener | None = None
         self.port = 0
 
     async def start(self, *, subprotocols: tuple[str, ...] = (), limits: Limits | None = None) -> None:

@@ -12,6 +12,8 @@ from typing import Any
 
 from ropeway.graph.iort import Space
 from ropeway.iort import Fault, Packet, Parser
+from ropeway.server.door import Door
+from ropeway.server.entrance import Entrance
 from ropeway.server.iort import IortServer
 from ropeway.store import Store, StoreLimits, make_backend
 
@@ -26,11 +28,17 @@ class Served:
 
 @contextlib.asynccontextmanager
 async def serving(
-    path: str = "memory:", *, port: int = 0, limits: StoreLimits | None = None, ssl_context: Any = None, **options: Any
+    path: str = "memory:",
+    *,
+    port: int = 0,
+    limits: StoreLimits | None = None,
+    ssl_context: Any = None,
+    door: Door | None = None,
+    **options: Any,
 ) -> AsyncIterator[Served]:
     store = Store(make_backend(path), limits=limits)
     await store.open()
-    server = IortServer(Space(store), **options)
+    server = IortServer(Space(store), entrance=Entrance(door), **options)
     scheme = "iort" if ssl_context is None else "iorts"
     try:
         bound = await server.listen(f"{scheme}://127.0.0.1:{port}", ssl_context=ssl_context)
@@ -92,6 +100,8 @@ class Raw:
 _PROGRAM = """
 import asyncio, sys
 from ropeway.graph.iort import Space
+from ropeway.server.door import Door
+from ropeway.server.entrance import Entrance
 from ropeway.server.iort import IortServer
 from ropeway.store import Store, make_backend
 

@@ -15,7 +15,8 @@ import pytest
 from ropeway.budget import Budget
 from ropeway.errors import ConnectFailed
 from ropeway.link.connection import Connection, Limits
-from ropeway.link.websocket import Server, connect, listen
+from ropeway.link.listener import Listener
+from ropeway.link.websocket import connect, listen
 from tests.server.client import BINARY, CLOSE, CONTINUATION, PING, PONG, TEXT, Client, ClosedByServer, frame
 from tests.until import until
 
@@ -43,7 +44,7 @@ class Place:
     def __init__(self, stack: AsyncExitStack) -> None:
         self.stack = stack
         self.ends: list[End] = []
-        self.server: Server
+        self.server: Listener
 
     async def listen(self, limits: Limits = QUIET, **options: Any) -> None:
         self.server = await listen("127.0.0.1", 0, lambda c: self.ends.append(End(c)), limits=limits, **options)

@@ -16,7 +16,9 @@ import pytest
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.front import Admission
 from ropeway.link.http import MAX_HEAD_BYTES, Request, Response, reply
-from ropeway.link.websocket import Server, listen
+from ropeway.link.listener import Listener
+from ropeway.link.lobby import Lobby
+from ropeway.link.websocket import listen
 from tests.gateway.test_tls import Authority
 from tests.server.client import CLOSE, Client
 from tests.until import until
@@ -43,7 +45,7 @@ class Place:
         self.stack = stack
         self.connections: list[Connection] = []
         self.requests: list[Request] = []
-        self.server: Server
+        self.server: Listener
         self.tls: ssl.SSLContext | None = None
 
     def answer(self, request: Request) -> Response | asyncio.Protocol:
@@ -54,9 +56,12 @@ class Place:
             raise ValueError("broken")
         return reply(200, {"path": request.path})
 
-    async def listen(self, **options: Any) -> None:
+    async def listen(self, *, lobby: Lobby | None = None, **options: Any) -> None:
         limits = Limits(ping_interval_s=None, open_timeout_s=0.5)
-        self.server = await listen("127.0.0.1", 0, self.connections.append, limits=limits, http=self.answer, **options)
+        self.lobby = Lobby() if lobby is None else lobby
+        self.server = await listen(
+            "127.0.0.1", 0, self.connections.append, limits=limits, http=self.answer, lobby=self.lobby, **options
+        )
         self.stack.push_async_callback(self.server.close)
 
     async def open(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
@@ -183,10 +188,9 @@ async def test_a_body_that_nobody_wants(place: Place) -> None:
                 await asyncio.sleep(0.01)
 
 
-async def test_many_who_say_nothing(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_many_who_say_nothing(place: Place) -> None:
     """Of the connections without a request only so many are kept: the oldest make room for new ones."""
-    monkeypatch.setattr("ropeway.link.front._PENDING_LIMIT", 3)
-    await place.listen()
+    await place.listen(lobby=Lobby(limit=3))
     silent = [await place.open() for _ in range(5)]
     async with asyncio.timeout(0.4):
         for reader, _ in silent[:2]:
@@ -221,7 +225,7 @@ async def test_closing(place: Place) -> None:
     """A server that stops drops those who have not said what they want."""
     await place.listen()
     reader, _ = await place.open()
-    await until(lambda: len(place.server._pending) == 1)
+    await until(lambda: len(place.lobby) == 1)
     await place.server.close()
     with contextlib.suppress(ConnectionError):
         assert await reader.read() == b""

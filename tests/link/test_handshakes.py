@@ -11,19 +11,20 @@ from typing import Any
 import pytest
 
 from ropeway.link.connection import Limits
-from ropeway.link.websocket import Server, listen
+from ropeway.link.listener import Listener
+from ropeway.link.websocket import listen
 from tests.until import until
 
 _hosts = itertools.count(2)
 
 
-async def secure_listener() -> Server:
+async def secure_listener() -> Listener:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     host = f"127.0.0.{next(_hosts)}"  # the address of a listener has the port that was asked for, 0
     return await listen(host, 0, lambda _: None, limits=Limits(), ssl_context=context)
 
 
-async def knock(listener: Server) -> None:
+async def knock(listener: Listener) -> None:
     host = listener.address.split(":")[1].removeprefix("//")
     _, writer = await asyncio.open_connection(host, listener.port)
     writer.write(b"\x16\x03\x01\x02\x00\x01")  # the beginning of a hello

@@ -80,7 +80,9 @@ class Client:
         ssl_context: ssl.SSLContext | None = None,
         receive_bytes: int = 64 << 20,
         headers: dict[str, str] | None = None,
+        named: str = "",
     ) -> None:
+        self._named = named or f"{host}:{port}"
         self._port, self._host, self._path, self._subprotocol = port, host, path, subprotocol
         self._ssl = ssl_context
         self._receive_bytes = receive_bytes
@@ -96,7 +98,7 @@ class Client:
         )
         lines = [
             f"GET {self._path} HTTP/1.1",
-            f"Host: {self._host}:{self._port}",
+            f"Host: {self._named}",
             "Upgrade: websocket",
             "Connection: Upgrade",
             "Sec-WebSocket-Version: 13",
@@ -219,10 +221,13 @@ class Answer(NamedTuple):
     body: bytes
 
 
-async def fetch(port: int, path: str, *, method: str = "GET", headers: dict[str, str] | None = None) -> Answer:
+async def fetch(
+    port: int, path: str, *, method: str = "GET", headers: dict[str, str] | None = None, host: str = ""
+) -> Answer:
     """One request, without an upgrade."""
+    named = host or f"127.0.0.1:{port}"
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
-    lines = [f"{method} {path} HTTP/1.1", f"Host: 127.0.0.1:{port}", *(f"{n}: {v}" for n, v in (headers or {}).items())]
+    lines = [f"{method} {path} HTTP/1.1", f"Host: {named}", *(f"{n}: {v}" for n, v in (headers or {}).items())]
     writer.write("\r\n".join([*lines, "", ""]).encode())
     async with asyncio.timeout(10):
         data = await reader.read(-1)

@@ -13,6 +13,8 @@ from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
 from ropeway.link.connection import Limits
 from ropeway.server import RosbridgeServer
+from ropeway.server.door import Door
+from ropeway.server.entrance import Entrance
 from ropeway.server.session import Session
 from ropeway.types import TypeRegistry
 from tests.server.client import Client
@@ -33,12 +35,25 @@ class Place:
         self.robot: MemoryGraph
         self.port = 0
 
-    async def start(self, *, limits: Limits | None = None, unregister_timeout_s: float = 10.0, **options: Any) -> None:
+    async def start(
+        self,
+        *,
+        limits: Limits | None = None,
+        unregister_timeout_s: float = 10.0,
+        door: Door | None = None,
+        **options: Any,
+    ) -> None:
+        self.entrance = Entrance(door)
         graph = await self.participant("/gateway")
         self.robot = await self.participant("/robot")
         self.hub = Hub(graph)
         self.server = RosbridgeServer(
-            self.hub, self.registry, limits=limits, unregister_timeout_s=unregister_timeout_s, **options
+            self.hub,
+            self.registry,
+            limits=limits,
+            unregister_timeout_s=unregister_timeout_s,
+            entrance=self.entrance,
+            **options,
         )
         self.stack.push_async_callback(self.server.close)
         self.port = (await self.server.listen("ws://127.0.0.1:0")).port

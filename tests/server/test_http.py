@@ -10,6 +10,7 @@ import pytest
 from ropeway import __version__
 from ropeway.server.access import EVERYTHING
 from ropeway.server.door import Door, TokenRule
+from ropeway.server.hosts import Hosts
 from tests.server.client import fetch
 from tests.server.conftest import Place
 
@@ -58,13 +59,14 @@ async def test_other_requests(place: Place, path: str, method: str, status: int)
 
 
 @pytest.mark.parametrize(
-    ("origins", "allowed"), [(None, True), (("https://*.example.com",), True), (("https://other.org",), False)]
+    ("origins", "allowed"),
+    [(None, False), (("*",), True), (("https://*.example.com",), True), (("https://other.org",), False)],
 )
 async def test_web_pages(bare: Place, origins: Any, allowed: bool) -> None:
-    """A page that may connect may also read the answers; a page that may not, may not."""
-    await bare.start(door=Door(origins=origins))
+    """A page that may connect may also read the answers; a page that may not gets none."""
+    await bare.start(door=Door(hosts=Hosts(origins=origins)))
     answer = await fetch(bare.port, "/", headers={"Origin": "https://dash.example.com"})
-    assert answer.status == 200
+    assert answer.status == (200 if allowed else 403)
     assert answer.headers.get("Access-Control-Allow-Origin") == ("https://dash.example.com" if allowed else None)
 
 

@@ -6,12 +6,15 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
+from urllib.parse import urlsplit
 
 from ropeway.errors import ConfigError
 from ropeway.gateway.auth_model import ALL, AuthConfig, GlobsConfig, RoleConfig, Secret
 from ropeway.gateway.model import GatewayConfig
+from ropeway.gateway.tls import certificate_names
 from ropeway.server.access import EVERYTHING, Globs, Role
 from ropeway.server.door import CertificateRule, Door, TokenRule
+from ropeway.server.hosts import Hosts, host_of, own_names
 
 __all__ = ["make_door", "read_secret"]
 
@@ -30,7 +33,7 @@ def make_door(settings: GatewayConfig) -> Door:
             for item in auth.certificates
         ],
         default=default if default is not None or auth.asks else EVERYTHING,
-        origins=auth.origins,
+        hosts=_hosts(settings),
         globs=_globs(settings.globs),
         max_clients=settings.clients.max_clients,
     )
@@ -55,6 +58,15 @@ def read_secret(secret: Secret, path: str) -> str:
     if not token or len(token) > _LONGEST or not all("!" <= c <= "~" for c in token):
         raise ConfigError([(where, f"expected 1 to {_LONGEST} printable ASCII characters without a space")])
     return token
+
+
+def _hosts(settings: GatewayConfig) -> Hosts:
+    """Return the names under which the listeners are reached: the machine's, theirs, and those of the certificate."""
+    listeners = {host_of(urlsplit(url).netloc) for url in settings.listen}
+    certified = certificate_names(settings.tls) if settings.tls is not None else frozenset()
+    wild = {name for name in certified if "*" in name}
+    patterns = (*wild, *(pattern.lower() for pattern in settings.auth.hosts))
+    return Hosts(own_names() | listeners | (certified - wild), patterns, settings.auth.origins)
 
 
 def _token(auth: AuthConfig, index: int, roles: Mapping[str, Role]) -> TokenRule:

@@ -200,7 +200,14 @@ class AuthConfig(Model):
         None, description="of who has no token and no certificate; left out: nobody without may connect"
     )
     origins: Many[Pattern] | None = Field(
-        None, description="web pages whose scripts may connect, such as https://*.example.com; left out: all"
+        None,
+        description="web pages whose scripts may connect, such as https://*.example.com, null for files that are "
+        "opened in a browser, or * for all; left out: pages of the same machine as the browser, or as the gateway",
+    )
+    hosts: Many[Pattern] = Field(
+        (),
+        description="names by which clients without a token reach the listeners, beside those of the machine and of "
+        "its certificate, such as robot.example.com; * for any",
     )
 
     @property

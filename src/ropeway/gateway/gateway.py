@@ -6,6 +6,7 @@ import asyncio
 import logging
 import os
 import ssl
+from collections.abc import Iterable
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,19 +18,21 @@ from ropeway.gateway.automatic import Automatic
 from ropeway.gateway.bridges import make_bridge
 from ropeway.gateway.config import Config, Route
 from ropeway.gateway.counts import summed
-from ropeway.gateway.files import allow_open_files
+from ropeway.gateway.files import make_room
 from ropeway.gateway.iort_model import StoreConfig
 from ropeway.gateway.keep import Keeper, key_of
 from ropeway.gateway.model import RemoteConfig
 from ropeway.gateway.nodes import Nodes
 from ropeway.gateway.overlay_model import OVERLAY
 from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote
-from ropeway.gateway.tls import client_context, reload_server_context, server_context
+from ropeway.gateway.tls import client_context, server_context, trusted_files
 from ropeway.graph.factory import open_graph
 from ropeway.graph.hub import Hub, View
 from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.link.connection import Limits
+from ropeway.link.listener import Listener
 from ropeway.server import RosbridgeServer
+from ropeway.server.entrance import Entrance
 from ropeway.server.store import StorePages
 from ropeway.store import Store, default_path, make_backend
 from ropeway.tasks import Supervised, failing
@@ -81,6 +84,8 @@ class Gateway:
         self._reuse_port = reuse_port
         self._stack = AsyncExitStack()
         self._tls: ssl.SSLContext | None = None
+        self._trusted = b""
+        self._entrance = Entrance()
 
     async def __aenter__(self) -> Gateway:
         """Bring everything up. Raises ``RopewayError`` if a graph or a listener cannot be had; nothing stays up."""
@@ -99,8 +104,8 @@ class Gateway:
         for path in settings.types:
             self.registry.add_path(path)
         self.registry.add_ament_prefix_path()
-        door = make_door(settings)
-        self._tls = server_context(settings.tls)
+        self._entrance.door = make_door(settings)
+        self._tls, self._trusted = server_context(settings.tls), trusted_files(settings.tls)
         for url in settings.graphs:
             graph = await self._open_graph(url)
             stack.push_async_callback(graph.close)
@@ -109,7 +114,8 @@ class Gateway:
             stack.push_async_callback(hub.close)
         if settings.listen:
             nodes = settings.iort.max_nodes if any(map(is_iort, settings.listen)) else 0
-            allow_open_files(settings.clients.max_clients + nodes)
+            room = make_room(settings.clients.max_clients + nodes)
+            self._entrance.set_room(clients=room.clients, pending=room.pending)
         if self.config.stores:
             self.store = await self._open_store(stack)
         limits = Limits(max_message_bytes=settings.max_message_bytes, budget=self.budget)
@@ -122,7 +128,7 @@ class Gateway:
                 name=settings.name,
                 node=self._node,
                 limits=limits,
-                door=door,
+                entrance=self._entrance,
                 reasons=self.missing,
                 unregister_timeout_s=settings.clients.unregister_timeout_s,
                 call_timeout_s=settings.clients.call_timeout_s,
@@ -182,8 +188,9 @@ class Gateway:
         into, out_of = hub.view("from nodes"), hub.view("to nodes")
         stack.push_async_callback(into.close)
         stack.push_async_callback(out_of.close)
-        door = make_door(settings)
-        self.nodes = Nodes(settings.iort, self.store, into, out_of, self.registry, door=door, name=settings.name)
+        self.nodes = Nodes(
+            settings.iort, self.store, into, out_of, self.registry, entrance=self._entrance, name=settings.name
+        )
         await self.nodes.open()
         stack.push_async_callback(self.nodes.close)
         for url in urls:
@@ -300,7 +307,7 @@ class Gateway:
         settings = self.config.gateway
         reasons = [f"{url} is not open" for url in settings.graphs if url not in self.hubs]
         up = sum(len(server.listeners) for server in self.servers)
-        up += 0 if self.nodes is None else len(self.nodes.server.addresses)
+        up += 0 if self.nodes is None else len(self.nodes.server.listeners)
         if up < len(settings.listen):
             reasons.append(f"{up} of {len(settings.listen)} listeners are up")
         return reasons
@@ -308,16 +315,19 @@ class Gateway:
     def reload(self) -> None:
         """Read certificates and tokens again, for clients to come; who has a token that is gone is closed.
 
-        Raises ``ConfigError`` if they are no good; everything then stays as it was.
+        So is who showed a certificate, if other authorities are trusted now. Raises ``ConfigError`` if the files are no
+        good; everything then stays as it was.
         """
         settings = self.config.gateway
-        door = make_door(settings)
-        if settings.tls is not None and self._tls is not None:
-            reload_server_context(self._tls, settings.tls)
+        door, context, trusted = make_door(settings), server_context(settings.tls), trusted_files(settings.tls)
+        certificates = trusted != self._trusted
+        self._entrance.door, self._tls, self._trusted = door, context, trusted
         for server in self.servers:
-            server.replace_door(door)
+            _renew(server.listeners, context)
+            server.recheck(certificates=certificates)
         if self.nodes is not None:
-            self.nodes.server.replace_door(door)
+            _renew(self.nodes.server.listeners, context)
+            self.nodes.server.recheck()
         log.info("%s has read its certificates and tokens again", settings.name)
 
     def status(self) -> dict[str, Any]:
@@ -342,7 +352,7 @@ class Gateway:
             "remotes": [remote.status() for remote in self.remotes],
             "routes": [row for remote in self.remotes for row in remote.routes()],
             "memory": self.budget.status(),
-            "access": summed(server.status() for server in self.servers),
+            "access": summed([self._entrance.status(), *(server.status() for server in self.servers)]),
             "sessions": [session.status() for server in self.servers for session in server.sessions],
             **({} if self.store is None else {"store": self.store.status()}),
             **({} if self.nodes is None else {"nodes": self.nodes.status()}),
@@ -352,6 +362,12 @@ class Gateway:
     async def wait(self) -> None:
         """Run until cancelled."""
         await asyncio.Event().wait()
+
+
+def _renew(listeners: Iterable[Listener], context: ssl.SSLContext | None) -> None:
+    for listener in listeners:
+        if listener.context is not None:
+            listener.context = context
 
 
 def _credentials(remote: RemoteConfig, path: str) -> dict[str, str]:

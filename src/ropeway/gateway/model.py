@@ -308,6 +308,9 @@ class ListenTls(Model):
     certificate: ExistingPath = Field(description="certificate chain, PEM")
     key: ExistingPath = Field(description="its private key, PEM")
     ca: ExistingPath | None = Field(None, description="clients must show a certificate of these authorities")
+    crl: ExistingPath | None = Field(
+        None, description="with ca: list of the certificates that their authorities revoked, PEM"
+    )
     client_certificates: Literal["required", "optional"] = Field(
         "required", description="with ca: whether a client without a certificate may come in by a token"
     )

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
     from ropeway.gateway.iort_model import IortConfig
-    from ropeway.server.door import Door
+    from ropeway.server.entrance import Entrance
     from ropeway.store import Entry, Store
     from ropeway.types import TypeRegistry
 
@@ -47,13 +47,13 @@ class Nodes:
         out_of: Graph,
         registry: TypeRegistry,
         *,
-        door: Door,
+        entrance: Entrance,
         name: str,
     ) -> None:
         self.space = Space(store)
         self.server = IortServer(
             self.space,
-            door=door,
+            entrance=entrance,
             max_packet_bytes=config.max_packet_bytes,
             max_clients=config.max_nodes,
             render=self._render,

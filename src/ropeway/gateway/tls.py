@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import ssl
+from pathlib import Path
+
+from cryptography import x509
 
 from ropeway.errors import ConfigError
 from ropeway.gateway.model import ListenTls, RemoteTls
 
-__all__ = ["client_context", "reload_server_context", "server_context"]
+__all__ = ["certificate_names", "client_context", "server_context", "trusted_files"]
 
 
 def server_context(tls: ListenTls | None) -> ssl.SSLContext | None:
-    """For listeners; with ``ca`` clients are asked for a certificate. Raises ``ConfigError``."""
+    """Return a context for listeners; with ``ca`` clients are asked for a certificate. Raises ``ConfigError``."""
     if tls is None:
         return None
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -20,18 +25,32 @@ def server_context(tls: ListenTls | None) -> ssl.SSLContext | None:
     if tls.ca is not None:
         _trust(context, "gateway.tls", tls.ca)
         context.verify_mode = ssl.CERT_REQUIRED if tls.client_certificates == "required" else ssl.CERT_OPTIONAL
+    if tls.crl is not None:
+        _revoke(context, "gateway.tls", tls.crl)
     return context
 
 
-def reload_server_context(context: ssl.SSLContext, tls: ListenTls) -> None:
-    """Read the files again, for connections to come; authorities are added, none is taken away.
+def certificate_names(tls: ListenTls) -> frozenset[str]:
+    """Return the host names and addresses that the certificate of the listeners is for, in lower case.
 
-    Raises ``ConfigError`` if they are no good; the context then stays as it was.
+    Empty for a certificate that cannot be read, which ``server_context`` tells.
     """
-    server_context(tls)
-    context.load_cert_chain(tls.certificate, tls.key)
-    if tls.ca is not None:
-        context.load_verify_locations(tls.ca)
+    try:
+        certificate = x509.load_pem_x509_certificate(Path(tls.certificate).read_bytes())
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except (OSError, ValueError, x509.ExtensionNotFound):
+        return frozenset()
+    hosts = [*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress))]
+    return frozenset(host.lower() for host in hosts)
+
+
+def trusted_files(tls: ListenTls | None) -> bytes:
+    """Return what decides whose certificates are good: a digest of the authorities and of those they revoked."""
+    digest = hashlib.sha256()
+    for path in () if tls is None else (tls.ca, tls.crl):
+        with contextlib.suppress(OSError):
+            digest.update(b"" if path is None else Path(path).read_bytes())
+    return digest.digest()
 
 
 def client_context(tls: RemoteTls | None, path: str) -> ssl.SSLContext | None:
@@ -57,6 +76,14 @@ def _trust(context: ssl.SSLContext, path: str, ca: str) -> None:
         context.load_verify_locations(ca)
     except (OSError, ssl.SSLError) as error:
         raise ConfigError([(f"{path}.ca", f"{ca} holds no certificates in PEM: {error}")]) from None
+
+
+def _revoke(context: ssl.SSLContext, path: str, crl: str) -> None:
+    try:
+        context.load_verify_locations(crl)
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigError([(f"{path}.crl", f"{crl} holds no list of revoked certificates in PEM: {error}")]) from None
+    context.verify_flags |= ssl.VerifyFlags.VERIFY_CRL_CHECK_LEAF
 
 
 def _load(context: ssl.SSLContext, path: str, certificate: str, key: str | None) -> None:

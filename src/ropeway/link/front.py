@@ -20,17 +20,19 @@ from picows import WSAutoPingStrategy, WSUpgradeRequest, WSUpgradeResponse, WSUp
 from picows.picows import WSProtocol  # type: ignore[attr-defined]  # in no stub, but api.py of picows makes it so
 
 from ropeway.errors import InvalidFrame
+from ropeway.link.complaints import Complaints
 from ropeway.link.connection import Connection, Limits, peer_address
 from ropeway.link.http import MAX_HEAD_BYTES, Request, Response, parse_head, reply
+from ropeway.link.lobby import Visit
 
 __all__ = ["Admission", "Admit", "Front", "Http", "Port", "identified"]
 
 log = logging.getLogger("ropeway.link")
 
-_PENDING_LIMIT: Final = 1024  # connections whose request is not complete; above, the oldest is dropped
 _READ_BYTES: Final = 4096
 _LINGER_S: Final = 1.0  # how long a client may take to read its answer
 _END: Final = b"\r\n\r\n"
+_TLS_HELLO: Final = b"\x16\x03"  # a TLS record with the beginning of a handshake, of any version
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,15 +63,15 @@ class Port:
     admit: Admit
     http: Http
     on_connection: Callable[[Connection], None]
-    pending: dict[Front, None]
     logger: Any
+    complaints: Complaints
 
 
 class Front(asyncio.BufferedProtocol):
     """The first protocol of an incoming connection; see the module."""
 
-    def __init__(self, port: Port) -> None:
-        self._port = port
+    def __init__(self, port: Port, visit: Visit) -> None:
+        self._port, self._visit = port, visit
         self._head = bytearray()
         self._buffer = bytearray(_READ_BYTES)
         self._transport: asyncio.Transport | None = None
@@ -81,10 +83,7 @@ class Front(asyncio.BufferedProtocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """A client connected."""
         self._transport = cast(asyncio.Transport, transport)  # uvloop's own are none
-        pending = self._port.pending
-        pending[self] = None
-        if len(pending) > _PENDING_LIMIT:
-            next(iter(pending)).abort()
+        self._visit.drop = self.abort
         loop = asyncio.get_running_loop()
         self._timer = loop.call_later(self._port.limits.open_timeout_s, self._late)
 
@@ -101,6 +100,8 @@ class Front(asyncio.BufferedProtocol):
         end = self._head.find(_END, begin)
         if end >= 0 and end + len(_END) <= MAX_HEAD_BYTES:
             self._complete(end + len(_END))
+        elif self._head.startswith(_TLS_HELLO):
+            self._speaks_tls()
         elif len(self._head) > MAX_HEAD_BYTES:
             self._answer(reply(431, {"error": f"the head of a request has {MAX_HEAD_BYTES} bytes at most"}))
 
@@ -127,7 +128,7 @@ class Front(asyncio.BufferedProtocol):
             self._answer(reply(408, {"error": "the request did not come in time"}))
 
     def _forget(self) -> None:
-        self._port.pending.pop(self, None)
+        self._visit.leave()
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -151,6 +152,13 @@ class Front(asyncio.BufferedProtocol):
             self._answer(made, body=body)
         else:
             self._hand_over(made, (_upgrade_head(request) if isinstance(made, WSProtocol) else head) + rest)
+
+    def _speaks_tls(self) -> None:
+        """Tell both sides why this cannot be: an answer in clear makes the client give up at once."""
+        assert self._transport is not None
+        peer = peer_address(self._transport.get_extra_info("peername"))
+        self._port.complaints.note("handshake", "", f"{peer} speaks TLS (wss://), and this listener ws://")
+        self._answer(reply(400, {"error": "ws:// is spoken here, without TLS"}))
 
     def _websocket(self, request: Request) -> Response | Any:
         if request.method != "GET":
@@ -203,11 +211,16 @@ class Front(asyncio.BufferedProtocol):
         assert transport is not None
         self._answered = True
         self._head.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+        if response.delay_s:
+            later = replace(response, delay_s=0.0)
+            loop = asyncio.get_running_loop()
+            self._timer = loop.call_later(response.delay_s, lambda: self._answer(later, body=body))
+            return
         if transport.is_closing():
             return
         transport.write(response.encode(body=body))
-        if self._timer is not None:
-            self._timer.cancel()
         if transport.can_write_eof():
             transport.write_eof()
             self._timer = asyncio.get_running_loop().call_later(_LINGER_S, self._late)
@@ -253,11 +266,13 @@ def _is_key(text: str) -> bool:
 
 
 def identified(request: Request, transport: asyncio.Transport) -> Request:
-    """The request with who sent it: address and, behind TLS, certificate."""
+    """Return the request with both addresses of its connection and, behind TLS, the certificate of who sent it."""
     peer = peer_address(transport.get_extra_info("peername"))
+    name = transport.get_extra_info("sockname")
+    request = replace(request, peer=peer, local=str(name[0]) if isinstance(name, tuple) else "")
     tls = transport.get_extra_info("ssl_object")
     if tls is None:
-        return replace(request, peer=peer)
+        return request
     raw = tls.getpeercert(binary_form=True)
     fingerprint = hashlib.sha256(raw).hexdigest() if raw else ""
-    return replace(request, peer=peer, secure=True, certificate=tls.getpeercert() or None, fingerprint=fingerprint)
+    return replace(request, secure=True, certificate=tls.getpeercert() or None, fingerprint=fingerprint)

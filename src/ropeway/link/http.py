@@ -11,10 +11,11 @@ from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
 
 from ropeway.errors import InvalidFrame
+from ropeway.limits import HTTP_HEAD_BYTES
 
 __all__ = ["MAX_HEAD_BYTES", "Request", "Response", "parse_head", "reply"]
 
-MAX_HEAD_BYTES: Final = 16 << 10
+MAX_HEAD_BYTES: Final = HTTP_HEAD_BYTES
 """A longer head of a request is refused with 431."""
 
 _MAX_HEADERS: Final = 128
@@ -28,8 +29,9 @@ _ONCE: Final = frozenset(("host", "authorization", "origin", "upgrade", "sec-web
 class Request:
     """The head of a request, and who sent it.
 
-    The names in ``headers`` are in lower case; values of a repeated one are joined with a comma. ``certificate`` is
-    what TLS verified, as ``ssl.SSLSocket.getpeercert`` gives it, ``fingerprint`` its SHA-256 in hexadecimal digits.
+    The names in ``headers`` are in lower case; values of a repeated one are joined with a comma. ``peer`` is the
+    address and port of the client, ``local`` the address of this machine that it connected to. ``certificate`` is what
+    TLS verified, as ``ssl.SSLSocket.getpeercert`` gives it, ``fingerprint`` its SHA-256 in hexadecimal digits.
     ``head`` is what was read, for a protocol that takes the connection over.
     """
 
@@ -38,6 +40,7 @@ class Request:
     version: str
     headers: Mapping[str, str]
     peer: str = ""
+    local: str = ""
     secure: bool = False
     certificate: Mapping[str, Any] | None = field(default=None, repr=False)
     fingerprint: str = ""
@@ -67,11 +70,12 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """An answer. The connection is closed after it."""
+    """An answer, which is sent after ``delay_s``. The connection is closed after it."""
 
     status: int
     body: bytes = b""
     headers: Mapping[str, str] = field(default_factory=dict)
+    delay_s: float = 0.0
 
     def encode(self, *, body: bool = True) -> bytes:
         """The bytes to send; without ``body`` those that answer a ``HEAD``."""

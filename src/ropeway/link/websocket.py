@@ -10,18 +10,18 @@ import ssl
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
-import aiofastnet
 import picows
 
 from ropeway.errors import ConnectFailed
 from ropeway.link.complaints import Complaints
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.front import Admission, Admit, Front, Http, Port
-from ropeway.link.handshakes import watch_handshakes
 from ropeway.link.http import Request, Response, reply
+from ropeway.link.listener import Listener, open_listener
+from ropeway.link.lobby import Lobby
 from ropeway.wire.frames import json_value
 
-__all__ = ["Server", "connect", "listen"]
+__all__ = ["connect", "listen"]
 
 
 class _PicowsLog(logging.LoggerAdapter[logging.Logger]):
@@ -35,7 +35,6 @@ class _PicowsLog(logging.LoggerAdapter[logging.Logger]):
 logging.getLogger("ropeway.link.picows").setLevel(logging.ERROR)
 _picows_log = _PicowsLog(logging.getLogger("ropeway.link.picows"), {})
 
-_BACKLOG: Final = 1024  # clients that come back all at once after a cut
 _OTHER_HOST: Final = (62, 64)  # OpenSSL: X509_V_ERR_HOSTNAME_MISMATCH, X509_V_ERR_IP_ADDRESS_MISMATCH
 _EXPIRED: Final = 10
 
@@ -94,27 +93,6 @@ async def connect(
     return connection
 
 
-class Server:
-    """A listening socket; made by ``listen``."""
-
-    def __init__(
-        self, server: asyncio.AbstractServer, address: str, pending: dict[Front, None], *, secure: bool
-    ) -> None:
-        self._server = server
-        self._pending = pending
-        self.address = address
-        sockets = getattr(server, "sockets", ())
-        self.port: int = sockets[0].getsockname()[1] if sockets else 0
-        self._forget = watch_handshakes(Complaints(address), self.port) if secure else _nothing
-
-    async def close(self) -> None:
-        """Stop listening; WebSocket connections that stand go on."""
-        self._server.close()
-        self._forget()
-        for front in list(self._pending):
-            front.abort()
-
-
 async def listen(
     host: str,
     port: int,
@@ -127,12 +105,14 @@ async def listen(
     reuse_port: bool = False,
     admit: Admit | None = None,
     http: Http | None = None,
-) -> Server:
+    lobby: Lobby | None = None,
+) -> Listener:
     """Listen for WebSocket clients on ``host:port``; ``port`` 0 takes a free one.
 
     Of the subprotocols that a client offers the first of ours is chosen; a client that offers none gets none.
     ``admit`` decides instead, for a request to become a WebSocket on ``path``; ``http`` answers all other requests
-    (without it, with 404). Raises ``ConnectFailed`` if the address cannot be bound.
+    (without it, with 404). Connections wait in ``lobby`` until that is decided. Raises ``ConnectFailed`` if the address
+    cannot be bound.
     """
 
     def choose(request: Request) -> Admission:
@@ -143,28 +123,17 @@ async def listen(
             return _nothing_here(request)
         return (admit or choose)(request)
 
-    pending: dict[Front, None] = {}
-    shared = Port(limits, admit_here, http or _nothing_here, on_connection, pending, _picows_log)
-    address = f"{'wss' if ssl_context else 'ws'}://{f'[{host}]' if ':' in host else host}:{port}"
-    secure: dict[str, Any] = {}
-    if ssl_context is not None:
-        secure = {"ssl": ssl_context, "ssl_handshake_timeout": limits.open_timeout_s}
-    try:
-        server = await aiofastnet.create_server(
-            asyncio.get_running_loop(),
-            lambda: Front(shared),
-            host,
-            port,
-            backlog=_BACKLOG,
-            reuse_port=reuse_port or None,
-            reuse_address=True,
-            **secure,
-        )
-    except OSError as error:
-        raise ConnectFailed(
-            address, f"cannot listen: {error.strerror or error}; is another gateway running?", retryable=False
-        ) from None
-    return Server(server, address, pending, secure=ssl_context is not None)
+    shared = Port(limits, admit_here, http or _nothing_here, on_connection, _picows_log, Complaints("front"))
+    return await open_listener(
+        f"{'wss' if ssl_context else 'ws'}://{f'[{host}]' if ':' in host else host}:{port}",
+        host,
+        port,
+        lambda visit: Front(shared, visit),
+        lobby=Lobby() if lobby is None else lobby,
+        handshake_s=limits.open_timeout_s,
+        context=ssl_context,
+        reuse_port=reuse_port,
+    )
 
 
 def _redirects(response: Any) -> str:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import fnmatch
 import hashlib
 import hmac
+import json
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 from urllib.parse import unquote
 
+from ropeway.limits import SHOWN_TEXT_CHARACTERS
 from ropeway.link.http import Request, Response, reply
 from ropeway.server.access import EVERYTHING, Globs, Role
+from ropeway.server.hosts import Hosts, host_of
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 
 __all__ = [
@@ -20,8 +23,10 @@ __all__ = [
     "PLAIN_SUBPROTOCOL",
     "CertificateRule",
     "Door",
+    "Refusal",
     "TokenRule",
     "given_token",
+    "refusal",
     "subprotocol",
     "unserved",
 ]
@@ -88,19 +93,35 @@ class CertificateRule:
         return not self.san or _any_fits(alternatives, self.san)
 
 
+@dataclass(frozen=True, slots=True)
+class Refusal(Response):
+    """The answer to who may not come in. ``reason`` is what it is counted under: no word of it is the client's.
+
+    ``kind`` groups them in the log; ``wrong_token`` is true where a token was shown that is none.
+    """
+
+    reason: str = ""
+    kind: str = "handshake"
+    wrong_token: bool = False
+
+    def later(self, delay_s: float) -> Refusal:
+        """Return the same, to be sent after ``delay_s``."""
+        return replace(self, delay_s=delay_s)
+
+
 @dataclass(frozen=True)
 class Door:
     """Gives every client a role, or refuses it.
 
-    ``default`` is the role of a client without credentials, ``None`` refuses it. ``origins`` are patterns of the
-    web pages whose scripts may connect (``None``: all); programs that are no browser send no origin, and may.
-    ``max_clients`` bounds how many clients there are at a time.
+    ``default`` is the role of a client without credentials, ``None`` refuses it. ``hosts`` decides on the web pages
+    whose scripts may connect, and on the names under which this server is reached; programs that are no browser send no
+    origin, and may. ``max_clients`` bounds how many clients there are at a time.
     """
 
     tokens: Sequence[TokenRule] = ()
     certificates: Sequence[CertificateRule] = ()
     default: Role | None = EVERYTHING
-    origins: Sequence[str] | None = None
+    hosts: Hosts = Hosts()  # noqa: RUF009 - frozen
     globs: Globs = Globs()  # noqa: RUF009 - frozen
     max_clients: int | None = None
 
@@ -109,24 +130,54 @@ class Door:
         """True if credentials count for something here."""
         return bool(self.tokens or self.certificates)
 
-    def role_of(self, request: Request) -> Role | Response:
-        """The role of who sent this, or the answer that refuses it: 401 without good credentials, 403 by origin."""
-        if not self.knows_origin(request.headers.get("origin", "")):
-            return reply(403, {"error": "web pages of this origin may not connect; gateway.auth.origins names those"})
-        if not self.asks:
-            return self.default or _who_are_you("this server knows no credentials that would let anybody in")
-        tokens = given_token(request)
-        if tokens and self.tokens:
+    def role_of(self, request: Request) -> Role | Refusal:
+        """Return the role of who sent this, or the answer that refuses it.
+
+        That is 403 for the page that it is from or the name that it came by, and 401 without good credentials. The name
+        does not matter to who shows a token: no page knows it that does not have it from its user.
+        """
+        strange = self._refuses_page(request)
+        if strange is not None:
+            return strange
+        tokens = given_token(request) if self.tokens else []
+        if tokens:
             found = [rule.role for rule in self.tokens for token in tokens if rule.fits(token)]
-            return found[0] if found else _who_are_you("the token is not known here", ', error="invalid_token"')
+            return found[0] if found else _WRONG_TOKEN
+        strange = self._refuses_host(request)
+        if strange is not None:
+            return strange
         for rule in self.certificates:
             if rule.fits(request):
                 return rule.role
-        return self.default or _who_are_you("a token or a certificate is needed")
+        return self.default or (_NOBODY if self.asks else _NO_CREDENTIALS)
 
-    def knows_origin(self, origin: str) -> bool:
-        """True if a page of this origin may connect; ``""`` is no page."""
-        return not origin or self.origins is None or _any_fits([origin.lower()], *(o.lower() for o in self.origins))
+    def refuses(self, request: Request) -> Refusal | None:
+        """Return the answer to a request for what everybody may read, where the page or the name is a stranger's."""
+        return self._refuses_page(request) or self._refuses_host(request)
+
+    def _refuses_page(self, request: Request) -> Refusal | None:
+        if self.hosts.knows_page(request):
+            return None
+        origin = request.headers.get("origin", "")[:SHOWN_TEXT_CHARACTERS]
+        return refusal(
+            403,
+            f"web pages of {origin} may not connect; add {json.dumps(origin)} to gateway.auth.origins to let them "
+            "(--origins of ropeway server)",
+            reason="403 web pages of this origin may not connect",
+            kind="origin",
+        )
+
+    def _refuses_host(self, request: Request) -> Refusal | None:
+        if self.hosts.knows(request):
+            return None
+        host = request.headers.get("host", "")[:SHOWN_TEXT_CHARACTERS]
+        return refusal(
+            403,
+            f"{host} is not known as a name of this server; add {json.dumps(host_of(host) or host)} to "
+            "gateway.auth.hosts if it is one (--hosts of ropeway server)",
+            reason="403 this is not known as a name of this server",
+            kind="host",
+        )
 
 
 def given_token(request: Request) -> list[str]:
@@ -143,12 +194,12 @@ def given_token(request: Request) -> list[str]:
 
 
 def subprotocol(request: Request) -> str:
-    """What a client that is let in is told: ours, ``rosbridge``, or what carried its token; browsers insist on one."""
+    """Return what a client that is let in is told: ours or ``rosbridge``, never what carried its token.
+
+    A browser takes no other than those it offered, so a page offers ``rosbridge`` beside its token.
+    """
     offered = request.subprotocols
-    for known in (ROPEWAY_SUBPROTOCOL, PLAIN_SUBPROTOCOL):
-        if known in offered:
-            return known
-    return next((name for name in offered if name.startswith(BEARER)), "")
+    return next((known for known in (ROPEWAY_SUBPROTOCOL, PLAIN_SUBPROTOCOL) if known in offered), "")
 
 
 def unserved(request: Request) -> str:
@@ -156,16 +207,30 @@ def unserved(request: Request) -> str:
 
     A browser ends a connection for which none of those is chosen that it offered, and gives no reason.
     """
-    if not request.subprotocols or subprotocol(request):
+    others = [name for name in request.subprotocols if not name.startswith(BEARER)]
+    browser = bool(request.headers.get("origin"))
+    if subprotocol(request) or not (others or (browser and request.subprotocols)):
         return ""
     return (  # what was offered is not repeated: a token may be among it
         f"none of the subprotocols offered is served here, but {PLAIN_SUBPROTOCOL}, {ROPEWAY_SUBPROTOCOL} and none at "
-        "all (which is rosbridge) are; in a viewer, open a rosbridge connection"
+        f"all (which is rosbridge) are; in a viewer, open a rosbridge connection; a page that offers {BEARER}<token> "
+        f"offers {PLAIN_SUBPROTOCOL} beside it"
     )
 
 
-def _who_are_you(text: str, detail: str = "") -> Response:
-    return reply(401, {"error": text}, WWW_Authenticate=f'Bearer realm="ropeway"{detail}')
+def refusal(status: int, text: str, *, reason: str = "", kind: str = "handshake", **headers: str) -> Refusal:
+    """Return a refusal that says ``text``; it is counted under ``reason``, or the text itself."""
+    made = reply(status, {"error": text}, **headers)
+    return Refusal(status, made.body, made.headers, reason=reason or f"{status} {text}", kind=kind)
+
+
+def _who_are_you(text: str, detail: str = "") -> Refusal:
+    return refusal(401, text, WWW_Authenticate=f'Bearer realm="ropeway"{detail}')
+
+
+_WRONG_TOKEN: Final = replace(_who_are_you("the token is not known here", ', error="invalid_token"'), wrong_token=True)
+_NOBODY: Final = _who_are_you("a token or a certificate is needed")
+_NO_CREDENTIALS: Final = _who_are_you("this server knows no credentials that would let anybody in")
 
 
 def _common_names(certificate: Any) -> list[str]:

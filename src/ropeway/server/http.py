@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from ropeway import __version__
 from ropeway.link.http import Request, Response, reply
+from ropeway.server.door import Refusal
 
 __all__ = ["PROTOCOL", "Pages"]
 
@@ -21,32 +22,34 @@ _METHODS: Final = "GET, HEAD"
 class Pages:
     """Answers ``/``, ``/healthz`` and ``/readyz``; called with a request.
 
-    ``reasons`` tells why the server is not ready, in sentences, and is empty once it is. ``knows_origin`` decides
-    which web pages may read the answers. ``more`` answers other paths, or gives ``None`` for those it has not.
+    ``reasons`` tells why the server is not ready, in sentences, and is empty once it is. ``refuses`` gives the answer
+    to web pages of strangers. ``more`` answers other paths, or gives ``None`` for those it has not.
     """
 
     def __init__(
         self,
         reasons: Callable[[], Sequence[str]],
-        knows_origin: Callable[[str], bool],
+        refuses: Callable[[Request], Response | None],
         more: Callable[[Request], Response | asyncio.Protocol | None] = lambda request: None,
     ) -> None:
-        self._reasons, self._knows_origin, self._more = reasons, knows_origin, more
+        self._reasons, self._refuses, self._more = reasons, refuses, more
 
     def __call__(self, request: Request) -> Response | asyncio.Protocol:
         """The answer."""
         found = self._more(request)
-        if isinstance(found, Response):
-            return replace(found, headers={**found.headers, **_allowed(request, self._knows_origin)})
-        if found is not None:
+        if found is None:
+            found = self._refuses(request) or self._own(request)
+        if not isinstance(found, Response) or isinstance(found, Refusal):
             return found
+        return replace(found, headers={**found.headers, **_readable(request)})
+
+    def _own(self, request: Request) -> Response:
         status, value = self._page(request.path)
         headers: dict[str, str] = {}
         if status != 404 and request.method not in ("GET", "HEAD"):
             status, value = 405, {"error": f"{request.method} is not known here"}
             headers["Allow"] = _METHODS
-        made = reply(status, value, **headers)
-        return replace(made, headers={**made.headers, **_allowed(request, self._knows_origin)})
+        return reply(status, value, **headers)
 
     def _page(self, path: str) -> tuple[int, dict[str, Any]]:
         if path == "/":
@@ -59,9 +62,7 @@ class Pages:
         return 404, {"error": f"there is nothing at {path}"}
 
 
-def _allowed(request: Request, knows_origin: Callable[[str], bool]) -> dict[str, str]:
-    """What lets a web page of another origin read the answer."""
+def _readable(request: Request) -> dict[str, str]:
+    """Return what lets the web page that sent this read the answer; pages that may not are refused before."""
     origin = request.headers.get("origin", "")
-    if not origin or not knows_origin(origin):
-        return {}
-    return {"Access-Control-Allow-Origin": origin, "Vary": "Origin"}
+    return {"Access-Control-Allow-Origin": origin, "Vary": "Origin"} if origin else {}

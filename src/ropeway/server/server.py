@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import ssl
 from collections import Counter
@@ -14,13 +13,14 @@ from urllib.parse import urlsplit
 
 from ropeway.errors import ConnectFailed, RopewayError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
-from ropeway.link.complaints import Complaints
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.front import Admission
-from ropeway.link.http import Request, Response, reply
-from ropeway.link.websocket import Server, listen
+from ropeway.link.http import Request, Response
+from ropeway.link.listener import Listener
+from ropeway.link.websocket import listen
 from ropeway.server.access import EVERYTHING, Access, Role
-from ropeway.server.door import Door, subprotocol, unserved
+from ropeway.server.door import Refusal, refusal, subprotocol, unserved
+from ropeway.server.entrance import Entrance
 from ropeway.server.http import Pages
 from ropeway.server.lingering import Lingering
 from ropeway.server.names import Names
@@ -29,6 +29,7 @@ from ropeway.server.rosapi import Globs, Rosapi
 from ropeway.server.rosout import Rosout
 from ropeway.server.session import Session
 from ropeway.server.store import StorePages
+from ropeway.server.store_watcher import Watcher
 from ropeway.tasks import Supervised, end
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 
@@ -51,8 +52,9 @@ class RosbridgeServer:
 
     ``unregister_timeout_s``: how long a topic stays advertised after its last client withdrew it or left (rosbridge's
     default is 10 s), so that what it said last is heard. ``rosapi_globs`` limits what rosapi shows, and
-    ``params_timeout_s`` bounds what it asks of nodes. Private names of clients (``~/x``) are those of our ``node``. ``publish_clients`` publishes ``/client_count`` and
-    ``/connected_clients``, ``publish_rosout`` our own warnings and errors on ``/rosout``, from the first ``listen`` on.
+    ``params_timeout_s`` bounds what it asks of nodes. Private names of clients (``~/x``) are those of our
+    ``node``. ``publish_clients`` publishes ``/client_count`` and ``/connected_clients``, ``publish_rosout`` our own
+    warnings and errors on ``/rosout``, from the first ``listen`` on.
     """
 
     def __init__(
@@ -68,7 +70,7 @@ class RosbridgeServer:
         params_timeout_s: float = 5.0,
         publish_clients: bool = True,
         publish_rosout: bool = True,
-        door: Door | None = None,
+        entrance: Entrance | None = None,
         reasons: Callable[[], Sequence[str]] = tuple,
         call_timeout_s: float = DEFAULT_TIMEOUT_S,
         silence_s: float | None = _CLIENT_SILENCE_S,
@@ -84,23 +86,26 @@ class RosbridgeServer:
         self.unregister_timeout_s = unregister_timeout_s
         self.sessions: dict[Session, asyncio.Task[None]] = {}
         self.lingering = Lingering(unregister_timeout_s)
-        self.listeners: list[Server] = []
-        self.door = door or Door()
+        self.listeners: list[Listener] = []
+        self.entrance = entrance or Entrance()
         self.denied: Counter[str] = Counter()  # by rule, of all clients
-        self.refused: Counter[str] = Counter()  # who was not let in, by status and reason
         self.call_timeout_s, self.silence_s = call_timeout_s, silence_s
         self.ping_interval_s, self.cancel_goals = ping_interval_s, cancel_goals
-        self.rosapi = Rosapi(hub, registry, params_timeout_s=params_timeout_s, globs=rosapi_globs or self.door.globs)
-        self._pages = Pages(reasons, lambda origin: self.door.knows_origin(origin), self._more_pages)
+        self.rosapi = Rosapi(
+            hub, registry, params_timeout_s=params_timeout_s, globs=rosapi_globs or self.entrance.door.globs
+        )
+        self._pages = Pages(reasons, self.entrance.admit_page, self._more_pages)
         self._store_pages = pages
-        self._complaints = Complaints("server")
+        self.watchers: set[Watcher] = set()
         self.presence: Presence | None = None
         self.rosout: Rosout | None = None
         self._publish_clients, self._publish_rosout = publish_clients, publish_rosout
         self._view = hub.view("server", alone=True)
         self._ticker: Supervised | None = None
 
-    async def listen(self, url: str, *, ssl_context: ssl.SSLContext | None = None, reuse_port: bool = False) -> Server:
+    async def listen(
+        self, url: str, *, ssl_context: ssl.SSLContext | None = None, reuse_port: bool = False
+    ) -> Listener:
         """Listen on ``ws://host:port`` or ``wss://host:port`` (9090 where the port is left out).
 
         Raises ``ConnectFailed`` if the address cannot be bound.
@@ -120,6 +125,7 @@ class RosbridgeServer:
             reuse_port=reuse_port,
             admit=self._admit,
             http=self._pages,
+            lobby=self.entrance.lobby,
         )
         self.listeners.append(server)
         if self._ticker is None:
@@ -146,57 +152,75 @@ class RosbridgeServer:
         pages = self._store_pages
         if pages is None or not pages.knows(request.path):
             return None
-        role = self.door.role_of(request)
+        role = self.entrance.admit(request)
         if not isinstance(role, Role):
             return role
-        return pages(request, Access(role, self.door.globs, client=request.peer, tally=self.denied))
+        found = pages(request, Access(role, self.entrance.door.globs, client=request.peer, tally=self.denied))
+        if not isinstance(found, Watcher):
+            return found
+        full = self._full(role)
+        if full:
+            return self.entrance.refuse(request, refusal(503, full, Retry_After="10"))
+        found.request = request
+        found.on_begin, found.on_end = self._watcher_came, self._watcher_left
+        return found
+
+    def _watcher_came(self, watcher: Watcher) -> None:
+        self.watchers.add(watcher)
+        self.entrance.came(watcher.access.role)
+
+    def _watcher_left(self, watcher: Watcher) -> None:
+        self.watchers.discard(watcher)
+        self.entrance.left(watcher.access.role)
 
     def _admit(self, request: Request) -> Admission | Response:
-        role = self.door.role_of(request)
-        if isinstance(role, Role):
-            refusal = self._refusal(role, request)
-            if refusal is None:
-                limits = self.limits
-                if role.max_message_bytes is not None:
-                    size = min(role.max_message_bytes, limits.max_message_bytes)
-                    limits = replace(limits, max_message_bytes=size)
-                return Admission(subprotocol(request), limits, role)
-            role = refusal
-        reason = f"{role.status} {json.loads(role.body)['error']}"
-        self.refused[reason] += 1
-        self._complaints.note("handshake", "", f"{request.peer} is refused: {reason}")
-        return role
+        role = self.entrance.admit(request)
+        if not isinstance(role, Role):
+            return role
+        found = self._refusal(role, request)
+        if found is not None:
+            return self.entrance.refuse(request, found)
+        limits = self.limits
+        if role.max_message_bytes is not None:
+            size = min(role.max_message_bytes, limits.max_message_bytes)
+            limits = replace(limits, max_message_bytes=size)
+        return Admission(subprotocol(request), limits, role)
 
-    def _refusal(self, role: Role, request: Request) -> Response | None:
+    def _refusal(self, role: Role, request: Request) -> Refusal | None:
         """The answer to a client of this role that may come in, but not now or not like this."""
         if full := self._full(role):
-            return reply(503, {"error": full}, Retry_After="10")
+            return refusal(503, full, Retry_After="10")
         offered = unserved(request)
-        return reply(400, {"error": offered}) if offered else None
+        return refusal(400, offered) if offered else None
 
     def _full(self, role: Role) -> str:
-        """Why there is no place for one more of this role; ``""`` where there is."""
+        """Return why there is no place for one more of this role, ``""`` where there is one."""
         if full := self.limits.budget.full:
             return full
-        most = self.door.max_clients
-        if most is not None and len(self.sessions) >= most:
+        most = self.entrance.door.max_clients
+        if most is not None and len(self.sessions) + len(self.watchers) >= most:
             return f"there are {most} clients, and no more may come"
-        if role.max_clients is not None:
-            there = sum(session.access.role.name == role.name for session in self.sessions)
-            if there >= role.max_clients:
-                return f"there are {role.max_clients} clients of this role, and no more may come"
-        return ""
+        return self.entrance.full(role)
 
-    def replace_door(self, door: Door) -> None:
-        """Tokens, roles and rules are others now; whoever would no longer come in with the same role is closed (1008).
+    def recheck(self, *, certificates: bool = False) -> None:
+        """Close whoever would no longer come in with the same role (1008): the door is another now.
 
-        Globs of rosapi stay as they were.
+        With ``certificates`` whoever showed one has to show it again. Globs of rosapi stay as they were.
         """
-        self.door = door
+        door = self.entrance.door
+
+        def stays(request: Request | None, role: Role) -> bool:
+            if request is None or (certificates and request.fingerprint):
+                return False
+            return door.role_of(request) == role
+
         for session in self.sessions:
             connection = session.peer.connection
-            if connection.handshake is None or door.role_of(connection.handshake) != session.access.role:
+            if not stays(connection.handshake, session.access.role):
                 connection.close(1008, "what this client may do has changed; connect again")
+        for watcher in list(self.watchers):
+            if not stays(watcher.request, watcher.access.role):
+                watcher.end()
 
     def _connected(self, connection: Connection) -> None:
         if connection.subprotocol != ROPEWAY_SUBPROTOCOL:
@@ -214,12 +238,13 @@ class RosbridgeServer:
             on_advertised=self.lingering.advertised,
             call_timeout_s=self.call_timeout_s,
             cancel_goals=self.cancel_goals,
-            access=Access(role, self.door.globs, client=connection.peer, tally=self.denied),
+            access=Access(role, self.entrance.door.globs, client=connection.peer, tally=self.denied),
             rosapi=self.rosapi,
             names=self._names,
         )
         task = asyncio.create_task(session.run(), name=f"session {connection.peer}")
         self.sessions[session] = task
+        self.entrance.came(role)
         if self.presence is not None:
             self.presence.joined(session, ip_address(connection.peer))
         log.info(
@@ -229,6 +254,7 @@ class RosbridgeServer:
 
     def _ended(self, session: Session, task: asyncio.Task[None]) -> None:
         self.sessions.pop(session, None)
+        self.entrance.left(session.access.role)
         if self.presence is not None:
             self.presence.left(session)
         peer = session.peer.connection.peer
@@ -250,8 +276,8 @@ class RosbridgeServer:
                     session.peer.connection.close(1011, "internal error")
 
     def status(self) -> dict[str, Any]:
-        """Who was refused and what was denied, as JSON."""
-        return {"refused": dict(self.refused), "denied": dict(self.denied)}
+        """What was denied, and how many watch the store, as JSON."""
+        return {"denied": dict(self.denied), "clients": {"watchers": len(self.watchers)}}
 
     async def close(self) -> None:
         """Stop listening and end every session (1001, going away)."""
@@ -263,6 +289,8 @@ class RosbridgeServer:
     async def _close_sessions(self) -> None:
         for listener in self.listeners:
             await listener.close()
+        for watcher in list(self.watchers):
+            watcher.end()
         self.listeners.clear()
         await end(self._ticker)
         self._ticker = None

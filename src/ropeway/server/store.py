@@ -7,38 +7,20 @@ are, ``?history=1`` the values before, too. Names are percent-encoded; whatever 
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Coroutine
-from fnmatch import fnmatchcase
 from typing import Any, Final, cast
 from urllib.parse import unquote
 
-from ropeway.errors import AccessDenied, StoreUnavailable, TypesError
+from ropeway.errors import AccessDenied, StoreUnavailable
 from ropeway.link.http import Request, Response, reply
 from ropeway.server.access import Access
-from ropeway.store import CDR, Entry, Key, Store, as_json
+from ropeway.server.store_watcher import Watcher, entry_json
+from ropeway.store import Entry, Store, as_json
 from ropeway.types import TypeRegistry
 
-__all__ = ["StorePages", "entry_json"]
+__all__ = ["StorePages"]
 
 _ROOT: Final = "/store"
-_HIGH_BYTES: Final = 4 << 20  # a watcher that reads slower than this is closed
-_HEAD: Final = (
-    b"HTTP/1.1 200 OK\r\nContent-Type: application/x-ndjson\r\nCache-Control: no-store\r\n"
-    b"X-Content-Type-Options: nosniff\r\nConnection: close\r\n\r\n"
-)
-
-
-def entry_json(entry: Entry, registry: TypeRegistry) -> dict[str, Any]:
-    """A value for people and programs; a message of ROS stands under ``message``, if its type is known."""
-    found = as_json(entry, age_s=round(entry.age_s(), 3))
-    if entry.form == CDR:
-        try:
-            found["message"] = json.loads(registry.codec(entry.type).json(entry.data))
-        except TypesError:
-            return found
-        found.pop("base64", None)
-    return found
 
 
 class StorePages:
@@ -64,7 +46,7 @@ class StorePages:
         if request.method not in ("GET", "HEAD"):
             return reply(405, {"error": f"{request.method} is not known here"}, Allow="GET, HEAD, DELETE")
         if "watch" in flags and request.method == "GET":
-            return _Watcher(self, access, system, topic)
+            return Watcher(self.store, self.registry, access, system, topic)
         if topic == "*":
             return self._list(access, system)
         refused = self._allowed(access, "subscribe", system, topic)
@@ -146,45 +128,3 @@ class _Later(asyncio.Protocol):
         if not transport.is_closing():
             transport.write(response.encode())
             transport.close()
-
-
-class _Watcher(asyncio.Protocol):
-    """Sends every value as a line, those that are there first."""
-
-    def __init__(self, pages: StorePages, access: Access, system: str, topic: str) -> None:
-        self._pages, self._access, self._system, self._topic = pages, access, system, topic
-        self._transport: asyncio.Transport | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begin."""
-        self._transport = cast(asyncio.Transport, transport)
-        self._transport.write(_HEAD)
-        self._pages.store.on_change.append(self._changed)
-        for entry in self._pages.store.entries(self._system, self._topic):
-            self._changed(entry)
-
-    def data_received(self, data: bytes) -> None:
-        """The head again, and whatever else: ignored."""
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Who watched has left."""
-        self._transport = None
-        if self._changed in self._pages.store.on_change:
-            self._pages.store.on_change.remove(self._changed)
-
-    def _changed(self, change: Entry | Key) -> None:
-        transport = self._transport
-        if transport is None or transport.is_closing():
-            return
-        system, topic = change.key if isinstance(change, Entry) else change
-        if not (fnmatchcase(system, self._system) and fnmatchcase(topic, self._topic)):
-            return
-        if not self._access.allows("subscribe", f"/{system}/{topic}"):
-            return
-        if isinstance(change, Entry):
-            value = entry_json(change, self._pages.registry)
-        else:
-            value = {"system": system, "topic": topic, "removed": True}
-        transport.write(json.dumps(value).encode() + b"\n")
-        if transport.get_write_buffer_size() > _HIGH_BYTES:
-            transport.abort()

@@ -507,6 +507,6 @@ async def test_no_place() -> None:
 async def test_port_taken() -> None:
     """A port that is taken is told with its address."""
     async with serving() as served:
-        with pytest.raises(ConnectFailed, match="cannot be listened on"):
+        with pytest.raises(ConnectFailed, match="cannot listen"):
             async with serving(port=served.port):
                 pass

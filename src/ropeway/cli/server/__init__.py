@@ -83,6 +83,22 @@ def server_command(
         Path | None,
         typer.Option(help="A JSON or YAML file like gateway.auth of a configuration.", show_default=False),
     ] = None,
+    origins: Annotated[
+        str,
+        typer.Option(
+            help="Web pages that may connect beside those of this machine, as \"['https://dash.example.com']\"; "
+            "'null' for files opened in a browser, '*' for all.",
+            show_default=False,
+        ),
+    ] = "",
+    hosts: Annotated[
+        str,
+        typer.Option(
+            help="Names by which clients without a token reach this server, beside the machine's own, as "
+            "\"['robot.example.com']\"; '*' for any.",
+            show_default=False,
+        ),
+    ] = "",
     cafile: Annotated[
         str, typer.Option(help="Clients must show a certificate of these authorities, PEM.", show_default=False)
     ] = "",
@@ -161,6 +177,10 @@ def _config(given: dict[str, Any]) -> Config:
             fail(f"{given['auth']}: expected an object with tokens, as under gateway.auth", 2)
         token = {"token": {"file": str(given["token_file"].absolute())}}
         auth = {**auth, "tokens": [*auth.get("tokens", []), token]}
+    for key in ("origins", "hosts"):
+        patterns = _patterns(given[key])
+        if patterns and isinstance(auth, dict):
+            auth = {**auth, key: [*(auth.get(key) or ()), *patterns]}
     known = isinstance(auth, dict) and (auth.get("tokens") or auth.get("certificates"))
     if not (is_loopback(url) or known or cafile or given["insecure"]):
         fail(
@@ -192,6 +212,15 @@ def _config(given: dict[str, Any]) -> Config:
         },
     }
     return parse({"gateway": gateway}, "ropeway server", directory=directory)
+
+
+def _patterns(text: str) -> list[str]:
+    """Return a list as rosbridge's globs are written, or with commas only."""
+    return [
+        part.strip().strip("'\"")
+        for part in text.strip().removeprefix("[").removesuffix("]").split(",")
+        if part.strip()
+    ]
 
 
 _GLOBS = ("topics_glob", "topics_pub_glob", "topics_sub_glob", "services_glob", "actions_glob", "params_glob")

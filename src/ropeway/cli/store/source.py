@@ -251,7 +251,7 @@ class _Kept:
 
 
 def _as_json(entries: list[Entry]) -> list[dict[str, Any]]:
-    from ropeway.server.store import entry_json  # loads the message types, which other sources do not need
+    from ropeway.server.store_watcher import entry_json  # loads the message types, which other sources do not need
     from ropeway.types import TypeRegistry
 
     registry = TypeRegistry()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import json
 import logging
-import socket
 import ssl
 import time
 from collections import Counter
@@ -16,11 +16,14 @@ from urllib.parse import urlsplit
 from ropeway.errors import ConnectFailed
 from ropeway.graph.iort.space import Space
 from ropeway.iort import DEFAULT_PORT, MAX_PACKET_BYTES, NodeError
+from ropeway.limits import LOGIN_S
+from ropeway.link.complaints import Complaints
 from ropeway.link.connection import peer_address
 from ropeway.link.front import identified
 from ropeway.link.http import Request
+from ropeway.link.listener import Listener, keep_alive, open_listener
 from ropeway.server.access import Access, Role
-from ropeway.server.door import Door
+from ropeway.server.entrance import Entrance
 from ropeway.server.iort.session import Session
 from ropeway.store import Entry
 from ropeway.tasks import Chores, Supervised, end
@@ -38,7 +41,10 @@ _SHOWN_NODES: Final = 100  # of thousands, in a status that is printed every sec
 
 
 class IortServer:
-    """Serves a space to nodes; ``door`` decides who may do what.
+    """Serves a space to nodes; ``entrance`` decides who may come in and do what.
+
+    A node is in once it has a role: from the start, where its certificate or the default gives it one, else after a
+    ``+hello`` with a token, for which it has ``login_s``. Until then it has no part in the space.
 
     ``max_packet_bytes`` bounds one packet. A node has ``unfinished_s`` for each of its packets, and one that speaks
     the upgrade is given up after ``silence_s`` without a word. ``render`` makes
@@ -50,28 +56,29 @@ class IortServer:
         self,
         space: Space,
         *,
-        door: Door | None = None,
+        entrance: Entrance | None = None,
         max_packet_bytes: int = MAX_PACKET_BYTES,
         max_clients: int = _MAX_CLIENTS,
         unfinished_s: float = _UNFINISHED_S,
         silence_s: float = _SILENCE_S,
+        login_s: float = LOGIN_S,
         render: Callable[[Entry], bytes] | None = None,
         kinds: Mapping[str, str] | None = None,
     ) -> None:
-        self.space, self.door = space, door or Door()
+        self.space, self.entrance = space, entrance or Entrance()
         self.max_packet_bytes, self.max_clients = max_packet_bytes, max_clients
-        self.unfinished_s, self.silence_s = unfinished_s, silence_s
+        self.unfinished_s, self.silence_s, self.login_s = unfinished_s, silence_s, login_s
         self.render = render or _no_text
         self.kinds = dict(kinds or {})
         self.sessions: dict[Session, None] = {}
         self.counts: Counter[str] = Counter()
         self.denied: Counter[str] = Counter()
-        self.addresses: list[tuple[str, int]] = []
-        self._servers: list[asyncio.Server] = []
+        self._complaints = Complaints("iort")
+        self.listeners: list[Listener] = []
         self._tasks = Chores()
         self._ticker: Supervised | None = None
         self._names: Counter[str] = Counter()
-        self._closing = False
+        self._strangers: set[Session] = set()  # connected, but not in
 
     async def listen(self, url: str, *, ssl_context: ssl.SSLContext | None = None, reuse_port: bool = False) -> int:
         """Listen on ``iort://host:port`` or ``iorts://host:port``; the port is returned. Raises ``ConnectFailed``."""
@@ -79,47 +86,37 @@ class IortServer:
         if parts.scheme == "iorts" and ssl_context is None:
             raise ConnectFailed(url, "iorts needs a certificate and a key", retryable=False)
         host, port = parts.hostname or "127.0.0.1", DEFAULT_PORT if parts.port is None else parts.port
-        loop = asyncio.get_running_loop()
-        secure = ssl_context if parts.scheme == "iorts" else None
-        try:
-            server = await loop.create_server(
-                lambda: Session(self),
-                host,
-                port,
-                ssl=secure,
-                ssl_handshake_timeout=_HANDSHAKE_S if secure is not None else None,
-                backlog=1024,
-                reuse_port=reuse_port or None,
-            )
-        except OSError as error:
-            raise ConnectFailed(url, f"cannot be listened on: {error.strerror or error}", retryable=False) from error
-        bound: int = server.sockets[0].getsockname()[1]
-        self._servers.append(server)
-        self.addresses.append((f"{parts.scheme}://{host}", bound))
+        listener = await open_listener(
+            f"{parts.scheme}://{host}",
+            host,
+            port,
+            lambda visit: Session(self, visit),
+            lobby=self.entrance.lobby,
+            handshake_s=_HANDSHAKE_S,
+            context=ssl_context if parts.scheme == "iorts" else None,
+            reuse_port=reuse_port,
+        )
+        self.listeners.append(listener)
         if self._ticker is None:
             self._ticker = Supervised(self._tick, "iort server ticks").start()
-        log.info("listening on %s://%s:%d", parts.scheme, host, bound)
-        return bound
+        log.info("listening on %s://%s:%d", parts.scheme, host, listener.port)
+        return listener.port
 
     async def close(self) -> None:
         """Stop listening, and end every session."""
-        self._closing = True
-        for server in self._servers:
-            server.close()
-        for session in list(self.sessions):
+        for listener in self.listeners:
+            await listener.close()
+        for session in [*self.sessions, *self._strangers]:
             session.close("closed", "the server stops")
         await end(self._ticker)
         await self._tasks.close()
         self._ticker = None
-        for server in self._servers:
-            await server.wait_closed()
-        self._servers.clear()
-        self.addresses.clear()
+        self.listeners.clear()
 
     def status(self) -> dict[str, Any]:
         """How it stands, as JSON."""
         return {
-            "listen": [{"address": address, "port": port} for address, port in self.addresses],
+            "listen": [{"address": listener.address, "port": listener.port} for listener in self.listeners],
             "nodes": len(self.sessions),
             "upgraded": sum(session.upgraded for session in self.sessions),
             "kinds": dict(Counter(session.kind or "unknown" for session in self.sessions)),
@@ -143,28 +140,30 @@ class IortServer:
 
     # ── what sessions call ─────────────────────────────────────────────────────────────────────────────────────
 
-    def welcome(self, session: Session, transport: asyncio.Transport) -> bool:
-        """A node connected; false where there is no place for it."""
-        session.peer = peer_address(transport.get_extra_info("peername"))
-        if self._closing or len(self.sessions) >= self.max_clients:
-            self.counts["no place"] += 1
-            return False
-        _keep_alive(transport.get_extra_info("socket"))
-        session.node = session.peer
-        self.sessions[session] = None
-        session.access = self._access(session, transport, None)
-        self.space.join(session)
+    def welcome(self, session: Session, transport: asyncio.Transport) -> None:
+        """Take a node that connected: let it in, or wait until it says who it is."""
+        keep_alive(transport)
+        session.peer = session.node = peer_address(transport.get_extra_info("peername"))
         self.counts["connections"] += 1
-        return True
+        self._strangers.add(session)
+        role = self.entrance.door.role_of(_request(transport))
+        if not isinstance(role, Role):
+            session.expect_login(self.login_s)
+            return
+        try:
+            self._let_in(session, role)
+        except NodeError:
+            session.close()
 
     def gone(self, session: Session) -> None:
-        """A node is gone."""
+        """Forget a node, which is gone."""
+        self._strangers.discard(session)
         if session in self.sessions:
             del self.sessions[session]
             self.space.leave(session)
-            self._names[session.node] -= 1
-            if self._names[session.node] <= 0:
-                del self._names[session.node]
+            self._rename(session, "")
+            assert session.access is not None
+            self.entrance.left(session.access.role)
 
     def hello(self, session: Session, name: str, token: str | None) -> str:
         """A node says who it is; what it should know is returned. Raises ``NodeError`` if it may not come in."""
@@ -172,42 +171,63 @@ class IortServer:
         assert transport is not None
         if len(name) > 200 or not name.isprintable():
             raise NodeError("name", "the name of a node is short and can be printed")
-        access = self._access(session, transport, token)
-        if access is None:
-            raise NodeError("login", "a known token or certificate is needed")
-        session.access = access
-        self._names[session.node] -= 1
-        if self._names[session.node] <= 0:
-            del self._names[session.node]
-        session.node = name
-        self._names[name] += 1
+        role = self.entrance.admit(_request(transport, token))
+        if not isinstance(role, Role):
+            self.counts["login"] += 1
+            text = str(json.loads(role.body)["error"])
+            raise NodeError("login", text if token is not None else "a known token or certificate is needed")
+        self._let_in(session, role)
+        self._rename(session, name)
         if self._names[name] > 1:
             self.counts["two of one name"] += 1
-            log.warning("%s: another node is named %s, too; both are served", session.peer, name)
+            self._complaints.note("name", "", f"{session.peer}: another node is named {name}, too; both are served")
             return f"another node is named {name}, too"
         return ""
 
-    def _access(self, session: Session, transport: asyncio.Transport, token: str | None) -> Access | None:
-        headers = {} if token is None else {"authorization": f"Bearer {token}"}
-        request = identified(Request("GET", "/", "HTTP/1.1", headers), transport)
-        role = self.door.role_of(request)
-        if not isinstance(role, Role):
-            if token is not None:
-                self.counts["login"] += 1
-            return None
-        return Access(role, self.door.globs, client=session.peer, tally=self.denied)
+    def too_late(self, session: Session) -> None:
+        """Give up a node that did not say who it is."""
+        self.counts["no login"] += 1
+        self._complaints.note("login", "", f"{session.peer} did not say who it is within {self.login_s:g} s")
+        session.close("login", f"say who you are within {self.login_s:g} s")
 
-    def replace_door(self, door: Door) -> None:
-        """Tokens, roles and rules are others now: every node has to say who it is again."""
-        self.door = door
-        for session in list(self.sessions):
+    def _let_in(self, session: Session, role: Role) -> None:
+        """Give a node its role, and a part in the space. Raises ``NodeError`` where there is no place for it."""
+        before = session.access.role if session.access is not None else None
+        full = self.entrance.full(role) if before is None or before.name != role.name else ""
+        if before is None and len(self.sessions) >= self.max_clients:
+            full = f"there are {self.max_clients} nodes, and no more may come"
+        if full:
+            self.counts["no place"] += 1
+            self._complaints.note("place", "", f"{session.peer} is not let in: {full}")
+            raise NodeError("full", full)
+        if before is None:
+            self._strangers.discard(session)
+            self.sessions[session] = None
+            self.space.join(session)
+        else:
+            self.entrance.left(before)
+        self.entrance.came(role)
+        size = min(self.max_packet_bytes, role.max_message_bytes or self.max_packet_bytes)
+        session.let_in(Access(role, self.entrance.door.globs, client=session.peer, tally=self.denied), size)
+
+    def _rename(self, session: Session, name: str) -> None:
+        self._names[session.node] -= 1
+        if self._names[session.node] <= 0:
+            del self._names[session.node]
+        if name:
+            session.node = name
+            self._names[name] += 1
+
+    def recheck(self) -> None:
+        """Have every node say again who it is: tokens, roles and rules are others now."""
+        for session in [*self.sessions, *self._strangers]:
             session.close("login", "what this node may do has changed; connect again")
 
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(min(_TICK_S, self.unfinished_s / 2, self.silence_s / 2))
             now = time.monotonic()
-            for session in list(self.sessions):
+            for session in [*self.sessions, *self._strangers]:
                 if session.began is not None and now - session.began > self.unfinished_s:
                     self.counts["slow"] += 1
                     session.close("malformed", f"a packet was not complete within {self.unfinished_s:g} s")
@@ -220,10 +240,7 @@ def _no_text(entry: Entry) -> bytes:
     raise NodeError("conversion", f"it is a message of {entry.type}, which nobody makes text of here")
 
 
-def _keep_alive(sock: Any) -> None:
-    """An old node says nothing for hours; one that was switched off is noticed all the same."""
-    if sock is not None and sock.family in (socket.AF_INET, socket.AF_INET6):
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        for option, value in (("TCP_KEEPIDLE", 30), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3)):
-            if hasattr(socket, option):
-                sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+def _request(transport: asyncio.Transport, token: str | None = None) -> Request:
+    """Return what a node shows as the request that a client of HTTP would send."""
+    headers = {} if token is None else {"authorization": f"Bearer {token}"}
+    return identified(Request("GET", "/", "HTTP/1.1", headers), transport)

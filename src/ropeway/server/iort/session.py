@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from ropeway.errors import AccessDenied, StoreUnavailable, TypesError, ValueRefused
 from ropeway.graph.iort.space import Endpoint, is_pattern
 from ropeway.iort import KINDS, Fault, NodeError, Packet, Parser, identifier_of, origin_of, pack
+from ropeway.limits import HTTP_HEAD_BYTES, WRONG_TOKENS_PER_CONNECTION
+from ropeway.link.lobby import Visit
 from ropeway.server.access import Access
 from ropeway.store import Entry, as_json
 
@@ -32,8 +34,11 @@ _IDENTIFIER_CHARACTERS: Final = 40  # of one that is shown in the status
 class Session(asyncio.Protocol):
     """See the module. It is a member of the space."""
 
-    def __init__(self, server: IortServer) -> None:
+    def __init__(self, server: IortServer, visit: Visit) -> None:
         self.server, self.space = server, server.space
+        self._visit = visit
+        self._login: asyncio.TimerHandle | None = None
+        self._wrong_tokens = 0
         self.node = ""
         self.peer = ""
         self.kind = ""  # one of KINDS, where the node or the configuration tells
@@ -44,7 +49,7 @@ class Session(asyncio.Protocol):
         self.began: float | None = None  # when the packet that is coming in began
         self.origin = ""
         self.superseded = 0
-        self._parser = Parser(server.max_packet_bytes)
+        self._parser = Parser(min(server.max_packet_bytes, HTTP_HEAD_BYTES))  # until it is let in
         self.transport: asyncio.Transport | None = None
         self._items: deque[Packet | Fault] = deque()  # what came, while the node does not read our answers
         self._out: list[bytes] = []
@@ -61,12 +66,29 @@ class Session(asyncio.Protocol):
         """A node connected."""
         self.transport = cast(asyncio.Transport, transport)
         self.transport.set_write_buffer_limits(high=_HIGH_BYTES)
-        if not self.server.welcome(self, self.transport):
-            self.transport.close()
+        self._visit.drop = self.transport.abort
+        self.server.welcome(self, self.transport)
+
+    def expect_login(self, seconds: float) -> None:
+        """Give the node up unless it is let in within ``seconds``."""
+        self._login = asyncio.get_running_loop().call_later(seconds, self.server.too_late, self)
+
+    def let_in(self, access: Access, max_packet_bytes: int) -> None:
+        """Have the node do what ``access`` allows, with packets of up to ``max_packet_bytes``."""
+        self.access = access
+        self._parser.max_bytes = max_packet_bytes
+        self._end_visit()
+
+    def _end_visit(self) -> None:
+        self._visit.leave()
+        if self._login is not None:
+            self._login.cancel()
+            self._login = None
 
     def connection_lost(self, exc: Exception | None) -> None:
         """It is gone."""
         self.transport = None
+        self._end_visit()
         self._items.clear()
         self._out.clear()
         self._waiting.clear()
@@ -90,7 +112,15 @@ class Session(asyncio.Protocol):
         self._work()
 
     def data_received(self, data: bytes) -> None:
-        """Bytes came."""
+        """Take what came; of a stranger packet by packet: one may let it in, and with it bigger ones."""
+        while self.access is None and data:
+            cut = data.find(b"%") + 1 or len(data)
+            self._take(data[:cut])
+            data = data[cut:]
+        if data:
+            self._take(data)
+
+    def _take(self, data: bytes) -> None:
         self.last_heard = now = time.monotonic()
         self._items += self._parser.feed(data)
         self.began = (self.began or now) if self._parser.unfinished else None
@@ -233,6 +263,8 @@ class Session(asyncio.Protocol):
                 self._error("", "malformed", "n is a short number")
                 return
         try:
+            if self.access is None and op not in _FOR_STRANGERS:
+                raise NodeError("login", "who are you? +hello with a token, or a certificate, is needed here")
             if op == "p":
                 self._publish_plain(packet)
             elif op == "s":
@@ -248,6 +280,8 @@ class Session(asyncio.Protocol):
                 handler(self, packet, number)
         except NodeError as error:
             self._refuse(packet, number, error.code, error.text)
+            if op == "+hello":
+                self._refused_hello()
         except ValueRefused as error:
             self._refuse(packet, number, error.code, str(error))
         except AccessDenied as error:
@@ -261,10 +295,14 @@ class Session(asyncio.Protocol):
         elif self.upgraded:
             self._error(number, code, text)
 
+    def _refused_hello(self) -> None:
+        self._wrong_tokens += 1
+        if self._wrong_tokens >= WRONG_TOKENS_PER_CONNECTION:
+            self.close()
+
     def _may(self, verb: str, packet: Packet) -> Access:
         access = self.access
-        if access is None:
-            raise NodeError("login", "who are you? +hello with a token, or a certificate, is needed here")
+        assert access is not None  # strangers do not get here
         access.check(verb, f"/{packet.system}/{packet.topic}")
         if access.limited:
             access.spend(verb, f"/{packet.system}/{packet.topic}", len(packet.data))
@@ -336,7 +374,7 @@ class Session(asyncio.Protocol):
         self.kind = kind if kind in KINDS else self.server.kinds.get(packet.id, "")
         self.identifier = packet.id[:_IDENTIFIER_CHARACTERS]
         self.origin = packet.head.get("o", "")[:200] or origin_of(packet.id, f"{packet.system}@{self.peer}", self.kind)
-        answer = {"n": number, "t": time.time_ns(), "max": self.server.max_packet_bytes}
+        answer = {"n": number, "t": time.time_ns(), "max": self._parser.max_bytes}
         self._send(pack(_OURS, "-", "-", "+ok", answer, note.encode()))
 
     def _get(self, packet: Packet, number: str) -> None:
@@ -345,10 +383,7 @@ class Session(asyncio.Protocol):
             self._send(self._value(entry, False, number))
 
     def _subscribe(self, packet: Packet, number: str) -> None:
-        if is_pattern(packet.system) or is_pattern(packet.topic):  # each value is looked at when it comes
-            if self.access is None:
-                self._may("subscribe", packet)
-        else:
+        if not (is_pattern(packet.system) or is_pattern(packet.topic)):  # else each value is looked at when it comes
             self._may("subscribe", packet)
         self._ok(number)
         latest, head = packet.head.get("last", "1") == "1", packet.head
@@ -371,8 +406,6 @@ class Session(asyncio.Protocol):
         self._ok(number)
 
     def _watch(self, packet: Packet, number: str) -> None:
-        if self.access is None:
-            self._may("subscribe", packet)
         self._ok(number)
         if not self._watching:
             self._watching = True
@@ -380,8 +413,7 @@ class Session(asyncio.Protocol):
 
     def _list(self, packet: Packet, number: str) -> None:
         access = self.access
-        if access is None:
-            access = self._may("subscribe", packet)
+        assert access is not None
         found = [
             as_json(entry, age_s=round(entry.age_s(), 3))
             for entry in self.space.store.entries(packet.system, packet.topic)
@@ -413,6 +445,7 @@ class Session(asyncio.Protocol):
         self.close()
 
 
+_FOR_STRANGERS: Final = frozenset(("+hello", "+ping", "+bye", "d"))  # what a node may say that is not in
 _HANDLERS: Final[dict[str, Callable[[Session, Packet, str], None]]] = {
     "+hello": Session._hello,
     "+get": Session._get,
