@@ -27,10 +27,14 @@ class Held(NamedTuple):
     sessions: int
     objects: dict[str, int]
 
-    def grown(self, before: Held) -> dict[str, int]:
-        """Which classes have more objects than before."""
+    def grown(self, before: Held, at_most: int) -> dict[str, int]:
+        """Of what there is more than before, by more than ``at_most``: classes, and what the process holds."""
         more = {kind: count - before.objects.get(kind, 0) for kind, count in self.objects.items()}
-        return {kind: count for kind, count in more.items() if count > 0}
+        found = {kind: count for kind, count in more.items() if count > at_most}
+        for what in ("descriptors", "threads", "tasks", "sessions"):
+            if getattr(self, what) > getattr(before, what):
+                found[what] = getattr(self, what) - getattr(before, what)
+        return found
 
 
 class Served:
@@ -44,15 +48,16 @@ class Served:
         self.process.stdin.write(b"\n")
         return Held(**await self._line())
 
-    async def settled(self, before: Held | None = None, timeout_s: float = 60.0) -> Held:
-        """What it holds once nobody is there any more, and (within reason) as few as before."""
-        async with asyncio.timeout(timeout_s):
-            while True:
-                found = await self.held()
-                calm = not found.sessions and (before is None or found.tasks <= before.tasks)
-                if calm and (before is None or found.descriptors <= before.descriptors):
-                    return found
-                await asyncio.sleep(0.2)
+    async def settled(self, before: Held | None = None, at_most: int = 0, timeout_s: float = 30.0) -> Held:
+        """What it holds once nobody is there any more, and nothing that was not before; or after so long."""
+        loop = asyncio.get_running_loop()
+        until = loop.time() + timeout_s
+        while True:
+            found = await self.held()
+            calm = not found.sessions if before is None else not found.grown(before, at_most)
+            if calm or loop.time() > until:
+                return found
+            await asyncio.sleep(0.2)
 
     async def _line(self) -> Any:
         assert self.process.stdout is not None

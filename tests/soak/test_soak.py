@@ -17,6 +17,7 @@ SECONDS = float(os.environ.get("ROPEWAY_SOAK_SECONDS", "30"))
 WARM_UP_S = 8.0
 GROWTH_BYTES = 12 << 20
 GROWTH_OBJECTS = 1100  # of one class: what is remembered of calls is bounded by 1,024
+MOMENTARY = 10  # tasks and descriptors of what is under way
 TEXT, IMAGE, TRIGGER = "std_msgs/String", "sensor_msgs/Image", "std_srvs/Trigger"
 PICTURE = base64.b64encode(bytes(range(256)) * 300).decode()
 
@@ -104,7 +105,5 @@ async def test_steady_traffic_holds_no_more() -> None:
     assert all(traffic.heard[what] > heard[what] for what in heard), (heard, traffic.heard)
     for then, now in zip(before, after, strict=True):
         assert now.rss_bytes - then.rss_bytes < GROWTH_BYTES
-        assert (now.sessions, now.threads) == (then.sessions, then.threads)
-        assert now.descriptors <= then.descriptors + 2
-        assert now.tasks <= then.tasks + 10
-        assert {kind: n for kind, n in now.grown(then).items() if n > GROWTH_OBJECTS} == {}
+        grown = now.grown(then, GROWTH_OBJECTS)
+        assert {what for what in grown if grown[what] > MOMENTARY} == set()
