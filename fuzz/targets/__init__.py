@@ -38,6 +38,8 @@ MODULES: Final = {
     "ros1-actions": "ros1",
     "node-packets": "nodes",
     "node-answers": "nodes",
+    "sessions": "sessions",
+    "node-sessions": "sessions",
     "node-files": "nodes",
     "store-files": "nodes",
     "adverts": "overlay",
