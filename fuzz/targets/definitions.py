@@ -8,6 +8,7 @@ from fuzz.target import Target
 from ropeway.errors import TypesError
 from ropeway.types import TypeRegistry
 from ropeway.types.idl import parse_idl
+from ropeway.types.told import Teller
 
 __all__ = ["TARGETS"]
 
@@ -46,7 +47,7 @@ module fuzz { module msg {
 def _definition(data: bytes) -> None:
     """A text that a peer tells of a type is refused, or gives a codec that reads what it writes."""
     registry = TypeRegistry()
-    registry.add_full_text("fuzz/msg/Main", data.decode(errors="replace"))
+    Teller(registry).tell("fuzz/msg/Main", data.decode(errors="replace"))
     _use(registry, "fuzz/msg/Main")
 
 
@@ -67,7 +68,7 @@ def _interface(data: bytes) -> None:
         ("srv", ("_Request", "_Response")) if data[:1] < b"\x80" else ("action", ("_Goal", "_SendGoal_Request"))
     )
     registry = TypeRegistry()
-    registry.add_full_text(f"fuzz/{kind}/Main", data[1:].decode(errors="replace"))
+    Teller(registry).tell(f"fuzz/{kind}/Main", data[1:].decode(errors="replace"))
     registry.hash(f"fuzz/{kind}/Main")
     for part in parts:
         _use(registry, f"fuzz/{kind}/Main{part}")

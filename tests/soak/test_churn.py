@@ -8,7 +8,7 @@ import os
 import pytest
 
 from tests.soak.process import serving
-from tests.soak.visits import VISITS, Visit, is_a_gateway
+from tests.soak.visits import VISITS, Visit
 
 COUNT = int(os.environ.get("ROPEWAY_VISITS", "2000"))
 WARM_UP = 1100  # visits that fill what is bounded: 1,024 calls and names are remembered
@@ -39,12 +39,7 @@ async def visit(one: Visit, ports: list[int], numbers: range) -> None:
     await asyncio.gather(*(visitor() for _ in range(AT_ONCE)))
 
 
-UNMENDED = pytest.mark.xfail(reason="definitions that a client told are kept", strict=False)
-
-
-@pytest.mark.parametrize(
-    "one", [pytest.param(v, marks=UNMENDED) if v is is_a_gateway else v for v in VISITS], ids=lambda one: one.__name__
-)
+@pytest.mark.parametrize("one", VISITS, ids=lambda one: one.__name__)
 async def test_visits_leave_nothing(one: Visit) -> None:
     """Memory, descriptors, threads, tasks, sessions and objects after thousands of visits are those after a few."""
     async with serving(CONFIG) as gateway:

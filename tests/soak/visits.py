@@ -15,7 +15,7 @@ from ropeway.wire.records import RecordWriter
 from tests.iort.servers import Raw
 from tests.server.client import Client, fetch
 
-__all__ = ["VISITS", "Visit", "is_a_gateway"]
+__all__ = ["VISITS", "Visit"]
 
 STRING, FIBONACCI = "std_msgs/String", "example_interfaces/Fibonacci"
 
