@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import signal
 import subprocess
 from collections.abc import Callable
@@ -14,6 +15,7 @@ import pytest
 import typer
 
 from ropeway.cli.server import _config, app
+from ropeway.cli.server.own import declared
 from ropeway.cli.server.parameters import WITHOUT_EFFECT, arguments, notes
 from ropeway.cli.server.rosargs import split
 from ropeway.errors import ConfigError
@@ -45,7 +47,8 @@ def test_ros_arguments(tmp_path: Path) -> None:
     file = tmp_path / "params.yaml"
     file.write_text(
         "/**:\n  ros__parameters: {port: 1, address: ''}\n"
-        "rb:\n  ros__parameters: {port: 2}\n"
+        "/**/rb:\n  ros__parameters: {port: 2, qos: {depth: 5}}\n"
+        "rb:\n  ros__parameters: {port: 5}\n"
         "/ns:\n  rb:\n    ros__parameters: {keyfile: k}\n"
         "/*/rb:\n  ros__parameters: {url_path: /x}\n"
         "other:\n  ros__parameters: {port: 3}\n"
@@ -68,8 +71,47 @@ def test_ros_arguments(tmp_path: Path) -> None:
         "url_path": "/x",
         "certfile": "c",
         "topics_glob": ["/a", "b"],
+        "qos.depth": 5,
     }
-    assert len(said.notes) == 2
+    assert len(said.notes) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("", "no ros__parameters stand in it; expected /bridges/rb"),
+        ("port: 9091\n", "no ros__parameters stand in it"),
+        ("rb: {port: 9091}\n", "no ros__parameters stand in it"),
+        ("rb: {ros__parameters: }\n", "expected an object with parameters"),
+        ("ros__parameters: {port: 9091}\n", "it stands below no node"),
+        ("rb: {ros__parameters: {port: 9091}}\n", "it has parameters of /rb, and none of /bridges/rb"),
+        ("/*: {ros__parameters: {port: 9091}}\n/camera: {ros__parameters: {a: 1}}", r"of /\*, /camera, and none of"),
+    ],
+)
+def test_parameter_files_that_say_nothing_to_us(tmp_path: Path, text: str, why: str) -> None:
+    """A parameter file that would be ignored is an error that says why."""
+    file = tmp_path / "params.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=why):
+        split(["--ros-args", "-r", "__ns:=/bridges", "--params-file", str(file)], "rb")
+
+
+@pytest.mark.parametrize("pattern", ["/**", "**", "/**/rb", "/*/rb", "/bridges/*", "/bridges/rb", "bridges/rb", "/*/*"])
+def test_patterns_of_parameter_files(tmp_path: Path, pattern: str) -> None:
+    """A key names nodes by wildcards and namespaces as in ROS 2."""
+    file = tmp_path / "params.yaml"
+    file.write_text(f'"{pattern}":\n  ros__parameters: {{port: 9091}}\n')
+    _, said = split(["--ros-args", "-r", "__ns:=/bridges", "--params-file", str(file)], "rb")
+    assert said.parameters == {"port": 9091}
+
+
+@pytest.mark.parametrize(("word", "there"), [("true", True), ("yes", True), ("off", False), ("'on'", True)])
+def test_switches_of_parameters(word: str, there: bool) -> None:
+    """A switch takes every word that ROS 2 takes for a bool, and no other."""
+    made = arguments(["--ros-args", "-p", f"insecure:={word}"], ["insecure"], ["insecure"])
+    assert ("--insecure" in made) is there
+    with pytest.raises(ConfigError, match="expected true or false"):
+        arguments(["--ros-args", "-p", "insecure:=maybe"], ["insecure"], ["insecure"])
 
 
 @pytest.mark.parametrize(
@@ -252,3 +294,37 @@ def test_notes_are_one_line(ropeway: Ropeway) -> None:
     assert len(lines) == 1
     assert "use_compression" in lines[0]
     assert "max_message_size" in lines[0]
+
+
+# ── its parameters ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_parameters_of_the_node() -> None:
+    """Every parameter of rosbridge is there in its type, and the port that was taken."""
+    given = dict.fromkeys(WITHOUT_EFFECT) | {
+        **dict.fromkeys(("address", "url_path", "certfile", "keyfile", "topics_glob", "topics_pub_glob"), ""),
+        **dict.fromkeys(("topics_sub_glob", "services_glob", "actions_glob", "params_glob"), ""),
+        **dict.fromkeys(("websocket_ping_interval", "unregister_timeout", "default_call_service_timeout"), 5.0),
+        "port": 0,
+        "websocket_ping_timeout": 30.0,
+        "params_timeout": 5.0,
+        "retry_startup_delay": None,
+        "bson_only_mode": "true",
+    }
+    found = {parameter.name: parameter.value for parameter in declared(given, 41234)}
+    assert set(found) == {*ROSBRIDGE, "actual_port", "use_sim_time"}
+    assert (found["port"], found["actual_port"], found["address"]) == (0, 41234, "127.0.0.1")
+    assert (found["bson_only_mode"], found["use_compression"], found["fragment_timeout"]) == (True, False, 600)
+
+
+def test_parameters_over_dds(background: Start, ropeway: Ropeway) -> None:
+    """``param`` finds the parameters of a server that runs, and is told why none can be set."""
+    domain = ("--graph", f"dds:{os.environ.get('ROS_DOMAIN_ID', '') or 90 + os.getpid() % 20}")
+    server = background("server", *domain, "--port", "0", "--json", "--period", "0.2", "--name", "bridge")
+    assert server.stdout is not None
+    port = json.loads(server.stdout.readline())["listen"][0]["port"]
+    assert ropeway("param", "get", "/bridge", "actual_port", *domain).stdout == f"Integer value is: {port}\n"
+    assert "  actual_port\n  address\n" in ropeway("param", "list", "/bridge", *domain).stdout
+    refused = ropeway("param", "set", "/bridge", "port", "1", *domain)
+    assert refused.returncode == 1
+    assert "port is read-only while /bridge runs: start the server with --port" in refused.stderr

@@ -9,6 +9,7 @@ import math
 import os
 import signal
 from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -30,6 +31,7 @@ _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 class Serving:
     """How a gateway is run: for how long, with the status as JSON how often, and what is said once it is up.
 
+    ``beside`` is entered with the gateway and left before it ends.
     ``retry_s``: an address that is taken is tried again after so many seconds, for ever; ``None`` gives up at once.
     """
 
@@ -39,6 +41,7 @@ class Serving:
     period_s: float | None = None
     retry_s: float | None = None
     up: Callable[[Gateway | Supervisor], None] | None = None
+    beside: Callable[[Any], AbstractAsyncContextManager[None]] | None = None
 
 
 async def serve(serving: Serving) -> None:
@@ -116,6 +119,8 @@ async def _run(serving: Serving, running: list[Gateway | Supervisor]) -> None:
         gateway = await _brought_up(serving)
         stack.push_async_exit(gateway.__aexit__)
         running.append(gateway)
+        if serving.beside is not None:
+            await stack.enter_async_context(serving.beside(gateway))
         if serving.up is not None:
             serving.up(gateway)
         ends = math.inf if serving.for_s is None else loop.time() + serving.for_s

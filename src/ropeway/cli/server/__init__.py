@@ -142,11 +142,21 @@ def server_command(
         log.info("accepted, but without effect here: %s", "; ".join(idle))
     if not address:
         log.info("listening on 127.0.0.1 only; --address 0.0.0.0 (address:=0.0.0.0) opens it to other machines")
+    from ropeway.cli.server.own import parameters_served
     from ropeway.cli.serving import Serving, serve
 
     delay = retry_startup_delay if retry_startup_delay and retry_startup_delay > 0 else None
+    serving = Serving(
+        config,
+        level,
+        for_s or None,
+        period if as_json else None,
+        retry_s=delay,
+        up=_greet,
+        beside=lambda gateway: parameters_served(gateway, given),
+    )
     try:
-        run(serve(Serving(config, level, for_s or None, period if as_json else None, retry_s=delay, up=_greet)))
+        run(serve(serving))
     except KeyboardInterrupt:  # before the handler was there: nothing had been started
         return
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from ropeway.cli.server.rosargs import split
+from ropeway.errors import ConfigError
 
 __all__ = ["NODE", "WITHOUT_EFFECT", "arguments", "notes"]
 
@@ -36,6 +37,10 @@ _SWITCHES: Final = frozenset(
 
 
 _OF_EVERY_NODE: Final = ("use_sim_time", "start_type_description_service", "qos_overrides")
+_TRUTHS: Final = {
+    **dict.fromkeys(("true", "yes", "y", "on"), True),
+    **dict.fromkeys(("false", "no", "n", "off"), False),
+}
 
 
 def arguments(given: Sequence[str], known: Sequence[str], flags: Sequence[str]) -> list[str]:
@@ -63,15 +68,21 @@ def arguments(given: Sequence[str], known: Sequence[str], flags: Sequence[str]) 
     for key, value in said.parameters.items():
         option = str(key).replace("_", "-")
         if option not in known:
-            if key not in ("use_sim_time", "start_type_description_service") and not str(key).startswith(
-                "qos_overrides"
-            ):
+            if not str(key).startswith(_OF_EVERY_NODE):
                 said.notes.append(f"the parameter {key} (rosbridge has none of this name)")
         elif option in flags:
-            out += [f"--{option}"] if value is True else []
+            out += [f"--{option}"] if _truth(key, value) else []
         elif value not in (None, ""):
             out.append(f"--{option}={_text(value)}")
     return out + [f"--note={note}" for note in said.notes]
+
+
+def _truth(name: str, value: Any) -> bool:
+    """Return the value of a switch, in any of the words of ROS 2. Raises ``ConfigError`` for other words."""
+    found = _TRUTHS.get(str(value).lower())
+    if found is None:
+        raise ConfigError([(name, f"expected true or false, got {value!r}")], "--ros-args")
+    return found
 
 
 def notes(given: Mapping[str, Any]) -> list[str]:

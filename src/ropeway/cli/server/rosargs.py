@@ -108,32 +108,51 @@ def _parameter(said: RosArgs, text: str) -> None:
         raise _wrong(f"-p {text}", "expected NAME:=VALUE")
     node, _, name = name.rpartition(":")
     if node and node.strip("/") not in (said.node, said.full_name.strip("/")):
+        said.notes.append(f"the parameter {name} of {node} (this node is {said.full_name})")
         return
     said.parameters[name] = read_yaml(value, f"-p {text}")
 
 
 def _file(said: RosArgs, path: str) -> None:
-    value = read_file(Path(path))
-    for pattern, parameters in _sections(value, ""):
-        if _names(pattern, said):
-            said.parameters.update(parameters)
+    sections = list(_sections(read_file(Path(path)), "", path))
+    if not sections:
+        text = f"no ros__parameters stand in it; expected {said.full_name}: {{ros__parameters: {{port: 9091}}}}"
+        raise ConfigError([("(top level)", text)], path)
+    ours = [parameters for pattern, parameters in sections if _names(pattern, said)]
+    if not ours:
+        named = ", ".join(dict.fromkeys(pattern for pattern, _ in sections))
+        text = f"it has parameters of {named}, and none of {said.full_name}; /** names every node"
+        raise ConfigError([("(top level)", text)], path)
+    for parameters in ours:
+        said.parameters.update(_flat(parameters, ""))
 
 
-def _sections(value: Any, path: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _sections(value: Any, node: str, path: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield the pattern of nodes and the parameters of each section of a parameter file."""
     if not isinstance(value, Mapping):
         return
     for key, inner in value.items():
-        if key == "ros__parameters":
-            if isinstance(inner, Mapping):
-                yield path, inner
+        if key != "ros__parameters":
+            yield from _sections(inner, f"{node}/{str(key).strip('/')}", path)
+        elif not isinstance(inner, Mapping):
+            raise ConfigError([(f"{node} ros__parameters", "expected an object with parameters")], path)
+        elif not node:
+            raise ConfigError([("ros__parameters", "it stands below no node; put it below /** or the node")], path)
         else:
-            yield from _sections(inner, f"{path}/{str(key).strip('/')}")
+            yield node, inner
+
+
+def _flat(parameters: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    """Yield names and values; what stands below a name is joined to it with a dot."""
+    for key, value in parameters.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
 
 
 def _names(pattern: str, said: RosArgs) -> bool:
-    """True where the key of a parameter file stands for the node."""
-    if pattern == f"/{said.node}":
-        return True
+    """True where the key of a parameter file stands for the node, by the rules of ROS 2."""
     parts = [
         "(?:/[^/]+)*" if part == "**" else "/[^/]+" if part == "*" else "/" + re.escape(part)
         for part in pattern.strip("/").split("/")
