@@ -46,7 +46,7 @@ class _Attempts:
         self._began = time.monotonic()
         _failing.pop(self, None)
 
-    def failed(self, error: Exception) -> float:
+    def failed(self, error: BaseException) -> float:
         """Tell why it failed; return how long to wait, in seconds."""
         if time.monotonic() - self._began > self._longest_s:
             self._pause_s = self._first_s
@@ -110,7 +110,7 @@ class Supervised:
         work: Work,
         name: str,
         *,
-        on_failure: Callable[[Exception], None] | None = None,
+        on_failure: Callable[[BaseException], None] | None = None,
         pause_s: float = _PAUSE_S,
         longest_pause_s: float = _LONGEST_PAUSE_S,
     ) -> None:
@@ -161,7 +161,9 @@ class Supervised:
             try:
                 work, self._next = self._next or self._work(), None
                 await work
-            except Exception as error:
+            except (asyncio.CancelledError, KeyboardInterrupt, SystemExit):
+                raise
+            except BaseException as error:  # a panic of a library that is not in Python is no Exception
                 pause_s = self._attempts.failed(error)
                 if self._on_failure is not None:
                     self._on_failure(error)

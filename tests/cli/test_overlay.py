@@ -113,3 +113,13 @@ def test_revoking_twice(place: Place) -> None:
     told = json.loads(place.run("keys", "revoke", "robot", "--fleet", fleet, "--push", operator, "--json"))
     assert (told["revoked"], told["told"]) == ([], 1)
     assert "it was before" in place.run("keys", "revoke", "robot", "--fleet", fleet, "--push", operator)
+
+
+def test_no_router(place: Place) -> None:
+    """A verb on an overlay whose router cannot be reached says why, with exit status 1."""
+    robot = f"overlay:{place.file('robot.ropeway')}?router={free_endpoint()}"
+    assert "no router can be reached" in place.fail("topic", "list", "-g", robot)
+    other, bundle = place.file("other"), place.file("stranger.ropeway")
+    place.run("keys", "init", "other", "--directory", other, "--connect", place.endpoint)
+    place.run("keys", "issue", "stranger", "--fleet", other, "--output", bundle)
+    assert "another fleet" in place.fail("topic", "list", "-g", f"overlay:{bundle}")

@@ -55,7 +55,7 @@ class Place:
         for graph in graphs:
             await until(lambda: name in graph.node.trust.denied, 30)  # noqa: B023
             if graph.node.listen:
-                await until(lambda: name in graph.node._denied and graph.node.fabric.links(), 30)  # noqa: B023
+                await until(lambda: name in graph.node.links.denied and graph.node.fabric.links(), 30)  # noqa: B023
 
 
 @pytest.fixture

@@ -49,6 +49,7 @@ T = TypeVar("T")
 P = TypeVar("P", ServiceInfo, ActionInfo)
 
 _QUIET_S: Final = 0.3  # no news for so long: what is there has been discovered
+_LINK_S: Final = 5.0  # a link with a router is there within this time, or not at all
 
 GraphOption = Annotated[
     str,
@@ -105,6 +106,12 @@ async def open_session(url: str = "", types: list[Path] | None = None) -> AsyncI
     async with patiently(lambda: f"waiting for {address} to answer"):
         graph = await open_graph(address, registry=registry, name=f"ropeway_{os.getpid()}")
     try:
+        if graph.kind == "overlay":
+            from ropeway.graph.overlay import OverlayGraph
+
+            assert isinstance(graph, OverlayGraph)
+            async with patiently(lambda: f"waiting for a router, {_LINK_S:g} s at most"):
+                await graph.node.links.wait(_LINK_S)  # without one nothing is there, and nobody would say why
         yield Session(graph, registry)
     finally:
         await graph.close()

@@ -131,7 +131,7 @@ class OverlayRemote(Remote):
             "address": self.config.address,
             "title": self.config.title,
             "state": self.state,
-            "error": self.graph.node.trouble,
+            "error": self.graph.node.trouble or self.graph.node.links.unlinked,
             "overlay": self.graph.node.status(),
             **({} if self.automatic is None else {"automatic": self.automatic.status()}),
         }

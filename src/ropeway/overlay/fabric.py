@@ -81,7 +81,8 @@ class _Declared:
     """Something that is declared in a session, and how."""
 
     def __init__(self, declare: Callable[[zenoh.Session], Any]) -> None:
-        self.declare, self.made = declare, None
+        self.declare = declare
+        self.made: Any = None
 
 
 class Fabric:

@@ -13,8 +13,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Awaitable, Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Iterator
 from typing import Any, Final
 
 from ropeway.errors import CallError, SealError
@@ -22,6 +21,8 @@ from ropeway.limits import OVERLAY_GATEWAYS_PER_MEMBER, OVERLAY_LIST_BYTES, OVER
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.fabric import Asked, Fabric, Handle
 from ropeway.overlay.identity import Identity
+from ropeway.overlay.known import SHAPES as _SHAPES
+from ropeway.overlay.known import KnownGateway, gateway_of, read_told
 from ropeway.overlay.note import NoteKey, note_key_id
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rib import Rib
@@ -38,35 +39,13 @@ LEASE_S: Final = 8.0
 _BEAT_S: Final = 1.0
 _AGAIN_S: Final = 0.02  # a way to a new gateway is there a moment after its token
 _SUSPECT_S: Final = 3.0  # a token that is gone may come back by another router
+_NO_WAY_S: Final = 4.0  # a way is there within tenths of a second, and a token goes within three
 _SKEW_NS: Final = 120 * 10**9
 _CHUNK: Final = 500  # advertisements in one note
 _ASK_SEALED: Final = b"rw-list2"
 """Told in place of a list: it is told over sealed channels only."""
 _ASK_S: Final = 5.0
 _TAILS: Final = 512
-
-_SHAPES: Final[Mapping[str, Mapping[str, type]]] = {
-    "heartbeat": {"t": int, "v": int, "w": dict, "r": int},
-    "delta": {"v": int, "add": list, "del": list},
-    "hello": {"c": bytes, "n": str, "t": int, "v": int, "of": int},
-    "adverts": {"t": int, "a": list},
-}
-
-
-@dataclass(slots=True)
-class _Gateway:
-    """What we know of another gateway."""
-
-    certificate: Certificate | None = None
-    name: str = ""
-    version: int = -1
-    told_ns: int = 0  # the sender's clock, of its newest heartbeat
-    heard: float = 0.0
-    suspect: float | None = None
-    sync: asyncio.Task[None] | None = None
-    wanted: int = -1
-    notes: NoteKey | None = None
-    synced: float = float("-inf")
 
 
 class Membership:
@@ -105,7 +84,7 @@ class Membership:
         self._removed: list[bytes] = []
         self._version = 0
         self._scheduled = False
-        self._known: dict[bytes, _Gateway] = {}
+        self._known: dict[bytes, KnownGateway] = {}
         self._ends: list[Handle] = []
         self._beat = Supervised(self._keep_beating, "overlay heartbeat", longest_pause_s=_BEAT_S)
         self._loop: asyncio.AbstractEventLoop
@@ -224,9 +203,21 @@ class Membership:
 
     # ── what we hear ───────────────────────────────────────────────────────────────────────────────────────────
 
-    def gateways(self) -> dict[bytes, _Gateway]:
+    def gateways(self) -> dict[bytes, KnownGateway]:
         """The others, by id; those without a certificate are being asked who they are."""
         return {id: known for id, known in self._known.items() if known.certificate is not None}
+
+    def unreachable(self) -> bytes | None:
+        """Return a gateway that is heard of, but has not told who it is for so long that there must be no way to it."""
+        now = self._loop.time()
+        return next(
+            (
+                id
+                for id, known in self._known.items()
+                if known.certificate is None and known.unanswered and now - known.unanswered > _NO_WAY_S
+            ),
+            None,
+        )
 
     def certificate(self, gateway: bytes) -> Certificate | None:
         """Whose gateway it is, ``None`` where we do not know."""
@@ -234,7 +225,7 @@ class Membership:
         return known.certificate if known is not None else None
 
     def _token(self, key: str, alive: bool) -> None:
-        gateway = _gateway_of(key)
+        gateway = gateway_of(key)
         if gateway is None or gateway == self._fabric.gateway:
             return
         known = self._known.get(gateway)
@@ -242,7 +233,7 @@ class Membership:
             if known is None:
                 if self._crowded():
                     return
-                self._sync(gateway, self._known.setdefault(gateway, _Gateway(heard=self._loop.time())))
+                self._sync(gateway, self._known.setdefault(gateway, KnownGateway(heard=self._loop.time())))
             else:
                 known.suspect = None
         elif known is not None:
@@ -253,14 +244,14 @@ class Membership:
         return sum(known.certificate is None for known in self._known.values()) >= OVERLAY_STRANGERS
 
     def _heard(self, key: str, raw: bytes) -> None:
-        gateway = _gateway_of(key)
+        gateway = gateway_of(key)
         if gateway is None or gateway == self._fabric.gateway:
             return
         known = self._known.get(gateway)
         if known is None:
             if self._crowded():
                 return
-            known = self._known[gateway] = _Gateway(heard=self._loop.time())
+            known = self._known[gateway] = KnownGateway(heard=self._loop.time())
         if known.certificate is None:
             self._sync(gateway, known)
             return
@@ -286,7 +277,7 @@ class Membership:
             self._on_tails(gateway, body["w"])
 
     def _changed(self, key: str, raw: bytes) -> None:
-        gateway = _gateway_of(key)
+        gateway = gateway_of(key)
         known = self._known.get(gateway) if gateway is not None else None
         if gateway is None or known is None or known.certificate is None:
             return  # it is being asked for everything
@@ -306,7 +297,7 @@ class Membership:
         found = self._rib.read_all(gateway, known.certificate, body["add"])
         self._rib.apply(gateway, known.certificate, found, body["del"])
 
-    def _turned_over(self, raw: bytes, gateway: bytes, known: _Gateway) -> bool:
+    def _turned_over(self, raw: bytes, gateway: bytes, known: KnownGateway) -> bool:
         """True where a note is sealed with a key that we do not have: the gateway is asked for it, now and then."""
         assert known.notes is not None
         if note_key_id(raw) == known.notes.id:
@@ -315,7 +306,7 @@ class Membership:
             self._sync(gateway, known)
         return True
 
-    def _read(self, raw: bytes, gateway: bytes, kind: str, known: _Gateway) -> dict[str, Any] | None:
+    def _read(self, raw: bytes, gateway: bytes, kind: str, known: KnownGateway) -> dict[str, Any] | None:
         assert known.certificate is not None
         assert known.notes is not None
         certificate = known.certificate
@@ -326,11 +317,11 @@ class Membership:
             return None
         return body
 
-    def _sync(self, gateway: bytes, known: _Gateway) -> None:
+    def _sync(self, gateway: bytes, known: KnownGateway) -> None:
         if known.sync is None:
             known.sync = asyncio.create_task(self._ask(gateway, known), name=f"list of {gateway.hex()[:8]}")
 
-    async def _ask(self, gateway: bytes, known: _Gateway) -> None:
+    async def _ask(self, gateway: bytes, known: KnownGateway) -> None:
         """Ask a gateway for its whole list, until we have what it had when it was asked."""
         pause_s = _AGAIN_S
         try:
@@ -339,7 +330,7 @@ class Membership:
                 answers, notes = await self._fabric.ask(key, b"", _ASK_S, limit_bytes=OVERLAY_LIST_BYTES), None
                 try:
                     if answers == [_ASK_SEALED]:
-                        answers, notes = _told(await self._ask_list(gateway, _ASK_S))
+                        answers, notes = read_told(await self._ask_list(gateway, _ASK_S))
                     version = await self._take_list(gateway, known, answers, notes or self._fleet_notes)
                 except CallError as error:  # it is not there, or does not answer us
                     log.debug("overlay: gateway %s tells no list: %s", gateway.hex()[:8], error)
@@ -353,6 +344,7 @@ class Membership:
                     self._refused(known.name or f"gateway {gateway.hex()[:8]}", unforeseen)
                     version = None
                 known.synced = self._loop.time()
+                known.unanswered = 0.0 if answers else known.unanswered or known.synced
                 if version is not None:
                     known.version = version
                     if known.wanted <= version:
@@ -363,7 +355,7 @@ class Membership:
         finally:
             known.sync = None
 
-    async def _take_list(self, gateway: bytes, known: _Gateway, answers: list[bytes], notes: NoteKey) -> int | None:
+    async def _take_list(self, gateway: bytes, known: KnownGateway, answers: list[bytes], notes: NoteKey) -> int | None:
         if not answers:
             return None
         hello = notes.open(answers[0], gateway, "hello", _SHAPES["hello"], lambda body: self._trust.check(body["c"]))
@@ -426,19 +418,3 @@ class Membership:
             lost = known.suspect is not None and now - known.suspect > _SUSPECT_S
             if lost or now - known.heard > LEASE_S:
                 self.gone(gateway)
-
-
-def _told(answer: Any) -> tuple[list[bytes], NoteKey]:
-    """What ``told_list`` of another gateway gave. Raises ``SealError``."""
-    notes = answer.get("n") if isinstance(answer, dict) else None
-    if not isinstance(notes, list) or any(type(note) is not bytes for note in notes):
-        raise SealError(Refusal.MALFORMED, "a list")
-    return notes, NoteKey.read(answer.get("k"), answer.get("i"))
-
-
-def _gateway_of(key: str) -> bytes | None:
-    try:
-        gateway = bytes.fromhex(key.rsplit("/", 1)[-1])
-    except ValueError:
-        return None
-    return gateway if len(gateway) == 16 else None

@@ -16,24 +16,25 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway.errors import CallFailed, IdentityError, NotServed, RopewayError, SealError
-from ropeway.limits import OVERLAY_CRL_BYTES, OVERLAY_MESSAGE_BYTES, OVERLAY_ROUTED_BYTES
+from ropeway.limits import OVERLAY_CRL_BYTES, OVERLAY_MESSAGE_BYTES
 from ropeway.overlay.advert import VERB_OF, Advertisement, advert_key, make_advert
 from ropeway.overlay.certificate import Certificate
-from ropeway.overlay.fabric import CRL_KEY, Asked, Fabric, Handle
+from ropeway.overlay.fabric import CRL_KEY, Asked, Handle
 from ropeway.overlay.feed import Feed
 from ropeway.overlay.held import Held
 from ropeway.overlay.identity import Identity
+from ropeway.overlay.links import Links
 from ropeway.overlay.membership import Membership
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rib import Rib
 from ropeway.overlay.rpc import Rpc, part
 from ropeway.overlay.source import Source
 from ropeway.overlay.trust import Trust
-from ropeway.overlay.zenoh_config import gateway_config, gateway_id
+from ropeway.overlay.zenoh_config import gateway_id
 from ropeway.tasks import Supervised, end
 
 if TYPE_CHECKING:
-    import zenoh
+    pass
 
 __all__ = ["OverlayNode", "Policy", "Provider", "new_endpoint"]
 
@@ -97,8 +98,8 @@ class OverlayNode:
         self.denials: dict[str, str] = {}
         self.trouble = ""  # why others refuse us
         self.policy = policy or (lambda verb, name, certificate: True)
-        self._denied = self._to_deny()
-        self.fabric = Fabric(self._config(self._denied), self.gateway, routers=self.routers)
+        self.links = Links(identity, self.trust, self.gateway, self.routers, self.listen, max_message_bytes)
+        self.fabric = self.links.fabric
         self.rib = Rib(self.secret, refused=self.refused)
         self.rpc = Rpc(self.fabric, identity, self.trust, self.refused)
         self.membership = Membership(
@@ -141,8 +142,12 @@ class OverlayNode:
                 self._ends.append(self.fabric.serve(CRL_KEY, self._tell_crl))
                 take = self.fabric.hear(CRL_KEY, lambda _, raw: self._take_crl(raw), limit_bytes=OVERLAY_CRL_BYTES)
                 self._ends.append(take)
+                if await self.links.first():
+                    await self._ask_for_crl()
+                    await self.links.deny()
                 await self.membership.open()
                 self._checking = Supervised(self._keep_checking, "overlay checks").start()
+                self.links.watch()
             self._opened += 1
 
     async def close(self) -> None:
@@ -153,6 +158,7 @@ class OverlayNode:
                 return
             await end(self._checking)
             self._checking = None
+            await self.links.close()
             for feed in list(self.feeds.values()):
                 await feed.close()
             self.feeds.clear()
@@ -162,20 +168,6 @@ class OverlayNode:
                 handle()
             self._ends.clear()
             await self.fabric.close()
-
-    def _to_deny(self) -> frozenset[str]:
-        """Whose links shall carry nothing; our own name among them would help nobody."""
-        return self.trust.denied - {self.identity.name}
-
-    def _config(self, denied: frozenset[str]) -> zenoh.Config:
-        return gateway_config(
-            self.identity,
-            gateway=self.gateway,
-            connect=self.routers,
-            listen=self.listen,
-            max_message_bytes=self.max_message_bytes + OVERLAY_ROUTED_BYTES - OVERLAY_MESSAGE_BYTES,
-            denied=denied,
-        )
 
     async def _keep_checking(self) -> None:
         """Ask for revocations, now and then and when somebody has newer ones; see who lost its right meanwhile."""
@@ -187,21 +179,22 @@ class OverlayNode:
                 asked = loop.time()
                 await self._ask_for_crl()
             self.recheck()
-            denied = self._to_deny()
-            if denied != self._denied and (self.listen or self.fabric.linked_with(denied)):
-                log.info("overlay: links are made anew, to carry nothing for %s", ", ".join(sorted(denied)) or "nobody")
-                await self.fabric.reopen(self._config(denied))
-                self._denied = denied
+            await self.links.deny()
+            await self.links.mend(self.membership.unreachable())
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_CHECK_S):
                     await self._ask_crl.wait()
 
     async def _ask_for_crl(self) -> None:
         try:
-            for raw in await self.fabric.ask(CRL_KEY, b"", 2.0, limit_bytes=_CRLS * OVERLAY_CRL_BYTES):
-                self._take_crl(raw)
+            answers = await self.fabric.ask(CRL_KEY, b"", 2.0, limit_bytes=_CRLS * OVERLAY_CRL_BYTES)
         except RopewayError as error:
             log.debug("overlay: nobody told which certificates are revoked: %s", error)
+            return
+        if not self.links.heard(len(answers)):
+            self._ask_crl.set()
+        for raw in answers:
+            self._take_crl(raw)
 
     def recheck(self) -> None:
         """See who lost its right: by revocation, by time. Keys that have served their time are replaced, too."""
@@ -392,7 +385,7 @@ class OverlayNode:
             "fleet": self.identity.fleet,
             "gateway": self.gateway.hex(),
             "expires": certificate.not_after.isoformat(),
-            "trouble": self.trouble,
+            "trouble": self.trouble or self.links.unlinked,
             "routers": sorted(links - {gateway.hex() for gateway in known}),
             "revocations": self.trust.crl_number,
             "gateways": [

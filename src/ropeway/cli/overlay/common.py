@@ -11,7 +11,6 @@ from typing import Annotated, Final
 import typer
 
 from ropeway.cli.patience import patiently
-from ropeway.errors import GraphUnavailable
 from ropeway.graph.overlay import OverlayGraph
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.node import OverlayNode
@@ -35,9 +34,7 @@ async def joined(identity: Path, routers: list[str] | None, spin_time_s: float) 
     try:
         where = ", ".join(node.routers) or "none: name one with --router"
         async with patiently(lambda: f"waiting for a router ({where}), {_LINK_S:g} s at most"):
-            linked = await node.fabric.linked(_LINK_S)
-        if not linked:
-            raise GraphUnavailable("overlay", f"no router can be reached ({where})")
+            await node.links.wait(_LINK_S)
         try:
             async with asyncio.timeout(spin_time_s):
                 await node.membership.settled()

@@ -40,6 +40,8 @@ def status(
     answer(
         f"{found['name']} of fleet {found['fleet']}, until {found['expires'][:10]}; {len(found['routers'])} router(s)"
     )
+    if found["trouble"]:
+        answer(f"  {found['trouble']}")
     for row in found["gateways"]:
         rtt = "no answer" if row["rtt_ms"] is None else f"{row['rtt_ms']:.1f} ms"
         answer(f"  {row['name']:<24}{row['path']:<8}{rtt:>12}{row['names']:>8} names")

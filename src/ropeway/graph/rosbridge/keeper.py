@@ -130,7 +130,7 @@ class Keeper:
             patient = time.monotonic() - down_since > _PATIENT_AFTER_S
             delay = min(2 * delay, _LAZY_RETRY_S if patient else _EAGER_RETRY_S)
 
-    def _broke(self, error: Exception) -> None:
+    def _broke(self, error: BaseException) -> None:
         """Something failed that nobody foresaw; the link is made anew."""
         self.last_error = describe(error)
         self._tried(ConnectFailed(self.name, self.last_error))

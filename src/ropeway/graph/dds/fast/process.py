@@ -87,7 +87,7 @@ class Helper:
         writer.write(encode(frame))
         return True
 
-    def _broke(self, error: Exception) -> None:
+    def _broke(self, error: BaseException) -> None:
         """Something failed that nobody foresaw; whoever waits for the first start is told."""
         if self._first is not None and not self._first.done():
             self._first.set_exception(Unfit(describe(error)))
