@@ -44,7 +44,7 @@ $(BIN)/python:
 	@.ci/venv $(VENV)
 
 $(VENV)/runtime.stamp: pyproject.toml | $(BIN)/python
-	@echo "Installing Ropeway into $(VENV)"
+	@echo "Installing Ropeway into $(VENV); the first time, its dependencies are downloaded, which may take a minute"
 	@$(PIP) install --quiet --editable .
 	@touch $@
 

@@ -132,7 +132,7 @@ class UnknownType(TypesError):
         elif nearest:
             advice = f"; did you mean {nearest}?"
         else:
-            advice = '. Name its directory or file under "types" in the configuration, '
+            advice = '. Name its directory or file with --types, or under "types" in a configuration, '
             advice += "or source the workspace that has it."
         super().__init__(f"the definition of {name} is not known{by}{advice}")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -12,11 +13,18 @@ from typing import TextIO
 from ropeway.errors import RopewayError
 from ropeway.limits import LOG_BURST_LINES, LOG_LINE_CHARACTERS, LOG_LINES_PER_S
 
-__all__ = ["LimitedHandler", "failed"]
+__all__ = ["LimitedHandler", "failed", "line_format"]
 
 _KINDS = 4096  # places in the code that log; ours and those of libraries are fewer
 _TRACEBACKS = 5  # at once, of one place
 _Place = tuple[str, int, str, int]
+
+
+def line_format(end: str = "") -> logging.Formatter:
+    """Return the format of every line: the level, and the time where nobody else adds it; ``end`` closes each."""
+    under_systemd = "JOURNAL_STREAM" in os.environ  # the journal has its own clock
+    clock = "" if under_systemd else "%(asctime)s.%(msecs)03d "
+    return logging.Formatter(f"{clock}%(levelname)-7s %(message)s{end}", "%H:%M:%S")
 
 
 class LimitedHandler(logging.StreamHandler[TextIO]):

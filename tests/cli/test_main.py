@@ -40,6 +40,14 @@ def test_help_of_topic_verbs(verb: str) -> None:
     assert "--json" in result.stdout
 
 
+@pytest.mark.parametrize("verb", [("topic", "list"), ("config", "check"), ("run",)])
+def test_flags_have_no_type(verb: tuple[str, ...]) -> None:
+    """The help shows a flag as what it is: without a value."""
+    told = CliRunner().invoke(app, [*verb, "--help"]).output
+    assert "--json" in told
+    assert "<bool>" not in told
+
+
 def test_unknown_verb_is_a_usage_error() -> None:
     """A verb that is not there ends with status 2."""
     assert CliRunner().invoke(app, ["fly"]).exit_code == 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ropeway.gateway.address import parse_graph
+from ropeway.gateway.address import parse_graph, parse_link, parse_listen
 
 
 @pytest.mark.parametrize(
@@ -44,3 +44,14 @@ def test_refused(text: str, said: str) -> None:
     """What is no graph is refused with what was expected."""
     with pytest.raises(ValueError, match=said):
         parse_graph(text)
+
+
+def test_addresses_of_remotes() -> None:
+    """What is no address of a remote is told all that are, the overlay among them; a listener is not told of it."""
+    with pytest.raises(ValueError, match=r"ws://host:port or .* or overlay, got"):
+        parse_link("http://foo")
+    with pytest.raises(ValueError, match='did you mean "overlay"'):
+        parse_link("overlay2://x")
+    with pytest.raises(ValueError, match="expected") as refused:
+        parse_listen("http://foo")
+    assert "overlay" not in str(refused.value)

@@ -443,3 +443,21 @@ def test_maps_of_files(tmp_path: Path) -> None:
     problems = dict(told.value.problems)
     assert problems["gateway.iort.maps[1]"].startswith("bad.json: map 1: topic")
     assert problems["gateway.iort.maps[2].form"].endswith('did you mean "json"?')
+
+
+async def test_values_that_do_not_fit_are_told(world: World, caplog: pytest.LogCaptureFixture) -> None:
+    """A value that its map cannot convert is counted, and told once with its topic and the reason."""
+    maps = [{"system": "PEPPER", "topic": "cmd_vel", "type": TWIST, "form": "floats"}]
+    gateway, robot = await with_nodes(world, maps)
+    inbox = Inbox()
+    await robot.create_subscription("/PEPPER/cmd_vel", TWIST, None, inbox)
+    async with AsyncNode("PEPPER", f"iort://127.0.0.1:{nodes_port(gateway)}") as node:
+        await until(lambda: node.mode == "remote")
+        for _ in range(3):
+            await node.publish("cmd_vel", "hello")
+        assert gateway.nodes is not None
+        drops = gateway.nodes.graph.drops
+        await until(lambda: sum(drops.values()) == 3)
+    told = [line for line in caplog.messages if "PEPPER/cmd_vel" in line]
+    assert len(told) == 1
+    assert "bad value on PEPPER/cmd_vel: it is not passed on to /PEPPER/cmd_vel" in told[0]

@@ -27,6 +27,20 @@ def lazy_group(verbs: Mapping[str, str]) -> type[typer.core.TyperGroup]:
             if known is None:
                 module = importlib.import_module(verbs[cmd_name])
                 known = self.commands[cmd_name] = typer.main.get_command(module.app)
+                _plain_flags(known, ctx)
             return known
 
+        def get_params(self, ctx: Any) -> Any:
+            _plain_flags(self, ctx)
+            return super().get_params(ctx)
+
     return LazyGroup
+
+
+def _plain_flags(command: Any, ctx: Any) -> None:
+    """Have the help show flags without a type: they take no value, and ``--json <bool>`` looks as if they did."""
+    for param in (*command.params, command.get_help_option(ctx)):
+        if getattr(param, "is_flag", False):
+            param.metavar = ""
+    for below in getattr(command, "commands", {}).values():
+        _plain_flags(below, ctx)

@@ -56,7 +56,7 @@ _HOST: Final = re.compile(r"(?!-)[A-Za-z0-9_-]{1,63}(\.(?!-)[A-Za-z0-9_-]{1,63})
 
 def parse_link(text: str) -> str:
     """``WS://Host`` as ``ws://host:9090``. Raises ``ValueError`` with what was expected."""
-    parts = _split(text)
+    parts = _split(text, ("overlay",))
     host, port = parts.hostname or "", parts.port if parts.port is not None else LINKS[parts.scheme]
     if not 1 <= port <= 65535:
         raise ValueError(f'expected a port from 1 to 65535, got "{text}"')
@@ -117,13 +117,13 @@ def is_iort(address: str) -> bool:
     return address.startswith(("iort:", "iorts:"))
 
 
-def _split(text: str) -> SplitResult:
-    wanted = f'expected {" or ".join(f"{scheme}://host:port" for scheme in LINKS)}, got "{text}"'
+def _split(text: str, others: tuple[str, ...] = ()) -> SplitResult:
+    wanted = f'expected {" or ".join((*(f"{scheme}://host:port" for scheme in LINKS), *others))}, got "{text}"'
     scheme, colon, _ = text.strip().partition("://")
     if not colon:
         raise ValueError(wanted)
     if scheme.lower() not in LINKS:
-        raise ValueError(f"{wanted}{did_you_mean(scheme, LINKS)}")
+        raise ValueError(f"{wanted}{did_you_mean(scheme, (*LINKS, *others))}")
     try:
         parts = urlsplit(text.strip())
         _ = parts.port

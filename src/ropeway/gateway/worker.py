@@ -17,7 +17,7 @@ from typing import Any
 from ropeway.errors import ConfigError, RopewayError
 from ropeway.gateway.config import parse
 from ropeway.gateway.gateway import Gateway
-from ropeway.logs import LimitedHandler
+from ropeway.logs import LimitedHandler, line_format
 
 __all__ = ["main"]
 
@@ -68,7 +68,7 @@ async def _main() -> int:
         return 0  # a spare that was never needed
     order = json.loads(line)
     handler = LimitedHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter(f"%(message)s [{order['node']}]"))
+    handler.setFormatter(line_format(f" [{order['node']}]".replace("%", "%%")))
     logging.basicConfig(level=order.get("log_level", "INFO"), handlers=[handler])
     return await _run(order, reader)
 

@@ -58,10 +58,11 @@ def draw(tracks: Mapping[str, Track], output: Path) -> bool:
         xs, ys = [point[1] for point in track], [point[2] for point in track]
         axis.plot(xs, ys, linewidth=2)
         axis.plot(xs[:1], ys[:1], "o", label="begin")
+        axis.plot(xs[-1:], ys[-1:], "s", color="black", label="end, with the heading")
         if track:
             heading = track[-1][3]
-            arrow = {"head_width": 0.06, "length_includes_head": True, "color": "black"}
-            axis.arrow(xs[-1], ys[-1], 0.2 * math.cos(heading), 0.2 * math.sin(heading), **arrow)
+            arrow = {"head_width": 0.08, "length_includes_head": True, "color": "black", "zorder": 3}
+            axis.arrow(xs[-1], ys[-1], 0.25 * math.cos(heading), 0.25 * math.sin(heading), **arrow)
         axis.set_title(name)
         axis.set_aspect("equal")
         axis.set_xlim(-0.2, 1.8)
@@ -69,6 +70,8 @@ def draw(tracks: Mapping[str, Track], output: Path) -> bool:
         axis.grid(True, alpha=0.3)
         axis.set_xlabel("x, m")
     axes[0][0].set_ylabel("y, m")
+    axes[0][0].legend(loc="lower left", fontsize="small")
+    figure.suptitle("One command, driven by each robot: 1 m, 45° to the left, 0.5 m, 180° about")
     figure.tight_layout()
     figure.savefig(output, dpi=120)
     pyplot.close(figure)

@@ -16,8 +16,6 @@ from ropeway.cli.server.parameters import NODE, arguments, notes
 
 if TYPE_CHECKING:
     from ropeway.gateway.config import Config
-    from ropeway.gateway.gateway import Gateway
-    from ropeway.gateway.supervisor import Supervisor
 
 __all__ = ["app"]
 
@@ -236,7 +234,8 @@ def _patterns(text: str) -> list[str]:
 _GLOBS = ("topics_glob", "topics_pub_glob", "topics_sub_glob", "services_glob", "actions_glob", "params_glob")
 
 
-def _greet(gateway: Gateway | Supervisor) -> None:
+def _greet(gateway: Any) -> None:
     status = gateway.status()
     where = ", ".join(f"{row['address'].rpartition(':')[0]}:{row['port']}" for row in status["listen"])
-    log.info("rosbridge clients are served at %s, on %s", where, ", ".join(row["graph"] for row in status["graphs"]))
+    graphs = [hub.graph.name for hub in gateway.hubs.values()]  # auto by what it has become
+    log.info("rosbridge clients are served at %s, on %s", where, ", ".join(graphs))

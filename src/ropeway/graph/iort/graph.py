@@ -44,6 +44,7 @@ from ropeway.graph.iort.maps import Maps, TopicMap, ros_name
 from ropeway.graph.iort.parts import Feed, IortPublisher, IortSubscription
 from ropeway.graph.iort.space import Endpoint, is_pattern
 from ropeway.graph.seen import Seen
+from ropeway.link.complaints import Complaints
 from ropeway.qos import DEFAULT, LATCHED, QoS
 from ropeway.store import Entry
 from ropeway.types import TypeRegistry
@@ -72,6 +73,7 @@ class IortGraph:
         self.maps = maps or Maps()
         self.registry = registry or TypeRegistry()
         self.drops: Counter[tuple[str, Undelivered]] = Counter()
+        self.complaints = Complaints(name)
         self.origin = new_origin()
         self.loop: asyncio.AbstractEventLoop
         self.publishers: list[IortPublisher] = []

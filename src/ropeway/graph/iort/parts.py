@@ -12,6 +12,7 @@ from ropeway.graph.base import Sample, SampleCallback, Undelivered
 from ropeway.graph.iort.forms import FAILURES, Form, Timed, default_form
 from ropeway.qos import DEFAULT, QoS, common_qos
 from ropeway.store import CDR, Entry
+from ropeway.tasks import describe
 
 if TYPE_CHECKING:
     from ropeway.graph.iort.graph import IortGraph
@@ -50,8 +51,9 @@ class IortPublisher:
                 continue  # it came from there
             try:
                 data = form.text(bytes(sample.payload))
-            except FAILURES:
+            except FAILURES as error:
                 graph.drops[self.topic, Undelivered.ENCODE] += 1
+                graph.complaints.note("message", f"{system}/{topic}", f"it is not passed on: {describe(error)}")
                 continue
             if data is None:
                 continue
@@ -152,8 +154,10 @@ class IortSubscription:
         self._had[id(feed)] = entry.order
         try:
             messages = self._messages(entry, form)
-        except FAILURES:
+        except FAILURES as error:
             self._graph.drops[self.topic, Undelivered.DECODE] += 1
+            where = f"{entry.system}/{entry.topic}"
+            self._graph.complaints.note("value", where, f"it is not passed on to {self.topic}: {describe(error)}")
             return
         for timer in self._timers.pop(id(feed), ()):
             timer.cancel()
