@@ -130,3 +130,24 @@ def test_names() -> None:
     )
     assert done("name", *image, "-i", "robot1.ropeway", "--unique", "x") != done("name", *image, "-i", "robot1.ropeway")
     assert "router" in run("name", *image, "-i", "router1.ropeway").stderr
+
+
+def test_names_of_an_action() -> None:
+    """An action has the names of the services and topics that it is made of: those that are advertised."""
+    done("keys", "init", "acme")
+    done("keys", "issue", "robot1")
+    secret = Identity.load("robot1.ropeway").name_secret
+    assert secret is not None
+    action = ("name", "/fib", "example_interfaces/action/Fibonacci", "-i", "robot1.ropeway")
+    told = data(*action)
+    assert told["kind"] == "action"
+    assert {row["name"]: row["type"] for row in told["advertised"]} == {
+        "/fib/_action/send_goal": "example_interfaces/action/Fibonacci_SendGoal",
+        "/fib/_action/cancel_goal": "action_msgs/srv/CancelGoal",
+        "/fib/_action/get_result": "example_interfaces/action/Fibonacci_GetResult",
+        "/fib/_action/feedback": "example_interfaces/action/Fibonacci_FeedbackMessage",
+        "/fib/_action/status": "action_msgs/msg/GoalStatusArray",
+    }
+    for row in told["advertised"]:
+        assert row["global"] == global_name(secret, row["kind"], row["name"], row["type"]).hex()
+        assert f"{row['global']}  {row['kind']}" in done(*action)

@@ -77,6 +77,15 @@ def test_as_a_user(place: Place) -> None:
         for wanted in ("/chatter", name[:20]):
             said = place.run("overlay", "trace", wanted, "-i", identity, *spin)
             assert "sealed by    robot" in said
+        capture = place.file("capture.jsonl")
+        reader = place.start("topic", "echo", "/chatter", "-g", graph)
+        try:
+            place.run("overlay", "capture", "/chatter", "-i", identity, "-o", capture, "-n", "3")
+        finally:
+            reader.terminate()
+            reader.communicate(timeout=20)
+        said = place.run("overlay", "verify", capture, "--ca", place.file("acme/ca.pem"))
+        assert said.count("signed by robot") == 3
         status = json.loads(place.run("overlay", "status", "-i", identity, "--json", *spin))
         assert [(g["name"], g["rtt_ms"] is not None) for g in status["gateways"]] == [("robot", True)]
         assert len(status["routers"]) == 1

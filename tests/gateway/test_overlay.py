@@ -135,12 +135,50 @@ async def test_nothing_is_allowed(overlay: Overlay) -> None:
     assert publisher.subscribers == 0
 
 
+async def test_metadata_of_one_item(overlay: Overlay) -> None:
+    """A topic, a service and an action with metadata of their own are others than those without, and told with them."""
+    about = {"author": "ann", "unique": "cell 7"}
+    served = {"expose-service": [item("/add", ADD, **about)], "expose-action": [item("/fib", FIBONACCI, **about)]}
+    robot = await overlay.join("robot", publish=[item("/map", **about)], **served)
+    taken = {key.replace("expose", "reserve"): value for key, value in served.items()}
+    cloud = await overlay.join("cloud", subscribe=[item("/map", **about)], **taken)
+    plain = await overlay.join("plain", subscribe=[item("/map")])
+    inbox, none = Inbox(), Inbox()
+    await cloud.create_subscription("/map", STRING, QoS(), inbox)
+    await plain.create_subscription("/map", STRING, QoS(), none)
+    publisher = await robot.create_publisher("/map", STRING)
+    await until(lambda: publisher.subscribers, 30)
+    publisher.publish(sample("here"))
+    await inbox.wait(1, 30)
+    assert none.samples == []
+    node = overlay.gateways[1].node
+    assert node is not None
+    (advert,) = (advert for advert in node.rib.all("publisher") if advert.name == "/map")
+    assert (advert.metadata.author, advert.metadata.unique, advert.node) == ("ann", "cell 7", "robot")
+    await robot.create_service("/add", ADD, add)
+    client = await cloud.create_client("/add", ADD)
+    assert await client.wait_available(30)
+
+    async def execute(goal: ServerGoal) -> Outcome:
+        return Outcome(GoalStatus.SUCCEEDED, sequence(1, 1, 2))
+
+    await robot.create_action_server("/fib", FIBONACCI, ActionHandlers(execute))
+    user = await cloud.create_action_client("/fib", FIBONACCI)
+    assert await user.wait_available(30)
+
+
 @pytest.mark.parametrize(
     ("remote", "gateway", "path", "said"),
     [
         ({"address": "overlay"}, {}, "remotes[0].address", "ropeway keys issue"),
         ({"address": "ws://a", "automatic": {}}, {}, "remotes[0].automatic", '"address": "overlay"'),
         ({"address": "ws://a", "unique": "x"}, {}, "remotes[0].unique", '"address": "overlay"'),
+        (
+            {"address": "ws://a", "publish": [{"name": "/x", "type": STRING, "unique": "y"}]},
+            {},
+            "remotes[0].publish[0].unique",
+            '"address": "overlay"',
+        ),
         ({"address": "overlay", "token": {"env": "X"}}, {}, "remotes[0].token", "certificates say who is who"),
         ({"address": "overlay", "automatic": {"allow": ["camera"]}}, {}, "remotes[0].automatic.allow[0]", "/camera/*"),
         ({"address": "ws://a"}, {"overlay": {"identity": "nowhere"}}, "gateway.overlay.identity", "existing file"),

@@ -57,6 +57,14 @@ def test_replicas() -> None:
     assert len(others) == 5
 
 
+def test_a_node_in_a_name() -> None:
+    """A node makes another name of the same metadata, and none at all is as it was before names had nodes."""
+    assert Metadata("a", "b", "c", "d").fields() == ("a", "b", "c", "d")
+    assert Metadata("a", "b", "c", "d", "/n").fields() == ("a", "b", "c", "d", "/n")
+    names = {global_name(SECRET, *IMAGE, Metadata(node=node)) for node in ("", "/camera", "/lidar")}
+    assert len(names) == 3
+
+
 def test_fields_do_not_run_together() -> None:
     """Text that moves from one field to the next makes another name."""
     assert global_name(SECRET, "topic", "/a", "bc") != global_name(SECRET, "topic", "/ab", "c")

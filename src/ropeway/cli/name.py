@@ -10,6 +10,7 @@ import typer
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.session import JsonOption, full_name
 from ropeway.errors import IdentityError, InvalidTypeName
+from ropeway.graph.action.parts import parts_of_action
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.names import Metadata, global_name
 from ropeway.types.definition import canonical_name
@@ -34,9 +35,13 @@ def name_command(
     maintainer: Annotated[str, typer.Option(help="Likewise.")] = "",
     description: Annotated[str, typer.Option(help="Likewise.")] = "",
     unique: Annotated[str, typer.Option(help="Likewise: tells deployments of one name apart.")] = "",
+    node: Annotated[str, typer.Option(help="Likewise: the name of the node that has it.")] = "",
     as_json: JsonOption = False,
 ) -> None:
-    """Print the global name of NAME: 64 hex digits that only members of the fleet can make."""
+    """Print the global name of NAME: 64 hex digits that only members of the fleet can make.
+
+    An action has five: those of the services and topics that it is made of, which are what is advertised.
+    """
     middle = next((part for part in _MIDDLE if f"/{part}/" in type), "msg")
     try:
         full_type = canonical_name(type, middle)
@@ -45,10 +50,25 @@ def name_command(
     member = Identity.load(identity)
     if member.name_secret is None:
         raise IdentityError(str(identity), "it is a router's, which makes no names; take a member's bundle")
-    about = Metadata(author, maintainer, description, unique)
-    kind = _MIDDLE[middle]
-    made = global_name(member.name_secret, kind, full_name(name), full_type, about)
+    about = Metadata(author, maintainer, description, unique, node)
+    kind, full = _MIDDLE[middle], full_name(name)
+    parts = parts_of_action(full, full_type) if kind == "action" else [(kind, full, full_type)]
+    rows = [
+        {"kind": what, "name": part, "type": of, "global": global_name(member.name_secret, what, part, of, about).hex()}
+        for what, part, of in parts
+    ]
     if as_json:
-        print_json({"name": full_name(name), "type": full_type, "kind": kind, "global": made.hex()})
+        print_json(
+            {
+                "name": full,
+                "type": full_type,
+                "kind": kind,
+                "global": rows[0]["global"],
+                **({"advertised": rows} if kind == "action" else {}),
+            }
+        )
+    elif kind == "action":
+        for row in rows:
+            answer(f"{row['global']}  {row['kind']:<8}{row['name']}")
     else:
-        answer(made.hex())
+        answer(rows[0]["global"])

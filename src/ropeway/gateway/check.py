@@ -27,7 +27,7 @@ from ropeway.gateway.address import (
 )
 from ropeway.gateway.auth_model import ALL
 from ropeway.gateway.model import OPERATIONS, Document, Item, RemoteConfig
-from ropeway.gateway.overlay_model import OVERLAY
+from ropeway.gateway.overlay_model import METADATA, OVERLAY
 from ropeway.gateway.suggest import did_you_mean, nearest, one_of, show, unknown_key
 
 __all__ = ["check", "json_path", "route_key"]
@@ -306,6 +306,14 @@ def _overlay(remote: Mapping[str, Any], path: str, gateway: Mapping[str, Any]) -
                 "is not for the overlay, where certificates say who is who" if there else 'needs "address": "overlay"'
             )
             yield f"{path}.{key}", what
+    if there:
+        return
+    for operation in OPERATIONS:
+        items = remote.get(operation)
+        for index, item in enumerate(items if isinstance(items, list | tuple) else ()):
+            for key in METADATA:
+                if isinstance(item, Mapping) and item.get(key) is not None:
+                    yield f"{path}.{operation}[{index}].{key}", 'needs "address": "overlay"'
 
 
 def _iort(remote: Mapping[str, Any], path: str) -> Iterable[Problem]:

@@ -283,7 +283,7 @@ class Gateway:
                 listen=settings.listen,
                 max_message_bytes=self.config.gateway.max_message_bytes,
             )
-        about = Metadata(settings.author, settings.maintainer, settings.description, config.unique or "")
+        about = Metadata(settings.author, settings.maintainer, settings.description, config.unique or "", settings.node)
         everybody = ("*",)
         return OverlayGraph(
             self.node,
@@ -291,6 +291,7 @@ class Gateway:
             readers=everybody if config.readers is None else config.readers,
             callers=everybody if config.callers is None else config.callers,
             registry=self.registry,
+            node_name=self._node,
         )
 
     async def _update_meters(self) -> None:

@@ -25,7 +25,7 @@ from ropeway.gateway.address import default_graph, parse_graph, parse_link, pars
 from ropeway.gateway.auth_model import AuthConfig, GlobsConfig, Secret
 from ropeway.gateway.fields import ExistingPath, Many, Model
 from ropeway.gateway.iort_model import IortConfig, MapList, StoreConfig
-from ropeway.gateway.overlay_model import OVERLAY, AutomaticConfig, OverlayConfig
+from ropeway.gateway.overlay_model import METADATA, METADATUM, OVERLAY, AutomaticConfig, Metadatum, OverlayConfig
 from ropeway.gateway.suggest import one_of, show, unknown_key
 from ropeway.graph.base import Delivery, resolve_name
 from ropeway.qos import QoS
@@ -230,9 +230,20 @@ class Item(Model):
     israw: IsRaw = Field(False, description='true is another way to say "compression": "cbor-raw"')
     priority: Priority = Field(4, description="lanes: 0 (command) is sent first, 4 is the default, 7 (bulk) last")
 
+    author: Metadatum = Field(None, description=METADATUM)
+    maintainer: Metadatum = Field(None, description="likewise")
+    description: Metadatum = Field(None, description="likewise")
+    unique: Metadatum = Field(None, description="likewise: tells deployments of one name apart")
+    node: Metadatum = Field(None, description="likewise: the name of the node that has it")
+
     def delivery(self) -> Delivery:
         """How the far side should treat this route."""
-        return Delivery(encoding="cbor-raw" if self.israw else self.compression, priority=self.priority)
+        given = ((key, getattr(self, key)) for key in METADATA)
+        return Delivery(
+            encoding="cbor-raw" if self.israw else self.compression,
+            priority=self.priority,
+            metadata=tuple((key, text) for key, text in given if text is not None),
+        )
 
 
 class TopicItem(Item):

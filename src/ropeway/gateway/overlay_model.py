@@ -9,11 +9,18 @@ from pydantic import AfterValidator, Field
 
 from ropeway.gateway.fields import ExistingPath, Many, Model
 from ropeway.gateway.suggest import show
+from ropeway.limits import OVERLAY_METADATA_CHARACTERS
 
-__all__ = ["OVERLAY", "AutomaticConfig", "OverlayConfig"]
+__all__ = ["METADATA", "METADATUM", "OVERLAY", "AutomaticConfig", "Metadatum", "OverlayConfig"]
 
 OVERLAY: Final = "overlay"
 """The address of everybody in the overlay."""
+
+METADATA: Final = ("author", "maintainer", "description", "unique", "node")
+"""What an item may have that goes into its global name beside its name and type."""
+
+METADATUM: Final = "overlay: goes into the global name; left out: that of gateway.overlay, or of the remote"
+"""What each of them is for."""
 
 _ENDPOINT: Final = re.compile(r"(tls|quic)/(\[[0-9a-fA-F:]+\]|[A-Za-z0-9._-]+):\d{1,5}")
 
@@ -31,6 +38,7 @@ def _pattern(value: str) -> str:
 
 
 Endpoint = Annotated[str, AfterValidator(_endpoint)]
+Metadatum = Annotated[str | None, Field(max_length=OVERLAY_METADATA_CHARACTERS)]
 Pattern = Annotated[str, AfterValidator(_pattern)]
 
 
@@ -46,6 +54,7 @@ class OverlayConfig(Model):
     author: str = Field("", description="metadata that goes into every global name: all who share a name agree on it")
     maintainer: str = Field("", description="likewise")
     description: str = Field("", description="likewise")
+    node: str = Field("", description="likewise: the name of the node that has them; left out: it goes into no name")
 
 
 class AutomaticConfig(Model):

@@ -38,7 +38,8 @@ class Advertisement:
 
     ``kind``: ``publisher``, ``subscription``, ``service`` or ``client``; ``global_name`` 32 bytes, ``endpoint`` and
     ``gateway`` 16; ``name`` and ``type`` those of ROS; ``qos`` ``None`` for services and for readers that take what is
-    offered; ``since_ns`` and ``expires_ns`` are times (``time.time_ns``).
+    offered; ``since_ns`` and ``expires_ns`` are times (``time.time_ns``). ``node`` is the name of the node that has it,
+    as its gateway tells beside the advertisement: it is for people.
     """
 
     kind: str
@@ -52,6 +53,7 @@ class Advertisement:
     metadata: Metadata
     since_ns: int
     expires_ns: int
+    node: str = ""
 
 
 def advert_key(name_secret: bytes) -> AESGCM:
@@ -71,7 +73,7 @@ def make_advert(advert: Advertisement, identity: Identity, key: AESGCM) -> bytes
             advert.type,
             None if qos is None else list(astuple(qos)),
             advert.encoding,
-            list(astuple(advert.metadata)),
+            list(advert.metadata.fields()),
             advert.since_ns,
             advert.expires_ns,
         )

@@ -22,7 +22,7 @@ from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.fabric import Asked, Fabric, Handle
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.known import SHAPES as _SHAPES
-from ropeway.overlay.known import KnownGateway, gateway_of, read_told
+from ropeway.overlay.known import KnownGateway, gateway_of, read_told, with_nodes
 from ropeway.overlay.note import NoteKey, note_key_id
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rib import Rib
@@ -82,6 +82,7 @@ class Membership:
         self._own: dict[bytes, bytes] = {}  # endpoint: sealed advertisement
         self._added: dict[bytes, bytes] = {}
         self._removed: list[bytes] = []
+        self._nodes: dict[bytes, str] = {}  # that have what we advertise
         self._version = 0
         self._scheduled = False
         self._known: dict[bytes, KnownGateway] = {}
@@ -121,13 +122,16 @@ class Membership:
 
     # ── what we tell ───────────────────────────────────────────────────────────────────────────────────────────
 
-    def advertise(self, endpoint: bytes, raw: bytes) -> None:
+    def advertise(self, endpoint: bytes, raw: bytes, node: str = "") -> None:
         """Tell the others of an endpoint, with everything else that changes in this turn of the loop."""
         self._own[endpoint] = self._added[endpoint] = raw
+        if node:
+            self._nodes[endpoint] = node
         self._schedule()
 
     def withdraw(self, endpoint: bytes) -> None:
         """Tell the others that it is gone."""
+        self._nodes.pop(endpoint, None)
         if self._own.pop(endpoint, None) is None:
             return
         if self._added.pop(endpoint, None) is None:
@@ -143,11 +147,12 @@ class Membership:
         self._scheduled = False
         if not self._ends:
             return
-        added, removed = list(self._added.values()), self._removed
+        added, removed = list(self._added.items()), self._removed
         self._added, self._removed = {}, []
         while added or removed:
             self._version += 1
-            body = {"v": self._version, "add": added[:_CHUNK], "del": removed[: 16 * _CHUNK]}
+            adverts = self._with_nodes(added[:_CHUNK])
+            body = {"v": self._version, "add": adverts.pop("a"), "del": removed[: 16 * _CHUNK], **adverts}
             added, removed = added[_CHUNK:], removed[16 * _CHUNK :]
             self._fabric.tell(f"rw/a/{self._me}", self._note("delta", body))
 
@@ -189,7 +194,7 @@ class Membership:
         return {"k": self._notes.secret, "i": self._notes.id, "n": list(self._list_notes())}
 
     def _list_notes(self) -> Iterator[bytes]:
-        adverts = list(self._own.values())
+        adverts = list(self._own.items())
         hello = {
             "c": self._identity.certificate.der,
             "n": self._identity.name,
@@ -199,7 +204,12 @@ class Membership:
         }
         yield self._note("hello", hello)
         for at in range(0, len(adverts), _CHUNK):
-            yield self._note("adverts", {"t": hello["t"], "a": adverts[at : at + _CHUNK]})
+            yield self._note("adverts", {"t": hello["t"], **self._with_nodes(adverts[at : at + _CHUNK])})
+
+    def _with_nodes(self, adverts: list[tuple[bytes, bytes]]) -> dict[str, Any]:
+        """Advertisements, and beside them the nodes that have them: members of before nodes were told read on."""
+        nodes = {endpoint: self._nodes[endpoint] for endpoint, _ in adverts if endpoint in self._nodes}
+        return {"a": [raw for _, raw in adverts], **({"x": nodes} if nodes else {})}
 
     # ── what we hear ───────────────────────────────────────────────────────────────────────────────────────────
 
@@ -294,7 +304,7 @@ class Membership:
             self._sync(gateway, known)
             return
         known.version = body["v"]
-        found = self._rib.read_all(gateway, known.certificate, body["add"])
+        found = with_nodes(self._rib.read_all(gateway, known.certificate, body["add"]), body.get("x"))
         self._rib.apply(gateway, known.certificate, found, body["del"])
 
     def _turned_over(self, raw: bytes, gateway: bytes, known: KnownGateway) -> bool:
@@ -366,14 +376,16 @@ class Membership:
         if others >= OVERLAY_GATEWAYS_PER_MEMBER:
             raise SealError(Refusal.NO_RIGHT, f"{certificate.name} has {others} gateways already")
         raws: list[bytes] = []
+        nodes: dict[Any, Any] = {}
         for answer in answers[1:]:
             body = notes.open(answer, gateway, "adverts", _SHAPES["adverts"], lambda _: certificate)
             if body["t"] != hello["t"]:
                 raise SealError(Refusal.REPLAYED, "a list")
             raws += body["a"]
+            nodes |= body["x"] if isinstance(body.get("x"), dict) else {}
         if len(raws) != hello["of"]:
             raise SealError(Refusal.TRUNCATED, "a list")
-        adverts = await asyncio.to_thread(self._rib.read_all, gateway, certificate, raws)
+        adverts = with_nodes(await asyncio.to_thread(self._rib.read_all, gateway, certificate, raws), nodes)
         if self._known.get(gateway) is not known:
             return None
         first = known.certificate is None

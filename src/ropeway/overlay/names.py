@@ -25,13 +25,19 @@ _TAG: Final = b"ropeway name 1"
 class Metadata:
     """What goes into a name beside the name and the type. Who shares a name agrees on it.
 
-    ``unique`` tells deployments of one name apart that shall not be replicas of each other.
+    ``unique`` tells deployments of one name apart that shall not be replicas of each other; ``node`` is the name of the
+    node that has it, where that shall tell names apart, too.
     """
 
     author: str = ""
     maintainer: str = ""
     description: str = ""
     unique: str = ""
+    node: str = ""
+
+    def fields(self) -> tuple[str, ...]:
+        """Return the fields of names and advertisements: ``node``, which came later, only if there is one."""
+        return astuple(self) if self.node else astuple(self)[:-1]
 
 
 def global_name(secret: bytes, kind: str, name: str, type: str, metadata: Metadata | None = None) -> bytes:
@@ -43,7 +49,7 @@ def global_name(secret: bytes, kind: str, name: str, type: str, metadata: Metada
     if kind not in KINDS:
         raise ValueError(f"expected one of {', '.join(KINDS)}, got {kind!r}")
     mac = hmac.new(secret, _TAG, hashlib.sha256)
-    for field in (kind, name, type, *astuple(metadata or Metadata())):
+    for field in (kind, name, type, *(metadata or Metadata()).fields()):
         raw = field.encode()
         mac.update(struct.pack(">I", len(raw)) + raw)
     return mac.digest()

@@ -268,7 +268,8 @@ class OverlayNode:
             raise SealError(
                 Refusal.NO_RIGHT, f"the certificate of {self.identity.name} has no right to {verb} {advert.name}"
             )
-        self.membership.advertise(advert.endpoint, make_advert(advert, self.identity, self._advert_key))
+        raw = make_advert(advert, self.identity, self._advert_key)
+        self.membership.advertise(advert.endpoint, raw, advert.node)
 
     def withdraw(self, endpoint: bytes) -> None:
         """Tell everybody that it is gone."""

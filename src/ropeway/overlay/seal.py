@@ -31,7 +31,7 @@ from ropeway.overlay.cbor import loads
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.window import Window
 
-__all__ = ["ContentKey", "Grant", "Header", "Opened", "Opener", "Sealer", "peek"]
+__all__ = ["ContentKey", "Grant", "Header", "Opened", "Opener", "Sealer", "check_signature", "peek"]
 
 _HEAD: Final = struct.Struct(">BBBBIQHH")
 _MAGIC: Final = 0x52
@@ -179,6 +179,18 @@ def _digest(about: bytes, sealed: bytes | memoryview) -> bytes:
     digest.update(about)
     digest.update(sealed)
     return digest.digest()
+
+
+def check_signature(packet: bytes, name: bytes, publisher: bytes, verify: Callable[[bytes, bytes], bool]) -> Header:
+    """Return the head of a packet that its publisher signed, without a key to read it. Raises ``SealError``."""
+    head = peek(packet)
+    end = len(packet) - head.signature_bytes
+    view = memoryview(packet)
+    if not head.signed:
+        raise SealError(Refusal.BAD_SIGNATURE, "it has none")
+    if not verify(_digest(name + publisher + packet[: _HEAD.size], view[_HEAD.size : end]), bytes(view[end:])):
+        raise SealError(Refusal.BAD_SIGNATURE, f"message {head.first}")
+    return head
 
 
 class Opened(NamedTuple):

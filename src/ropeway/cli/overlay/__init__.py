@@ -12,6 +12,8 @@ VERBS = {
     "status": "ropeway.cli.overlay.status",
     "list": "ropeway.cli.overlay.list_",
     "trace": "ropeway.cli.overlay.trace",
+    "capture": "ropeway.cli.overlay.capture",
+    "verify": "ropeway.cli.overlay.verify",
 }
 
 app = typer.Typer(cls=lazy_group(VERBS), name="overlay", help="Look at the overlay.", add_completion=False)

@@ -36,6 +36,7 @@ def list_names(
                     "global": advert.global_name.hex(),
                     "member": graph.node.owner(advert.gateway),
                     "unique": advert.metadata.unique,
+                    "node": advert.node,
                 }
                 for kind in ("publisher", "subscription", "service", "client")
                 for advert in sorted(graph.node.rib.all(kind), key=lambda advert: (advert.name, advert.gateway))

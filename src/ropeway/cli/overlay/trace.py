@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated, Any
 
 import typer
@@ -44,6 +45,8 @@ def trace(
                             "type": advert.type,
                             "global": advert.global_name.hex(),
                             "member": node.owner(advert.gateway),
+                            "node": advert.node,
+                            "metadata": asdict(advert.metadata),
                             "certificate": "" if certificate is None else certificate.fingerprint.hex(),
                             "path": node.path(advert.gateway),
                             "rtt_ms": await node.rtt_ms(advert.gateway),
@@ -61,5 +64,10 @@ def trace(
         rtt = "no answer" if row["rtt_ms"] is None else f"{row['rtt_ms']:.1f} ms"
         answer(f"{row['kind']} {row['name']} [{row['type']}]")
         answer(f"  global name  {row['global']}")
+        if row["node"]:
+            answer(f"  node         {row['node']}")
+        for key, text in row["metadata"].items():
+            if text:
+                answer(f"  {key:<13}{text}")
         answer(f"  sealed by    {row['member']} (certificate {row['certificate'][:16]})")
         answer(f"  path         {row['path']}, {rtt}")

@@ -28,7 +28,7 @@ from ropeway.graph.action.parts import (
     STATUS_TYPE,
     ActionParts,
 )
-from ropeway.graph.base import Graph, GraphEvent, Sample, Subscription, Undelivered
+from ropeway.graph.base import NO_HINTS, Delivery, Graph, GraphEvent, Sample, Subscription, Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Client, Goal, GoalStatus, Outcome, Request
 from ropeway.tasks import Supervised, describe, end
 from ropeway.types import TypeRegistry
@@ -92,7 +92,10 @@ class ComposedGoal:
 class ComposedActionClient:
     """An action used on a graph through the graph's own services and topics; ``open`` begins."""
 
-    def __init__(self, graph: Graph, action: str, type: str, registry: TypeRegistry) -> None:
+    def __init__(
+        self, graph: Graph, action: str, type: str, registry: TypeRegistry, *, delivery: Delivery = NO_HINTS
+    ) -> None:
+        self._delivery = delivery
         self._parts = ActionParts(action, type, registry)
         self.action, self.type = self._parts.action, self._parts.type
         self.closed = False
@@ -116,7 +119,9 @@ class ComposedActionClient:
                 (parts.feedback, parts.feedback_type, FEEDBACK_QOS, self._take_feedback),
                 (parts.status, STATUS_TYPE, STATUS_QOS, _ignore),
             ):
-                self._subscriptions.append(await graph.create_subscription(topic, type, qos, callback))
+                self._subscriptions.append(
+                    await graph.create_subscription(topic, type, qos, callback, delivery=self._delivery)
+                )
             self._cancel = await self._client(parts.cancel_goal, CANCEL_TYPE)
             self._result = await self._client(parts.get_result, parts.get_result_type)
             self._send = await self._client(parts.send_goal, parts.send_goal_type)
@@ -125,7 +130,7 @@ class ComposedActionClient:
             raise
 
     async def _client(self, service: str, type: str) -> Client:
-        client = await self._graph.create_client(service, type)
+        client = await self._graph.create_client(service, type, delivery=self._delivery)
         self._clients.append(client)
         return client
 

@@ -24,6 +24,7 @@ __all__ = [
     "ActionParts",
     "action_of_service",
     "actions_of",
+    "parts_of_action",
 ]
 
 CANCEL_TYPE: Final = "action_msgs/srv/CancelGoal"
@@ -41,6 +42,17 @@ _HEADER_BYTES: Final = 4
 _ID_BYTES: Final = 16
 _SEND_GOAL: Final = "/_action/send_goal"
 _SECOND_NS: Final = 1_000_000_000
+
+
+def parts_of_action(action: str, type: str) -> list[tuple[str, str, str]]:
+    """Return the kind (``service``, ``topic``), name and type of all that an action is made of, sending goals first."""
+    return [
+        ("service", action + _SEND_GOAL, f"{type}_SendGoal"),
+        ("service", f"{action}/_action/cancel_goal", CANCEL_TYPE),
+        ("service", f"{action}/_action/get_result", f"{type}_GetResult"),
+        ("topic", f"{action}/_action/feedback", f"{type}_FeedbackMessage"),
+        ("topic", f"{action}/_action/status", STATUS_TYPE),
+    ]
 
 
 class ActionParts:

@@ -23,7 +23,7 @@ from ropeway.graph.action.parts import (
     STATUS_TYPE,
     ActionParts,
 )
-from ropeway.graph.base import SEQ_NONE, Graph, Publisher, Sample, Undelivered
+from ropeway.graph.base import NO_HINTS, SEQ_NONE, Delivery, Graph, Publisher, Sample, Undelivered
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, Request, ServerGoal, Service
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
@@ -62,7 +62,17 @@ class ComposedActionServer:
     minutes. A goal id that is known is rejected.
     """
 
-    def __init__(self, graph: Graph, action: str, type: str, handlers: ActionHandlers, registry: TypeRegistry) -> None:
+    def __init__(
+        self,
+        graph: Graph,
+        action: str,
+        type: str,
+        handlers: ActionHandlers,
+        registry: TypeRegistry,
+        *,
+        delivery: Delivery = NO_HINTS,
+    ) -> None:
+        self._delivery = delivery
         self._parts = ActionParts(action, type, registry)
         self.action, self.type = self._parts.action, self._parts.type
         self.closed = False
@@ -83,14 +93,16 @@ class ComposedActionServer:
         """Serve the action. Topics come first, so that who sees the services can hear about goals already."""
         parts, graph = self._parts, self._graph
         try:
-            self._feedback = await graph.create_publisher(parts.feedback, parts.feedback_type, FEEDBACK_QOS)
-            self._status = await graph.create_publisher(parts.status, STATUS_TYPE, STATUS_QOS)
+            self._feedback = await graph.create_publisher(
+                parts.feedback, parts.feedback_type, FEEDBACK_QOS, delivery=self._delivery
+            )
+            self._status = await graph.create_publisher(parts.status, STATUS_TYPE, STATUS_QOS, delivery=self._delivery)
             for name, type, handler in (
                 (parts.get_result, parts.get_result_type, self._give_result),
                 (parts.cancel_goal, CANCEL_TYPE, self._cancel),
                 (parts.send_goal, parts.send_goal_type, self._take),
             ):
-                self._services.append(await graph.create_service(name, type, handler))
+                self._services.append(await graph.create_service(name, type, handler, delivery=self._delivery))
         except BaseException:
             await self.close()
             raise

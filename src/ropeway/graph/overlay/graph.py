@@ -10,6 +10,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Final, TypeVar
 
@@ -55,7 +56,8 @@ class OverlayGraph:
     """A participant of the overlay that ``node`` is a member of.
 
     ``metadata`` goes into every name; ``readers`` and ``callers`` are patterns of certificate names that may read and
-    call what is offered here, beyond what their certificates say. ``lane`` is the priority of calls.
+    call what is offered here, beyond what their certificates say. ``lane`` is the priority of calls. ``node_name`` is
+    told with what is advertised.
     """
 
     kind = "overlay"
@@ -71,10 +73,12 @@ class OverlayGraph:
         callers: Sequence[str] = ("*",),
         registry: TypeRegistry | None = None,
         label: str = "overlay",
+        node_name: str = "",
     ) -> None:
         self.node = node
         self.name = label
         self.metadata = metadata or Metadata()
+        self.node_name = node_name
         self.registry = registry or TypeRegistry()
         self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self.sender: Sender
@@ -149,25 +153,27 @@ class OverlayGraph:
             self.drops[topic, Undelivered.CALLBACK] += 1
             log.exception("%s: a callback for %s failed", self.name, topic)
 
-    def _advert(self, kind: str, name: str, type: str, qos: QoS | None, encoding: str = "") -> Advertisement:
+    def _advert(self, kind: str, name: str, type: str, qos: QoS | None, delivery: Delivery) -> Advertisement:
         now = time.time_ns()
+        metadata = replace(self.metadata, **dict(delivery.metadata)) if delivery.metadata else self.metadata
         return Advertisement(
             kind=kind,
-            global_name=self._global(kind, name, type),
+            global_name=self._global(kind, name, type, metadata),
             endpoint=new_endpoint(),
             gateway=self.node.gateway,
             name=name,
             type=type,
             qos=qos,
-            encoding=encoding,
-            metadata=self.metadata,
+            encoding=delivery.encoding if kind in _TOPICS else "",
+            metadata=metadata,
             since_ns=now,
             expires_ns=now + _FOREVER_NS,
+            node=metadata.node or self.node_name,
         )
 
-    def _global(self, kind: str, name: str, type: str) -> bytes:
+    def _global(self, kind: str, name: str, type: str, metadata: Metadata) -> bytes:
         what = "topic" if kind in _TOPICS else "service"
-        return global_name(self.node.secret, what, name, type, self.metadata)
+        return global_name(self.node.secret, what, name, type, metadata)
 
     def _advertise(self, advert: Advertisement) -> None:
         try:
@@ -193,9 +199,7 @@ class OverlayGraph:
     ) -> OverlayPublisher:
         """Publish ``topic``. Raises ``GraphUnavailable`` where our certificate does not allow it."""
         self._check(topic, type)
-        advert = self._advert(
-            "publisher", resolve_name(topic), canonical_name(type, "msg"), qos or DEFAULT, delivery.encoding
-        )
+        advert = self._advert("publisher", resolve_name(topic), canonical_name(type, "msg"), qos or DEFAULT, delivery)
         publisher = OverlayPublisher(self, advert, delivery)
         self._advertise(advert)
         self._publishers[advert.endpoint] = publisher
@@ -226,7 +230,7 @@ class OverlayGraph:
     ) -> OverlaySubscription:
         """Read ``topic``. Raises ``GraphUnavailable`` where our certificate does not allow it."""
         self._check(topic, type)
-        advert = self._advert("subscription", resolve_name(topic), canonical_name(type, "msg"), qos, delivery.encoding)
+        advert = self._advert("subscription", resolve_name(topic), canonical_name(type, "msg"), qos, delivery)
         self._advertise(advert)
         feed = self.node.feed(advert.global_name)
         subscription = OverlaySubscription(self, advert, qos, callback, feed)
@@ -250,7 +254,7 @@ class OverlayGraph:
     async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> OverlayClient:
         """Call ``service``. Raises ``GraphUnavailable`` where our certificate does not allow it."""
         self._check(service, type)
-        advert = self._advert("client", resolve_name(service), canonical_name(type, "srv"), None)
+        advert = self._advert("client", resolve_name(service), canonical_name(type, "srv"), None, delivery)
         self._advertise(advert)
         client = self._clients[advert.endpoint] = OverlayClient(self, advert)
         self._match(client)
@@ -267,7 +271,7 @@ class OverlayGraph:
     ) -> OverlayService:
         """Serve ``service``; others may serve it as well. Raises ``GraphUnavailable`` as above."""
         self._check(service, type)
-        advert = self._advert("service", resolve_name(service), canonical_name(type, "srv"), None)
+        advert = self._advert("service", resolve_name(service), canonical_name(type, "srv"), None, delivery)
         served = OverlayService(self, advert, handler)
         self._advertise(advert)
         self._services[advert.endpoint] = self.node.providers[advert.endpoint] = served
@@ -284,7 +288,8 @@ class OverlayGraph:
     ) -> ComposedActionClient:
         """Use ``action``."""
         self._check(action, type)
-        client = ComposedActionClient(self, action, type, self.registry)
+        parts = Delivery(metadata=delivery.metadata)
+        client = ComposedActionClient(self, action, type, self.registry, delivery=parts)
         await client.open()
         self._actions = [*(part for part in self._actions if not part.closed), client]
         return client
@@ -294,7 +299,8 @@ class OverlayGraph:
     ) -> ComposedActionServer:
         """Serve ``action``."""
         self._check(action, type)
-        server = ComposedActionServer(self, action, type, handlers, self.registry)
+        parts = Delivery(metadata=delivery.metadata)
+        server = ComposedActionServer(self, action, type, handlers, self.registry, delivery=parts)
         await server.open()
         self._actions = [*(part for part in self._actions if not part.closed), server]
         return server
