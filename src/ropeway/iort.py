@@ -299,6 +299,8 @@ class Parser:
         found: List[Union[Packet, Fault]] = []
         last = pieces.pop()
         for piece in pieces:
+            if not self._begun:
+                piece = piece.strip()[:1]  # only that something was there
             if self._size or self._too_big:
                 self._keep(piece)
                 piece = b"".join(self._chunks)

@@ -15,7 +15,7 @@ from ropeway.iort import Fault, Packet, Parser
 from ropeway.server.door import Door
 from ropeway.server.entrance import Entrance
 from ropeway.server.iort import IortServer
-from ropeway.store import Store, StoreLimits, make_backend
+from ropeway.store import Store, StoreLimits, make_backend, make_mirror
 
 __all__ = ["Raw", "ServerProcess", "serving"]
 
@@ -34,9 +34,10 @@ async def serving(
     limits: StoreLimits | None = None,
     ssl_context: Any = None,
     door: Door | None = None,
+    mirror: str = "",
     **options: Any,
 ) -> AsyncIterator[Served]:
-    store = Store(make_backend(path), limits=limits)
+    store = Store(make_backend(path), mirror=make_mirror(mirror) if mirror else None, limits=limits)
     await store.open()
     server = IortServer(Space(store), entrance=Entrance(door), **options)
     scheme = "iort" if ssl_context is None else "iorts"

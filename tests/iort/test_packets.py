@@ -9,7 +9,7 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ropeway import iort
@@ -95,6 +95,7 @@ NUMBERED = [b"%01/A/b/p/" + str(number).encode() * 3 + b"%" for number in range(
 STRAYS = st.sampled_from([b"%", b"%%", b"%%%", b"% %", b"%\r\n%", b"%?%", b"no packet", b"%no packet", b"no packet%"])
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(STRAYS, st.integers(0, len(NUMBERED))), max_size=4), st.integers(1, 7))
 def test_stray_percent_signs(strays: list[tuple[bytes, int]], step: int) -> None:
     """Percent signs and bytes that belong to no packet, anywhere between packets, cost no packet."""
@@ -219,6 +220,7 @@ PIECES = st.one_of(
 )
 
 
+@settings(deadline=None)
 @given(st.lists(PIECES, max_size=12), st.data())
 def test_cut_anywhere(pieces: list[bytes], data: st.DataObject) -> None:
     """However a stream is cut, the same packets and the same faults come out."""

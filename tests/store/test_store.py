@@ -2,14 +2,16 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+import pymongo
 import pytest
 
 from ropeway.errors import StoreUnavailable, ValueRefused
-from ropeway.store import Entry, Key, Store, StoreLimits, Versions, default_path, make_backend
+from ropeway.store import Change, Entry, Key, Store, StoreLimits, Versions, default_path, make_backend, make_mirror
 from tests.store.mongo import MongoServer
 from tests.until import until
 
@@ -55,6 +57,33 @@ class Flaky:
 
     def close(self) -> None:
         pass
+
+
+class FlakyMirror(Flaky):
+    """A database elsewhere, of which ``gone`` and ``news`` are what others changed."""
+
+    follows, pause_s = "as told", 0.01
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.url = "mirror"
+        self.news: list[Entry] = []
+        self.gone: list[Key] = []
+        self.looked: list[Key] = []
+
+    def find(self, key: Key) -> tuple[Entry | None, bool]:
+        self._check()
+        self.looked.append(key)
+        return self.rows.get(key), any(system == key[0] for system, _ in self.rows)
+
+    def changes(self) -> Change:
+        self._check()
+        news, self.news, gone, self.gone = self.news, [], self.gone, []
+        return Change(news, gone, min((e.stamp_ns for e in news if not e.version), default=time.time_ns()))
+
+
+def fault_of(store: Store) -> str:
+    return str(store.status()["mirror"]["fault"])
 
 
 class Told:
@@ -179,8 +208,7 @@ async def test_one_node_cannot_be_told(store: Store) -> None:
 
 async def test_mirror(flaky: Flaky) -> None:
     """A mirror that is away at the start gets everything when it comes, and what is later there comes here."""
-    mirror = Flaky()
-    mirror.url = "mirror"
+    mirror = FlakyMirror()
     mirror.fail = "is away"
     mirror.rows[("PEPPER", "theirs")] = entry(b"theirs", 9, topic="theirs")
     mirror.rows[("PEPPER", "old")] = entry(b"old", 1, topic="old")
@@ -190,17 +218,17 @@ async def test_mirror(flaky: Flaky) -> None:
     store.on_change.append(changes.append)
     store.put(entry(b"new", 5, topic="old"))
     store.put(entry(b"1", 1))
-    await until(lambda: "is away" in store.mirror_fault)
+    await until(lambda: "is away" in fault_of(store))
     await until(lambda: store.status()["mirror"]["waiting"] == 2)
     mirror.fail = ""
-    await until(lambda: len(mirror.rows) == 3 and not store.mirror_fault)
+    await until(lambda: len(mirror.rows) == 3 and not fault_of(store))
     assert mirror.rows[("PEPPER", "old")].data == b"new"
     theirs = store.get("PEPPER", "theirs")
     assert theirs is not None
     assert theirs in changes
     mirror.fail = "is away again"
     store.put(entry(b"2", 2))
-    await until(lambda: "again" in store.mirror_fault)
+    await until(lambda: "again" in fault_of(store))
     mirror.fail = ""
     await until(lambda: mirror.rows[("PEPPER", "cmd_vel")].data == b"2")
     await store.remove("PEPPER", "cmd_vel")
@@ -213,25 +241,132 @@ async def test_real_mirror(tmp_path: Path) -> None:
     if MongoServer.program() is None:
         pytest.skip("no mongod or ferretdb")
     server = MongoServer(tmp_path / "mongo")
-    store = Store(make_backend(str(tmp_path / "s.sqlite")), mirror=make_backend(server.url))
+    store = Store(make_backend(str(tmp_path / "s.sqlite")), mirror=make_mirror(server.url))
     await store.open()
     try:
         store.put(entry(b"1", 1))
-        await until(lambda: "does not answer" in store.mirror_fault, 20)
+        await until(lambda: "does not answer" in fault_of(store), 20)
         await asyncio.to_thread(server.start)
-        await until(lambda: not store.mirror_fault and not store.status()["mirror"]["waiting"], 30)
-        other = make_backend(server.url)
+        await until(lambda: not fault_of(store) and not store.status()["mirror"]["waiting"], 30)
+        other = make_mirror(server.url)
         await asyncio.to_thread(other.open)
         assert [e.data for e in await asyncio.to_thread(other.load)] == [b"1"]
         await asyncio.to_thread(server.stop)
         store.put(entry(b"2", 2))
-        await until(lambda: store.mirror_fault, 30)
+        await until(lambda: fault_of(store), 30)
         await asyncio.to_thread(server.start)
-        await until(lambda: not store.mirror_fault and not store.status()["mirror"]["waiting"], 30)
+        await until(lambda: not fault_of(store) and not store.status()["mirror"]["waiting"], 30)
         assert [e.data for e in await asyncio.to_thread(other.load)] == [b"2"]
         other.close()
     finally:
         await store.close()
+        server.stop()
+
+
+async def test_follows_the_mirror(flaky: Flaky) -> None:
+    """What others write to the mirror, or take away, is so here: with a version or without, newer values here first."""
+    mirror = FlakyMirror()
+    store = Store(flaky, mirror=mirror)
+    await store.open()
+    try:
+        await until(lambda: not fault_of(store))
+
+        def unversioned(data: bytes, topic: str = "free") -> Entry:
+            return Entry("PEPPER", topic, data, 0, time.time_ns(), "mongodb")
+
+        async def served(topic: str, data: bytes) -> None:
+            await until(lambda: (e := store.get("PEPPER", topic)) is not None and e.data == data)
+
+        mirror.news = [unversioned(b"1"), entry(b"given", 7, topic="versioned")]
+        await served("free", b"1")
+        await served("versioned", b"given")
+        mirror.news = [unversioned(b"2"), entry(b"late", 6, topic="versioned")]
+        await served("free", b"2")
+        await store.settled()
+        await until(lambda: ("PEPPER", "versioned") in mirror.rows and not store.status()["mirror"]["waiting"])
+        mirror.news = [unversioned(b"3", "versioned")]
+        await served("versioned", b"3")
+        await store.settled()
+        assert not mirror.rows.keys() - {("PEPPER", "versioned")}  # only what was older there was brought over
+        before = unversioned(b"before", "own")
+        store.put(entry(b"own", store.versions.next(), topic="own"))
+        await until(lambda: ("PEPPER", "own") in mirror.rows)
+        mirror.news = [before]
+        mirror.gone = [("PEPPER", "free")]
+        await until(lambda: store.get("PEPPER", "free") is None)
+        await served("own", b"own")
+    finally:
+        await store.close()
+
+
+async def test_looks_further(flaky: Flaky) -> None:
+    """A value that is not here is looked up in the mirror, and one that is not there either is not at once again."""
+    mirror = FlakyMirror()
+    store = Store(flaky, mirror=mirror)
+    assert not store.may_find("PEPPER", "x")
+    await store.open()
+    try:
+        await until(lambda: store.may_find("PEPPER", "x"))
+        mirror.rows["PEPPER", "x"] = entry(b"there", 3, topic="x")
+        assert await store.find("PEPPER", "x")
+        found = store.get("PEPPER", "x")
+        assert found is not None
+        assert found.data == b"there"
+        assert await store.find("PEPPER", "y")
+        assert not store.may_find("PEPPER", "y")
+        assert not await store.find("NOBODY", "y")
+        assert mirror.looked == [("PEPPER", "x"), ("PEPPER", "y"), ("NOBODY", "y")]
+        mirror.fail = "is away"
+        assert not await store.find("NOBODY", "z")
+        await until(lambda: not store.may_find("NOBODY", "w"))
+    finally:
+        await store.close()
+
+
+async def test_documents_of_others(tmp_path: Path) -> None:
+    """Documents that a program inserts, changes and deletes in MongoDB are served so, and nodes write over them."""
+    if MongoServer.program() is None:
+        pytest.skip("no mongod or ferretdb")
+    server = MongoServer(tmp_path / "mongo")
+    await asyncio.to_thread(server.start)
+    client: pymongo.MongoClient[dict[str, Any]] = pymongo.MongoClient(server.url)
+    pepper = client["ropeway"]["PEPPER"]
+    store = Store(make_backend(str(tmp_path / "s.sqlite")), mirror=make_mirror(server.url))
+    await store.open()
+
+    async def served(topic: str, data: bytes) -> None:
+        await until(lambda: (e := store.get("PEPPER", topic)) is not None and e.data == data, 20)
+
+    try:
+        await until(lambda: not fault_of(store), 20)
+        inserted = [{"_id": "a", "data": "1"}, {"_id": "b", "data": "2", "version": 3}, {"_id": "c", "data": {"x": 1}}]
+        await asyncio.to_thread(pepper.insert_many, [*inserted, {"_id": "none"}])
+        assert await store.find("PEPPER", "a")
+        await served("a", b"1")
+        await served("b", b"2")
+        await served("c", b'{"x": 1}')
+        assert store.get("PEPPER", "none") is None
+        await asyncio.to_thread(pepper.update_one, {"_id": "a"}, {"$set": {"data": "10"}})
+        await asyncio.to_thread(pepper.delete_one, {"_id": "c"})
+        await served("a", b"10")
+        await until(lambda: store.get("PEPPER", "c") is None, 20)
+        known = store.get("PEPPER", "a")
+        assert known is not None
+        store.put(entry(b"node", store.versions.next(known.version), topic="a"))
+
+        async def there(topic: str) -> Any:
+            return ((await asyncio.to_thread(pepper.find_one, {"_id": topic})) or {}).get("data")
+
+        async with asyncio.timeout(20):
+            while await there("a") != "node":
+                await asyncio.sleep(0.05)
+        await asyncio.to_thread(pepper.update_one, {"_id": "a"}, {"$set": {"data": "program"}})
+        await served("a", b"program")
+        assert await there("a") == "program"
+        assert await there("b") == "2"
+    finally:
+        await store.close()
+        client.close()
         server.stop()
 
 

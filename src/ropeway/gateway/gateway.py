@@ -34,7 +34,7 @@ from ropeway.link.listener import Listener
 from ropeway.server import RosbridgeServer
 from ropeway.server.entrance import Entrance
 from ropeway.server.store import StorePages
-from ropeway.store import Store, default_path, make_backend
+from ropeway.store import Store, default_path, make_backend, make_mirror
 from ropeway.tasks import Supervised, failing
 from ropeway.types import TypeRegistry
 
@@ -170,7 +170,7 @@ class Gateway:
 
     async def _open_store(self, stack: AsyncExitStack) -> Store:
         config = self.config.gateway.store or StoreConfig.model_validate({})
-        mirror = None if config.mongodb is None else make_backend(config.mongodb)
+        mirror = None if config.mongodb is None else make_mirror(config.mongodb)
         backend = make_backend(config.path or default_path(self.config.gateway.name))
         store = Store(backend, mirror=mirror, limits=config.limits())
         await store.open()

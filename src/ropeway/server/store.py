@@ -52,6 +52,17 @@ class StorePages:
         refused = self._allowed(access, "subscribe", system, topic)
         if refused is not None:
             return refused
+        if self.store.get(system, topic) is None and self.store.may_find(system, topic):
+            return _Later(self._found(system, topic, flags))
+        return self._value(system, topic, flags)
+
+    async def _found(self, system: str, topic: str, flags: set[str]) -> Response:
+        """Look a value up in the database elsewhere first."""
+        await self.store.find(system, topic)
+        answer = self._value(system, topic, flags)
+        return await answer.work if isinstance(answer, _Later) else answer
+
+    def _value(self, system: str, topic: str, flags: set[str]) -> Response | _Later:
         entry = self.store.get(system, topic)
         if entry is None:
             what = f"no value of {system}/{topic}" if self.store.has_system(system) else f"no value of {system}"
@@ -110,7 +121,7 @@ class _Later(asyncio.Protocol):
     """An answer that takes a while."""
 
     def __init__(self, work: Coroutine[Any, Any, Response]) -> None:
-        self._work = work
+        self.work = work
         self._task: asyncio.Task[None] | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -124,7 +135,7 @@ class _Later(asyncio.Protocol):
         """Who asked has left; what was begun is finished."""
 
     async def _answer(self, transport: asyncio.Transport) -> None:
-        response = await self._work
+        response = await self.work
         if not transport.is_closing():
             transport.write(response.encode())
             transport.close()

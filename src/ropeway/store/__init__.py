@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from ropeway.store.entry import CDR, Backend, Entry, Key, Versions, as_json, check_name
-from ropeway.store.factory import default_path, is_mongo, make_backend
+from ropeway.store.entry import CDR, Backend, Change, Entry, Key, Mirror, Versions, as_json, check_name
+from ropeway.store.factory import default_path, is_mongo, make_backend, make_mirror
 from ropeway.store.store import Sink, Store, StoreLimits
 
 __all__ = [
     "CDR",
     "Backend",
+    "Change",
     "Entry",
     "Key",
+    "Mirror",
     "Sink",
     "Store",
     "StoreLimits",
@@ -20,4 +22,5 @@ __all__ = [
     "default_path",
     "is_mongo",
     "make_backend",
+    "make_mirror",
 ]

@@ -11,10 +11,26 @@ from typing import Any, Final, Protocol
 from ropeway.errors import ValueRefused
 from ropeway.iort import kind_of
 
-__all__ = ["CDR", "MAX_NAME_BYTES", "Backend", "Entry", "Key", "Versions", "as_json", "check_name", "whole"]
+__all__ = [
+    "CDR",
+    "FOREIGN",
+    "MAX_NAME_BYTES",
+    "Backend",
+    "Change",
+    "Entry",
+    "Key",
+    "Mirror",
+    "Versions",
+    "as_json",
+    "check_name",
+    "whole",
+]
 
 CDR: Final = "cdr"
 """The form of an entry that is a message of ROS."""
+
+FOREIGN: Final = "mongodb"
+"""The origin of what another program put into the database."""
 
 MAX_NAME_BYTES: Final = 200
 """The longest name of a system or a topic, in UTF-8: a file system takes 255 bytes."""
@@ -126,6 +142,36 @@ def whole(value: object) -> int:
     if type(value) is not int or not -_LARGEST <= value < _LARGEST:
         raise ValueError(f"{value!r:.40} is no whole number of 64 bits")
     return value
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What others changed in a mirror: values, and topics that are gone; ``read_ns`` is when reading began."""
+
+    entries: list[Entry]
+    gone: list[Key]
+    read_ns: int
+
+
+class Mirror(Backend, Protocol):
+    """A backend that others write, too. ``find`` and ``changes`` are called from other threads than the rest.
+
+    The entry of a document without a version has version 0, and as ``stamp_ns`` the time when it was seen.
+    """
+
+    @property
+    def follows(self) -> str:
+        """How changes are followed, in a few words."""
+
+    @property
+    def pause_s(self) -> float:
+        """How long to wait before changes are asked for again."""
+
+    def find(self, key: Key) -> tuple[Entry | None, bool]:
+        """The last value of a topic, and whether its system is known."""
+
+    def changes(self) -> Change:
+        """What others changed since the last time; may wait for a second."""
 
 
 def check_name(system: str, topic: str) -> None:

@@ -7,11 +7,11 @@ import re
 from pathlib import Path
 from typing import Final
 
-from ropeway.store.entry import Backend
+from ropeway.store.entry import Backend, Mirror
 from ropeway.store.files import FilesBackend
 from ropeway.store.sqlite import SqliteBackend
 
-__all__ = ["default_path", "is_mongo", "make_backend"]
+__all__ = ["default_path", "is_mongo", "make_backend", "make_mirror"]
 
 _MONGO: Final = re.compile(r"mongodb(\+srv)?://")
 
@@ -26,14 +26,19 @@ def make_backend(url: str) -> Backend:
     end), nothing for ``memory:``, and else an SQLite file.
     """
     if is_mongo(url):
-        from ropeway.store.mongo import MongoBackend
-
-        return MongoBackend(url)
+        return make_mirror(url)
     if url == "memory:":
         return SqliteBackend(":memory:")
     if url.endswith("/") or Path(url).expanduser().is_dir():
         return FilesBackend(url)
     return SqliteBackend(url)
+
+
+def make_mirror(url: str) -> Mirror:
+    """Return the database elsewhere at a URL of MongoDB, for use as a mirror."""
+    from ropeway.store.mongo import MongoBackend
+
+    return MongoBackend(url)
 
 
 def default_path(name: str) -> str:

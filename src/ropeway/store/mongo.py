@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import logging
+import threading
+import time
 from collections.abc import Iterator
 from typing import Any, Final
 from urllib.parse import quote, unquote, urlsplit
 
 from ropeway.errors import StoreUnavailable
-from ropeway.store.entry import Entry, Key
+from ropeway.store.entry import FOREIGN, Change, Entry, Key
 
-__all__ = ["MongoBackend"]
+__all__ = ["POLL_S", "MongoBackend"]
+
+log = logging.getLogger("ropeway.store")
 
 _TIMEOUT_MS: Final = 3000
 _DUPLICATE: Final = 11000
 _DATABASE: Final = "ropeway"
+_FIELDS: Final = {"history": 0}
+_AWAIT_MS: Final = 1000
+_STREAMED: Final = 1000  # changes taken from a stream at a time
+POLL_S: Final = 1.0
+"""How often all documents are read where the server has no change streams."""
+_POLL_SHARE: Final = 20
 
 
 class MongoBackend:
@@ -22,6 +34,10 @@ class MongoBackend:
 
     A document is ``{_id: TOPIC, data, version, stamp_ns, origin, type, form, history}``. Data that is text is text
     there, too. An entry never replaces a later one, also if several servers write.
+
+    Documents of other programs need ``_id`` and ``data`` only; data that is neither text nor bytes is served as JSON.
+    What others change is followed through change streams where the server has them (a replica set), else by reading
+    all documents each second, or less often where that takes more than a twentieth of the time.
     """
 
     def __init__(self, url: str) -> None:
@@ -30,6 +46,21 @@ class MongoBackend:
         self._url = url
         self._database = parts.path.strip("/") or _DATABASE
         self._client: Any = None
+        self._lock = threading.Lock()  # between writing and reading what others wrote
+        self._seen: dict[Key, int] = {}  # a mark of each document as it was seen or written last
+        self._stream: Any = None
+        self._streams = True  # until the server says that it has none
+        self._pause_s = POLL_S
+
+    @property
+    def follows(self) -> str:
+        """How changes are followed."""
+        return "change stream" if self._stream is not None else f"read every {self.pause_s:g} s"
+
+    @property
+    def pause_s(self) -> float:
+        """How long to wait before ``changes`` is called again."""
+        return 0.0 if self._stream is not None else self._pause_s
 
     def open(self) -> None:
         """Connect; the server must answer within 3 s."""
@@ -47,20 +78,98 @@ class MongoBackend:
             self._client.admin.command("ping")
 
     def load(self) -> list[Entry]:
-        """Every last value; documents that others put there are left alone."""
-        found: list[Entry] = []
-        with self._told():
+        """Every last value, those of other programs as well."""
+        with self._lock, self._told():
+            self._seen.clear()
+            self._stream = self._open_stream()
+            return self._look_at_all().entries
+
+    def find(self, key: Key) -> tuple[Entry | None, bool]:
+        """The last value of a topic, and whether its system has a collection."""
+        system, topic = key
+        name, read_ns = _collection(system), time.time_ns()
+        with self._lock, self._told():
             database = self._db()
-            for name in database.list_collection_names():
-                for document in database[name].find({"version": {"$exists": True}}):
-                    entry = _entry(unquote(name), document)
-                    if entry is not None:
-                        found.append(entry)
-        return found
+            document = database[name].find_one({"_id": topic}, _FIELDS)
+            if document is not None:
+                self._seen[key] = _mark(document)
+                return _entry(system, document, read_ns), True
+            return None, name in database.list_collection_names(filter={"name": name})
+
+    def changes(self) -> Change:
+        """What others changed since the last call; on a stream it waits for a second."""
+        with self._told():
+            if self._stream is None:
+                with self._lock:
+                    return self._look_at_all()
+            changed = self._streamed(self._stream)
+        read_ns, entries, gone = time.time_ns(), [], []
+        with self._lock, self._told():
+            if changed is None:
+                return self._look_at_all()
+            for system, topic in changed:
+                document = self._db()[_collection(system)].find_one({"_id": topic}, _FIELDS)
+                if document is None:
+                    if self._seen.pop((system, topic), None) is not None:
+                        gone.append((system, topic))
+                elif (entry := self._news(system, document, read_ns)) is not None:
+                    entries.append(entry)
+        return Change(entries, gone, read_ns)
+
+    def _open_stream(self) -> Any:
+        from pymongo.errors import OperationFailure
+
+        if self._streams:
+            try:
+                return self._db().watch(max_await_time_ms=_AWAIT_MS)
+            except OperationFailure as error:
+                log.info("%s has no change streams (%s); all is read each %g s", self.url, error.code, POLL_S)
+                self._streams = False
+        return None
+
+    def _streamed(self, stream: Any) -> list[Key] | None:
+        """Wait for changes; the keys of what changed, or ``None`` where all may have."""
+        found: dict[Key, None] = {}
+        while (event := stream.try_next()) is not None:
+            where, key = event.get("ns", {}).get("coll"), event.get("documentKey", {}).get("_id")
+            if where is None or not isinstance(key, str):
+                if not stream.alive:
+                    self._stream = self._open_stream()
+                return None
+            found[unquote(where), key] = None
+            if len(found) >= _STREAMED:
+                break
+        return list(found)
+
+    def _look_at_all(self) -> Change:
+        began, read_ns = time.monotonic(), time.time_ns()
+        entries: list[Entry] = []
+        there: set[Key] = set()
+        database = self._db()
+        for name in database.list_collection_names():
+            system = unquote(name)
+            for document in database[name].find({}, _FIELDS):
+                there.add((system, document["_id"]))
+                entry = self._news(system, document, read_ns)
+                if entry is not None:
+                    entries.append(entry)
+        gone = [key for key in self._seen if key not in there]
+        for key in gone:
+            del self._seen[key]
+        self._pause_s = max(POLL_S, _POLL_SHARE * (time.monotonic() - began))
+        return Change(entries, gone, read_ns)
+
+    def _news(self, system: str, document: dict[str, Any], read_ns: int) -> Entry | None:
+        """The entry of a document, if it is another than the one that was seen or written last."""
+        key, mark = (system, document["_id"]), _mark(document)
+        if self._seen.get(key) == mark or not isinstance(key[1], str):
+            return None
+        self._seen[key] = mark
+        return _entry(system, document, read_ns)
 
     def write(self, entries: list[Entry], depth: int) -> None:
         """Keep entries; each is acknowledged by the server when this returns."""
-        with self._told():
+        with self._lock, self._told():
             for entry in entries if depth else {entry.key: entry for entry in entries}.values():
                 self._write(entry, depth)
 
@@ -69,7 +178,7 @@ class MongoBackend:
 
         collection = self._db()[_collection(entry.system)]
         there = collection.find_one({"_id": entry.topic})
-        before = _entry(entry.system, there) if there is not None else None
+        before = _entry(entry.system, there, 0) if there is not None else None
         history = list((there or {}).get("history") or ())
         if before is not None and before.order == entry.order:
             return
@@ -83,25 +192,28 @@ class MongoBackend:
         update = {**_document(entry), "history": history[:depth]}
         with contextlib.suppress(DuplicateKeyError):  # a later one came there in between
             collection.update_one(
-                {"_id": entry.topic, "version": {"$lte": entry.version}}, {"$set": update}, upsert=True
+                {"_id": entry.topic, "$nor": [{"version": {"$gt": entry.version}}]}, {"$set": update}, upsert=True
             )
+            self._seen[entry.key] = _mark(update)
 
     def remove(self, keys: list[Key]) -> None:
         """Forget topics."""
-        with self._told():
+        with self._lock, self._told():
             for system, topic in keys:
                 self._db()[_collection(system)].delete_one({"_id": topic})
+                self._seen.pop((system, topic), None)
 
     def history(self, key: Key) -> list[Entry]:
         """The values before the last one, newest first."""
         system, topic = key
         with self._told():
             document = self._db()[_collection(system)].find_one({"_id": topic}) or {}
-        found = [_entry(system, {**value, "_id": topic}) for value in document.get("history") or ()]
+        found = [_entry(system, {**value, "_id": topic}, 0) for value in document.get("history") or ()]
         return [entry for entry in found if entry is not None]
 
     def close(self) -> None:
         """Disconnect."""
+        self._stream = None
         if self._client is not None:
             self._client.close()
             self._client = None
@@ -141,14 +253,30 @@ def _document(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _entry(system: str, document: dict[str, Any]) -> Entry | None:
-    data = document.get("data")
-    version, stamp_ns = document.get("version"), document.get("stamp_ns")
-    if not isinstance(data, (str, bytes)) or not isinstance(version, int) or not isinstance(stamp_ns, int):
+def _mark(document: dict[str, Any]) -> int:
+    """A number that differs where the value of a document does."""
+    return hash(repr([document.get(key) for key in ("data", "version", "origin", "type", "form")]))
+
+
+def _entry(system: str, document: dict[str, Any], read_ns: int) -> Entry | None:
+    """The value of a document; one of another program may lack a version (then it is 0) and has the time of reading."""
+    topic, data = document.get("_id"), document.get("data")
+    if not isinstance(topic, str) or data is None:
         return None
-    raw = data.encode() if isinstance(data, str) else bytes(data)
+    if isinstance(data, bytes):
+        raw = bytes(data)
+    else:
+        raw = (data if isinstance(data, str) else json.dumps(data, default=str)).encode()
+    version, stamp_ns = _number(document.get("version")), _number(document.get("stamp_ns"))
+    if not version or not stamp_ns:
+        stamp_ns = read_ns
     words = [str(document.get(key) or "") for key in ("origin", "type", "form")]
-    return Entry(system, str(document.get("_id")), raw, int(version), int(stamp_ns), *words)
+    return Entry(system, topic, raw, version, stamp_ns, words[0] or FOREIGN, words[1], words[2])
+
+
+def _number(value: object) -> int:
+    """A whole number of up to 62 bits; 0 for what is none."""
+    return int(value) if isinstance(value, int) and not isinstance(value, bool) and 0 < value < 1 << 62 else 0
 
 
 def _sorted(documents: list[dict[str, Any]]) -> list[dict[str, Any]]:

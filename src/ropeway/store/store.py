@@ -15,23 +15,23 @@ import contextlib
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from functools import partial
 from typing import Any, Final, Protocol, TypeVar
 
-from ropeway.errors import StoreError, StoreUnavailable, ValueRefused
-from ropeway.store.entry import Backend, Entry, Key, Versions, check_name
-from ropeway.tasks import Supervised, describe, end
+from ropeway.errors import StoreUnavailable, ValueRefused
+from ropeway.store.entry import Backend, Entry, Key, Mirror, Versions, check_name
+from ropeway.store.mirror import Mirroring
+from ropeway.store.thread import run_in
+from ropeway.tasks import Supervised, end
 
 __all__ = ["Sink", "Store", "StoreLimits"]
 
 log = logging.getLogger("ropeway.store")
 
 _RETRY_S: Final = (0.25, 10.0)  # first and longest pause before a backend is tried again
-_MIRROR_BATCH: Final = 500
 _SWEEP_S: Final = 30.0
 _GATHER_S: Final = 0.25  # how long values wait for others where nobody waits for them
 T = TypeVar("T")
@@ -69,32 +69,30 @@ class Store:
         self,
         backend: Backend,
         *,
-        mirror: Backend | None = None,
+        mirror: Mirror | None = None,
         limits: StoreLimits | None = None,
         clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        self.backend, self.mirror = backend, mirror
+        self.backend, self._mirror = backend, mirror
+        self.mirroring: Mirroring | None = None
         self.limits = limits or StoreLimits()
         self.versions = Versions(clock_ns)
         self.refused: Counter[str] = Counter()
         self.fault = ""  # why the backend does not keep values now
-        self.mirror_fault = "" if mirror is None else "not connected yet"
         self.on_change: list[Callable[[Entry | Key], None]] = []
         self._clock_ns = clock_ns
         self._entries: dict[Key, Entry] = {}
         self._bytes = 0
         self._systems: Counter[str] = Counter()
         self._dirty: dict[Key, list[Entry]] = {}
+        self._writing: dict[Key, list[Entry]] = {}  # what the backend is writing now
         self._sinks: dict[Sink, list[Any]] = {}
-        self._unmirrored: dict[Key, list[Entry]] = {}
-        self._unmirrored_removals: dict[Key, None] = {}
         self._wake = asyncio.Event()
         self._asked = asyncio.Event()  # somebody waits until values are kept
-        self._mirror_wake = asyncio.Event()
         self._idle = asyncio.Event()
         self._idle.set()
         self._tasks: list[Supervised] = []
-        self._threads: list[ThreadPoolExecutor] = []
+        self._thread: ThreadPoolExecutor | None = None
         self._open = False
 
     # ── life ───────────────────────────────────────────────────────────────────────────────────────────────────
@@ -103,12 +101,12 @@ class Store:
         """Read what is kept. Raises ``StoreUnavailable`` if the backend cannot be opened; a mirror may be away."""
         if self._open:
             return
-        self._threads = [ThreadPoolExecutor(1, thread_name_prefix="store")]
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="store")
         try:
             await self._run(self.backend.open)
             entries = await self._run(self.backend.load)
         except StoreUnavailable:
-            self._threads.pop().shutdown()
+            self._thread.shutdown()
             raise
         for entry in entries:
             self._insert(entry)
@@ -118,9 +116,9 @@ class Store:
             Supervised(self._commit, "store commits").start(),
             Supervised(self._sweep, "store sweeps").start(),
         ]
-        if self.mirror is not None:
-            self._threads.append(ThreadPoolExecutor(1, thread_name_prefix="store mirror"))
-            self._tasks.append(Supervised(partial(self._mirror, self.mirror), "store mirror").start())
+        if self._mirror is not None:
+            self.mirroring = Mirroring(self, self._mirror, history=self.limits.history)
+            self.mirroring.start()
 
     async def close(self) -> None:
         """Write what is not kept yet (for up to 5 s), and let go."""
@@ -128,14 +126,14 @@ class Store:
             return
         self._open = False
         await self.settled()
+        if self.mirroring is not None:
+            await self.mirroring.close()
         await end(*self._tasks)
         if self._dirty:
             log.error("%s: %d values could not be kept: %s", self.backend.url, len(self._dirty), self.fault)
         await self._run(self.backend.close)
-        if self.mirror is not None:
-            await self._run(self.mirror.close, 1)
-        for thread in self._threads:
-            thread.shutdown(wait=False)
+        if self._thread is not None:
+            self._thread.shutdown(wait=False)
 
     # ── values ─────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -200,24 +198,39 @@ class Store:
             callback(entry)
         return True
 
-    async def remove(self, system: str, topic: str) -> bool:
-        """Forget a topic and its history. True if it was there; raises ``StoreUnavailable``."""
+    def waiting(self, key: Key) -> Entry | None:
+        """Return the last value of the topic that is not kept yet."""
+        entries = self._dirty.get(key) or self._writing.get(key)
+        return entries[-1] if entries else None
+
+    def may_find(self, system: str, topic: str) -> bool:
+        """Return whether a value that is not here may be in a database elsewhere, so that ``find`` is worth while."""
+        return self.mirroring is not None and self.mirroring.may_find((system, topic))
+
+    async def find(self, system: str, topic: str) -> bool:
+        """Look a value up in the database elsewhere, for ``get``; return whether its system is known, here or there."""
+        known = self.mirroring is not None and await self.mirroring.find((system, topic))
+        return known or self.has_system(system)
+
+    async def remove(self, system: str, topic: str, *, mirrored: bool = True) -> bool:
+        """Forget a topic and its history. True if it was there; raises ``StoreUnavailable``.
+
+        ``mirrored`` false leaves it in the database elsewhere.
+        """
         key = (system, topic)
         entry = self._entries.pop(key, None)
         self._dirty.pop(key, None)
-        self._unmirrored.pop(key, None)
         if entry is not None:
             self._forget(entry)
-        await self._run(self.backend.remove, 0, [key])
-        if self.mirror is not None:
-            self._unmirrored_removals[key] = None
-            self._mirror_wake.set()
+        await self._run(self.backend.remove, [key])
+        if self.mirroring is not None and mirrored:
+            self.mirroring.forget(key)
         return entry is not None
 
     async def history(self, system: str, topic: str) -> list[Entry]:
         """The values before the last one, newest first. Raises ``StoreUnavailable``."""
         await self.settled()
-        return await self._run(self.backend.history, 0, (system, topic))
+        return await self._run(self.backend.history, (system, topic))
 
     async def settled(self, timeout_s: float = 5.0) -> bool:
         """Wait until everything is kept; false when the time is over."""
@@ -238,9 +251,8 @@ class Store:
             "fault": self.fault,
             "refused": {code: n for code, n in self.refused.items() if n},
         }
-        if self.mirror is not None:
-            waiting = len(self._unmirrored) + len(self._unmirrored_removals)
-            found["mirror"] = {"url": self.mirror.url, "waiting": waiting, "fault": self.mirror_fault}
+        if self.mirroring is not None:
+            found["mirror"] = self.mirroring.status()
         return found
 
     # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────
@@ -292,16 +304,9 @@ class Store:
         self._idle.clear()
         self._wake.set()
 
-    async def _run(self, work: Callable[..., T], thread: int = 0, *args: Any) -> T:
-        """Run the work of a backend in its thread. Raises ``StoreError``, whatever the backend raised."""
-        try:
-            return await asyncio.get_running_loop().run_in_executor(self._threads[thread], work, *args)
-        except StoreError:
-            raise
-        except Exception as error:  # of a database or a file system: what is kept is still here
-            backend = self.mirror if thread and self.mirror is not None else self.backend
-            log.debug("%s", backend.url, exc_info=error)
-            raise StoreUnavailable(backend.url, describe(error)) from error
+    async def _run(self, work: Callable[..., T], *args: Any) -> T:
+        assert self._thread is not None
+        return await run_in(self._thread, self.backend.url, work, *args)
 
     async def _commit(self) -> None:
         pause = _RETRY_S[0]
@@ -313,23 +318,26 @@ class Store:
                     await self._asked.wait()
             self._asked.clear()
             dirty, self._dirty = self._dirty, {}
+            self._writing = dirty
             sinks, self._sinks = self._sinks, {}
             error: StoreUnavailable | None = None
             if dirty or self.fault:
                 batch = [entry for entries in dirty.values() for entry in entries]
                 try:
-                    await self._run(self.backend.write, 0, batch, self.limits.history)
+                    await self._run(self.backend.write, batch, self.limits.history)
                 except StoreUnavailable as fault:
                     error = fault
             self._tell(sinks, error)
             if error is None:
                 self._kept(dirty)
+                self._writing = {}
                 pause = _RETRY_S[0]
                 continue
             if str(error) != self.fault:
                 log.error("values are not kept: %s", error)
             self.fault = str(error)
             self._restore(dirty)
+            self._writing = {}
             await asyncio.sleep(pause)
             pause = min(2 * pause, _RETRY_S[1])
             self._wake.set()
@@ -338,19 +346,10 @@ class Store:
         if self.fault:
             log.info("%s: values are kept again", self.backend.url)
             self.fault = ""
-        if self.mirror is not None and dirty:
-            self._owe(dirty)
-            self._mirror_wake.set()
+        if self.mirroring is not None and dirty:
+            self.mirroring.owe(dirty)
         if not self._dirty and not self._sinks:
             self._idle.set()
-
-    def _owe(self, entries: dict[Key, list[Entry]]) -> None:
-        most = self.limits.history + 1
-        for key, more in entries.items():
-            owed = self._unmirrored.setdefault(key, [])
-            owed.extend(more)
-            owed.sort(key=lambda entry: entry.order)
-            del owed[:-most]
 
     def _restore(self, dirty: dict[Key, list[Entry]]) -> None:
         """What could not be written is written with what came meanwhile."""
@@ -376,55 +375,3 @@ class Store:
             for entry in old:
                 with contextlib.suppress(StoreUnavailable):  # the next sweep tries again what is left on the disk
                     await self.remove(entry.system, entry.topic)
-
-    async def _mirror(self, mirror: Backend) -> None:
-        pause, connected = _RETRY_S[0], False
-        while True:
-            try:
-                if not connected:
-                    await self._run(mirror.open, 1)
-                    self._merge(await self._run(mirror.load, 1))
-                    connected = True
-                    log.info("%s: connected, %d values to bring over", mirror.url, len(self._unmirrored))
-                await self._bring_over(mirror)
-                self.mirror_fault, pause = "", _RETRY_S[0]
-                await self._mirror_wake.wait()
-                self._mirror_wake.clear()
-            except StoreUnavailable as error:
-                if connected or self.mirror_fault in ("", "not connected yet"):
-                    log.warning("%s; values are kept in %s until it is back", error, self.backend.url)
-                self.mirror_fault, connected = str(error), False
-                await asyncio.sleep(pause)
-                pause = min(2 * pause, _RETRY_S[1])
-
-    def _merge(self, theirs: Iterable[Entry]) -> None:
-        """What is later there comes here; what is later here goes there."""
-        known: dict[Key, Entry] = {}
-        for entry in theirs:
-            known[entry.key] = entry
-            if entry.key in self._unmirrored_removals:
-                continue
-            with contextlib.suppress(ValueRefused):
-                self.put(entry)
-        for key, entry in self._entries.items():
-            other = known.get(key)
-            if (other is None or other.order < entry.order) and key not in self._unmirrored:
-                self._unmirrored[key] = [entry]
-
-    async def _bring_over(self, mirror: Backend) -> None:
-        if self._unmirrored_removals:
-            keys = list(self._unmirrored_removals)
-            await self._run(mirror.remove, 1, keys)
-            for key in keys:
-                self._unmirrored_removals.pop(key, None)
-        while self._unmirrored:
-            keys = list(self._unmirrored)[:_MIRROR_BATCH]
-            taken = {key: list(self._unmirrored[key]) for key in keys}
-            batch = [entry for entries in taken.values() for entry in entries]
-            await self._run(mirror.write, 1, batch, self.limits.history)
-            for key, entries in taken.items():
-                left = [entry for entry in self._unmirrored.get(key, ()) if entry not in entries]
-                if left:
-                    self._unmirrored[key] = left
-                else:
-                    self._unmirrored.pop(key, None)

@@ -9,7 +9,9 @@ import json
 import logging
 import random
 from pathlib import Path
+from typing import Any
 
+import pymongo
 import pytest
 
 from ropeway.errors import ConnectFailed, StoreUnavailable
@@ -19,6 +21,7 @@ from ropeway.server.door import Door, TokenRule
 from ropeway.store import StoreLimits
 from tests.iort.servers import Raw, ServerProcess, serving
 from tests.ports import free_port
+from tests.store.mongo import mongo_database
 from tests.until import until
 
 
@@ -50,6 +53,28 @@ async def test_alice() -> None:
         answer = await node.ask(b"%01/ALICE/NAVI_ROBOT_MOVE_REQ/s%")
         assert answer.encode() == b"%01/ALICE/NAVI_ROBOT_MOVE_REQ/p/stop%"
         await node.close()
+
+
+async def test_reads_go_through_to_the_database(tmp_path: Path) -> None:
+    """What a program inserts into MongoDB is read at once, in the order of requests; the two errors stay two."""
+    with mongo_database(tmp_path) as url:
+        client: pymongo.MongoClient[dict[str, Any]] = pymongo.MongoClient(url)
+        async with serving(mirror=url) as served:
+            await until(lambda: not served.store.status()["mirror"]["fault"], 20)
+            robots = client.get_default_database()["ROBOT"]
+            await asyncio.to_thread(robots.insert_one, {"_id": "pose", "data": "1,2,3"})
+            robot = await Raw.connect(served.port)
+            robot.send(b"%01/ROBOT/pose/s%%01/ROBOT/none/s%%01/NOBODY/none/s%%01/ROBOT/pose/s%")
+            found = [await robot.packet(20) for _ in range(4)]
+            assert [(p.id, p.op) for p in found] == [("00", "p"), ("00", "e"), ("00", "e"), ("00", "p")]
+            assert found[0].data == found[3].data == b"1,2,3"
+            assert b"ROBOT/none" in found[1].data
+            assert b"system NOBODY" in found[2].data
+            new = await Raw.connect(served.port)
+            assert (await new.ask(request("+get", 1, "ROBOT", "other"))).head["code"] == "unknown-topic"
+            await robot.close()
+            await new.close()
+        client.close()
 
 
 async def test_identifier_of_answers() -> None:

@@ -8,6 +8,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from ropeway.errors import AccessDenied, StoreUnavailable, TypesError, ValueRefused
@@ -56,6 +57,7 @@ class Session(asyncio.Protocol):
         self._out_bytes = 0
         self._scheduled = False
         self._paused = False
+        self._looking = False  # a value is looked up elsewhere; what came after its request waits
         self._waiting: dict[tuple[str, str], tuple[Entry, bool]] = {}
         self._waiting_bytes = 0
         self._watching = False
@@ -129,7 +131,7 @@ class Session(asyncio.Protocol):
     def _work(self) -> None:
         """Answer what came, as long as the node reads; what is left waits, and no more is read until then."""
         items = self._items
-        while items and not self._paused:
+        while items and not self._paused and not self._looking:
             item = items.popleft()
             if isinstance(item, Packet):
                 self._packet(item)
@@ -138,7 +140,11 @@ class Session(asyncio.Protocol):
             if self._out_bytes > _HIGH_BYTES:
                 self.flush()
         self.flush()
-        if self.transport is not None and not self._paused:
+        if self.transport is None:
+            return
+        if self._looking:
+            self.transport.pause_reading()
+        elif not self._paused:
             self.transport.resume_reading()
 
     # ── sending ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -323,7 +329,9 @@ class Session(asyncio.Protocol):
 
     def _read_plain(self, packet: Packet) -> None:
         self._known_as(packet.id)
-        entry = self._read(packet)
+        self._answer_read(packet, partial(self._answer_plain, packet), "")
+
+    def _answer_plain(self, packet: Packet, entry: Entry) -> None:
         data = self._text(entry)
         id = identifier_of(entry.origin)
         try:
@@ -332,14 +340,39 @@ class Session(asyncio.Protocol):
             raise NodeError("conversion", str(error)) from None
         self._send(answer)
 
-    def _read(self, packet: Packet) -> Entry:
+    def _answer_read(self, packet: Packet, answer: Callable[[Entry], None], number: str) -> None:
+        """Answer a read; a value that is not here is looked up in the database elsewhere, if there is one."""
         self._may("subscribe", packet)
-        entry = self.space.store.get(packet.system, packet.topic)
+        store = self.space.store
+        entry = store.get(packet.system, packet.topic)
         if entry is not None:
-            return entry
-        if not self.space.store.has_system(packet.system):
-            raise NodeError("unknown-system", f"no value of the system {packet.system} is there")
-        raise NodeError("unknown-topic", f"no value of {packet.system}/{packet.topic} is there")
+            answer(entry)
+        elif store.may_find(packet.system, packet.topic):
+            self._looking = True
+            self.server.spawn(self._look_further(packet, answer, number))
+        else:
+            raise self._no_value(packet, store.has_system(packet.system))
+
+    async def _look_further(self, packet: Packet, answer: Callable[[Entry], None], number: str) -> None:
+        store = self.space.store
+        try:
+            knows_system = await store.find(packet.system, packet.topic)
+            entry = store.get(packet.system, packet.topic)
+            if self.transport is None:
+                return
+            if entry is None:
+                raise self._no_value(packet, knows_system)
+            answer(entry)
+        except NodeError as error:
+            self._refuse(packet, number, error.code, error.text)
+        finally:
+            self._looking = False
+            self._work()
+
+    def _no_value(self, packet: Packet, knows_system: bool) -> NodeError:
+        if not knows_system:
+            return NodeError("unknown-system", f"no value of the system {packet.system} is there")
+        return NodeError("unknown-topic", f"no value of {packet.system}/{packet.topic} is there")
 
     def _publish(self, packet: Packet, number: str) -> None:
         head = packet.head
@@ -378,9 +411,11 @@ class Session(asyncio.Protocol):
         self._send(pack(_OURS, "-", "-", "+ok", answer, note.encode()))
 
     def _get(self, packet: Packet, number: str) -> None:
-        entry = self._read(packet)
-        if number:
-            self._send(self._value(entry, False, number))
+        def answer(entry: Entry) -> None:
+            if number:
+                self._send(self._value(entry, False, number))
+
+        self._answer_read(packet, answer, number)
 
     def _subscribe(self, packet: Packet, number: str) -> None:
         if not (is_pattern(packet.system) or is_pattern(packet.topic)):  # else each value is looked at when it comes
