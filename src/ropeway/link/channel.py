@@ -124,9 +124,9 @@ class Channel:
     def frame(self, sample: Outgoing, encoding: str) -> wire_codec.Frame:
         """A plain ``publish``; made once however many peers get it. Raises ``TypesError``."""
         dialect = self.sender.dialect
-        texts = self.codec is not None and self.codec.long_texts
+        spelling = (self.codec.variant, self.codec.long_texts) if self.codec is not None else ""
         made: wire_codec.Frame = sample.cached(
-            ("frame", self.topic, encoding, dialect.name, texts),
+            ("frame", self.topic, encoding, dialect.name, spelling),
             lambda: wire_codec.encode_publish(
                 self.topic, sample.payload, self.codec, encoding, dialect=dialect, stamp_ns=sample.stamp_ns
             ),

@@ -25,6 +25,7 @@ from ropeway.server.http import Pages
 from ropeway.server.lingering import Lingering
 from ropeway.server.names import Names
 from ropeway.server.presence import Presence, ip_address
+from ropeway.server.ros1 import ros1_spelling
 from ropeway.server.rosapi import Globs, Rosapi
 from ropeway.server.rosout import Rosout
 from ropeway.server.session import Session
@@ -91,8 +92,13 @@ class RosbridgeServer:
         self.denied: Counter[str] = Counter()  # by rule, of all clients
         self.call_timeout_s, self.silence_s = call_timeout_s, silence_s
         self.ping_interval_s, self.cancel_goals = ping_interval_s, cancel_goals
+        self._ros1 = ros1_spelling(hub.graph)
         self.rosapi = Rosapi(
-            hub, registry, params_timeout_s=params_timeout_s, globs=rosapi_globs or self.entrance.door.globs
+            hub,
+            registry,
+            params_timeout_s=params_timeout_s,
+            globs=rosapi_globs or self.entrance.door.globs,
+            ros1=self._ros1,
         )
         self._pages = Pages(reasons, self.entrance.admit_page, self._more_pages)
         self._store_pages = pages
@@ -140,7 +146,7 @@ class RosbridgeServer:
                 presence = Presence(self._view, self.registry)
                 await presence.open()
                 self.presence = presence
-            if self._publish_rosout and self.rosout is None:
+            if self._publish_rosout and self.rosout is None and self._ros1 is None:  # its log has another type there
                 rosout = Rosout(self._view, self.registry)
                 await rosout.open()
                 self.rosout = rosout
@@ -241,6 +247,7 @@ class RosbridgeServer:
             access=Access(role, self.entrance.door.globs, client=connection.peer, tally=self.denied),
             rosapi=self.rosapi,
             names=self._names,
+            ros1=self._ros1,
         )
         task = asyncio.create_task(session.run(), name=f"session {connection.peer}")
         self.sessions[session] = task

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from ropeway.errors import AccessDenied, InvalidOperation, RopewayError, WireError
+from ropeway.errors import AccessDenied, InvalidOperation, RopewayError, TypesError, WireError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.limits import UNREAD_STATUS_BYTES, WAITING_OPERATIONS
 from ropeway.link.peer import Peer
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from ropeway.graph.hub import Hub
     from ropeway.link.connection import Connection
     from ropeway.types import MessageCodec, TypeRegistry
+    from ropeway.types.ros1_spelling import Ros1Spelling
 
 __all__ = ["Rosapi", "Session"]
 
@@ -69,6 +70,7 @@ class Session:
     With ``?int64=text`` in its URL, the JSON that a client gets has integers of 64 bits as texts: JavaScript rounds
     numbers beyond 2**53.
 
+    ``ros1``: how messages are written for clients of a ROS 1 network; gateways get them as ROS 2 has them.
     ``call_timeout_s``: how long a call waits whose client gives no ``timeout``, 0 and below for as long as may be.
     ``cancel_goals``: the goals of a client that leaves are cancelled; those of a gateway always are.
     """
@@ -88,12 +90,14 @@ class Session:
         access: Access | None = None,
         rosapi: Rosapi | None = None,
         names: Names | None = None,
+        ros1: Ros1Spelling | None = None,
     ) -> None:
         self.registry = registry
         self.gateway_id = gateway_id
         self.access = access or Access(client=connection.peer)
         self.rosapi = rosapi
         self.names = names or Names(f"/{name}")
+        self._ros1 = ros1
         self.peer = Peer(connection, registry, self)
         self.peer.on_invalid = self.invalid
         self.gateway = self.peer.dialect is ROPEWAY
@@ -412,7 +416,7 @@ class Session:
 
     def codec(self, type: str) -> MessageCodec:
         """How messages are written for the client. Raises ``TypesError``."""
-        codec = self.registry.codec(type)
+        codec = self.registry.codec(type) if self._ros1 is None or self.gateway else self._ros1.codec(type)
         if not self._long_texts:
             return codec
         known = self._long_codecs.get(type)
@@ -421,6 +425,19 @@ class Session:
                 self._long_codecs.clear()
             known = self._long_codecs[type] = codec.with_long_texts()
         return known
+
+    @property
+    def is_ros1(self) -> bool:
+        """True if the client gets messages as ROS 1 writes them."""
+        return self._ros1 is not None and not self.gateway
+
+    def knows(self, type: str) -> bool:
+        """True if messages of the type can be taken apart."""
+        try:
+            self.codec(type)
+        except TypesError:
+            return False
+        return True
 
     def learn(self, type: str, extra: Mapping[str, Any] | None) -> None:
         """Take the definition of a type that a gateway sent along. Raises ``RopewayError`` for one that is no good."""

@@ -166,7 +166,7 @@ class TopicOps:
             raise InvalidOperation("advertise", f"channel {number} is that of {known.topic}")
         self._check_type(name, type)
         if number is None and op.compression not in _RAW:
-            session.registry.codec(type)  # what nobody can read is no topic
+            session.codec(type)  # what nobody can read is no topic
         qos = self._publisher_qos(op)
         self._check_count()
         early = known is not None and (known.topic, known.type) == (op.topic, type)

@@ -83,7 +83,7 @@ class TopicIn:
     def codec(self) -> MessageCodec:
         """How to read the client's messages. Raises ``UnknownType``."""
         if self._codec is None:
-            self._codec = self.session.registry.codec(self.type)
+            self._codec = self.session.codec(self.type)
         return self._codec
 
     def published(self, op: ops.Publish) -> None:
@@ -94,9 +94,8 @@ class TopicIn:
         compression = op.compression or self.compression
         raw = compression in ("cbor-raw", "rawzip")
         peer = self.session.peer
-        payload = wire_codec.decode_publish_msg(
-            op.msg, compression, None if raw else self.codec(), limit_bytes=peer.limit_bytes
-        )
+        codec = self.codec() if not raw or self.session.knows(self.type) else None
+        payload = wire_codec.decode_publish_msg(op.msg, compression, codec, limit_bytes=peer.limit_bytes)
         self._publish(Sample(payload, self.type, self.session.clock(), self._origin, SEQ_NONE))
 
     def _unique(self, op: ops.Publish) -> bool:
@@ -204,7 +203,7 @@ class TopicOut:
             depth=self._depth or 10,
             lifespan_s=_number(extra.get("lifespan_s")),
         )
-        if channel.codec is not None:
+        if channel.codec is not None or self.session.is_ros1:
             channel.codec = self.session.codec(self.type)
         if self.channel is not None:
             self.channel.close()

@@ -12,12 +12,15 @@ from typing import Any, Final
 
 from ropeway.errors import ValueMismatch
 from ropeway.types import values
-from ropeway.types.definition import TIMES, Definition, FieldType, short_name
+from ropeway.types.definition import HEADER, ROS1_TIMES, TIMES, Definition, FieldType, short_name
 from ropeway.types.layout import CODES
 from ropeway.types.typedef import IDL_NAMES
 
 __all__ = ["explain"]
 
+_TIME_PARTS: Final = dict.fromkeys(
+    [(TIMES[0], "sec"), (TIMES[1], "sec"), (ROS1_TIMES[1], "sec"), (ROS1_TIMES[1], "nanosec")], "int32"
+)
 _LARGEST_FLOAT32: Final = 3.4028235677973366e38  # the least number that rounds beyond the range
 _INTEGERS: Final = {
     f"{sign}int{bits}": (-(1 << bits - 1), (1 << bits - 1) - 1) if not sign else (0, (1 << bits) - 1)
@@ -50,7 +53,7 @@ class _Walk:
         self.definition = definition
 
     def message(self, name: str, value: Any, path: tuple[str, ...], stack: tuple[str, ...]) -> None:
-        if name in TIMES:
+        if name in TIMES or name in ROS1_TIMES:
             self.time(name, value, path)
             return
         if not isinstance(value, Mapping):
@@ -59,6 +62,8 @@ class _Walk:
             raise self.mismatch(short_name(name), value, path, stack)
         fields = {field.name: field.type for field in self.definition(name).wire_fields}
         for key, inner in value.items():
+            if key == "seq" and name == HEADER:
+                continue  # clients of ROS 1 number their headers
             if key not in fields:
                 dotted = ".".join((*stack, str(key)))
                 raise _Found((*path, str(key)), f"Message type {self.root} does not have a field {dotted}")
@@ -76,7 +81,8 @@ class _Walk:
             seconds, nanoseconds = values.time_parts(value)
         except values.Misfit:
             raise _Found(path, f"{short_name(name)} takes whole numbers sec and nanosec, not {_brief(value)}") from None
-        for field, number, base in (("sec", seconds, "int32"), ("nanosec", nanoseconds, "uint32")):
+        for field, number in (("sec", seconds), ("nanosec", nanoseconds)):
+            base = _TIME_PARTS.get((name, field), "uint32")
             self.integer(base, number, (*path, field), (*path, field))
 
     def field(self, type: FieldType, value: Any, path: tuple[str, ...], stack: tuple[str, ...]) -> None:

@@ -65,6 +65,9 @@ class MessageCodec:
         self._write: Writer | None = None
         self._ros1: tuple[Reader, Writer] | None = None
 
+    variant = "ros2"
+    """Whose spelling the JSON and CBOR have; encodings of one message are kept by it."""
+
     @property
     def hash(self) -> str:
         """The type hash ``RIHS01_…``."""
@@ -119,6 +122,15 @@ class MessageCodec:
     def from_cbor(self, value: Any, *, now_ns: Callable[[], int] = time.time_ns) -> bytes:
         """The CDR of a parsed CBOR value: arrays may be tagged, plain or bytes. Raises ``ValueMismatch``."""
         return self._encode(stamp_header(value, now_ns) if self.has_header else value, now_ns)
+
+    def raw(self, cdr: bytes) -> bytes:
+        """The bytes that ``cbor-raw`` carries: the CDR as it is."""
+        return cdr
+
+    def from_raw(self, raw: bytes) -> bytes:
+        """The CDR in what a peer sent as ``cbor-raw``, once it was seen to be of this type. Raises ``DecodeError``."""
+        self._read("object", raw)
+        return raw
 
     def rosgw(self, cdr: bytes) -> dict[str, Any]:
         """The object that rosgw writes as CBOR: every array of numbers a plain byte string. Raises ``DecodeError``."""

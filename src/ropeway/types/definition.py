@@ -19,6 +19,8 @@ __all__ = [
     "HEADER",
     "KINDS",
     "PRIMITIVES",
+    "ROS1_HEADER",
+    "ROS1_TIMES",
     "TIMES",
     "Constant",
     "Definition",
@@ -31,6 +33,10 @@ __all__ = [
 KINDS: Final = ("msg", "srv", "action")
 HEADER: Final = "std_msgs/msg/Header"
 TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+
+ROS1_TIMES: Final = ("ros1/msg/Time", "ros1/msg/Duration")
+ROS1_HEADER: Final = "ros1/msg/Header"
+"""Names that no package has, for the values of ROS 1 whose fields are others than those of ROS 2."""
 
 PRIMITIVES: Final = {
     "bool": 1,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ropeway.types.definition import TIMES, Definition
+from ropeway.types.definition import ROS1_TIMES, TIMES, Definition
 
 __all__ = ["replace_now", "stamp_header"]
 
@@ -25,9 +25,9 @@ def replace_now(name: str, value: Any, definition: Callable[[str], Definition], 
 
     Gives ``value`` itself where there is none; what does not look like the message is left as it is.
     """
-    if name == TIMES[0] and isinstance(value, str) and value == "now":
+    if name in (TIMES[0], ROS1_TIMES[0]) and isinstance(value, str) and value == "now":
         return _time(now_ns)
-    if not isinstance(value, Mapping) or name in TIMES:
+    if not isinstance(value, Mapping) or name in TIMES or name in ROS1_TIMES:
         return value
     made = {}
     for field in definition(name).wire_fields:

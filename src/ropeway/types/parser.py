@@ -7,7 +7,7 @@ names, text constants without quotes, a negative ``byte``, separators longer tha
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any, Final
 
 from ropeway.errors import InvalidDefinition, InvalidTypeName
@@ -68,10 +68,20 @@ def parse_msg(name: str, text: str, *, siblings: Collection[str] = ()) -> Defini
     ``siblings`` are types known to stand in the same package: a plain ``Header`` means the package's own only if it
     is among them. Raises ``InvalidDefinition`` with the number of the line.
     """
+    try:
+        return _parse_lines(name, text, text.splitlines(), siblings)
+    except InvalidDefinition:
+        lines = _LINE_END.split(text)  # ROS 1 takes form feeds and the like in comments for no ends of lines
+        if len(lines) >= len(text.splitlines()):
+            raise
+    return _parse_lines(name, text, lines, siblings)
+
+
+def _parse_lines(name: str, text: str, lines: Sequence[str], siblings: Collection[str]) -> Definition:
     package, kind, _ = name.split("/")
     fields: list[Field] = []
     constants: list[Constant] = []
-    for number, raw in enumerate(_LINE_END.split(text), 1):
+    for number, raw in enumerate(lines, 1):
         line = _without_comment(raw).strip()
         if not line or line.startswith("@"):
             continue

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any, Final
 
-from ropeway.types.definition import Definition, Field, short_name
+from ropeway.types.definition import TIMES, Definition, Field, short_name
 
 __all__ = ["IDL_NAMES", "typedefs"]
 
@@ -13,17 +13,22 @@ IDL_NAMES: Final = {"bool": "boolean", "byte": "octet", "char": "uint8", "float3
 """How rosbridge spells the primitive types that IDL names otherwise."""
 
 
-def typedefs(names: Iterable[str], definition: Callable[[str], Definition]) -> list[dict[str, Any]]:
-    """One ``TypeDef`` for each of ``names``, in that order, with names of two parts as clients expect them."""
+def typedefs(
+    names: Iterable[str], definition: Callable[[str], Definition], *, ros1: bool = False
+) -> list[dict[str, Any]]:
+    """One ``TypeDef`` for each of ``names``, in that order, with names of two parts as clients expect them.
+
+    ``ros1`` spells fields as ROS 1 does: a header has its ``seq``, and primitive types keep the names of a .msg.
+    """
     found = []
     for name in names:
         known = definition(name)
-        fields = known.wire_fields
+        fields = known.fields if ros1 else known.wire_fields
         found.append(
             {
                 "type": short_name(name),
                 "fieldnames": [field.name for field in fields],
-                "fieldtypes": [_spelled(field) for field in fields],
+                "fieldtypes": [_spelled(field, ros1) for field in fields],
                 "fieldarraylen": [_length(field) for field in fields],
                 "examples": [_example(field) for field in fields],
                 "constnames": [constant.name for constant in known.constants],
@@ -33,8 +38,10 @@ def typedefs(names: Iterable[str], definition: Callable[[str], Definition]) -> l
     return found
 
 
-def _spelled(field: Field) -> str:
+def _spelled(field: Field, ros1: bool) -> str:
     base = field.type.base
+    if ros1:
+        return base.rpartition("/")[2].lower() if base in TIMES else short_name(base) if field.type.is_message else base
     return short_name(base) if field.type.is_message else IDL_NAMES.get(base, base)
 
 

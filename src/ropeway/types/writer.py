@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from ropeway.types import values
-from ropeway.types.definition import PRIMITIVES, TIMES
+from ropeway.types.definition import HEADER, PRIMITIVES, ROS1_TIMES, TIMES
 from ropeway.types.layout import CODES, Call, Leaf, Loop, Numbers, Plan, Run, Slot, Step, Struct, Text
 
 __all__ = ["FAILURES", "Writer", "make_writer"]
@@ -77,12 +77,13 @@ class _Source:
     def struct(self, node: Struct, name: str) -> None:
         """Take the fields of the dict called ``name`` apart into local variables."""
         names = [field for field, _ in node.fields]
-        if node.type in TIMES and names == ["sec", "nanosec"]:
+        if (node.type in TIMES and names == ["sec", "nanosec"]) or node.type in ROS1_TIMES:
             targets = ", ".join(f"v{leaf.index}" for _, leaf in node.fields if isinstance(leaf, Leaf))
             self.line(f"{targets} = {self.constant('time_parts', values.time_parts)}({name})")
             return
         self.line(f"if {name}.__class__ is not dict: {name} = mapping({name})")
-        self.line(f"if not {self.unique('known', frozenset(names).issuperset)}({name}): raise Misfit")
+        known = frozenset((*names, "seq") if node.type == HEADER else names)  # clients of ROS 1 number their headers
+        self.line(f"if not {self.unique('known', known.issuperset)}({name}): raise Misfit")
         if not names:
             return
         self.names += 1

@@ -122,6 +122,7 @@ def encode_publish(
     named = dialect.names_compression or encoding not in ROSBRIDGE.subscribe
     start, end = binary_edges(topic, encoding if named else "")
     if encoding == "cbor-raw":
+        payload = payload if codec is None else codec.raw(payload)
         seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
         times = cbor2.dumps(seconds), b"\x65nsecs", cbor2.dumps(nanoseconds)
         return Frame(False, b"".join((start, b"\xa3\x64secs", *times, b"\x65bytes", *_bytes(payload), end)))
@@ -237,7 +238,7 @@ def encode_value(
         return _need(codec, encoding).cbor(payload) if dialect.tagged else _need(codec, encoding).rosgw(payload)
     if encoding == "cbor-raw":
         seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
-        return {"secs": seconds, "nsecs": nanoseconds, "bytes": payload}
+        return {"secs": seconds, "nsecs": nanoseconds, "bytes": payload if codec is None else codec.raw(payload)}
     if encoding == "png":
         raise ValueError("png is an encoding of whole operations")
     return encode_msg(encoding, payload, codec, tagged=dialect.tagged)
@@ -294,6 +295,7 @@ def decode_publish_msg(
     """The payload of the ``msg`` of a ``publish`` that came, as parsed from JSON or CBOR.
 
     What ``msg`` looks like decides, ``compression`` only where that leaves a choice; senders may leave it out.
+    Raw bytes are taken apart once where ``codec`` is there, so that nothing is passed on that is not of its type.
     See the module for what it raises.
     """
     if isinstance(msg, Mapping):
@@ -305,7 +307,7 @@ def decode_publish_msg(
             and len(msg) == 3
             and not _has_fields(codec, msg)
         ):
-            return _cdr(raw)
+            return _from_raw(raw, codec)
         return _need(codec, compression or "none").from_json(msg)  # takes CBOR's arrays too, tagged or not
     if not isinstance(msg, (bytes, bytearray, memoryview)):
         raise DecodeError(codec.type if codec else "message", compression or "none", "neither an object nor bytes")
@@ -313,9 +315,12 @@ def decode_publish_msg(
         return decode_msg("zstd", msg, codec, limit_bytes=limit_bytes)
     if bytes(msg[:4]) == _LZ4:
         content = _unlz4(msg, limit_bytes)
-        zipped = compression == "zip" or (compression != "rawzip" and content[:2] != _CDR)
-        return decode_msg("cbor" if zipped else "cbor-raw", content, codec, limit_bytes=limit_bytes)
-    return decode_msg("cbor-raw", msg, codec, limit_bytes=limit_bytes)
+        if compression == "zip" or (compression != "rawzip" and content[:2] != _CDR):
+            return decode_msg("cbor", content, codec, limit_bytes=limit_bytes)
+        return _from_raw(content, codec)
+    if len(msg) > limit_bytes:
+        raise MessageTooBig(len(msg), limit_bytes)
+    return _from_raw(bytes(msg), codec)
 
 
 def _has_fields(codec: MessageCodec | None, msg: Mapping[Any, Any]) -> bool:
@@ -344,6 +349,13 @@ def unpack_png(data: str, *, limit_bytes: int = LIMIT_BYTES) -> bytes:
     except ValueError as error:
         raise DecodeError("message", "png", str(error)) from None
     return png.unpack(image, limit_bytes=limit_bytes)
+
+
+def _from_raw(raw: bytes, codec: MessageCodec | None) -> bytes:
+    """The payload in raw bytes that came with an operation."""
+    if codec is None:
+        return _cdr(raw)
+    return codec.from_raw(raw if codec.variant != "ros2" else _cdr(raw))
 
 
 def _cdr(payload: bytes) -> bytes:

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from ropeway.errors import DecodeError
 from ropeway.graph.calls import GoalStatus, new_id
 from ropeway.graph.ros1 import action_wire as wire
-from ropeway.graph.ros1.types import Ros1Types
 from ropeway.types import TypeRegistry
+from ropeway.types.ros1_types import Ros1Types
 
 TEXTS = st.text(st.characters(codec="utf-8"), max_size=20)
 STATUSES = st.builds(

@@ -19,6 +19,7 @@ from ropeway.cli.session import (
 )
 from ropeway.errors import CallError
 from ropeway.graph.parameters import describe_parameters, list_parameters, nodes_with_parameters
+from ropeway.server.rosapi.master_params import ParameterServer
 
 __all__ = ["app", "list_all"]
 
@@ -34,6 +35,8 @@ async def list_one(
 ) -> dict[str, str]:
     """The names of a node's parameters with their types, which are ``""`` unless ``types``. Raises ``CallError``."""
     graph, registry = session.graph, session.registry
+    if isinstance(graph, ParameterServer):
+        return await _at_master(graph, node, prefixes)
     names = await list_parameters(graph, registry, node, prefixes=prefixes, timeout_s=timeout_s)
     if not types:
         return dict.fromkeys(names, "")
@@ -41,10 +44,19 @@ async def list_one(
     return {name: one.type.label if one is not None else "" for name, one in found.items()}
 
 
+async def _at_master(server: ParameterServer, namespace: str, prefixes: list[str]) -> dict[str, str]:
+    """The parameters that a master of ROS 1 has below ``namespace``; it tells no types."""
+    below = [f"{namespace.rstrip('/')}/{prefix.strip('/')}".rstrip("/") for prefix in prefixes or [""]]
+    names = await server.list_params()
+    return {name: "" for name in names if any(name == start or name.startswith(f"{start}/") for start in below)}
+
+
 async def list_all(
     session: Session, prefixes: list[str], timeout_s: float, spin_time_s: float, *, types: bool
 ) -> tuple[Listed, dict[str, str]]:
     """The parameters of all nodes, and why some nodes did not tell theirs."""
+    if isinstance(session.graph, ParameterServer):
+        return {"/": await _at_master(session.graph, "/", prefixes)}, {}
     nodes = nodes_with_parameters(await settle_services(session.graph, spin_time_s))
     turn = asyncio.Semaphore(_AT_A_TIME)
     listed: Listed = {}

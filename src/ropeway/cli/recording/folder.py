@@ -6,7 +6,7 @@ import heapq
 import shutil
 import tempfile
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Self
@@ -29,7 +29,7 @@ class FolderSource:
     What the files say of their topics counts; metadata that disagrees is noted.
     """
 
-    def __init__(self, path: Path, open_file: Callable[[Path], Source]) -> None:
+    def __init__(self, path: Path, open_file: Callable[[Path], AbstractContextManager[Source]]) -> None:
         self._path, self._open_file = path, open_file
         self._stack = ExitStack()
         self._sources: list[Source] = []

@@ -13,9 +13,9 @@ from ropeway.graph.ros1.writer import RawPublisher, writer_of
 from ropeway.qos import QoS
 
 if TYPE_CHECKING:
-    from ropeway.graph.ros1.convert import Converter
     from ropeway.graph.ros1.keeper import Keeper
     from ropeway.graph.ros1.node import Ros1Node
+    from ropeway.types.ros1_convert import Converter
 
 __all__ = ["ActionTypes", "RawSubscription", "publish_raw", "subscribe_raw"]
 

@@ -22,13 +22,13 @@ from ropeway.errors import (
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request
 from ropeway.graph.direct import Running
 from ropeway.graph.ros1.tcpros import encode_header, read_frame, read_header
-from ropeway.graph.ros1.types import ANY
 from ropeway.graph.ros1.xmlrpc import close_streams
+from ropeway.types.ros1_types import ANY
 
 if TYPE_CHECKING:
-    from ropeway.graph.ros1.convert import Converter
     from ropeway.graph.ros1.keeper import Keeper
     from ropeway.graph.ros1.node import Ros1Node
+    from ropeway.types.ros1_convert import Converter
 
 __all__ = ["Ros1Client", "probe_service"]
 

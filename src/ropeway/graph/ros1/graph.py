@@ -31,10 +31,11 @@ from ropeway.graph.ros1.node import Ros1Node
 from ropeway.graph.ros1.reader import reader_of
 from ropeway.graph.ros1.service import Ros1Service, ServiceDoor
 from ropeway.graph.ros1.subscription import Ros1Subscription
-from ropeway.graph.ros1.types import Ros1Types
 from ropeway.graph.ros1.writer import Ros1Publisher, writer_of
 from ropeway.qos import DEFAULT, QoS
 from ropeway.types import TypeRegistry
+from ropeway.types.ros1_spelling import Ros1Spelling
+from ropeway.types.ros1_types import Ros1Types
 
 __all__ = ["Ros1Graph"]
 
@@ -66,9 +67,15 @@ class Ros1Graph:
         self._poll_s = poll_s
         self._changes = Changes()
         self._types = Ros1Types(self.registry)
+        self._spelling = Ros1Spelling(self._types)
         self._node: Ros1Node | None = None
         self._keeper: Keeper | None = None
         self._parts: list[Any] = []
+
+    @property
+    def ros1_spelling(self) -> Ros1Spelling:
+        """How messages of this network are written for clients of rosbridge."""
+        return self._spelling
 
     async def open(self) -> None:
         """Join the network. Raises ``GraphUnavailable`` if the master does not answer."""

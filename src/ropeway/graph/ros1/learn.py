@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 from ropeway.errors import ConnectFailed, InvalidFrame
 from ropeway.graph.ros1.master import slave_call
 from ropeway.graph.ros1.tcpros import encode_header, read_header
-from ropeway.graph.ros1.types import ANY
 from ropeway.types.definition import short_name
+from ropeway.types.ros1_types import ANY
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.node import Ros1Node

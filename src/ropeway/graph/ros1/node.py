@@ -14,8 +14,8 @@ from typing import Any, Final, Protocol
 from ropeway.graph.base import Undelivered, new_origin
 from ropeway.graph.ros1.master import Master
 from ropeway.graph.ros1.tcpros import Connection
-from ropeway.graph.ros1.types import Ros1Types
 from ropeway.graph.ros1.xmlrpc import XmlRpcClient, XmlRpcServer, split_uri
+from ropeway.types.ros1_types import Ros1Types
 
 __all__ = ["Origin", "Ros1Node", "Source", "Target", "is_loopback", "our_host"]
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from ropeway.errors import ConnectFailed, InvalidFrame, TypeConflict, TypesError
 from ropeway.graph.base import Sample, Undelivered
-from ropeway.graph.ros1.convert import Converter
 from ropeway.graph.ros1.master import Refused, slave_call
 from ropeway.graph.ros1.tcpros import TRACE, TRACE_BYTES, Connection
-from ropeway.graph.ros1.types import ANY, Ros1Type
 from ropeway.tasks import describe, end
 from ropeway.types.definition import canonical_name, short_name
+from ropeway.types.ros1_convert import Converter
+from ropeway.types.ros1_types import ANY, Ros1Type
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.node import Origin, Ros1Node

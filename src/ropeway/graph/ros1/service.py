@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Final
 from ropeway.errors import RopewayError, TypesError
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Request, ServiceHandler
-from ropeway.graph.ros1.convert import Converter
 from ropeway.graph.ros1.tcpros import Connection
-from ropeway.graph.ros1.types import ANY
 from ropeway.logs import failed
 from ropeway.tasks import describe, end
+from ropeway.types.ros1_convert import Converter
+from ropeway.types.ros1_types import ANY
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.node import Ros1Node

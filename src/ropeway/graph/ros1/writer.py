@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Final
 from ropeway.errors import DecodeError, TypeConflict
 from ropeway.graph.base import SEQ_NONE, Sample, Undelivered, new_origin
 from ropeway.graph.history import History
-from ropeway.graph.ros1.convert import Converter
 from ropeway.graph.ros1.tcpros import TRACE, TRACE_BYTES, Connection
-from ropeway.graph.ros1.types import ANY, Ros1Type
 from ropeway.qos import QoS
+from ropeway.types.ros1_convert import Converter
+from ropeway.types.ros1_types import ANY, Ros1Type
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.node import Ros1Node

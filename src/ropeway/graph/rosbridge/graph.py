@@ -41,7 +41,7 @@ from ropeway.link.peer import Packing, Peer
 from ropeway.link.websocket import connect
 from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import Supervised, end
-from ropeway.types import TypeRegistry
+from ropeway.types import MessageCodec, TypeRegistry
 from ropeway.types.told import Teller
 from ropeway.wire import ops
 from ropeway.wire.codec import unpack_png
@@ -64,7 +64,7 @@ class RosbridgeGraph:
     and the connection is made in the background. Either way a lost connection is made again, for ever, and every
     publisher, subscription, service and action is announced again. ``watch`` asks the far side what it has: a
     gateway tells, a plain server is asked through rosapi (unless ``ask_rosapi`` is false). ``plain`` speaks
-    rosbridge even to a gateway.
+    rosbridge even to a gateway. ``ros1`` tells whether a plain server is one of ROS 1; left out, it is found out.
     """
 
     kind = "rosbridge"
@@ -83,6 +83,7 @@ class RosbridgeGraph:
         watch: bool = True,
         ask_rosapi: bool = True,
         plain: bool = False,
+        ros1: bool | None = None,
     ) -> None:
         self.name = url
         self.registry = registry or TypeRegistry()
@@ -104,7 +105,7 @@ class RosbridgeGraph:
         self.mirror = Mirror(url, self._changes, self.calls.changed)
         self._keeper = Keeper(url, limits or Limits(), self._connect)
         self._noted_types: set[str] = set()
-        self.plain_server = PlainServer(url, self.registry)
+        self.plain_server = PlainServer(url, self.registry, ros1=ros1)
         self.teller = Teller(self.registry, graph=True)
         self._traffic = (0, 0)
         self._rosapi_error = ""
@@ -234,6 +235,8 @@ class RosbridgeGraph:
             elif self._watch and self._ask_rosapi:
                 try:
                     await self.mirror.ask_rosapi(self.calls.plain)
+                    if self.plain_server.shows(info.type for info in self.mirror.topics.values()):
+                        self.announce_again(peer)
                     if self._wants_calls:
                         await self.mirror.ask_calls(self.calls.plain)
                     self._rosapi_error = ""
@@ -245,6 +248,28 @@ class RosbridgeGraph:
             else:
                 self.mirror.filled.set()  # nobody will tell
                 return
+
+    def announce_again(self, peer: Peer) -> None:
+        """Announce everything anew: the server has turned out to be one of ROS 1, which spells types otherwise."""
+        for part in self._parts():
+            if isinstance(part, RemotePublisher) and part.channel is not None:
+                part.channel.close()
+            part.disconnected()
+            part.connected(peer)
+        for provider in self.calls.providers():
+            provider.connected(peer)
+
+    def codec(self, type: str) -> MessageCodec:
+        """How messages of a type are written there. Raises ``TypesError``."""
+        peer = self.peer
+        if peer is not None and peer.dialect is ROPEWAY:
+            return self.registry.codec(type)
+        return self.plain_server.codec(type)
+
+    def type_name(self, type: str) -> str:
+        """The name of a type as it is written there."""
+        peer = self.peer
+        return type if peer is not None and peer.dialect is ROPEWAY else self.plain_server.type_name(type)
 
     @property
     def traffic(self) -> tuple[int, int]:

@@ -141,6 +141,8 @@ class RemotePublisher:
             depth=queue_depth(delivery, self.qos),
             lifespan_s=delivery.lifespan_s,
         )
+        if self.channel.codec is not None:
+            self.channel.codec = self.graph.codec(self.type)
         self.channel.queue.lost = self.lost
         self.channel.queue.latched = self.qos.latched
         rosgw = peer.dialect is ROSGW
@@ -148,7 +150,7 @@ class RemotePublisher:
             ops.Advertise(
                 id=self.id,
                 topic=self.topic,
-                type=self.type,
+                type=self.graph.type_name(self.type),
                 latch=plain and not rosgw and self.qos.latched,  # for servers that do not know qos
                 queue_size=max(self.qos.depth, 1) if plain and not rosgw else 100,
                 qos=None if rosgw else self.qos.to_json(),
@@ -268,7 +270,7 @@ class RemoteSubscription:
             ops.Subscribe(
                 id=self.id,
                 topic=self.topic,
-                type=self.type,
+                type=self.graph.type_name(self.type),
                 throttle_rate=round(1000 / delivery.rate_hz) if delivery.rate_hz and extra is None else 0,
                 queue_length=depth if depth is not None and extra is None and delivery.rate_hz else 0,
                 compression=encoding,
@@ -308,12 +310,17 @@ class RemoteSubscription:
         if peer is None or self.closed:
             return
         try:
-            codec = self._codec or self.graph.registry.codec(self.type)
-            self._codec = codec
-            payload = wire_codec.decode_publish_msg(op.msg, op.compression, codec, limit_bytes=peer.limit_bytes)
+            payload, is_ros1 = self.graph.plain_server.read(
+                self.type,
+                lambda codec: wire_codec.decode_publish_msg(
+                    op.msg, op.compression, codec, limit_bytes=peer.limit_bytes
+                ),
+            )
         except (TypesError, MessageTooBig) as error:
             self._undecodable(error)
             return
+        if is_ros1:
+            self.graph.announce_again(peer)
         self.used = _encoding_of(op, self.used)
         echo = self.graph.echoes.get(self.topic)
         if echo is not None and echo.echoes(payload):

@@ -12,12 +12,13 @@ from ropeway.server.rosapi.globs import Globs
 from ropeway.server.rosapi.master_params import MasterParams, ParameterServer
 from ropeway.server.rosapi.params import Params
 from ropeway.server.rosapi.picture import Picture
-from ropeway.server.rosapi.texts import Texts
+from ropeway.server.rosapi.texts import Ros1Texts, Texts
 from ropeway.types.rosbridge import ROSBRIDGE_INTERFACES
 
 if TYPE_CHECKING:
     from ropeway.graph.hub import Hub
     from ropeway.types import TypeRegistry
+    from ropeway.types.ros1_spelling import Ros1Spelling
 
 __all__ = ["SERVICES", "Rosapi"]
 
@@ -79,7 +80,8 @@ class Rosapi:
 
     ``params_timeout_s`` bounds what is asked of other nodes, ``globs`` limit what is shown. ``namespace`` is where the
     services stand: ``/robot1`` makes them ``/robot1/rosapi/topics``. Nothing is created on the network for them, but
-    they are listed among the services as those of the original are.
+    they are listed among the services as those of the original are. ``ros1`` tells that the network is one of ROS 1:
+    types have names of two parts there, and the definitions of ROS 1.
     """
 
     def __init__(
@@ -91,11 +93,13 @@ class Rosapi:
         globs: Globs | None = None,
         namespace: str = "/",
         clock: Callable[[], int] = time.time_ns,
+        ros1: Ros1Spelling | None = None,
     ) -> None:
+        self._ros1 = ros1
         self._registry, self._clock = registry, clock
         self._prefix = f"{namespace.rstrip('/')}/rosapi/"
         self._view = hub.view("rosapi")
-        self._texts = Texts(registry)
+        self._texts: Texts | Ros1Texts = Texts(registry) if ros1 is None else Ros1Texts(ros1)
         own = {self._prefix + name: type for name, type in SERVICES.items()}
         shown = globs or Globs()
         self._picture = Picture(hub.graph, shown, own, lambda: self._view.own_changes.emitted)
@@ -144,23 +148,33 @@ class Rosapi:
         except ValueMismatch as error:
             raise CallFailed(name, error.reason) from None
 
+    def _spelled(self, type: str) -> str:
+        """The name of a type as clients of this network write it."""
+        if self._ros1 is None:
+            return type
+        return self._ros1.name(type).replace("rosapi_msgs/", "rosapi/")
+
     # ── topics ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _topics(self, _: Mapping[str, Any]) -> Values:
         topics = self._picture.topics()
-        return {"topics": list(topics), "types": list(topics.values())}
+        return {"topics": list(topics), "types": [self._spelled(type) for type in topics.values()]}
 
     def _topics_for_type(self, request: Mapping[str, Any]) -> Values:
-        wanted = request["type"]
-        return {"topics": [name for name, type in self._picture.topics().items() if type == wanted]}
+        wanted = self._spelled(request["type"])
+        return {"topics": [name for name, type in self._picture.topics().items() if self._spelled(type) == wanted]}
 
     def _topics_and_raw_types(self, _: Mapping[str, Any]) -> Values:
         topics = self._picture.topics()
         types = list(topics.values())
-        return {"topics": list(topics), "types": types, "typedefs_full_text": [self._texts.of(type) for type in types]}
+        return {
+            "topics": list(topics),
+            "types": [self._spelled(type) for type in types],
+            "typedefs_full_text": [self._texts.of(type) for type in types],
+        }
 
     def _topic_type(self, request: Mapping[str, Any]) -> Values:
-        return {"type": self._picture.topic_type(request["topic"])}
+        return {"type": self._spelled(self._picture.topic_type(request["topic"]))}
 
     def _publishers(self, request: Mapping[str, Any]) -> Values:
         return {"publishers": self._picture.publishers(request["topic"])}
@@ -174,11 +188,11 @@ class Rosapi:
         return {"services": list(self._picture.services())}
 
     def _services_for_type(self, request: Mapping[str, Any]) -> Values:
-        wanted = request["type"]
-        return {"services": [name for name, type in self._picture.services().items() if type == wanted]}
+        wanted = self._spelled(request["type"])
+        return {"services": [name for name, type in self._picture.services().items() if self._spelled(type) == wanted]}
 
     def _service_type(self, request: Mapping[str, Any]) -> Values:
-        return {"type": self._picture.service_type(request["service"])}
+        return {"type": self._spelled(self._picture.service_type(request["service"]))}
 
     def _service_providers(self, request: Mapping[str, Any]) -> Values:
         return {"providers": self._picture.providers(request["service"])}
@@ -217,7 +231,9 @@ class Rosapi:
         try:
             full = self._registry.canonical(type, kind)
             known = self._registry.has(full) and (not end or full.split("/")[1] == kind)
-            return {"typedefs": self._registry.typedefs(full + end) if known else []}
+            if not known:
+                return {"typedefs": []}
+            return {"typedefs": (self._registry if self._ros1 is None else self._ros1).typedefs(full + end)}
         except TypesError:
             return {"typedefs": []}
 
@@ -246,6 +262,8 @@ class Rosapi:
         return {"time": {"sec": sec, "nanosec": nanosec, "secs": sec, "nsecs": nanosec}}
 
     def _get_ros_version(self, _: Mapping[str, Any]) -> Values:
+        if self._ros1 is not None:
+            return {"version": 1, "distro": "noetic"}
         return {"version": _ROS_VERSION, "distro": os.environ.get("ROS_DISTRO") or self._registry.distro}
 
 

@@ -20,8 +20,9 @@ from ropeway.types.definition import HEADER, TIMES, Constant, Definition, Field,
 
 if TYPE_CHECKING:
     from ropeway.types import TypeRegistry
+    from ropeway.types.ros1_spelling import Ros1Spelling
 
-__all__ = ["Texts", "is_readable"]
+__all__ = ["Ros1Texts", "Texts", "is_readable"]
 
 _RULE: Final = "=" * 80
 _MOST: Final = 4096
@@ -93,6 +94,20 @@ class Texts:
         except TypesError as error:
             missing = error.name if isinstance(error, UnknownType) else ""
             return _Made(_failure(type, error), "", missing, self._clock() + _RETRY_S)
+
+
+class Ros1Texts:
+    """Full definition texts as ROS 1 has them."""
+
+    def __init__(self, spelling: Ros1Spelling) -> None:
+        self._spelling = spelling
+
+    def of(self, type: str) -> str:
+        """The text of a message and all it is made of; where there is none, a comment that says why."""
+        try:
+            return self._spelling.text(type)
+        except TypesError as error:
+            return _failure(type, error)
 
 
 def _failure(type: str, reason: object) -> str:

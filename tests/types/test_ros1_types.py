@@ -7,10 +7,9 @@ import subprocess
 import pytest
 
 from ropeway.errors import TypeConflict, UnknownType
-from ropeway.graph.ros1.types import Ros1Types
 from ropeway.types import TypeRegistry
-
-from .network import HAS_ROSPY, PYTHON
+from ropeway.types.ros1_types import Ros1Types
+from tests.graph.ros1.network import HAS_ROSPY, PYTHON
 
 PACKAGES = [
     *("std_msgs", "sensor_msgs", "geometry_msgs", "nav_msgs", "actionlib_msgs", "actionlib", "rosgraph_msgs"),

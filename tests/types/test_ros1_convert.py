@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from ropeway.errors import DecodeError
-from ropeway.graph.ros1.types import Ros1Types
 from ropeway.types import TypeRegistry
+from ropeway.types.ros1_types import Ros1Types
 
 
 @pytest.fixture(scope="module")

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from ropeway.errors import InvalidDefinition, TypeConflict, TypesError, UnknownType
-from ropeway.graph.ros1.convert import Converter
 from ropeway.limits import DEFINITION_CHARACTERS, DEFINITIONS_PER_GATEWAY
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import HEADER, TIMES, Definition, Field, FieldType, canonical_name, short_name
 from ropeway.types.hashes import definition_md5
 from ropeway.types.parser import parse_interface, parse_sections
+from ropeway.types.ros1_convert import Converter
 from ropeway.types.stores import from_rosbags, store_table
 from ropeway.types.told import Teller
 

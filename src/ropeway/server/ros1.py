@@ -1,0 +1,24 @@
+"""Whether clients of a server are those of a ROS 1 network."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+if TYPE_CHECKING:
+    from ropeway.graph.base import Graph
+    from ropeway.types.ros1_spelling import Ros1Spelling
+
+__all__ = ["ros1_spelling"]
+
+
+@runtime_checkable
+class _SpeaksRos1(Protocol):
+    """A graph of ROS 1, whose clients expect what ROS 1's rosbridge says."""
+
+    @property
+    def ros1_spelling(self) -> Ros1Spelling: ...
+
+
+def ros1_spelling(graph: Graph) -> Ros1Spelling | None:
+    """How messages of ``graph`` are written for rosbridge clients; ``None`` for all that is not ROS 1."""
+    return graph.ros1_spelling if isinstance(graph, _SpeaksRos1) else None
