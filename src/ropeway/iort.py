@@ -40,6 +40,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
+import hashlib
 import json
 import os
 import ssl
@@ -75,7 +76,12 @@ MAX_PACKET_BYTES = 1 << 20
 KINDS = ("robot", "pc")
 """What a node may say it is: the paper's Robot Node or PC Node."""
 
+_VERSION_AHEAD_US = 86_400 * 1_000_000
+_SANE_CLOCK_US = 1_767_225_600 * 1_000_000  # the year 2026: a clock before that was never set
+_UNSET_CLOCK_US = 2_398_377_600 * 1_000_000  # the year 2046: what is taken for possible without a clock
+
 _PERCENT = b"%"
+_LONGEST_FILE_NAME = 200  # without what is added; most systems take 255 bytes
 _PING_S = 2.0
 _SILENCE_S = 7.0
 _CONNECT_S = 3.0
@@ -339,6 +345,16 @@ class Parser:
             self._size = 0
 
 
+def latest_version(now_ns: int) -> int:
+    """Return the latest version that can be right at ``now_ns``: a day ahead, since clocks differ.
+
+    A version is the time in microseconds. One that is far ahead would outrank all that are written for years; the
+    highest possible would leave none for those that follow. Without a clock that was set, more is possible.
+    """
+    now_us = now_ns // 1000
+    return now_us + _VERSION_AHEAD_US if now_us >= _SANE_CLOCK_US else _UNSET_CLOCK_US
+
+
 # ── values ─────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -460,6 +476,12 @@ class _Copy:
             del self.unsent[key]
         self._write(key)
 
+    def everything(self) -> Iterable[Value]:
+        """Return all values, those included that no server has yet."""
+        yield from self.values.values()
+        for waiting in self.unsent.values():
+            yield from waiting
+
     def newest_unsent(self, key: Tuple[str, str]) -> Optional[Value]:
         """What this node wrote last and the server does not have."""
         waiting = self.unsent.get(key)
@@ -531,7 +553,12 @@ def _value_of(told: Mapping[str, Any], system: str, topic: str) -> Value:
 
 def _file_name(name: str) -> str:
     encoded = quote(name, safe=" ()+,=@[]{}")
-    return encoded.replace(".", "%2E") if encoded.startswith(".") else encoded
+    if encoded.startswith("."):
+        encoded = encoded.replace(".", "%2E")
+    if len(encoded) > _LONGEST_FILE_NAME:
+        digest = hashlib.sha256(name.encode()).hexdigest()
+        return "{}~{}".format(encoded[:150], digest[:32])
+    return encoded
 
 
 # ── the node ───────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -692,6 +719,8 @@ class AsyncNode:
         self._clock_ns = clock_ns
         self._copy = _Copy(directory, max(offline_depth, 1))
         self._offset_ns = 0
+        for value in self._copy.everything():
+            value.version = self._possible(value.version)
         self._version = max([value.version for value in self._copy.values.values()] + [0])
         self._connection: Optional[_Connection] = None
         self._mode = "local"
@@ -989,7 +1018,7 @@ class AsyncNode:
 
     def _acknowledged(self, connection: _Connection, value: Value, answer: Packet) -> None:
         try:
-            version = _number(answer, "v")
+            version = self._possible(_number(answer, "v"))
         except NodeError:
             self.faults += 1
             version = 0
@@ -1021,7 +1050,7 @@ class AsyncNode:
             packet.system,
             packet.topic,
             packet.data,
-            _number(packet, "v"),
+            self._possible(_number(packet, "v")),
             _number(packet, "t"),
             head.get("o", ""),
             head.get("k", ""),
@@ -1029,6 +1058,11 @@ class AsyncNode:
             head.get("last") == "1",
             self._offset_ns,
         )
+
+    def _possible(self, version: int) -> int:
+        """Return a version, or now for one that nobody can have written yet: those that follow must outrank it."""
+        now_ns = self._clock_ns() + self._offset_ns
+        return version if version <= latest_version(now_ns) else now_ns // 1000
 
     def _learned(self, value: Value) -> None:
         key = (value.system, value.topic)

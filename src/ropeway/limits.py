@@ -277,6 +277,3 @@ PATTERNS_PER_NODE: Final = 64
 
 ENDPOINTS_PER_NODE: Final = 4_096
 """Topics that one node publishes or subscribes to."""
-
-VERSION_AHEAD_S: Final = 86_400.0
-"""How far a version, which is a time, may lie in the future. A later one would leave no room for those that follow."""

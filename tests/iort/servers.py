@@ -101,8 +101,6 @@ class Raw:
 _PROGRAM = """
 import asyncio, sys
 from ropeway.graph.iort import Space
-from ropeway.server.door import Door
-from ropeway.server.entrance import Entrance
 from ropeway.server.iort import IortServer
 from ropeway.store import Store, make_backend
 

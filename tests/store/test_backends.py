@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from ropeway.errors import StoreUnavailable
 from ropeway.store import Backend, Entry, make_backend
+from ropeway.store.files import FilesBackend
 from ropeway.store.sqlite import SqliteBackend
 from tests.store.mongo import mongo_database
 
@@ -59,6 +61,42 @@ def test_names(backend: Backend) -> None:
     values = [entry(name.encode(), 7, system=name, topic=f"t/{name}.history") for name in systems]
     backend.write(values, 0)
     assert sorted(backend.load(), key=lambda e: e.system) == sorted(values, key=lambda e: e.system)
+
+
+@pytest.mark.parametrize("name", [":" * 100, "\u6f22" * 60, "\u6f22" * 66, "/" * 200, "." * 200])
+def test_long_names(backend: Backend, name: str) -> None:
+    """Names of up to 200 bytes are kept, however long they are as a file system has them, and told apart."""
+    if backend.url.startswith("mongodb"):
+        pytest.skip("names of collections are shorter there")
+    others = [entry(b"good", 1), *(entry(bytes([n]), 1, system=name, topic=name[:-1] + str(n)) for n in range(3))]
+    assert not backend.write([*others, entry(b"first", 1, system=name, topic=name)], 2)
+    assert not backend.write([entry(b"second", 2, system=name, topic=name)], 2)
+    assert {(e.system, e.topic, e.data) for e in backend.load()} == {
+        *((e.system, e.topic, e.data) for e in others),
+        (name, name, b"second"),
+    }
+    assert [e.data for e in backend.history((name, name))] == [b"first"]
+    backend.remove([(name, name)])
+    assert len(backend.load()) == len(others)
+
+
+def test_bad_entries(backend: Backend) -> None:
+    """What a backend can never keep is returned with its reason; the rest of the batch is kept."""
+    bad = (
+        entry(b"bad", 1 << 70, topic="bad") if not isinstance(backend, FilesBackend) else entry(b"", 1, origin="\ud800")
+    )
+    bad = replace(bad, topic="bad")
+    assert list(backend.write([entry(b"1", 1, topic="a"), bad, entry(b"2", 1, topic="b")], 0)) == [bad.key]
+    assert sorted(e.topic for e in backend.load()) == ["a", "b"]
+
+
+def test_private(tmp_path: Path) -> None:
+    """A store is made so that only its owner may read it."""
+    backend = make_backend(str(tmp_path / "private.sqlite"))
+    backend.open()
+    backend.write([entry(b"1", 1)], 0)
+    assert {path.stat().st_mode & 0o077 for path in tmp_path.glob("private.sqlite*")} == {0}
+    backend.close()
 
 
 def test_last_wins(backend: Backend) -> None:

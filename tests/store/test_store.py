@@ -4,6 +4,7 @@ import asyncio
 import threading
 import time
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ class Flaky:
         self._check()
         return list(self.rows.values())
 
-    def write(self, entries: list[Entry], depth: int) -> None:
+    def write(self, entries: list[Entry], depth: int) -> dict[Key, str]:
         self.gate.wait(10)
         self._check()
         self.writes.append(len(entries))
@@ -46,6 +47,7 @@ class Flaky:
             before = self.rows.get(entry.key)
             if before is None or before.order < entry.order:
                 self.rows[entry.key] = entry
+        return {}
 
     def remove(self, keys: list[Key]) -> None:
         self._check()
@@ -416,13 +418,65 @@ async def test_restart(tmp_path: Path) -> None:
     path = str(tmp_path / "r.sqlite")
     store = Store(make_backend(path))
     await store.open()
-    store.put(entry(b"1", 9_000_000_000_000_000))
+    store.put(entry(b"1", time.time_ns() // 1000 + 3_600_000_000))
     await store.close()
     store = Store(make_backend(path))
     await store.open()
     value = store.get("PEPPER", "cmd_vel")
     assert value is not None
     assert store.versions.next() > value.version
+    await store.close()
+
+
+async def test_a_version_from_a_far_future(tmp_path: Path) -> None:
+    """A version that lies far ahead is refused: none could follow it."""
+    store = Store(make_backend("memory:"))
+    await store.open()
+    with pytest.raises(ValueRefused, match="too far in the future"):
+        store.put(replace(entry(b"poison", 1), version=(1 << 62) - 1))
+    store.put(replace(entry(b"good", 1), version=store.versions.next()))
+    await store.close()
+
+
+@pytest.mark.parametrize("name", ["v.sqlite", "v/"])
+async def test_a_store_with_a_version_from_a_far_future(tmp_path: Path, name: str) -> None:
+    """A value that is kept with such a version counts as written now, so that later ones outrank it, for good."""
+    path = str(tmp_path / name) + ("/" if name.endswith("/") else "")
+    backend = make_backend(path)
+    backend.open()
+    poison = replace(entry(b"poison", 1), version=(1 << 62) - 1)
+    assert not backend.write([poison, entry(b"other", 7, topic="other")], 0)
+    backend.close()
+    for data in (b"1", b"2"):
+        store = Store(make_backend(path))
+        await store.open()
+        known = store.get("PEPPER", "cmd_vel")
+        assert known is not None
+        store.put(replace(entry(data, 1), version=store.versions.next(known.version)))
+        assert await store.settled()
+        await store.close()
+    backend.open()
+    assert {found.topic: found.data for found in backend.load()} == {"cmd_vel": b"2", "other": b"other"}
+    backend.close()
+
+
+async def test_one_bad_entry_fails_alone() -> None:
+    """An entry that a backend can never keep costs the others of its batch nothing; who wrote it is told."""
+
+    class Picky(Flaky):
+        def write(self, entries: list[Entry], depth: int) -> dict[Key, str]:
+            super().write([entry for entry in entries if entry.topic != "bad"], depth)
+            return {entry.key: "its name" for entry in entries if entry.topic == "bad"}
+
+    backend, told = Picky(), Told()
+    store = Store(backend)
+    await store.open()
+    store.put(entry(b"1", 1, topic="bad"), told, "bad")
+    store.put(entry(b"2", 1, topic="good"), told, "good")
+    await until(lambda: told.tokens and told.errors)
+    assert (told.tokens, told.errors) == (["good"], ["bad"])
+    assert store.refused["not-kept"] == 1
+    assert not store.fault
     await store.close()
 
 

@@ -120,11 +120,12 @@ class Backend(Protocol):
     def load(self) -> list[Entry]:
         """Every last value."""
 
-    def write(self, entries: list[Entry], depth: int) -> None:
-        """Keep entries, all or none; one that is older than what is kept becomes history.
+    def write(self, entries: list[Entry], depth: int) -> dict[Key, str]:
+        """Keep entries; one that is older than what is kept becomes history.
 
         Several of one topic come oldest first. ``depth`` values before the last are kept as history. When this
-        returns, they survive the end of this process.
+        returns, they survive the end of this process, but for those of the topics that are returned, each with the
+        reason why it can never be kept: one bad entry fails alone.
         """
 
     def remove(self, keys: list[Key]) -> None:

@@ -1,13 +1,15 @@
 """Last values as JSON files, one per topic in a directory per system: the layout of the IoRT paper's local file system.
 
 A file is replaced as a whole, so that a reader never sees half of one. Names are percent-encoded where a file system
-would not take them.
+would not take them, and cut with a hash at their end where they are too long then; the file has the whole name in it.
 """
 
 from __future__ import annotations
 
 import base64
 import contextlib
+import errno
+import hashlib
 import json
 import os
 import shutil
@@ -23,6 +25,11 @@ from ropeway.wire.frames import json_value
 __all__ = ["FilesBackend"]
 
 _HISTORY: Final = ".history"
+_LONGEST: Final = 200  # characters of a name as a file has it, without what is added; most systems take 255 bytes
+_KEPT: Final = 150  # of a longer one, before its hash
+_OF_ONE_FILE: Final = frozenset(
+    (errno.ENAMETOOLONG, errno.EINVAL, errno.EILSEQ, errno.EISDIR, errno.ENOTDIR, errno.EEXIST, errno.ELOOP)
+)  # what is wrong with one name, and not with the disk
 
 
 class FilesBackend:
@@ -40,28 +47,41 @@ class FilesBackend:
     def load(self) -> list[Entry]:
         """Every last value; a file that is none is left alone."""
         with self._told():
-            found = sorted(self._root.glob("*/*.json"))
-            return [entry for path in found if (entry := _read(path)) is not None]
+            found = [entry for path in self._root.glob("*/*.json") if (entry := _read(path)) is not None]
+        return sorted(found, key=lambda entry: (entry.key, entry.order))  # the last one of a topic counts
 
-    def write(self, entries: list[Entry], depth: int) -> None:
+    def write(self, entries: list[Entry], depth: int) -> dict[Key, str]:
         """Keep entries, file by file; each is on the disk when this returns."""
+        bad: dict[Key, str] = {}
         with self._told():
             touched: set[Path] = set()
             if not depth:
                 entries = list({entry.key: entry for entry in entries}.values())
             for entry in entries:
-                path = self._path(entry.key)
-                path.parent.mkdir(exist_ok=True)
-                before = _read(path) if path.exists() else None
-                if before is not None and before.order > entry.order:
-                    self._archive(path, entry, depth)
-                    continue
-                if before is not None and before.order != entry.order:
-                    self._archive(path, before, depth)
-                _replace(path, entry)
-                touched.add(path.parent)
+                try:
+                    touched.add(self._write(entry, depth))
+                except OSError as error:
+                    if error.errno not in _OF_ONE_FILE:
+                        raise
+                    bad[entry.key] = error.strerror or str(error)
+                except ValueError as error:  # a text that is none
+                    bad[entry.key] = str(error)
             for directory in touched:
                 _sync_directory(directory)
+        return bad
+
+    def _write(self, entry: Entry, depth: int) -> Path:
+        """Keep one entry; return the directory that has to be brought to the disk, too."""
+        path = self._path(entry.key)
+        path.parent.mkdir(exist_ok=True)
+        before = _read(path) if path.exists() else None
+        if before is not None and before.order > entry.order:
+            self._archive(path, entry, depth)
+            return path.parent
+        if before is not None and before.order != entry.order:
+            self._archive(path, before, depth)
+        _replace(path, entry)
+        return path.parent
 
     def remove(self, keys: list[Key]) -> None:
         """Forget topics."""
@@ -106,7 +126,11 @@ class FilesBackend:
 
 def _file_name(name: str) -> str:
     encoded = quote(name, safe=" ()+,=@[]{}")
-    return encoded.replace(".", "%2E") if encoded.startswith(".") or encoded.endswith(_HISTORY) else encoded
+    if encoded.startswith(".") or encoded.endswith(_HISTORY):
+        encoded = encoded.replace(".", "%2E")
+    if len(encoded) > _LONGEST:
+        return f"{encoded[:_KEPT]}~{hashlib.sha256(name.encode()).hexdigest()[:32]}"
+    return encoded
 
 
 def _read(path: Path) -> Entry | None:

@@ -19,7 +19,7 @@ __all__ = ["POLL_S", "MongoBackend"]
 log = logging.getLogger("ropeway.store")
 
 _TIMEOUT_MS: Final = 3000
-_DUPLICATE: Final = 11000
+_INVALID_NAMESPACE: Final = 73  # a name that is too long for a collection
 _DATABASE: Final = "ropeway"
 _FIELDS: Final = {"history": 0}
 _AWAIT_MS: Final = 1000
@@ -167,11 +167,23 @@ class MongoBackend:
         self._seen[key] = mark
         return _entry(system, document, read_ns)
 
-    def write(self, entries: list[Entry], depth: int) -> None:
+    def write(self, entries: list[Entry], depth: int) -> dict[Key, str]:
         """Keep entries; each is acknowledged by the server when this returns."""
+        from bson.errors import BSONError
+        from pymongo.errors import DocumentTooLarge, OperationFailure
+
+        bad: dict[Key, str] = {}
         with self._lock, self._told():
             for entry in entries if depth else {entry.key: entry for entry in entries}.values():
-                self._write(entry, depth)
+                try:
+                    self._write(entry, depth)
+                except (BSONError, DocumentTooLarge, OverflowError, UnicodeError) as error:
+                    bad[entry.key] = str(error)
+                except OperationFailure as error:
+                    if error.code != _INVALID_NAMESPACE:
+                        raise
+                    bad[entry.key] = str(error)
+        return bad
 
     def _write(self, entry: Entry, depth: int) -> None:
         from pymongo.errors import DuplicateKeyError

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,6 +44,7 @@ DELETE FROM earlier_values WHERE system = ?1 AND topic = ?2 AND (version, origin
     ORDER BY version DESC, origin DESC LIMIT ?3)
 """
 _BUSY_S: Final = 5.0
+_OF_ONE_ROW: Final = (sqlite3.DataError, sqlite3.InterfaceError, OverflowError, UnicodeError)
 
 
 class SqliteBackend:
@@ -59,7 +61,7 @@ class SqliteBackend:
         with self._told():
             if self._path != ":memory:":
                 Path(self._path).expanduser().parent.mkdir(parents=True, exist_ok=True)
-            path = self._path if self._path == ":memory:" else str(Path(self._path).expanduser())
+            path = self._path if self._path == ":memory:" else str(_private(Path(self._path).expanduser()))
             db = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
             try:
                 db.execute("PRAGMA journal_mode = WAL")
@@ -76,8 +78,25 @@ class SqliteBackend:
             rows = self._opened().execute(f"SELECT {_FIELDS} FROM last_values").fetchall()  # noqa: S608 - constant
         return [Entry(*row) for row in rows]
 
-    def write(self, entries: list[Entry], depth: int) -> None:
+    def write(self, entries: list[Entry], depth: int) -> dict[Key, str]:
         """Keep entries in one transaction, which is on the disk when this returns."""
+        try:
+            self._write(entries, depth)
+        except _OF_ONE_ROW:
+            return self._write_each(entries, depth)
+        return {}
+
+    def _write_each(self, entries: list[Entry], depth: int) -> dict[Key, str]:
+        """Keep entries one by one; return what is wrong with those that cannot be kept."""
+        bad: dict[Key, str] = {}
+        for entry in entries:
+            try:
+                self._write([entry], depth)
+            except _OF_ONE_ROW as error:
+                bad[entry.key] = str(error)
+        return bad
+
+    def _write(self, entries: list[Entry], depth: int) -> None:
         with self._told(), self._transaction() as db:
             if not depth:
                 db.executemany(_KEEP, [_row(e) for e in entries])
@@ -124,6 +143,8 @@ class SqliteBackend:
     def _told(self) -> Iterator[None]:
         try:
             yield
+        except _OF_ONE_ROW:
+            raise
         except sqlite3.DatabaseError as error:
             raise StoreUnavailable(self.url, _advice(error)) from error
         except OSError as error:
@@ -140,6 +161,13 @@ class SqliteBackend:
             with contextlib.suppress(sqlite3.Error):
                 db.execute("ROLLBACK")
             raise
+
+
+def _private(path: Path) -> Path:
+    """Make the file so that only its owner may read it; one that is there stays as it is."""
+    with contextlib.suppress(FileExistsError):
+        os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600))
+    return path
 
 
 def _row(entry: Entry) -> tuple[str, str, bytes, int, int, str, str, str]:

@@ -22,6 +22,7 @@ from fnmatch import fnmatchcase
 from typing import Any, Final, Protocol, TypeVar
 
 from ropeway.errors import StoreUnavailable, ValueRefused
+from ropeway.iort import latest_version
 from ropeway.store.entry import Backend, Entry, Key, Mirror, Versions, check_name
 from ropeway.store.mirror import Mirroring
 from ropeway.store.thread import run_in
@@ -86,7 +87,7 @@ class Store:
         self._systems: Counter[str] = Counter()
         self._dirty: dict[Key, list[Entry]] = {}
         self._writing: dict[Key, list[Entry]] = {}  # what the backend is writing now
-        self._sinks: dict[Sink, list[Any]] = {}
+        self._sinks: dict[Sink, list[tuple[Key, Any]]] = {}
         self._wake = asyncio.Event()
         self._asked = asyncio.Event()  # somebody waits until values are kept
         self._idle = asyncio.Event()
@@ -108,6 +109,7 @@ class Store:
         except StoreUnavailable:
             self._thread.shutdown()
             raise
+        entries = await self._repaired(entries)
         for entry in entries:
             self._insert(entry)
             self.versions.last = max(self.versions.last, entry.version)
@@ -173,11 +175,14 @@ class Store:
         elif entry.version <= before.version and entry.order <= before.order:
             if entry.order == before.order:
                 if sink is not None:
-                    self._promise(sink, token)
+                    self._promise(sink, key, token)
                 return False
             if self.limits.history:
                 self._queue(key, entry)
             raise self._refuse(entry, "stale", f"version {before.version} is there, which is later")
+        if entry.version > latest_version(self._clock_ns()):
+            text = f"version {entry.version} is a time that lies too far in the future; is the writer's clock right?"
+            raise self._refuse(entry, "malformed", text)
         size = len(entry.data)
         if size > self.limits.max_value_bytes:
             raise self._refuse(entry, "too-big", f"{size} bytes; a value has {self.limits.max_value_bytes} at most")
@@ -192,7 +197,7 @@ class Store:
             self.versions.last = entry.version
         self._queue(key, entry)
         if sink is not None:
-            self._sinks.setdefault(sink, []).append(token)
+            self._sinks.setdefault(sink, []).append((key, token))
             self._asked.set()
         for callback in self.on_change:
             callback(entry)
@@ -261,6 +266,20 @@ class Store:
         most = self.limits.max_age_s
         return most is not None and entry.age_s(self._clock_ns()) > most
 
+    async def _repaired(self, entries: list[Entry]) -> list[Entry]:
+        """Give values from an impossible future the version of now, in the backend, too: all that follow are later."""
+        now_ns = self._clock_ns()
+        found = [entry for entry in entries if entry.version > latest_version(now_ns)]
+        if not found:
+            return entries
+        log.warning(
+            "%s: %d values were written with a clock far ahead; they count as new", self.backend.url, len(found)
+        )
+        mended = {entry.key: entry.at(now_ns // 1000) for entry in found}
+        await self._run(self.backend.remove, list(mended))
+        await self._run(self.backend.write, list(mended.values()), self.limits.history)
+        return [mended.get(entry.key, entry) for entry in entries]
+
     def _check_new(self, entry: Entry) -> None:
         try:
             check_name(entry.system, entry.topic)
@@ -297,9 +316,9 @@ class Store:
         self._idle.clear()
         self._wake.set()
 
-    def _promise(self, sink: Sink, token: Any) -> None:
+    def _promise(self, sink: Sink, key: Key, token: Any) -> None:
         """Tell when everything that is there now is kept."""
-        self._sinks.setdefault(sink, []).append(token)
+        self._sinks.setdefault(sink, []).append((key, token))
         self._asked.set()
         self._idle.clear()
         self._wake.set()
@@ -321,13 +340,14 @@ class Store:
             self._writing = dirty
             sinks, self._sinks = self._sinks, {}
             error: StoreUnavailable | None = None
+            bad: dict[Key, str] = {}
             if dirty or self.fault:
                 batch = [entry for entries in dirty.values() for entry in entries]
                 try:
-                    await self._run(self.backend.write, batch, self.limits.history)
+                    bad = await self._run(self.backend.write, batch, self.limits.history)
                 except StoreUnavailable as fault:
                     error = fault
-            self._tell(sinks, error)
+            self._tell(sinks, error, bad)
             if error is None:
                 self._kept(dirty)
                 self._writing = {}
@@ -358,10 +378,18 @@ class Store:
             if key in self._entries:
                 self._dirty[key] = [*entries, *self._dirty.get(key, ())][-most:]
 
-    def _tell(self, sinks: dict[Sink, list[Any]], error: StoreUnavailable | None) -> None:
-        for sink, tokens in sinks.items():
+    def _tell(
+        self, sinks: dict[Sink, list[tuple[Key, Any]]], error: StoreUnavailable | None, bad: dict[Key, str]
+    ) -> None:
+        for (system, topic), reason in bad.items():
+            self.refused["not-kept"] += 1
+            log.debug("%s: %s/%s is served, but cannot be kept: %s", self.backend.url, system, topic, reason)
+        for sink, promised in sinks.items():
             try:
-                sink.kept(tokens, error)
+                sink.kept([token for key, token in promised if key not in bad], error)
+                for key, token in promised:
+                    if key in bad:
+                        sink.kept([token], StoreUnavailable(self.backend.url, bad[key]))
             except Exception:  # of one node; the others are told as ever
                 log.exception("a publisher could not be told of what is kept")
 

@@ -7,6 +7,7 @@ import pytest
 from ropeway.errors import ValueRefused
 from ropeway.graph.iort import space as module
 from ropeway.graph.iort.space import Endpoint, Space
+from ropeway.limits import PATTERNS_PER_NODE
 from ropeway.store import Entry, Store, StoreLimits, make_backend
 
 
@@ -106,9 +107,43 @@ async def test_events(space: Space) -> None:
     ]
 
 
+async def test_patterns_are_bounded(space: Space) -> None:
+    """A member has so many patterns and no more, and of so many characters; topics by name do not count."""
+    person = Person("greedy")
+    space.join(person)
+    for number in range(PATTERNS_PER_NODE):
+        space.subscribe(person, f"x{number}*", "y*")
+        space.subscribe(person, "x", f"y{number}")
+    space.subscribe(person, "x0*", "y*")
+    with pytest.raises(ValueRefused, match="patterns at most"):
+        space.subscribe(person, "one", "more*")
+    space.unsubscribe(person, "x0*", "y*")
+    with pytest.raises(ValueRefused, match="characters at most"):
+        space.subscribe(person, "one", "*" * 300)
+    space.subscribe(person, "one", "more*")
+
+
+async def test_patterns_are_tried_once(space: Space) -> None:
+    """Which patterns fit a topic is known after its first value, until there are other patterns."""
+    reader, writer = Person("reader"), Person("writer")
+    space.join(reader)
+    space.join(writer)
+    space.subscribe(reader, "A*", "t")
+    space.publish(writer, "A", "t", b"1", origin="w")
+    known = space._fitting["A", "t"]
+    space.publish(writer, "A", "t", b"2", origin="w")
+    assert space._fitting["A", "t"] is known
+    space.subscribe(reader, "*", "t", latest=False)
+    space.publish(writer, "A", "t", b"3", origin="w")
+    assert len(space._fitting["A", "t"]) == 2
+    space.leave(reader)
+    space.publish(writer, "A", "t", b"4", origin="w")
+    assert not space._fitting
+
+
 async def test_endpoints_are_bounded(space: Space, monkeypatch: pytest.MonkeyPatch) -> None:
     """One member cannot have endpoints without end."""
-    monkeypatch.setattr(module, "_ENDPOINT_LIMIT", 3)
+    monkeypatch.setattr(module, "ENDPOINTS_PER_NODE", 3)
     person = Person("greedy")
     space.join(person)
     for topic in ("a", "b", "c", "a"):

@@ -8,21 +8,23 @@ from __future__ import annotations
 
 import itertools
 import logging
+import re
 import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
+from fnmatch import translate
 from typing import Any, Final, Protocol
 
 from ropeway.errors import ValueRefused
+from ropeway.limits import ENDPOINTS_PER_NODE, PATTERN_CHARACTERS, PATTERNS_PER_NODE
 from ropeway.store import Entry, Key, Sink, Store
 
 __all__ = ["Endpoint", "Member", "Space", "is_pattern"]
 
 log = logging.getLogger("ropeway.graph.iort")
 
-_ENDPOINT_LIMIT: Final = 4096  # of one member
+_KNOWN_LIMIT: Final = 4096  # topics for which is known which patterns fit
 _AHEAD_US: Final = 5_000_000  # a live version further in the future than this is a wrong clock's
 
 
@@ -61,6 +63,20 @@ class _Presence:
         self.watches = False
 
 
+class _Pattern:
+    """A subscription with wildcards, and who made it."""
+
+    __slots__ = ("_system", "_topic", "members")
+
+    def __init__(self, system: str, topic: str) -> None:
+        self._system, self._topic = re.compile(translate(system)), re.compile(translate(topic))
+        self.members: dict[Member, None] = {}
+
+    def fits(self, system: str, topic: str) -> bool:
+        """Return whether the topic is one of those that are meant."""
+        return self._system.match(system) is not None and self._topic.match(topic) is not None
+
+
 def is_pattern(name: str) -> bool:
     """True for ``*`` and the like."""
     return "*" in name or "?" in name or "[" in name
@@ -75,7 +91,8 @@ class Space:
         self.published = 0
         self._members: dict[Member, _Presence] = {}
         self._exact: dict[Key, dict[Member, None]] = {}
-        self._patterns: dict[tuple[str, str], dict[Member, None]] = {}
+        self._patterns: dict[tuple[str, str], _Pattern] = {}
+        self._fitting: dict[Key, list[_Pattern]] = {}  # by topic: the patterns that fit, as far as was looked
         self._publisher: Member | None = None
         self._numbers = itertools.count(1)
         store.on_change.append(self._changed)
@@ -130,12 +147,18 @@ class Space:
     ) -> None:
         """The member gets every value that others publish; ``latest``: those that are there now first.
 
-        Names may be patterns of a shell. Raises ``ValueRefused`` above the limit of endpoints.
+        Names may be patterns of a shell. Raises ``ValueRefused`` above the limits of endpoints and patterns.
         """
+        self.check_subscription(member, system, topic)
         id = self._members[member].id
         self._add(member, Endpoint("subscription", system, topic, type, qos, member.node, id))
-        readers = self._patterns if is_pattern(system) or is_pattern(topic) else self._exact
-        readers.setdefault((system, topic), {})[member] = None
+        if is_pattern(system) or is_pattern(topic):
+            if (system, topic) not in self._patterns:
+                self._patterns[system, topic] = _Pattern(system, topic)
+                self._fitting.clear()
+            self._patterns[system, topic].members[member] = None
+        else:
+            self._exact.setdefault((system, topic), {})[member] = None
         if latest:
             for entry in self.store.entries(system, topic):
                 member.value(entry, True)
@@ -147,16 +170,36 @@ class Space:
         if endpoint is not None:
             self._take_away(member, presence, endpoint)
 
+    def check_subscription(self, member: Member, system: str, topic: str) -> None:
+        """Raise ``ValueRefused`` where the member may have no more subscriptions of this kind."""
+        mine = self._members[member].endpoints
+        if ("subscription", system, topic) in mine:
+            return
+        text = ""
+        if len(mine) >= ENDPOINTS_PER_NODE:
+            text = f"a node has {ENDPOINTS_PER_NODE} topics at most, and no more"
+        elif not (is_pattern(system) or is_pattern(topic)):
+            return
+        elif max(len(system), len(topic)) > PATTERN_CHARACTERS:
+            text = f"a pattern has {PATTERN_CHARACTERS} characters at most"
+        elif (
+            sum(kind == "subscription" and (is_pattern(s) or is_pattern(t)) for kind, s, t in mine) >= PATTERNS_PER_NODE
+        ):
+            text = f"a node has {PATTERNS_PER_NODE} patterns at most, and no more"
+        if text:
+            self.refused["full"] += 1
+            raise ValueRefused(system[:40], topic[:40], "full", text)
+
     def _add(self, member: Member, endpoint: Endpoint) -> None:
         presence = self._members[member]
         key = (endpoint.kind, endpoint.system, endpoint.topic)
         before = presence.endpoints.get(key)
         if before == endpoint:
             return
-        if before is None and len(presence.endpoints) >= _ENDPOINT_LIMIT:
+        if before is None and len(presence.endpoints) >= ENDPOINTS_PER_NODE:
             self.refused["full"] += 1
             raise ValueRefused(
-                endpoint.system, endpoint.topic, "full", f"a node has {_ENDPOINT_LIMIT} topics at most, and no more"
+                endpoint.system, endpoint.topic, "full", f"a node has {ENDPOINTS_PER_NODE} topics at most, and no more"
             )
         if before is not None:
             self._tell(member, before, False)
@@ -167,11 +210,12 @@ class Space:
         presence.endpoints.pop((endpoint.kind, endpoint.system, endpoint.topic), None)
         if endpoint.kind == "subscription":
             where = (endpoint.system, endpoint.topic)
-            for readers in (self._exact, self._patterns):
-                if member in readers.get(where, ()):
-                    del readers[where][member]
-                    if not readers[where]:
-                        del readers[where]
+            exact, pattern = self._exact.get(where), self._patterns.get(where)
+            if exact is not None and exact.pop(member, member) is None and not exact:
+                del self._exact[where]
+            if pattern is not None and pattern.members.pop(member, member) is None and not pattern.members:
+                del self._patterns[where]
+                self._fitting.clear()
         self._tell(member, endpoint, False)
 
     def _tell(self, member: Member, endpoint: Endpoint, there: bool) -> None:
@@ -225,6 +269,15 @@ class Space:
             self._add(member, Endpoint("publisher", system, topic, type, "", member.node, presence.id))
         return entry
 
+    def _patterns_of(self, key: Key) -> list[_Pattern]:
+        """Return the patterns that fit a topic; they are tried once, until there are others."""
+        found = self._fitting.get(key)
+        if found is None:
+            if len(self._fitting) >= _KNOWN_LIMIT:
+                self._fitting.clear()
+            found = self._fitting[key] = [pattern for pattern in self._patterns.values() if pattern.fits(*key)]
+        return found
+
     def _changed(self, change: Entry | Key) -> None:
         if not isinstance(change, Entry):
             return
@@ -233,9 +286,8 @@ class Space:
         if readers is None and not self._patterns:
             return
         found = dict(readers) if readers is not None else {}
-        for (system, topic), members in self._patterns.items():
-            if fnmatchcase(change.system, system) and fnmatchcase(change.topic, topic):
-                found.update(members)
+        for pattern in self._patterns_of(key):
+            found.update(pattern.members)
         if self._publisher is not None:
             found.pop(self._publisher, None)
         for member in found:

@@ -381,7 +381,7 @@ class Session(asyncio.Protocol):
             stamp_ns, version = int(head.get("t", "0")), int(head.get("v", "0"))
         except ValueError:
             raise NodeError("malformed", "t and v are whole numbers") from None
-        if not (0 <= stamp_ns < 1 << 63 and 0 <= version < 1 << 62):
+        if not (0 <= stamp_ns < 1 << 63 and 0 <= version < 1 << 63):
             raise NodeError("malformed", "t and v are whole numbers of up to 63 bits")
         merge = head.get("m") == "1"
         origin = head.get("o") or self.origin or origin_of(packet.id, self.peer, self.kind)
@@ -420,6 +420,7 @@ class Session(asyncio.Protocol):
     def _subscribe(self, packet: Packet, number: str) -> None:
         if not (is_pattern(packet.system) or is_pattern(packet.topic)):  # else each value is looked at when it comes
             self._may("subscribe", packet)
+        self.space.check_subscription(self, packet.system, packet.topic)
         self._ok(number)
         latest, head = packet.head.get("last", "1") == "1", packet.head
         self.space.subscribe(
