@@ -122,6 +122,12 @@ LONGEST_CALL_S: Final = 3_600.0
 NESTED_CONTAINERS: Final = 128
 """Lists and objects within each other in JSON and CBOR. ROS messages have about ten."""
 
+UNPACKED_BYTES: Final = 16 << 20
+"""What the values of any CBOR may take in memory."""
+
+UNPACKED_PER_BYTE: Final = 32
+"""What the values of long CBOR may take in memory for each of its bytes. Small maps of whole numbers take 25."""
+
 UNFINISHED_MESSAGES: Final = 64
 """Messages in parts of one connection of which more is still to come."""
 

@@ -119,7 +119,7 @@ class Session:
         hold = connection.account.hold
         hold("operations that wait", self._waiting_bytes)
         hold("requests under way", lambda: self._requests_bytes)
-        hold("topics", lambda: self.topics.held_bytes)
+        hold("topics and what they keep", lambda: self.topics.held_bytes)
         hold("definitions", lambda: self._teller.held_bytes)
         query = connection.handshake.query if connection.handshake is not None else {}
         self._tells_status = query.get("status", ["0"])[-1].lower() not in ("0", "", "false", "no", "none")

@@ -61,13 +61,18 @@ class TopicIn:
         self.lost: Counter[Lost] = Counter()
         self._early: deque[Sample] = deque()
         self._early_bytes = 0  # of what waits until there is a publisher
+        self._kept: deque[int] | None = None  # sizes of what is kept for late readers, for as long as the topic is
+        self._kept_bytes = 0
         self._origin = new_origin()
 
     def ready(self, publisher: Publisher) -> None:
         """The publisher was made: what came early goes out."""
         self.publisher = publisher
+        qos = publisher.qos
+        if qos.latched:
+            self._kept = deque(maxlen=None if qos.history == "keep_all" else max(qos.depth, 1))
         while self._early:
-            publisher.publish(self._early.popleft())
+            self._hand_over(publisher, self._early.popleft())
         self._early_bytes = 0
         if self.number is not None:
             number = self.number
@@ -78,7 +83,7 @@ class TopicIn:
     @property
     def held_bytes(self) -> int:
         """What is kept for the client."""
-        return self._early_bytes + REGISTRATION_BYTES * len(self.ids)
+        return self._early_bytes + self._kept_bytes + REGISTRATION_BYTES * len(self.ids)
 
     def codec(self) -> MessageCodec:
         """How to read the client's messages. Raises ``UnknownType``."""
@@ -133,13 +138,22 @@ class TopicIn:
     def _publish(self, sample: Sample) -> None:
         self.meter.add(sample, sample.stamp_ns)
         if self.publisher is not None:
-            self.publisher.publish(sample)
+            self._hand_over(self.publisher, sample)
             return
         self._early.append(sample)
         self._early_bytes += len(sample.payload)
         while self._early_bytes > _EARLY_LIMIT_BYTES and len(self._early) > 1:
             self._early_bytes -= len(self._early.popleft().payload)
             self.lost[Lost.OVERFLOW] += 1
+
+    def _hand_over(self, publisher: Publisher, sample: Sample) -> None:
+        publisher.publish(sample)
+        kept = self._kept
+        if kept is not None:
+            if len(kept) == kept.maxlen:
+                self._kept_bytes -= kept[0]
+            kept.append(len(sample.payload))
+            self._kept_bytes += len(sample.payload)
 
     def report(self) -> None:
         """Tell a gateway how its topic arrives."""

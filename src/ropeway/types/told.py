@@ -6,6 +6,7 @@ clients the first one counts while it is connected; what the system or its files
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Final
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Teller", "Told", "check_size"]
 
+_STATEMENT: Final = re.compile(r"^[ \t]*[A-Za-z]", re.MULTILINE)  # a line that is no comment
 _FIELD_BYTES: Final = 8 << 10  # of a field, with the code that reads and writes it
 
 
@@ -93,6 +95,8 @@ class Teller:
             return
         if len(text) > DEFINITION_CHARACTERS:
             raise InvalidDefinition(name, f"it has {len(text)} characters; at most {DEFINITION_CHARACTERS} are taken")
+        if max(len(_STATEMENT.findall(text)), text.count(";")) > 2 * DEFINITION_FIELDS:  # before any of it is parsed
+            raise InvalidDefinition(name, f"it has more than {DEFINITION_FIELDS} fields")
         most = DEFINITIONS_PER_GATEWAY if self.graph else DEFINITIONS_PER_CONNECTION
         if len(self._texts) >= most or len(registry.told) >= DEFINITIONS_PER_GATEWAY:
             raise InvalidDefinition(name, "it is one too many; name a file with it under types in the configuration")

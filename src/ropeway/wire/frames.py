@@ -18,6 +18,7 @@ import orjson
 
 from ropeway.errors import InvalidFrame
 from ropeway.limits import NESTED_CONTAINERS
+from ropeway.wire.weight import check_cbor
 
 __all__ = ["JsonAssembler", "cbor_loads", "json_loads", "json_value", "loads"]
 
@@ -150,6 +151,7 @@ _NO_TAGS: Final[Mapping[int, Callable[..., Any]]] = dict.fromkeys(
 
 def cbor_loads(data: bytes | bytearray | memoryview, max_depth: int = NESTED_CONTAINERS) -> Any:
     """One CBOR value; arrays by RFC 8746 stay ``cbor2.CBORTag``. Raises ``InvalidFrame``."""
+    check_cbor(data)
     try:
         return cbor2.loads(data, semantic_decoders=_NO_TAGS, max_depth=max_depth)
     except (cbor2.CBORError, ValueError, TypeError, RecursionError) as error:
