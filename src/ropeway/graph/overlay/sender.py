@@ -26,6 +26,7 @@ log = logging.getLogger("ropeway.graph.overlay")
 
 _BATCH_BYTES: Final = 64 * 1024
 _BATCH: Final = 256
+_ITEM_BYTES: Final = 64  # what a message costs beside its payload
 _FLUSH_S: Final = 2.0
 
 Job = tuple["OverlayPublisher", list[Item]]
@@ -120,6 +121,8 @@ class Sender:
             if items is None:
                 items = found[publisher] = []
             items.append(publisher.add(sample))
+            self._outbox.served(queue, len(sample.payload) + _ITEM_BYTES)
+            self._outbox.done(queue)
             size += len(sample.payload)
             count += 1
         return list(found.items()), size <= 2 * _BATCH_BYTES
