@@ -80,7 +80,7 @@ def test_as_a_user(place: Place) -> None:
         capture = place.file("capture.jsonl")
         reader = place.start("topic", "echo", "/chatter", "-g", graph)
         try:
-            place.run("overlay", "capture", "/chatter", "-i", identity, "-o", capture, "-n", "3")
+            place.run("overlay", "capture", "/chatter", "-i", identity, "-o", capture, "-n", "3", "--timeout", "20")
         finally:
             reader.terminate()
             reader.communicate(timeout=20)

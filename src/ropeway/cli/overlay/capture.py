@@ -17,6 +17,7 @@ from ropeway.cli.name import IdentityOption
 from ropeway.cli.overlay.common import RoutersOption, joined
 from ropeway.cli.session import SpinOption, full_name
 from ropeway.limits import OVERLAY_ROUTED_BYTES
+from ropeway.overlay.advert import Advertisement
 from ropeway.overlay.audit import captured
 from ropeway.overlay.feed import data_key
 
@@ -50,11 +51,16 @@ def capture(
 
         async with joined(identity, router, spin_time) as graph:
             node = graph.node
-            for advert in node.rib.all("publisher"):
+
+            def follow(advert: Advertisement, added: bool) -> None:
                 certificate = node.membership.certificate(advert.gateway)
-                if advert.name == name and certificate is not None:
+                if added and (advert.kind, advert.name) == ("publisher", name) and certificate is not None:
                     key = data_key(advert.global_name, advert.endpoint)
                     node.fabric.hear(key, partial(take, certificate.der), limit_bytes=OVERLAY_ROUTED_BYTES)
+
+            node.rib.on_change(follow)
+            for advert in node.rib.all("publisher"):
+                follow(advert, True)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(timeout):
                     await enough.wait()
