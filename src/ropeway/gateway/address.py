@@ -10,9 +10,10 @@ import os
 import re
 from collections.abc import Mapping
 from typing import Final
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import SplitResult, parse_qsl, urlsplit
 
-from ropeway.gateway.suggest import did_you_mean
+from ropeway.gateway.suggest import did_you_mean, one_of
+from ropeway.types.distros import ROS2_DISTROS
 
 __all__ = [
     "GRAPHS",
@@ -87,6 +88,9 @@ def parse_graph(text: str) -> str:
     domain = match.groupdict().get("domain")
     if domain is not None and int(domain) > _MAX_DOMAIN:
         raise ValueError(f'expected a {_DOMAINS[kind]} domain from 0 to {_MAX_DOMAIN}, got "{text}"')
+    distro = dict(parse_qsl(text.partition("?")[2])).get("distro")
+    if distro is not None and distro not in ROS2_DISTROS:
+        raise ValueError(f"distro: {one_of(distro, ROS2_DISTROS)}")
     return text
 
 

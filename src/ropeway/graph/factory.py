@@ -41,9 +41,14 @@ def make_graph(
         domain = parts.path or parts.netloc or "0"
         if not domain.isdigit() or int(domain) > 232:
             raise GraphUnavailable(url, f"{domain!r} is not a DDS domain; write dds:0 to dds:232")
-        interface = query.pop("interface", None)
+        interface, distro = query.pop("interface", None), query.pop("distro", "")
         _no_more(url, query)
-        return DdsGraph(int(domain), name=name, interface=interface, gateway_id=gateway_id, registry=registry)
+        try:
+            return DdsGraph(
+                int(domain), name=name, interface=interface, gateway_id=gateway_id, registry=registry, distro=distro
+            )
+        except ValueError as error:
+            raise GraphUnavailable(url, str(error)) from None
     if scheme == "ros2":
         from ropeway.graph.ros2 import Ros2Graph
 

@@ -129,8 +129,7 @@ class MessageCodec:
 
     def from_raw(self, raw: bytes) -> bytes:
         """The CDR in what a peer sent as ``cbor-raw``, once it was seen to be of this type. Raises ``DecodeError``."""
-        self._read("object", raw)
-        return raw
+        return self.fitting(raw)
 
     def rosgw(self, cdr: bytes) -> dict[str, Any]:
         """The object that rosgw writes as CBOR: every array of numbers a plain byte string. Raises ``DecodeError``."""
@@ -174,7 +173,7 @@ class MessageCodec:
             return None
         return sec * 1_000_000_000 + nanosec  # type: ignore[no-any-return]
 
-    def _read(self, flavour: str, cdr: bytes) -> Any:
+    def _read(self, flavour: str, cdr: bytes, *, alone: bool = False) -> Any:
         read = self._readers.get(flavour)
         if read is None:
             read = self._readers[flavour] = make_reader(self.plan, flavour)
@@ -184,10 +183,32 @@ class MessageCodec:
                 raw = self._swapped(raw)
             value, end = read(raw, 4, len(raw))
         except (Short, struct.error, ValueError) as error:
-            raise DecodeError(self.type, "CDR", str(error) or "the bytes end too early") from None
+            return self._read_other(flavour, cdr, str(error) or "the bytes end too early", alone)
         if end + _PADDING_BYTES < len(raw):
-            raise DecodeError(self.type, "CDR", f"{len(raw) - end} bytes are left over")
+            return self._read_other(flavour, cdr, f"{len(raw) - end} bytes are left over", alone)
         return value
+
+    def _read_other(self, flavour: str, cdr: bytes, reason: str, alone: bool) -> Any:
+        """Read a message that does not fit: another distribution may have written it. Raises ``DecodeError``."""
+        adapted = None if alone else self._adapted(cdr)
+        if adapted is None:
+            raise DecodeError(self.type, "CDR", reason)
+        return self._read(flavour, adapted)
+
+    def _adapted(self, cdr: bytes) -> bytes | None:
+        others = self._registry.others
+        return None if others is None else others.adapted(self.type, bytes(cdr))
+
+    def fitting(self, cdr: bytes) -> bytes:
+        """The message in our layout, also where another distribution has written it. Raises ``DecodeError``."""
+        try:
+            self._read("object", cdr, alone=True)
+        except DecodeError:
+            adapted = self._adapted(cdr)
+            if adapted is None:
+                raise
+            return adapted
+        return cdr
 
     def _swapped(self, raw: bytes) -> bytes:
         if raw[:2] != _BIG or len(raw) < 4:

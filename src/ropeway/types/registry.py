@@ -18,6 +18,7 @@ from typing import Any
 from ropeway.errors import InvalidDefinition, InvalidTypeName, TypeConflict, TypesError, UnknownType
 from ropeway.types.codec import MessageCodec
 from ropeway.types.definition import Definition, FieldType, canonical_name, short_name
+from ropeway.types.distros import OtherDistros
 from ropeway.types.files import find_interfaces, find_share, read_text
 from ropeway.types.hashes import definition_md5, interface_members, rihs01
 from ropeway.types.parser import PARTS, is_idl, parse_interface, parse_sections
@@ -39,11 +40,13 @@ class TypeRegistry:
 
     ``distro`` is one of ``ropeway.types.stores.DISTROS``, ``None`` meaning ``NEWEST`` there; another raises
     ``ValueError``. Reading is safe from every thread, and adding too. Names are taken in both spellings,
-    ``pkg/Name`` and ``pkg/msg/Name``.
+    ``pkg/Name`` and ``pkg/msg/Name``. Messages in the layout that another distribution gives a type are understood,
+    unless the registry is to be ``alone``.
     """
 
-    def __init__(self, distro: str | None = None) -> None:
+    def __init__(self, distro: str | None = None, *, alone: bool = False) -> None:
         self.distro = distro or NEWEST
+        self.others = None if alone else OtherDistros(self, lambda name: TypeRegistry(name, alone=True))
         self._store = store_table(self.distro)
         self._lock = threading.RLock()
         self._definitions: dict[str, Definition] = {}
@@ -83,6 +86,10 @@ class TypeRegistry:
             found = {*self._store, *INTERFACES, *self._files, *self._sources}
             found.update(name for name in self._definitions if name.split("/")[1] == "msg")
         return sorted(name for name in found if kind is None or name.split("/")[1] == kind)
+
+    def is_builtin(self, name: str) -> bool:
+        """True for a message that is defined as the distribution has it."""
+        return self._known(name) and (name in self._builtin or name not in self._definitions)
 
     def definition(self, name: str, *, needed_by: str = "") -> Definition:
         """The definition of a message or of one part of a service or action.

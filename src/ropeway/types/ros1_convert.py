@@ -14,7 +14,7 @@ from ropeway.types.reader import Reader, make_reader
 from ropeway.types.values import Short
 from ropeway.types.writer import FAILURES, Writer, make_writer
 
-__all__ = ["Converter"]
+__all__ = ["Converter", "names_between", "renamed"]
 
 Definitions = Callable[..., Definition]
 Names = Mapping[str, tuple[str, "Names | None"]]
@@ -47,7 +47,7 @@ class Converter:
         """The message as ROS 1 serialises it. Raises ``DecodeError``."""
         if self.alike:
             return self._codec.ros1(cdr)
-        message = _renamed(self._codec.decode(cdr), self._names()[0])
+        message = renamed(self._codec.decode(cdr), self._names()[0])
         pieces: list[bytes] = []
         try:
             self._made()[1](message, pieces, 0)
@@ -66,7 +66,7 @@ class Converter:
         if end != len(raw):
             raise DecodeError(self._ros1_type, "ROS 1", f"{len(raw) - end} bytes are left over")
         try:
-            return self._codec.encode(_renamed(value, self._names()[1]))
+            return self._codec.encode(renamed(value, self._names()[1]))
         except ValueMismatch as error:
             raise DecodeError(self.type, "ROS 1", error.reason) from None
 
@@ -74,8 +74,8 @@ class Converter:
         if self._functions is None:
             plan = Planner(self._ros1, "ros1").plan(self._ros1_type)
             self._functions = make_reader(plan, "object"), make_writer(plan)
-            self._there = _names(self.type, self._ros2, self._ros1_type, self._ros1)
-            self._back = _names(self._ros1_type, self._ros1, self.type, self._ros2)
+            self._there = names_between(self.type, self._ros2, self._ros1_type, self._ros1)
+            self._back = names_between(self._ros1_type, self._ros1, self.type, self._ros2)
         return self._functions
 
     def _names(self) -> tuple[Names, Names]:
@@ -112,7 +112,8 @@ def _alike(here: str, mine: Definitions, there: str, theirs: Definitions) -> boo
     return True
 
 
-def _names(here: str, mine: Definitions, there: str, theirs: Definitions) -> Names:
+def names_between(here: str, mine: Definitions, there: str, theirs: Definitions) -> Names:
+    """The fields of ``here`` that ``there`` has, too, through all depths."""
     if here == there and here in (*TIMES, HEADER):
         return {field.name: (field.name, None) for field in mine(here).wire_fields}
     others = {_key(field.name): field for field in theirs(there).wire_fields}
@@ -127,12 +128,13 @@ def _names(here: str, mine: Definitions, there: str, theirs: Definitions) -> Nam
                 if field.type.base != other.type.base:
                     continue
             else:
-                inner = _names(field.type.base, mine, other.type.base, theirs)
+                inner = names_between(field.type.base, mine, other.type.base, theirs)
         names[field.name] = (other.name, inner)
     return names
 
 
-def _renamed(value: Any, names: Names) -> dict[str, Any]:
+def renamed(value: Any, names: Names) -> dict[str, Any]:
+    """The fields of a message that the other side has, under the names that they have there."""
     out: dict[str, Any] = {}
     for name, (other, inner) in names.items():
         if name not in value:
@@ -141,7 +143,7 @@ def _renamed(value: Any, names: Names) -> dict[str, Any]:
         if inner is None:
             out[other] = found
         elif isinstance(found, list):
-            out[other] = [_renamed(item, inner) for item in found]
+            out[other] = [renamed(item, inner) for item in found]
         else:
-            out[other] = _renamed(found, inner)
+            out[other] = renamed(found, inner)
     return out

@@ -119,7 +119,7 @@ class Ros1Codec(MessageCodec):
 
     from_cbor = from_json
 
-    def _read(self, flavour: str, cdr: bytes) -> Any:
+    def _read(self, flavour: str, cdr: bytes, *, alone: bool = False) -> Any:
         raw = self._converter.to_ros1(cdr)
         read = self._readers.get(flavour)
         if read is None:

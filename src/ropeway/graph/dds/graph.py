@@ -24,6 +24,7 @@ from ropeway.graph.base import (
     resolve_name,
 )
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.dds.border import Border
 from ropeway.graph.dds.byteorder import ByteOrder, Codec
 from ropeway.graph.dds.client import DdsClient
 from ropeway.graph.dds.discovery import Discovery
@@ -97,8 +98,10 @@ class DdsGraph:
         foreign: bool = False,
         helper: Helper | None = None,
         fast: bool = True,
+        distro: str = "",
     ) -> None:
         self.name = f"dds:{domain}"
+        self._border = Border(registry, distro, lambda: self._participant is not None and self._participant.is_old)
         if not 0 <= domain <= MAX_DOMAIN:
             raise GraphUnavailable(self.name, f"the domain must be a number from 0 to {MAX_DOMAIN}")
         if any(c in gateway_id for c in ";="):
@@ -193,7 +196,7 @@ class DdsGraph:
         participant = self._opened()
         topic, type = resolve_name(topic), canonical_name(type)
         profile = settled(qos or DEFAULT, DEFAULT)
-        publisher = DdsPublisher(self, topic, type, profile)
+        publisher = DdsPublisher(self, topic, type, profile, self._border.outward(type))
         mark = user_data(type_hash=self.type_hash(type), gateway_id=self.gateway_id)
         names = (dds_topic(topic), dds_type(type))
         publisher.bind(
@@ -214,7 +217,7 @@ class DdsGraph:
         """Read ``topic``; without a profile, with what all its publishers offer, also when they change."""
         self._opened()
         topic, type = resolve_name(topic), canonical_name(type)
-        subscription = DdsSubscription(self, topic, type, qos, callback)
+        subscription = DdsSubscription(self, topic, type, qos, self._border.inward(type, callback))
         subscription.follow(self._adopted(subscription))
         self._subscriptions[subscription] = None
         return subscription

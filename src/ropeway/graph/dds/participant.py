@@ -393,6 +393,11 @@ class Participant:
         if found:
             self._on_discovered(found)
 
+    @property
+    def is_old(self) -> bool:
+        """True while all others are of ROS 2 Humble or older."""
+        return self._gid_bytes == OLD_GID_BYTES
+
     def follow_gid_bytes(self, sizes: set[int]) -> None:
         """Write gids as the others do: in 24 bytes where all of them are of ROS 2 Humble or older."""
         size = OLD_GID_BYTES if sizes == {OLD_GID_BYTES} else GID_BYTES

@@ -21,9 +21,12 @@ class DdsPublisher:
     With a lifespan the source timestamp is the time of now, because receivers count the lifespan from it.
     """
 
-    def __init__(self, graph: DdsGraph, topic: str, type: str, qos: QoS) -> None:
+    def __init__(
+        self, graph: DdsGraph, topic: str, type: str, qos: QoS, outward: Callable[[bytes], bytes] | None = None
+    ) -> None:
         self.topic, self.type, self.qos = topic, type, qos
         self._graph = graph
+        self._outward = outward  # brings messages into the layout of another distribution
         self._keep_stamp = qos.lifespan_s is None
         self._writer: RawWriter | None = None
         self._subscribers = 0
@@ -32,7 +35,8 @@ class DdsPublisher:
     def bind(self, writer: RawWriter) -> None:
         """Write through ``writer`` from now on."""
         self._writer = writer
-        self._write = writer.write
+        outward = self._outward
+        self._write = writer.write if outward is None else lambda payload, stamp: writer.write(outward(payload), stamp)
 
     def publish(self, sample: Sample) -> None:
         """Send, without waiting; what DDS does not take is counted."""

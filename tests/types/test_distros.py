@@ -1,0 +1,91 @@
+"""Messages in the layouts of other distributions."""
+
+from __future__ import annotations
+
+import json
+import logging
+import random
+
+import pytest
+
+from ropeway.errors import DecodeError
+from ropeway.types import TypeRegistry
+from ropeway.types.distros import CHANGED
+from ropeway.types.stores import DISTROS, store_table
+
+from .messages import random_message
+
+ROS2 = [distro for distro in DISTROS if distro != "noetic"]
+HERE = TypeRegistry()
+
+
+def test_changed_types_are_all() -> None:
+    """The list of types that have changed is what the stores of the distributions tell."""
+    changed = set()
+    for distro in ROS2:
+        there = TypeRegistry(distro, alone=True)
+        changed |= {
+            name
+            for name in store_table(distro)
+            if HERE.has(name) and not HERE.definition(name).same_layout(there.definition(name))
+        }
+    assert changed - {"rmw_dds_common/msg/Gid"} == CHANGED
+
+
+@pytest.mark.parametrize("distro", ROS2)
+@pytest.mark.parametrize("name", sorted(CHANGED))
+def test_messages_of_other_distributions_are_understood(name: str, distro: str) -> None:
+    """A message of any distribution is read, however it is read, with all fields that both have."""
+    there = TypeRegistry(distro, alone=True)
+    if not there.has(name):
+        pytest.skip(f"{distro} has no {name}")
+    for seed in range(5):
+        message = random_message(there, name, random.Random(seed), finite=True)
+        raw = there.codec(name).encode(message)
+        codec = HERE.codec(name)
+        fitting = codec.fitting(raw)
+        assert codec.fitting(fitting) == fitting
+        here = codec.decode(raw)
+        common = here.keys() & message.keys()
+        assert common
+        assert json.loads(codec.json(raw)) == json.loads(codec.json(fitting))
+        for field in common:
+            if not isinstance(message[field], dict):
+                assert str(here[field]) == str(message[field])
+
+
+def test_what_is_missing_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """Fields that the other distribution lacks are filled and told once, those that only it has are left out."""
+    registry, humble = TypeRegistry(), TypeRegistry("humble", alone=True)
+    raw = humble.codec("sensor_msgs/Range").encode({"range": 1.25})
+    with caplog.at_level(logging.WARNING):
+        for _ in range(3):
+            assert registry.codec("sensor_msgs/Range").decode(raw)["variance"] == 0
+    assert caplog.messages == ["sensor_msgs/Range.variance is missing in Humble, filled with 0"]
+    caplog.clear()
+    assert registry.others is not None
+    convert = registry.others.toward("sensor_msgs/msg/Range", "humble")
+    assert convert is not None
+    theirs = convert(registry.codec("sensor_msgs/Range").encode({"range": 1.25}))
+    assert humble.codec("sensor_msgs/Range").decode(theirs)["range"] == 1.25
+    assert registry.others.toward("sensor_msgs/msg/Range", "jazzy") is None
+    assert registry.others.toward("std_msgs/msg/String", "humble") is None
+
+
+def test_types_within_types() -> None:
+    """A type that is made of one that has changed is carried over, too."""
+    registry, foxy = TypeRegistry(), TypeRegistry("foxy", alone=True)
+    raw = foxy.codec("visualization_msgs/MarkerArray").encode({"markers": [{"id": 3}, {"id": 4}]})
+    found = registry.codec("visualization_msgs/MarkerArray").decode(raw)
+    assert [marker["id"] for marker in found["markers"]] == [3, 4]
+
+
+def test_own_definitions_are_taken_at_their_word() -> None:
+    """A type that the user defines, or a damaged message, is not taken for another distribution's."""
+    registry = TypeRegistry()
+    registry.add_text("sensor_msgs/msg/Range", "float64 distance\n", replace=True)
+    raw = TypeRegistry("humble").codec("sensor_msgs/Range").encode({"range": 1.25})
+    with pytest.raises(DecodeError):
+        registry.codec("sensor_msgs/Range").decode(raw)
+    with pytest.raises(DecodeError):
+        HERE.codec("sensor_msgs/Range").decode(raw[:-8])
