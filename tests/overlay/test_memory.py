@@ -6,6 +6,7 @@ import asyncio
 import gc
 import tracemalloc
 from collections.abc import AsyncIterator, Callable
+from functools import partial
 
 import pytest
 
@@ -33,11 +34,11 @@ async def pair(site: Site) -> AsyncIterator[tuple[OverlayGraph, OverlayGraph]]:
     yield await site.join(), await site.join(max_message_bytes=MIB)
 
 
-async def put_until(graph: OverlayGraph, key: str, packet: bytes, condition: Callable[[], bool]) -> None:
-    """Put a packet again and again: the way to a reader may be there a moment after the reader."""
+async def put_until(graph: OverlayGraph, key: str, make: Callable[[], bytes], condition: Callable[[], bool]) -> None:
+    """Put packet after packet: the way to a reader, and its key, may be there a moment after the reader."""
     async with asyncio.timeout(30):
         while not condition():
-            await asyncio.to_thread(graph.node.fabric.put, 4, key, packet)
+            await asyncio.to_thread(graph.node.fabric.put, 4, key, make())
             await asyncio.sleep(0.05)
 
 
@@ -49,12 +50,12 @@ async def test_a_packet_of_bombs(pair: tuple[OverlayGraph, OverlayGraph]) -> Non
     publisher = await near.create_publisher("/x", STRING)
     await until(lambda: publisher.subscribers, 30)
     items = [Item(n, 0, 1, b"o" * 16, 0, ZSTD, bomb(1024 * MIB)) for n in range(1, 5)]
-    packet = publisher.source.seal(items)
     tracemalloc.start()
     try:
         before = tracemalloc.get_traced_memory()[0]
         tracemalloc.reset_peak()
-        await put_until(near, publisher.key, packet, lambda: Refusal.TOO_BIG in refusals(far))
+        make = partial(publisher.source.seal, items)
+        await put_until(near, publisher.key, make, lambda: Refusal.TOO_BIG in refusals(far))
         assert tracemalloc.get_traced_memory()[1] - before < 8 * MIB
     finally:
         tracemalloc.stop()
@@ -68,8 +69,10 @@ async def test_many_messages_in_one_packet(pair: tuple[OverlayGraph, OverlayGrap
     await far.create_subscription("/x", STRING, QoS(), lambda _: None)
     publisher = await near.create_publisher("/x", STRING)
     await until(lambda: publisher.subscribers, 30)
-    packet = publisher.source.seal([Item(n, 0, 1, b"o" * 16, 0, RAW, b"") for n in range(1, 60_000)])
-    await put_until(near, publisher.key, packet, lambda: Refusal.TOO_BIG in refusals(far))
+    items = [Item(n, 0, 1, b"o" * 16, 0, RAW, b"") for n in range(1, 60_000)]
+    await put_until(
+        near, publisher.key, partial(publisher.source.seal, items), lambda: Refusal.TOO_BIG in refusals(far)
+    )
 
 
 async def test_packets_without_a_key(pair: tuple[OverlayGraph, OverlayGraph]) -> None:
@@ -81,7 +84,7 @@ async def test_packets_without_a_key(pair: tuple[OverlayGraph, OverlayGraph]) ->
     await until(lambda: publisher.subscribers, 30)
     junk = bytearray(publisher.source.seal([Item(1, 0, 1, b"o" * 16, 0, RAW, bytes(MIB - 1000))]))
     junk[4:8] = b"\xff\xff\xff\xff"  # an epoch that was never granted
-    await put_until(near, publisher.key, bytes(junk), lambda: Refusal.NO_KEY in refusals(far))
+    await put_until(near, publisher.key, lambda: bytes(junk), lambda: Refusal.NO_KEY in refusals(far))
     assert far.node.held.bytes <= 3 * MIB
     await publisher.close()
     await until(lambda: far.node.held.bytes == 0, 30)
