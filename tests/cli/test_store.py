@@ -83,6 +83,8 @@ def test_mistakes(place: Place) -> None:
     assert "a pattern removes nothing" in place.run("store", "rm", "A/*", "--at", place.http, code=2)
     assert "is a gateway running there?" in place.run("store", "list", "--at", "http://127.0.0.1:9", code=1)
     assert "does not exist" in place.run("store", "list", "--at", "/nowhere/x.sqlite", code=1)
+    assert "no parameter but token" in place.run("store", "list", "--at", f"{place.http}/?tokn=abc", code=1)
+    assert place.run("store", "list", "--at", f"{place.http}?token=abc") == ""
     assert "is watched at a gateway" in place.run("store", "watch", "--at", place.store, code=1)
 
 

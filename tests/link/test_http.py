@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ropeway.errors import InvalidFrame
-from ropeway.link.http import Response, parse_head, reply
+from ropeway.link.http import Response, parse_head, reply, without_token
 
 NAMES = st.text("abcXYZ-019!#$%&'*+.^_`|~", min_size=1, max_size=12)
 VALUES = st.text(st.characters(min_codepoint=33, max_codepoint=126), max_size=30)
@@ -101,3 +101,17 @@ def test_an_answer() -> None:
     assert {"Retry-After: 10", "Connection: close", f"Content-Length: {len(body)}"} <= set(lines)
     assert response.encode(body=False) == top + b"\r\n\r\n"
     assert Response(200).encode().endswith(b"\r\n\r\n")
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("ws://host:9090/?token=secret", "ws://host:9090/?token=..."),
+        ("ws://host/a?x=1&access_token=secret&y=2", "ws://host/a?x=1&access_token=...&y=2"),
+        ("ws://host/?mytoken=1", "ws://host/?mytoken=1"),
+        ("ws://host/", "ws://host/"),
+    ],
+)
+def test_addresses_that_are_shown(url: str, shown: str) -> None:
+    """An address is shown without the token in its query."""
+    assert without_token(url) == shown

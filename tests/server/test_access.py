@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ropeway.errors import AccessDenied
+from ropeway.qos import QoS
 from ropeway.server.access import EVERYTHING, VERBS, Access, Globs, Role
 from ropeway.server.door import Door
 from tests.server.client import Client
@@ -162,6 +163,44 @@ def test_rates() -> None:
     access.spend("publish", "/x", 600)
 
 
+def test_parts_of_ros1_actions() -> None:
+    """On ROS 1 the topics of an action need the right to the action, and what denies its goals denies them."""
+    actions = {"/navigate"}
+    everything = ("/*",)
+
+    def allowed(verb: str, name: str, **rights: Any) -> bool:
+        role = Role("r", rights.get("allow", {}), rights.get("deny", {}))
+        return Access(role, ros1_actions=lambda: actions).allows(verb, name)
+
+    topics = {"publish": everything, "subscribe": everything}
+    assert not allowed("publish", "/navigate/goal", allow=topics)
+    assert not allowed("publish", "/navigate/feedback", allow=topics)
+    assert allowed("publish", "/navigate/goal", allow={**topics, "send_action_goal": everything})
+    assert allowed("publish", "/move_base_simple/goal", allow=topics)
+    assert allowed("subscribe", "/navigate/status", allow=topics)
+    for verb, name in (("publish", "/later/goal"), ("publish", "/later/cancel"), ("subscribe", "/later/result")):
+        assert not allowed(verb, name, allow=topics, deny={"send_action_goal": ("/later",)})
+
+
+def test_feedback_of_denied_actions() -> None:
+    """Whoever may not use an action does not read its feedback either, also as a topic."""
+    role = Role("r", {"subscribe": ("*",)}, {"send_action_goal": ("/navigate",)})
+    assert not Access(role).allows("subscribe", "/navigate/_action/feedback")
+    assert Access(role).allows("subscribe", "/dock/_action/status")
+
+
+def test_services_beside_rosapi() -> None:
+    """A service of a node needs the right to be called, also below /rosapi."""
+    access = Access(Role("r", {}))
+    assert access.allows("call_service", "/rosapi/topics")
+    assert not access.allows("call_service", "/rosapi/set_parameters")
+    assert not access.allows("call_service", "/rosapi/set_param")
+    namespaced = Access(Role("r", {}), is_own=lambda name: name.startswith("/robot1/rosapi/"))
+    assert namespaced.allows("call_service", "/robot1/rosapi/topics")
+    assert not namespaced.allows("call_service", "/robot1/rosapi/delete_param")
+    assert not namespaced.allows("call_service", "/rosapi/topics")
+
+
 # ── sessions ───────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -170,6 +209,29 @@ async def start(place: Place, role: Role, globs: Globs | None = None) -> Client:
     client = await place.client(path="/?status=1")
     await until(lambda: place.server.sessions)
     return client
+
+
+@pytest.mark.parametrize(
+    ("role", "globs", "topics"),
+    [
+        (EVERYTHING, Globs(), {"/seen", "/hidden"}),
+        (Role("r", {"subscribe": ("/seen",)}), Globs(), {"/seen"}),
+        (Role("r", {"publish": ("*",)}, {"publish": ("/hidden",)}), Globs(), {"/seen"}),
+        (Role("r", {}), Globs(), set()),
+        (EVERYTHING, Globs(topics_pub=("/seen",), topics_sub=("/seen",)), {"/seen"}),
+    ],
+)
+async def test_what_a_gateway_is_shown(bare: Place, role: Role, globs: Globs, topics: set[str]) -> None:
+    """A gateway that watches is shown what its role and the globs allow it anything with, and no other node."""
+    await bare.start(door=Door(default=role, globs=globs))
+    for name in ("/seen", "/hidden"):
+        await bare.robot.create_publisher(name, STRING, QoS())
+    client = await bare.client(subprotocol="ropeway.1")
+    client.send({"op": "watch"})
+    while (message := await client.json())["op"] != "graph":
+        pass
+    assert topics == message["topics"].keys() & {"/seen", "/hidden"}
+    assert ("/robot" in message["nodes"]) is bool(topics)
 
 
 async def answer(client: Client, op: dict[str, Any]) -> Any:

@@ -30,6 +30,7 @@ from ropeway.graph.factory import open_graph
 from ropeway.graph.hub import Hub, View
 from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.link.connection import Limits
+from ropeway.link.http import without_token
 from ropeway.link.listener import Listener
 from ropeway.server import RosbridgeServer
 from ropeway.server.entrance import Entrance
@@ -233,7 +234,7 @@ class Gateway:
     def _view(self, stack: AsyncExitStack, views: dict[str, View], url: str, config: RemoteConfig) -> View:
         view = views.get(url)
         if view is None:
-            view = views[url] = self.hubs[url].view(config.address)
+            view = views[url] = self.hubs[url].view(without_token(config.address))
             stack.push_async_callback(view.close)
         return view
 
@@ -376,5 +377,5 @@ def _credentials(remote: RemoteConfig, path: str) -> dict[str, str]:
     if remote.token is None:
         return {}
     if not is_secure(remote.address) and not is_loopback(remote.address):
-        log.warning("%s: the token travels in clear; wss:// would hide it", remote.address)
+        log.warning("%s: the token travels in clear; wss:// would hide it", without_token(remote.address))
     return {"Authorization": f"Bearer {read_secret(remote.token, path)}"}

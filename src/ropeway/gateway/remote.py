@@ -12,6 +12,7 @@ from ropeway.gateway.config import Route
 from ropeway.gateway.model import RemoteConfig
 from ropeway.graph.base import Graph
 from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
+from ropeway.link.http import without_token
 
 if TYPE_CHECKING:
     from ropeway.graph.iort import IortGraph, RemoteLink
@@ -67,7 +68,7 @@ class LinkRemote(Remote):
         bytes_in, bytes_out = self.graph.traffic
         pace = peer.connection.flow.pace.bytes_per_s if peer is not None else None
         return {
-            "address": self.config.address,
+            "address": without_token(self.config.address),
             "title": self.config.title,
             "state": self.state,
             "error": self.graph.last_error,
@@ -99,7 +100,7 @@ class IortRemote(Remote):
     def status(self) -> dict[str, Any]:
         """The link, for people and programs."""
         return {
-            "address": self.config.address,
+            "address": without_token(self.config.address),
             "title": self.config.title,
             "state": self.state,
             "error": "" if self.link.connected else self.link.node.last_error,
@@ -128,7 +129,7 @@ class OverlayRemote(Remote):
     def status(self) -> dict[str, Any]:
         """The overlay as this member sees it."""
         return {
-            "address": self.config.address,
+            "address": without_token(self.config.address),
             "title": self.config.title,
             "state": self.state,
             "error": self.graph.node.trouble or self.graph.node.links.unlinked,
@@ -158,7 +159,7 @@ def _route(route: Route, bridge: Bridge, state: str) -> dict[str, Any]:
         "operation": route.operation,
         "name": route.name,
         "remote_name": route.remote_name,
-        "address": route.remote.address,
+        "address": without_token(route.remote.address),
         "type": route.type,
         "state": bridge.state if state == "connected" else state,
     }

@@ -22,7 +22,7 @@ class _Handler:
         """Tell the listener, or the handler that was there before."""
         if context.get("message") == "SSL handshake failed" and self.listeners:
             error = context.get("exception")
-            text = str(error) or getattr(error, "__name__", error)
+            text = _explained(error)
             self._listener(context.get("transport")).note("handshake", "", text)
         elif self.others is not None:
             self.others(loop, context)
@@ -54,3 +54,16 @@ def watch_handshakes(complaints: Complaints, port: int) -> Callable[[], None]:
             loop.set_exception_handler(handler.others)
 
     return end
+
+
+def _explained(error: object) -> str:
+    """Return why a handshake failed, in words for whoever has to mend the client."""
+    reason = getattr(error, "reason", None)
+    if reason in ("HTTP_REQUEST", "WRONG_VERSION_NUMBER"):
+        return "a client speaks ws:// or http:// without TLS, and this listener wss:// or iorts://"
+    if reason == "PEER_DID_NOT_RETURN_A_CERTIFICATE":
+        return "a client showed no certificate, and tls.ca asks for one"
+    kind = error if isinstance(error, type) else type(error)
+    if issubclass(kind, ConnectionError):
+        return "a client left before TLS was agreed upon: it does not trust the certificate, or speaks something else"
+    return str(error) or kind.__name__

@@ -13,11 +13,12 @@ from urllib.parse import parse_qs, urlsplit
 from ropeway.errors import InvalidFrame
 from ropeway.limits import HTTP_HEAD_BYTES
 
-__all__ = ["MAX_HEAD_BYTES", "Request", "Response", "parse_head", "reply"]
+__all__ = ["MAX_HEAD_BYTES", "Request", "Response", "parse_head", "reply", "without_token"]
 
 MAX_HEAD_BYTES: Final = HTTP_HEAD_BYTES
 """A longer head of a request is refused with 431."""
 
+_SECRET: Final = re.compile(r"([?&](?:token|access_token)=)[^&#\s]*", re.IGNORECASE)
 _MAX_HEADERS: Final = 128
 _TOKEN: Final = re.compile(rb"[!#$%&'*+.^_`|~0-9A-Za-z-]+")
 _VALUE: Final = re.compile(rb"[\t\x20-\x7e\x80-\xff]*")
@@ -95,6 +96,11 @@ def reply(status: int, value: Any, **headers: str) -> Response:
     """An answer in JSON; the names of ``headers`` are written with ``_`` for ``-``."""
     named = {name.replace("_", "-"): text for name, text in headers.items()}
     return Response(status, json.dumps(value).encode() + b"\n", {"Content-Type": "application/json", **named})
+
+
+def without_token(url: str) -> str:
+    """Return an address as it may be shown: a token in its query is replaced by dots."""
+    return _SECRET.sub(r"\1...", url)
 
 
 def parse_head(head: bytes) -> Request:

@@ -16,7 +16,7 @@ from ropeway.errors import ConnectFailed
 from ropeway.link.complaints import Complaints
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.front import Admission, Admit, Front, Http, Port
-from ropeway.link.http import Request, Response, reply
+from ropeway.link.http import Request, Response, reply, without_token
 from ropeway.link.listener import Listener, open_listener
 from ropeway.link.lobby import Lobby
 from ropeway.wire.frames import json_value
@@ -37,6 +37,7 @@ _picows_log = _PicowsLog(logging.getLogger("ropeway.link.picows"), {})
 
 _OTHER_HOST: Final = (62, 64)  # OpenSSL: X509_V_ERR_HOSTNAME_MISMATCH, X509_V_ERR_IP_ADDRESS_MISMATCH
 _EXPIRED: Final = 10
+_PLAIN: Final = ("WRONG_VERSION_NUMBER", "HTTP_REQUEST", "UNKNOWN_PROTOCOL", "PACKET_LENGTH_TOO_LONG")
 
 
 async def connect(
@@ -53,7 +54,8 @@ async def connect(
     ``on_connection`` is called before the first message: what the server says at once is lost without.
     Raises ``ConnectFailed``; its ``retryable`` is false for answers that another try will not change.
     """
-    connection = Connection(limits, peer=url)
+    shown = without_token(url)
+    connection = Connection(limits, peer=shown)
     if on_connection is not None:
         connection.on_connected = lambda: on_connection(connection)
     extra = dict(headers or {})
@@ -74,22 +76,24 @@ async def connect(
                 max_redirects=0,  # a token is for the host that was named, and only that host was to be reached
             )
     except TimeoutError:
-        raise ConnectFailed(url, "no answer in time") from None
+        raise ConnectFailed(shown, "no answer in time") from None
     except ssl.SSLCertVerificationError as error:
-        raise ConnectFailed(url, _distrust(error), retryable=False) from None
+        raise ConnectFailed(shown, _distrust(error), retryable=False) from None
     except picows.WSError as error:
         response = getattr(error, "response", None)
         status = response.status.value if response is not None else None
         if status is not None and 300 <= status < 400:
-            raise ConnectFailed(url, f"answered HTTP {status}: {_redirects(response)}", retryable=False) from None
+            raise ConnectFailed(shown, f"answered HTTP {status}: {_redirects(response)}", retryable=False) from None
         fatal = status in (400, 401, 403, 404)
         what = f"answered HTTP {status}{_said(error)}" if status else f"is not a WebSocket server ({error})"
-        raise ConnectFailed(url, what, retryable=not fatal) from None
+        raise ConnectFailed(shown, what, retryable=not fatal) from None
     except OSError as error:
-        raise ConnectFailed(url, _reason(error)) from None
+        raise ConnectFailed(shown, _reason(error)) from None
     if connection.closed or not connection.writable:  # picows takes a server that hangs up for one that answers
-        hint = "; does it ask for a certificate that it trusts (tls.certificate)?" if ssl_context is not None else ""
-        raise ConnectFailed(url, f"closed the connection during the handshake{hint}")
+        hint = "; does it speak wss:// (TLS)?"
+        if ssl_context is not None or url.startswith("wss:"):
+            hint = "; does it ask for a certificate that it trusts (tls.certificate)?"
+        raise ConnectFailed(shown, f"closed the connection during the handshake{hint}")
     return connection
 
 
@@ -170,6 +174,8 @@ def _distrust(error: ssl.SSLCertVerificationError) -> str:
 
 def _reason(error: OSError) -> str:
     """What the operating system says, without the words of the event loop around it."""
+    if isinstance(error, ssl.SSLError) and error.reason in _PLAIN:
+        return "does not speak TLS; is it a ws:// server?"
     if isinstance(error, (socket.gaierror, ssl.SSLError)) or not error.errno:
         return error.strerror or str(error)
     return os.strerror(error.errno)

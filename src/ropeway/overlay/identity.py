@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import logging
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ from ropeway.overlay.certificate import Certificate, PrivateKey, common_name, si
 from ropeway.wire.frames import json_value
 
 __all__ = ["Identity", "bundle_text", "private_pem", "public_bytes", "read_bundle", "write_private"]
+
+log = logging.getLogger("ropeway.overlay")
 
 _VERSION: Final = 1
 
@@ -92,6 +95,8 @@ class Identity:
         path = Path(path)
         try:
             text = path.read_text()
+            if os.name == "posix" and path.stat().st_mode & 0o077:
+                log.warning("%s: others can read this key; chmod 600 keeps it secret", path)
         except FileNotFoundError:
             raise IdentityError(str(path), "there is no such bundle; make one with: ropeway keys issue NAME") from None
         except (OSError, UnicodeDecodeError) as error:

@@ -5,7 +5,7 @@ and is compared with the absolute name. What no pattern of a role names is not a
 
 Two kinds of name are not what they seem. The services of rosapi are the server's own: reading is always allowed,
 unless ``deny`` names it; changing parameters is a call like others. The services ``<action>/_action/…`` are an action
-in parts: they need the right to the action, and no other.
+in parts: they need the right to the action, and no other. So do, on ROS 1, the topics ``<action>/goal`` and its kin.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import logging
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final
 
 from ropeway.errors import AccessDenied
-from ropeway.server.rosapi import Globs
+from ropeway.server.rosapi import SERVICES, Globs
 
 __all__ = ["EVERYTHING", "VERBS", "Access", "Globs", "Role"]
 
@@ -47,10 +47,16 @@ _GLOB_OF: Final[Mapping[str, tuple[str, str]]] = {
     "send_action_goal": ("actions", "actions_glob"),
     "advertise_action": ("actions", "actions_glob"),
 }
-_ROSAPI: Final = "/rosapi/"
-_ROSAPI_CHANGES: Final = frozenset(("/rosapi/set_param", "/rosapi/delete_param"))
+_ROSAPI: Final = frozenset(f"/rosapi/{name}" for name in SERVICES)
+_CHANGES: Final = ("/rosapi/set_param", "/rosapi/delete_param")
+_VERBS_OF: Final[Mapping[str, tuple[str, ...]]] = {
+    "topics": ("subscribe", "publish"),
+    "services": ("call_service", "advertise_service"),
+    "actions": ("send_action_goal", "advertise_action"),
+}
 _PART_OF_ACTION: Final = re.compile(r"(.+)/_action/(?:send_goal|cancel_goal|get_result)")
 _TOPIC_OF_ACTION: Final = re.compile(r"(.+)/_action/(?:feedback|status)")
+_TOPIC_OF_ROS1_ACTION: Final = re.compile(r"(.+)/(goal|cancel|feedback|status|result)")
 
 
 @dataclass(frozen=True)
@@ -69,16 +75,21 @@ class Role:
     max_message_bytes: int | None = None
     max_clients: int | None = None
 
-    def rule_against(self, verb: str, name: str) -> str:
-        """What of this role forbids it; ``""`` where nothing does."""
-        denied = next((p for p in self.deny.get(verb, ()) if _matches(name, (p,))), None)
-        if denied is not None:
-            return f"role {self.name} denies {denied}"
-        if verb == "call_service" and name.startswith(_ROSAPI) and name not in _ROSAPI_CHANGES:
+    def rule_against(self, verb: str, name: str, *, own: bool = False) -> str:
+        """Return what of this role forbids it, ``""`` where nothing does; ``own`` is a service of our rosapi."""
+        denied = self.denies(verb, name)
+        if denied:
+            return denied
+        if own and not name.endswith(_CHANGES):
             return ""
         if self._allowed[verb].fullmatch(name) is None:
             return f"role {self.name} does not list it under {verb}"
         return ""
+
+    def denies(self, verb: str, name: str) -> str:
+        """Return the exception of this role that forbids it, ``""`` where there is none."""
+        denied = next((p for p in self.deny.get(verb, ()) if _matches(name, (p,))), None)
+        return "" if denied is None else f"role {self.name} denies {denied}"
 
     @cached_property
     def _allowed(self) -> Mapping[str, re.Pattern[str]]:
@@ -96,7 +107,8 @@ class Access:
     """What one client may do.
 
     ``client`` names it in the log; ``tally`` counts denials of all clients by rule. ``denied`` counts those of this
-    one. ``limited`` is false where ``spend`` has nothing to watch.
+    one. ``limited`` is false where ``spend`` has nothing to watch. ``is_own`` tells the services of our rosapi from
+    those of nodes. ``ros1_actions`` gives the actions of a ROS 1 network, where their parts are ordinary topics.
     """
 
     def __init__(
@@ -107,7 +119,10 @@ class Access:
         client: str = "",
         tally: Counter[str] | None = None,
         clock: Callable[[], float] = time.monotonic,
+        is_own: Callable[[str], bool] = _ROSAPI.__contains__,
+        ros1_actions: Callable[[], Container[str]] | None = None,
     ) -> None:
+        self._is_own, self._ros1_actions = is_own, ros1_actions
         self.role, self.globs, self.client = role, globs or Globs(), client
         self.denied: Counter[str] = Counter()
         self.limited = role.messages_per_s is not None or role.bytes_per_s is not None
@@ -129,6 +144,15 @@ class Access:
         """True if the client may do this; nothing is counted."""
         return not self._rule_against(verb, name)
 
+    @property
+    def unrestricted(self) -> bool:
+        """Return whether the client may do everything."""
+        return self.role is EVERYTHING and self.globs == Globs()
+
+    def sees(self, kind: str, name: str) -> bool:
+        """Return whether the client may do anything with a topic, service or action (``kind`` in plural)."""
+        return any(self.allows(verb, name) for verb in _VERBS_OF[kind])
+
     def spend(self, verb: str, name: str, size_bytes: int) -> None:
         """Count a message towards the rates of the role. Raises ``AccessDenied`` for one too many."""
         now, role = self._clock(), self.role
@@ -139,6 +163,10 @@ class Access:
 
     def _rule_against(self, verb: str, name: str) -> str:
         key = (verb, name)
+        if self._ros1_actions is not None and (part := _TOPIC_OF_ROS1_ACTION.fullmatch(name)):
+            against = self._against_part(verb, _absolute(part[1]), part[2])
+            if against:  # not remembered: actions come and go
+                return against
         rule = self._known.get(key)
         if rule is None:
             if len(self._known) >= _KNOWN_LIMIT:
@@ -146,13 +174,26 @@ class Access:
             rule = self._known[key] = self._decide(*_meant(verb, _absolute(name)))
         return rule
 
+    def _against_part(self, verb: str, action: str, part: str) -> str:
+        """Return what forbids a topic of a ROS 1 network that is, or may become, a part of an action."""
+        assert self._ros1_actions is not None
+        use = "send_action_goal" if part in ("goal", "cancel") else "advertise_action"
+        if verb == "publish":
+            there = action in self._ros1_actions()
+            return self.role.rule_against(use, action) if there else self.role.denies(use, action)
+        return self.role.denies("send_action_goal", action) if verb == "subscribe" else ""
+
     def _decide(self, verb: str, name: str) -> str:
         attribute, glob = _GLOB_OF[verb]
         patterns = getattr(self.globs, attribute)
-        own = verb == "call_service" and name.startswith(_ROSAPI)
+        own = verb == "call_service" and self._is_own(name)
+        if verb == "subscribe" and (part := _TOPIC_OF_ACTION.fullmatch(name)):
+            denied = self.role.denies("send_action_goal", part[1])
+            if denied:
+                return denied
         if patterns is not None and not own and not _matches(name, patterns, literal=True):
             return glob
-        return self.role.rule_against(verb, name)
+        return self.role.rule_against(verb, name, own=own)
 
     def _refused(self, verb: str, name: str, rule: str) -> AccessDenied:
         error = AccessDenied(verb, name[:200], rule)

@@ -228,6 +228,17 @@ class RosbridgeServer:
             if not stays(watcher.request, watcher.access.role):
                 watcher.end()
 
+    def _access(self, role: Role, peer: str) -> Access:
+        ros1 = self.hub.graph.kind == "ros1"
+        return Access(
+            role,
+            self.entrance.door.globs,
+            client=peer,
+            tally=self.denied,
+            is_own=self.rosapi.serves,
+            ros1_actions=self.hub.graph.actions if ros1 else None,
+        )
+
     def _connected(self, connection: Connection) -> None:
         if connection.subprotocol != ROPEWAY_SUBPROTOCOL:
             connection.silence_s = self.silence_s
@@ -244,7 +255,7 @@ class RosbridgeServer:
             on_advertised=self.lingering.advertised,
             call_timeout_s=self.call_timeout_s,
             cancel_goals=self.cancel_goals,
-            access=Access(role, self.entrance.door.globs, client=connection.peer, tally=self.denied),
+            access=self._access(role, connection.peer),
             rosapi=self.rosapi,
             names=self._names,
             ros1=self._ros1,

@@ -256,7 +256,7 @@ class Session:
             if self.remote.get("name"):
                 self.view.user = f"gateway {self.remote['name']} ({self.peer.connection.peer})"
         elif op == "watch" and self._watch is None:
-            self._watch = Watch(self.view, self.peer.send)
+            self._watch = Watch(self.view, self.peer.send, self.access)
         elif op == "accepted" or op == "cancelling":
             self.actions.control(message)
 

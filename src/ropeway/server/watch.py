@@ -11,17 +11,22 @@ from ropeway.tasks import Supervised
 
 if TYPE_CHECKING:
     from ropeway.graph.base import Graph, GraphEvent
+    from ropeway.server.access import Access
 
 __all__ = ["Watch"]
 
 _GATHER_S: Final = 0.02  # changes come in flocks; one message tells of all
 
 
-class Watch:
-    """Sends ``graph`` messages until closed."""
+_KINDS: Final = ("topics", "services", "actions")
+_KIND_OF: Final = {"publishers": "topics", "subscriptions": "topics", "services": "services", "clients": "services"}
 
-    def __init__(self, graph: Graph, send: Callable[[Mapping[str, Any]], None]) -> None:
-        self._graph, self._send = graph, send
+
+class Watch:
+    """Sends ``graph`` messages until closed: of what ``access`` allows anything with, and of the nodes that have it."""
+
+    def __init__(self, graph: Graph, send: Callable[[Mapping[str, Any]], None], access: Access) -> None:
+        self._graph, self._send, self._access = graph, send, access
         self._known: dict[str, dict[str, Any]] = {"topics": {}, "nodes": {}, "services": {}, "actions": {}}
         self._task = Supervised(lambda: self._run(graph.changes()), "watch graph").start()
 
@@ -34,6 +39,8 @@ class Watch:
     def _tell(self, *, everything: bool = False) -> None:
         graph = self._graph
         now = describe(graph.topics(), graph.nodes(), graph.services(), graph.actions())
+        if not self._access.unrestricted:
+            now = self._seen(now)
         message: dict[str, Any] = {"op": "graph"}
         for key, values in now.items():
             known = self._known[key]
@@ -44,6 +51,18 @@ class Watch:
             self._known[key] = values
         if len(message) > 1:
             self._send(message)
+
+    def _seen(self, everything: dict[str, Any]) -> dict[str, Any]:
+        sees = self._access.sees
+        found: dict[str, Any] = {
+            kind: {name: value for name, value in everything[kind].items() if sees(kind, name)} for kind in _KINDS
+        }
+        nodes = {
+            node: {part: [item for item in has if sees(_KIND_OF[part], item[0])] for part, has in parts.items()}
+            for node, parts in everything["nodes"].items()
+        }
+        found["nodes"] = {node: parts for node, parts in nodes.items() if any(parts.values())}
+        return found
 
     async def close(self) -> None:
         """Stop telling."""

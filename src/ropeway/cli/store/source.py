@@ -11,13 +11,14 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Annotated, Any, Final, Protocol, TypeVar
 from urllib.error import HTTPError, URLError
-from urllib.parse import quote, urlsplit
+from urllib.parse import parse_qs, quote, urlsplit
 from urllib.request import Request, urlopen
 
 import typer
 
 from ropeway.errors import ConnectFailed, StoreUnavailable
 from ropeway.iort import Node, NodeError, kind_of
+from ropeway.link.http import without_token
 from ropeway.store import Entry, make_backend
 
 __all__ = ["AtOption", "CaOption", "Source", "TokenOption", "find_source", "key_of", "shown"]
@@ -63,8 +64,16 @@ class Source(Protocol):
 
 
 def find_source(at: str, token: str, ca: str) -> Source:
-    """What ``--at`` names."""
-    scheme = urlsplit(at).scheme
+    """Return what ``--at`` names; ``?token=`` in an address counts as ``--token``."""
+    parts = urlsplit(at)
+    scheme = parts.scheme
+    if scheme in ("http", "https", "iort", "iorts") and parts.query:
+        query = parse_qs(parts.query)
+        token = token or [*query.pop("token", ()), *query.pop("access_token", ()), ""][0]
+        if query:
+            others = ", ".join(sorted(query))
+            raise ConnectFailed(without_token(at), f"the address has no parameter but token, got {others}")
+        at = parts._replace(query="").geturl()
     if scheme in ("http", "https"):
         return _Gateway(at.rstrip("/"), token, ca)
     if scheme in ("iort", "iorts"):

@@ -269,6 +269,8 @@ def _keeps_alive(version: str, headers: dict[str, str]) -> bool:
 
 def _loads(body: bytes) -> tuple[tuple[Any, ...], str | None]:
     """Parameters and method of an XML-RPC body. Raises ``_Malformed``; ``Fault`` where the body is one."""
+    if b"\0" in body:  # UTF-16, in which what follows could not be found
+        raise _Malformed("XML-RPC is written in UTF-8")
     if b"<!DOCTYPE" in body or b"<!ENTITY" in body:
         raise _Malformed("XML-RPC has no document types")
     try:

@@ -37,6 +37,7 @@ from ropeway.graph.rosbridge.servers import RemoteActionServer
 from ropeway.graph.rosbridge.services import RemoteClient, RemoteService
 from ropeway.link.calls import OP_CHANNELS
 from ropeway.link.connection import Connection, Limits
+from ropeway.link.http import without_token
 from ropeway.link.peer import Packing, Peer
 from ropeway.link.websocket import connect
 from ropeway.qos import DEFAULT, QoS
@@ -85,7 +86,8 @@ class RosbridgeGraph:
         plain: bool = False,
         ros1: bool | None = None,
     ) -> None:
-        self.name = url
+        self._url = url
+        self.name = shown = without_token(url)
         self.registry = registry or TypeRegistry()
         self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self.echoes: dict[str, EchoFilter] = {}
@@ -102,10 +104,10 @@ class RosbridgeGraph:
         self._subscriptions: dict[int, RemoteSubscription] = {}
         self._changes = Changes()
         self.calls = Calls(self)
-        self.mirror = Mirror(url, self._changes, self.calls.changed)
-        self._keeper = Keeper(url, limits or Limits(), self._connect)
+        self.mirror = Mirror(shown, self._changes, self.calls.changed)
+        self._keeper = Keeper(shown, limits or Limits(), self._connect)
         self._noted_types: set[str] = set()
-        self.plain_server = PlainServer(url, self.registry, ros1=ros1)
+        self.plain_server = PlainServer(shown, self.registry, ros1=ros1)
         self.teller = Teller(self.registry, graph=True)
         self._traffic = (0, 0)
         self._rosapi_error = ""
@@ -174,7 +176,7 @@ class RosbridgeGraph:
     async def _connect(self, limits: Limits) -> Callable[[], Awaitable[None]]:
         peers: list[Peer] = []
         connection = await connect(
-            self.name,
+            self._url,
             limits=limits,
             subprotocols=() if self._plain else (ROPEWAY_SUBPROTOCOL,),
             ssl_context=self._ssl,
