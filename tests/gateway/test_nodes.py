@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import math
 from collections.abc import AsyncIterator
@@ -319,6 +320,29 @@ async def test_http(world: World) -> None:
         assert json.loads(await reader.readline())["removed"] is True
         writer.close()
         assert (await http(port, "/store/PEPPER/battery", "DELETE"))[0] == 404
+
+
+async def test_http_watchers(world: World, tmp_path: Path) -> None:
+    """Watchers count as clients, and end when their token is gone."""
+    token = tmp_path / "token"
+    token.write_text("first")
+    auth = {"tokens": [{"token": {"file": str(token)}}]}
+    gateway, _ = await with_nodes(world, [], store={"path": "memory:"}, auth=auth, clients={"max_clients": 1})
+    port = gateway.servers[0].listeners[0].port
+    ask = b"GET /store?watch=1&token=first HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(ask)
+    assert b" 200 " in await reader.readuntil(b"\r\n\r\n")
+    second, other = await asyncio.open_connection("127.0.0.1", port)
+    other.write(ask)
+    assert b" 503 " in await second.readuntil(b"\r\n\r\n")
+    token.write_text("second")
+    gateway.reload()
+    with contextlib.suppress(ConnectionError):
+        assert await reader.read() == b""
+    await until(lambda: not gateway.servers[0].watchers)
+    writer.close()
+    other.close()
 
 
 async def test_http_roles(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

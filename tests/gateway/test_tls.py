@@ -6,9 +6,10 @@ import asyncio
 import datetime
 import ipaddress
 import itertools
+import shutil
 import ssl
 import warnings
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
@@ -23,10 +24,11 @@ from ropeway.errors import ConfigError, ConnectFailed
 from ropeway.gateway import config
 from ropeway.gateway.gateway import Gateway
 from ropeway.gateway.model import ListenTls, RemoteTls
-from ropeway.gateway.tls import client_context, server_context
+from ropeway.gateway.tls import certificate_names, client_context, server_context
 from ropeway.graph.memory import MemoryGraph
 from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.link.connection import Limits
+from ropeway.link.websocket import connect
 from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
 from tests.contract.conftest import Inbox
@@ -86,6 +88,16 @@ class Authority:
             "certificate": self._write(f"{name}.crt", certificate.public_bytes(serialization.Encoding.PEM)),
             "key": self._write(f"{name}.key", private),
         }
+
+    def revoke(self, *certificates: str) -> bytes:
+        """A list of revoked certificates, PEM."""
+        builder = x509.CertificateRevocationListBuilder().issuer_name(self._subject)
+        builder = builder.last_update(NOW - DAY).next_update(NOW + DAY)
+        for file in certificates:
+            serial = x509.load_pem_x509_certificate(Path(file).read_bytes()).serial_number
+            entry = x509.RevokedCertificateBuilder().serial_number(serial).revocation_date(NOW - DAY).build()
+            builder = builder.add_revoked_certificate(entry)
+        return builder.sign(self._key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
 
 
 @pytest.fixture(scope="module")
@@ -294,3 +306,96 @@ def test_files_that_do_not_fit(ours: Authority, strangers: Authority, tmp_path: 
     with pytest.raises(ConfigError) as error:
         server_context(ListenTls.model_validate({**one, "ca": str(junk)}))
     assert error.value.problems[0][0] == "gateway.tls.ca"
+
+
+async def secured(stack: AsyncExitStack, ours: Authority, directory: Path, **tls: str) -> tuple[Gateway, Path]:
+    """A gateway that trusts the authorities of a file, which a test may change."""
+    trusted = directory / "trusted.pem"
+    shutil.copy(ours.file, trusted)
+    made, _ = await gateway(stack, f"secured{next(_numbers)}", [], {**ours.sign("server"), "ca": str(trusted), **tls})
+    return made, trusted
+
+
+def join(files: Iterable[str], to: Path) -> None:
+    to.write_text("".join(Path(file).read_text() for file in files))
+
+
+async def comes_in(made: Gateway, ours: Authority, client: dict[str, str]) -> bool:
+    """Whether a client with this certificate comes in."""
+    context = client_context(RemoteTls.model_validate({"ca": ours.file, **client}), "remotes[0].tls")
+    try:
+        connection = await connect(url(made), limits=LIMITS, ssl_context=context)
+    except ConnectFailed:
+        return False
+    connection.close(1000, "")
+    await connection.wait_closed()
+    return True
+
+
+async def test_an_authority_that_is_gone(
+    stack: AsyncExitStack, ours: Authority, strangers: Authority, tmp_path: Path
+) -> None:
+    """An authority that was taken out of the file is trusted no longer after SIGHUP, and who came by it is closed."""
+    made, trusted = await secured(stack, ours, tmp_path)
+    join((ours.file, strangers.file), trusted)
+    made.reload()
+    theirs, mine = strangers.sign("theirs"), ours.sign("mine")
+    assert await comes_in(made, ours, theirs)
+    context = client_context(RemoteTls.model_validate({"ca": ours.file, **theirs}), "remotes[0].tls")
+    standing = await connect(url(made), limits=LIMITS, ssl_context=context)
+    shutil.copy(ours.file, trusted)
+    made.reload()
+    await until(lambda: standing.closed)
+    assert not await comes_in(made, ours, theirs)
+    assert await comes_in(made, ours, mine)
+    standing.abort("the test is over")
+    await standing.wait_closed()
+
+
+async def test_a_revoked_certificate(stack: AsyncExitStack, ours: Authority, tmp_path: Path) -> None:
+    """A certificate on the list of revoked ones is refused, others are not; the list is read again at SIGHUP."""
+    good, bad = ours.sign("good"), ours.sign("bad")
+    revoked = tmp_path / "revoked.pem"
+    revoked.write_bytes(ours.revoke())
+    made, _ = await secured(stack, ours, tmp_path, crl=str(revoked))
+    assert await comes_in(made, ours, bad)
+    revoked.write_bytes(ours.revoke(bad["certificate"]))
+    made.reload()
+    assert not await comes_in(made, ours, bad)
+    assert await comes_in(made, ours, good)
+
+
+async def test_a_list_that_is_none(stack: AsyncExitStack, ours: Authority, tmp_path: Path) -> None:
+    """A file without a list of revoked certificates is an error, at a reload as well, which changes nothing then."""
+    revoked = tmp_path / "revoked.pem"
+    revoked.write_bytes(ours.revoke())
+    made, _ = await secured(stack, ours, tmp_path, crl=str(revoked))
+    revoked.write_text("nothing")
+    with pytest.raises(ConfigError, match=r"gateway\.tls\.crl"):
+        made.reload()
+    assert await comes_in(made, ours, ours.sign("good"))
+
+
+async def test_names_of_the_certificate(ours: Authority, tmp_path: Path) -> None:
+    """The listeners are known by the names that their certificate has."""
+    made = ListenTls.model_validate(ours.sign("named", host="Robot.Example.com"))
+    assert certificate_names(made) == {"robot.example.com"}
+    assert certificate_names(ListenTls.model_validate(ours.sign("addressed", host="10.0.0.7"))) == {"10.0.0.7"}
+
+
+@pytest.mark.parametrize(("spoken", "expected", "told"), [("ws", "wss", "TLS"), ("wss", "ws", "ws://")])
+async def test_ws_and_wss_mixed_up(
+    stack: AsyncExitStack, ours: Authority, caplog: pytest.LogCaptureFixture, spoken: str, expected: str, told: str
+) -> None:
+    """Where one side speaks ws:// and the other wss://, both say so, at once."""
+    name = f"mixed{next(_numbers)}"
+    tls = ours.sign("server") if expected == "wss" else None
+    settings = {"name": name, "graphs": [f"memory:{name}"], "listen": [f"{expected}://127.0.0.1:0"], "tls": tls}
+    made = Gateway(config.parse({"gateway": settings}))
+    await stack.enter_async_context(made)
+    address = f"{spoken}://127.0.0.1:{made.servers[0].listeners[0].port}"
+    context = client_context(RemoteTls.model_validate({"ca": ours.file}), "") if spoken == "wss" else None
+    with pytest.raises(ConnectFailed, match=told):
+        await connect(address, limits=LIMITS, ssl_context=context)
+    await until(lambda: "bad handshake" in caplog.text)
+    assert "wss://" in caplog.text

@@ -8,7 +8,7 @@ from typing import Any
 
 from ropeway.link.complaints import Complaints
 
-__all__ = ["watch_handshakes"]
+__all__ = ["explain_handshake", "watch_handshakes"]
 
 
 class _Handler:
@@ -22,7 +22,7 @@ class _Handler:
         """Tell the listener, or the handler that was there before."""
         if context.get("message") == "SSL handshake failed" and self.listeners:
             error = context.get("exception")
-            text = _explained(error)
+            text = explain_handshake(error)
             self._listener(context.get("transport")).note("handshake", "", text)
         elif self.others is not None:
             self.others(loop, context)
@@ -56,7 +56,7 @@ def watch_handshakes(complaints: Complaints, port: int) -> Callable[[], None]:
     return end
 
 
-def _explained(error: object) -> str:
+def explain_handshake(error: object) -> str:
     """Return why a handshake failed, in words for whoever has to mend the client."""
     reason = getattr(error, "reason", None)
     if reason in ("HTTP_REQUEST", "WRONG_VERSION_NUMBER"):

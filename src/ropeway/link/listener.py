@@ -20,7 +20,7 @@ import aiofastnet
 
 from ropeway.errors import ConnectFailed
 from ropeway.link.complaints import Complaints
-from ropeway.link.handshakes import watch_handshakes
+from ropeway.link.handshakes import explain_handshake, watch_handshakes
 from ropeway.link.lobby import Lobby, Visit
 from ropeway.tasks import Chores
 
@@ -118,7 +118,10 @@ class Listener:
             }
         try:
             await aiofastnet.connect_accepted_socket(self._loop, lambda: self._make(visit), connection, **secure)
-        except (OSError, ssl.SSLError):  # it is told, if it was TLS; who has left by now needs nothing
+        except ssl.SSLError as error:  # which aiofastnet tells nobody else
+            visit.leave()
+            self._complaints.note("handshake", "", explain_handshake(error))
+        except OSError:  # it is told, if it was TLS; who has left by now needs nothing
             visit.leave()
         except BaseException:
             visit.leave()
