@@ -43,6 +43,7 @@ log = logging.getLogger("ropeway.overlay")
 _CHECK_S: Final = 5.0
 _ASK_CRL_S: Final = 20.0
 _ACTIVE_S: Final = 15.0
+_FIRST_PAUSES_S: Final = (0.0, 0.02, 0.05, 0.1, 0.2)
 _REFUSALS: Final = 1024  # kinds of them that are told apart
 _CRLS: Final = 4  # of the largest size that are looked at
 
@@ -143,8 +144,7 @@ class OverlayNode:
                 take = self.fabric.hear(CRL_KEY, lambda _, raw: self._take_crl(raw), limit_bytes=OVERLAY_CRL_BYTES)
                 self._ends.append(take)
                 if await self.links.first():
-                    await self._ask_for_crl()
-                    await self.links.deny()
+                    await self._learn_first()
                 await self.membership.open()
                 self._checking = Supervised(self._keep_checking, "overlay checks").start()
                 self.links.watch()
@@ -185,16 +185,26 @@ class OverlayNode:
                 async with asyncio.timeout(_CHECK_S):
                     await self._ask_crl.wait()
 
-    async def _ask_for_crl(self) -> None:
+    async def _learn_first(self) -> None:
+        """Learn who was revoked before anybody learns of us; a way to a router is there a moment after its link."""
+        for pause_s in _FIRST_PAUSES_S:
+            await asyncio.sleep(pause_s)
+            if await self._ask_for_crl() > 1:  # somebody beside ourselves
+                break
+        await self.links.deny()
+
+    async def _ask_for_crl(self) -> int:
+        """Ask for the newest list; return how many answered."""
         try:
             answers = await self.fabric.ask(CRL_KEY, b"", 2.0, limit_bytes=_CRLS * OVERLAY_CRL_BYTES)
         except RopewayError as error:
             log.debug("overlay: nobody told which certificates are revoked: %s", error)
-            return
+            return 0
         if not self.links.heard(len(answers)):
             self._ask_crl.set()
         for raw in answers:
             self._take_crl(raw)
+        return len(answers)
 
     def recheck(self) -> None:
         """See who lost its right: by revocation, by time. Keys that have served their time are replaced, too."""
