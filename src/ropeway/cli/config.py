@@ -25,6 +25,7 @@ def check(
 ) -> None:
     """Check FILE: print its routes, or every fault with its path. The exit status is 2 where there is a fault."""
     from ropeway.gateway.config import load
+    from ropeway.gateway.type_hints import known_types, type_hints
 
     try:
         config = load(file)
@@ -39,6 +40,7 @@ def check(
             complain(f"{count} problem{'s' if count > 1 else ''}; nothing would start.")
         raise typer.Exit(2) from None
     routes = config.routes()
+    hints = type_hints(config, known_types(config))
     if as_json:
         shown = [
             {
@@ -53,15 +55,21 @@ def check(
             }
             for route in routes
         ]
-        print_json({"valid": True, "file": str(file), "config": config.to_json(), "routes": shown})
+        print_json({"valid": True, "file": str(file), "config": config.to_json(), "routes": shown, **_warned(hints)})
         return
     for route in routes:
         far = "" if route.remote_name == route.name else f" as {route.remote_name}"
         arrow = "<-" if route.operation.startswith(("subscribe", "reserve")) else "->"
         answer(f"{route.path}: {route.name} [{route.type}] {arrow} {route.remote.address}{far}")
+    for path, hint in hints:
+        complain(f"{path}: {hint}")
     asleep = sum(not remote.active for remote in config.remotes)
     also = f", {asleep} not active" if asleep else ""
     answer(f"{file} is valid: {len(config.remotes)} remote(s){also}, {len(routes)} route(s).")
+
+
+def _warned(hints: list[tuple[str, str]]) -> dict[str, list[dict[str, str]]]:
+    return {"warnings": [{"path": path, "warning": hint} for path, hint in hints]} if hints else {}
 
 
 @app.command()

@@ -26,6 +26,7 @@ from ropeway.gateway.nodes import Nodes
 from ropeway.gateway.overlay_model import OVERLAY
 from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote
 from ropeway.gateway.tls import client_context, server_context, trusted_files
+from ropeway.gateway.type_hints import type_hints
 from ropeway.graph.factory import open_graph
 from ropeway.graph.hub import Hub, View
 from ropeway.graph.rosbridge import RosbridgeGraph
@@ -105,6 +106,8 @@ class Gateway:
         for path in settings.types:
             self.registry.add_path(path)
         self.registry.add_ament_prefix_path()
+        for path, hint in type_hints(self.config, self.registry):
+            log.warning("%s: %s", path, hint)
         self._entrance.door = make_door(settings)
         self._tls, self._trusted = server_context(settings.tls), trusted_files(settings.tls)
         for url in settings.graphs:
@@ -267,6 +270,7 @@ class Gateway:
             wait=False,
             watch=any(r.operation in _NEED_DISCOVERY for r in routes),
             ask_rosapi=False,
+            ros1=None if config.ros is None else config.ros == 1,
         )
 
     def _overlay_graph(self, config: RemoteConfig) -> OverlayGraph:

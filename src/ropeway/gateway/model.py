@@ -339,6 +339,9 @@ class RemoteConfig(Model):
     graph: Annotated[str, AfterValidator(parse_graph)] | None = Field(
         None, description="which of gateway.graphs; left out: the first"
     )
+    ros: Literal[1, 2] | None = Field(
+        None, description="ws, wss: which ROS a rosbridge server there belongs to; left out: it is found out"
+    )
     local_namespace: Namespace = Field("/", description="stands before every local name")
     remote_namespace: Namespace = Field("/", description="stands before every remote name")
     tls: RemoteTls | None = None

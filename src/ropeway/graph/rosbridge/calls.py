@@ -67,7 +67,7 @@ class Calls:
     def codec(self, type: str) -> MessageCodec | None:
         """The codec of a type, ``None`` if nobody knows its definition: gateways get raw bytes then."""
         try:
-            return self.graph.codec(type)
+            return self.graph.spelling.codec(type)
         except UnknownType:
             return None
 

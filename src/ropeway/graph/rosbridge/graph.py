@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequenc
 from functools import partial
 from typing import Any, Final
 
-from ropeway.errors import ConnectFailed, GraphUnavailable, RopewayError, WireError
+from ropeway.errors import ConnectFailed, GraphUnavailable, RopewayError
 from ropeway.graph.base import (
     NO_HINTS,
     Changes,
@@ -32,9 +32,10 @@ from ropeway.graph.rosbridge.keeper import Keeper, LinkState
 from ropeway.graph.rosbridge.mirror import Mirror
 from ropeway.graph.rosbridge.parts import EchoFilter, RemotePublisher, RemoteSubscription
 from ropeway.graph.rosbridge.plain import PlainServer
-from ropeway.graph.rosbridge.refusals import answer_to, failure_in
+from ropeway.graph.rosbridge.refusals import answer_invalid
 from ropeway.graph.rosbridge.servers import RemoteActionServer
 from ropeway.graph.rosbridge.services import RemoteClient, RemoteService
+from ropeway.graph.rosbridge.spelling import Spelling
 from ropeway.link.calls import OP_CHANNELS
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.http import without_token
@@ -42,7 +43,7 @@ from ropeway.link.peer import Packing, Peer
 from ropeway.link.websocket import connect
 from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import Supervised, end
-from ropeway.types import MessageCodec, TypeRegistry
+from ropeway.types import TypeRegistry
 from ropeway.types.told import Teller
 from ropeway.wire import ops
 from ropeway.wire.codec import unpack_png
@@ -107,7 +108,8 @@ class RosbridgeGraph:
         self.mirror = Mirror(shown, self._changes, self.calls.changed)
         self._keeper = Keeper(shown, limits or Limits(), self._connect)
         self._noted_types: set[str] = set()
-        self.plain_server = PlainServer(shown, self.registry, ros1=ros1)
+        self.plain_server = PlainServer(shown, self.registry)
+        self.spelling = Spelling(self, ros1)
         self.teller = Teller(self.registry, graph=True)
         self._traffic = (0, 0)
         self._rosapi_error = ""
@@ -159,7 +161,7 @@ class RosbridgeGraph:
         if self._keeper.leaving:
             return
         self._keeper.leaving = True
-        for part in self._parts():
+        for part in self.parts():
             await part.close()
         await self.calls.close()
         self._keeper.set_state(LinkState.CLOSED)
@@ -187,7 +189,7 @@ class RosbridgeGraph:
 
     async def _converse(self, connection: Connection, peer: Peer) -> None:
         self.peer = peer
-        peer.on_invalid = lambda message, error: self._invalid(peer, message, error)
+        peer.on_invalid = partial(answer_invalid, peer, self.calls)
         self.connections += 1
         self._noted_types.clear()
         if peer.dialect is ROPEWAY:
@@ -198,7 +200,7 @@ class RosbridgeGraph:
             self.plain_server.greet(peer)
         log.info("%s: connected (%s)", self.name, peer.dialect.name)
         began = time.monotonic()
-        for part in self._parts():
+        for part in self.parts():
             try:
                 part.connected(peer)
             except RopewayError as error:  # one topic that cannot go to this peer must not hold up the others
@@ -221,7 +223,7 @@ class RosbridgeGraph:
             self.peer = None
             channels = [p.channel for p in self._publishers.values() if p.channel is not None]
             self.plain_server.ended(peer, channels, time.monotonic() - began)
-            for part in self._parts():
+            for part in self.parts():
                 part.disconnected()
             self.calls.disconnected()
             self.mirror.clear()
@@ -237,8 +239,7 @@ class RosbridgeGraph:
             elif self._watch and self._ask_rosapi:
                 try:
                     await self.mirror.ask_rosapi(self.calls.plain)
-                    if self.plain_server.shows(info.type for info in self.mirror.topics.values()):
-                        self.announce_again(peer)
+                    self.spelling.seen(peer, [info.type for info in self.mirror.topics.values()])
                     if self._wants_calls:
                         await self.mirror.ask_calls(self.calls.plain)
                     self._rosapi_error = ""
@@ -249,29 +250,8 @@ class RosbridgeGraph:
                 await asyncio.sleep(_ROSAPI_S)
             else:
                 self.mirror.filled.set()  # nobody will tell
+                await self.spelling.find_out(peer)
                 return
-
-    def announce_again(self, peer: Peer) -> None:
-        """Announce everything anew: the server has turned out to be one of ROS 1, which spells types otherwise."""
-        for part in self._parts():
-            if isinstance(part, RemotePublisher) and part.channel is not None:
-                part.channel.close()
-            part.disconnected()
-            part.connected(peer)
-        for provider in self.calls.providers():
-            provider.connected(peer)
-
-    def codec(self, type: str) -> MessageCodec:
-        """How messages of a type are written there. Raises ``TypesError``."""
-        peer = self.peer
-        if peer is not None and peer.dialect is ROPEWAY:
-            return self.registry.codec(type)
-        return self.plain_server.codec(type)
-
-    def type_name(self, type: str) -> str:
-        """The name of a type as it is written there."""
-        peer = self.peer
-        return type if peer is not None and peer.dialect is ROPEWAY else self.plain_server.type_name(type)
 
     @property
     def traffic(self) -> tuple[int, int]:
@@ -390,7 +370,8 @@ class RosbridgeGraph:
         if not self._keeper.started or self.state is LinkState.CLOSED:
             raise GraphUnavailable(self.name, "is not open; call open() first")
 
-    def _parts(self) -> list[RemotePublisher | RemoteSubscription]:
+    def parts(self) -> list[RemotePublisher | RemoteSubscription]:
+        """The topics that are announced there."""
         return [*self._publishers.values(), *self._subscriptions.values()]
 
     def next_number(self) -> int:
@@ -440,14 +421,6 @@ class RosbridgeGraph:
             self.peer.unpacked(unpack_png(op.data, limit_bytes=self.peer.limit_bytes), Packing.IMAGE)
         elif self.peer is not None and not self.calls.operation(op, self.peer):
             self.peer.complaints.note("operation", "", f"{op.op} is not for a client")
-
-    def _invalid(self, peer: Peer, message: Mapping[str, Any], error: WireError) -> None:
-        """Answer a request that cannot be understood, and fail a call whose answer cannot be."""
-        peer.complaints.note("operation", str(message.get("topic", ""))[:200], error)
-        if (answer := answer_to(message, error)) is not None:
-            peer.send(answer)
-        elif (failure := failure_in(message, error)) is not None:
-            self.calls.operation(failure, peer)
 
     def control(self, message: Mapping[str, Any]) -> None:
         """A message of the Ropeway dialect came."""

@@ -128,6 +128,8 @@ class RemotePublisher:
         encoding = delivery.encoding
         if plain:
             encoding = self.graph.plain_server.encoding(peer, self.topic, self.type, encoding)
+            if self.graph.spelling.is_ros1:
+                encoding = "none"
         extra: dict[str, Any] | None = None
         self.demand(None if plain else 0)  # a gateway tells at once how many read
         if not plain:
@@ -142,7 +144,7 @@ class RemotePublisher:
             lifespan_s=delivery.lifespan_s,
         )
         if self.channel.codec is not None:
-            self.channel.codec = self.graph.codec(self.type)
+            self.channel.codec = self.graph.spelling.codec(self.type)
         self.channel.queue.lost = self.lost
         self.channel.queue.latched = self.qos.latched
         rosgw = peer.dialect is ROSGW
@@ -150,7 +152,7 @@ class RemotePublisher:
             ops.Advertise(
                 id=self.id,
                 topic=self.topic,
-                type=self.graph.type_name(self.type),
+                type=self.graph.spelling.type_name(self.type),
                 latch=plain and not rosgw and self.qos.latched,  # for servers that do not know qos
                 queue_size=max(self.qos.depth, 1) if plain and not rosgw else 100,
                 qos=None if rosgw else self.qos.to_json(),
@@ -270,7 +272,7 @@ class RemoteSubscription:
             ops.Subscribe(
                 id=self.id,
                 topic=self.topic,
-                type=self.graph.type_name(self.type),
+                type=self.graph.spelling.type_name(self.type),
                 throttle_rate=round(1000 / delivery.rate_hz) if delivery.rate_hz and extra is None else 0,
                 queue_length=depth if depth is not None and extra is None and delivery.rate_hz else 0,
                 compression=encoding,
@@ -310,7 +312,8 @@ class RemoteSubscription:
         if peer is None or self.closed:
             return
         try:
-            payload, is_ros1 = self.graph.plain_server.read(
+            payload = self.graph.spelling.read(
+                peer,
                 self.type,
                 lambda codec: wire_codec.decode_publish_msg(
                     op.msg, op.compression, codec, limit_bytes=peer.limit_bytes
@@ -319,8 +322,6 @@ class RemoteSubscription:
         except (TypesError, MessageTooBig) as error:
             self._undecodable(error)
             return
-        if is_ros1:
-            self.graph.announce_again(peer)
         self.used = _encoding_of(op, self.used)
         echo = self.graph.echoes.get(self.topic)
         if echo is not None and echo.echoes(payload):

@@ -7,19 +7,16 @@ of the two a server is shows in the head of its answer, or, where that leaves it
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Final
 
-from ropeway.errors import TypesError
-from ropeway.types.ros1_spelling import Ros1Spelling
-from ropeway.types.ros1_types import Ros1Types
 from ropeway.wire.codec import BINARY
 from ropeway.wire.dialect import ROSBRIDGE, ROSGW, by_server
 
 if TYPE_CHECKING:
     from ropeway.link.channel import Channel
     from ropeway.link.peer import Peer
-    from ropeway.types import MessageCodec, TypeRegistry
+    from ropeway.types import TypeRegistry
     from ropeway.types.definition import FieldType
 
 __all__ = ["PlainServer", "rosgw_reads"]
@@ -34,10 +31,8 @@ _RAW: Final = {"none": "cbor-raw", "cbor": "cbor-raw", "zip": "rawzip"}
 class PlainServer:
     """What is known of the server at the other end of a link, over all connections."""
 
-    def __init__(self, name: str, registry: TypeRegistry, *, ros1: bool | None = None) -> None:
+    def __init__(self, name: str, registry: TypeRegistry) -> None:
         self._name, self._registry = name, registry
-        self._ros1 = ros1
-        self._spelling = Ros1Spelling(Ros1Types(registry))
         self._json_only = self._hangs_up = False
         self._hung_up = 0
         self._said: set[str] = set()
@@ -49,12 +44,17 @@ class PlainServer:
         if known is ROSGW and not self._hangs_up:
             peer.speak(ROSGW)
 
+    @property
+    def is_rosbridge(self) -> bool:
+        """True for a server that is known to be rosbridge, which takes JSON only."""
+        return self._json_only
+
     def encoding(self, peer: Peer, topic: str, type: str, encoding: str) -> str:
         """In what a topic is published to the server, where ``encoding`` is configured.
 
         A server that may be either is taken for rosgw where a binary encoding is configured.
         """
-        if self._json_only or self._ros1:
+        if self._json_only:
             if encoding in BINARY:
                 self._say(f"{topic} goes there as JSON: a rosbridge server cannot take {encoding}")
             return "none"
@@ -69,48 +69,6 @@ class PlainServer:
             self._say(f"{topic} goes there as {raw}: a rosgw gateway cannot take {type} as {encoding}")
             return raw
         return encoding
-
-    def codec(self, type: str) -> MessageCodec:
-        """How messages of a type are written there. Raises ``TypesError``."""
-        return self._spelling.codec(type) if self._ros1 else self._registry.codec(type)
-
-    def type_name(self, type: str) -> str:
-        """The name of a type as it is written there."""
-        return self._spelling.name(type) if self._ros1 else type
-
-    def shows(self, types: Iterable[str]) -> bool:
-        """Learn from the names of types which ROS it is; true if it turned out to be ROS 1."""
-        if self._ros1 is not None:
-            return False
-        parts = {type.count("/") for type in types if type}
-        if parts == {1}:
-            self._is_ros1()
-        elif 2 in parts:
-            self._ros1 = False
-        return bool(self._ros1)
-
-    def read(self, type: str, decode: Callable[[MessageCodec], bytes]) -> tuple[bytes, bool]:
-        """What ``decode`` makes of a message; true beside it if that shows that the server is one of ROS 1.
-
-        Raises what ``decode`` does where the message makes no sense in ROS 2 nor, if that may be, in ROS 1.
-        """
-        try:
-            return decode(self.codec(type)), False
-        except TypesError:
-            if self._ros1 is not None:
-                raise
-            try:
-                payload = decode(self._spelling.codec(type))
-            except TypesError:
-                payload = b""
-            if not payload:
-                raise
-        self._is_ros1()
-        return payload, True
-
-    def _is_ros1(self) -> None:
-        self._ros1 = True
-        log.info("%s: this is a rosbridge server of ROS 1", self._name)
 
     def ended(self, peer: Peer, channels: Iterable[Channel], lasted_s: float) -> None:
         """A connection has ended: a server that hangs up whenever it gets a binary frame is rosbridge."""

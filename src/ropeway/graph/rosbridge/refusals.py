@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import InvalidOperation, WireError
 from ropeway.wire import ops
 
-__all__ = ["answer_to", "failure_in"]
+if TYPE_CHECKING:
+    from ropeway.graph.rosbridge.calls import Calls
+    from ropeway.link.peer import Peer
+
+__all__ = ["answer_invalid"]
 
 _ABORTED: Final = 6  # as in action_msgs/GoalStatus
 
 
-def answer_to(message: Mapping[str, Any], error: WireError) -> ops.Op | None:
+def answer_invalid(peer: Peer, calls: Calls, message: Mapping[str, Any], error: WireError) -> None:
+    """Answer a request that cannot be understood, and fail a call whose answer cannot be."""
+    peer.complaints.note("operation", str(message.get("topic", ""))[:200], error)
+    if (answer := _answer_to(message, error)) is not None:
+        peer.send(answer)
+    elif (failure := _failure_in(message, error)) is not None:
+        calls.operation(failure, peer)
+
+
+def _answer_to(message: Mapping[str, Any], error: WireError) -> ops.Op | None:
     """The answer to a request that cannot be understood; ``None`` where it names no request."""
     id = _id(error)
     name = message.get("service", message.get("action"))
@@ -26,7 +39,7 @@ def answer_to(message: Mapping[str, Any], error: WireError) -> ops.Op | None:
     return None
 
 
-def failure_in(message: Mapping[str, Any], error: WireError) -> ops.Op | None:
+def _failure_in(message: Mapping[str, Any], error: WireError) -> ops.Op | None:
     """A failure in the place of an answer that cannot be understood, for whoever waits for it."""
     id = _id(error)
     name = message.get("service", message.get("action", ""))

@@ -141,7 +141,7 @@ class RemoteClient:
                 ops.CallService(
                     id=id,
                     service=self.service,
-                    type=calls.graph.type_name(self.type),
+                    type=calls.graph.spelling.type_name(self.type),
                     args=None,
                     timeout=round(max(left_s, 0.001), 3),
                     ropeway=call_note(request, calls.graph.gateway_id, self.delivery.encoding) if gateway else None,
@@ -220,7 +220,7 @@ class RemoteService:
             ops.AdvertiseService(
                 id=self.id,
                 service=self.service,
-                type=self._calls.graph.type_name(self.type),
+                type=self._calls.graph.spelling.type_name(self.type),
                 compression=announced(self.delivery, peer),
                 ropeway=(self._calls.graph.type_note(self.type) or None) if gateway else None,
             )
