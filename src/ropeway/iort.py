@@ -10,7 +10,8 @@ copied. Everything goes on without the server: values are published and read loc
         node.subscribe("cmd_vel", lambda value: print(value.text))
         print(node.read("battery", system="PEPPER").text, node.mode)
 
-``AsyncNode`` is the same for asyncio. ``python3 iort.py --help`` publishes and reads from a shell.
+``AsyncNode`` is the same for asyncio. ``python3 iort.py --help`` publishes and reads from a shell. Any node can be the
+server of its network while the cloud is away: ``python3 iort.py --serve`` (or ``LocalServer``) needs nothing else.
 
 The packets (Cuadros Zegarra et al. 2024, section 4) begin and end with a percent sign and have fields between slashes.
 Plain ones are those of the paper, and are never escaped::
@@ -41,15 +42,18 @@ import asyncio
 import base64
 import contextlib
 import hashlib
+import hmac
 import json
 import os
+import socket
 import ssl
+import struct
 import sys
 import threading
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from concurrent.futures import TimeoutError as FutureTimeout
-from typing import Any, Awaitable, Callable, Dict, Iterable, List, Mapping, Optional, Tuple, TypeVar, Union, cast
+from typing import Any, Awaitable, Callable, Deque, Dict, Iterable, List, Mapping, Optional, Tuple, TypeVar, Union, cast
 from urllib.parse import quote, urlsplit
 
 __all__ = [
@@ -57,6 +61,7 @@ __all__ = [
     "KINDS",
     "AsyncNode",
     "Fault",
+    "LocalServer",
     "Node",
     "NodeError",
     "Packet",
@@ -88,6 +93,22 @@ _CONNECT_S = 3.0
 _PAUSE_S = (0.1, 2.0)
 _WAITING_LIMIT = 4096  # topics whose newest value waits for a slow connection
 _HIGH_BYTES = 1 << 20
+
+DISCOVERY_PORT = 7411
+"""UDP port at which local servers are found."""
+
+_GROUP = "239.255.74.11"  # of addresses that stay within an organization
+_ASKED_S = 0.4  # how long answers are waited for
+_ANSWERS = 16  # of one search
+_ANSWERS_PER_S = 20  # of one server, whoever asks
+_DATAGRAM_BYTES = 512
+_AHEAD_US = 5000000  # a live version further in the future than this is a wrong clock's
+_LOGIN_S = 10.0
+_STRANGERS_BYTES = 4096  # of a packet of who has not shown the token yet
+_SERVED_NODES = 256  # at a time
+_SERVED_VALUES = 10000
+_SERVED_BYTES = 64 << 20  # of all values together
+_SERVED_SUBSCRIPTIONS = 256  # of one node
 
 
 # ── packets ────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -683,7 +704,8 @@ class AsyncNode:
     its own copy is kept (``None``: in memory). ``offline_depth``: how many values of a topic that were written without
     the server are brought to it (the ones before the last become history there, where it keeps one). ``token``: shown to the servers. ``kind``: what
     it is, ``robot``, ``pc``, or empty for neither; ``ident``: its identifier, two digits, which plain nodes see. ``tls``: an ``ssl.SSLContext``, or the
-    path of the authorities to trust. ``on_mode`` is called with ``remote``, ``local-server`` or ``local``.
+    path of the authorities to trust. ``discover`` looks for a local server on the network while neither server can be
+    reached (see ``LocalServer``); a text ``host:port`` asks only there. ``on_mode`` is called with ``remote``, ``local-server`` or ``local``.
     """
 
     def __init__(
@@ -698,6 +720,7 @@ class AsyncNode:
         tls: Union[None, str, ssl.SSLContext] = None,
         ident: str = "01",
         kind: str = "robot",
+        discover: Union[bool, str] = False,
         max_packet_bytes: int = MAX_PACKET_BYTES,
         on_mode: Optional[Callable[[str], None]] = None,
         on_event: Optional[Callable[[Packet], None]] = None,
@@ -715,6 +738,7 @@ class AsyncNode:
         self.superseded = 0  # values that a newer one of their topic replaced while the connection was slow
         self.note = ""  # what the server had to say about this node, such as a second one of its name
         self._token, self._tls = token, tls
+        self._discover = discover
         self._max_bytes = max_packet_bytes
         self._clock_ns = clock_ns
         self._copy = _Copy(directory, max(offline_depth, 1))
@@ -835,6 +859,38 @@ class AsyncNode:
         connection = self._connection
         if connection is not None:
             self._send(connection, value, wanted=False)
+        return value
+
+    def known(self, system: str, topic: str) -> Optional[Value]:
+        """Return the node's own copy of a value."""
+        return self._copy.values.get((system, topic))
+
+    def all_known(self) -> List[Value]:
+        """Return the node's own copies of all values, by their names."""
+        return [value for _, value in sorted(self._copy.values.items())]
+
+    def take(self, value: Value, merge: bool) -> Value:
+        """Keep a value that another node wrote, and bring it to the server.
+
+        Its version counts if it is later than the last one and, unless it is of a ``merge``, not far in the future.
+        Raises ``NodeError``: ``stale`` for an older one of a merge, ``not-kept`` where the disk refuses it.
+        """
+        known = self.known(value.system, value.topic)
+        if merge and value.version:
+            if known is not None and known.order >= value.order:
+                if known.order == value.order:
+                    return known
+                raise NodeError("stale", "version {} is there, which is later".format(known.version))
+        else:
+            last = known.version if known is not None else 0
+            now_us = (self._clock_ns() + self._offset_ns) // 1000
+            if not last < value.version <= now_us + _AHEAD_US:
+                self._version = value.version = max(now_us, self._version + 1, last + 1)
+        self._copy.publish(value)
+        if self._copy.fault:
+            raise NodeError("not-kept", "the value is served but not kept: " + self._copy.fault)
+        if self._connection is not None:
+            self._send(self._connection, value, wanted=False)
         return value
 
     async def read(self, topic: str, *, system: Optional[str] = None, timeout_s: float = 5.0) -> Value:
@@ -1147,6 +1203,11 @@ class AsyncNode:
             connection = await self._dial(self.server, "remote")
             if connection is None and self.local_server is not None:
                 connection = await self._dial(self.local_server, "local-server")
+            if connection is None and self._discover:
+                for url in await _search(self._discover, self._token):
+                    connection = await self._dial(url, "local-server")
+                    if connection is not None:
+                        break
             if connection is None:
                 self._set_mode("local")
                 await asyncio.sleep(pause)
@@ -1287,6 +1348,454 @@ def _fits(name: str, pattern: str) -> bool:
     return fnmatchcase(name, pattern)
 
 
+# ── finding a local server ─────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _proof(token: Optional[str], *parts: str) -> str:
+    """Prove that the token of the fleet is known, without telling it; an empty text where there is none."""
+    return "" if token is None else hmac.new(token.encode(), "\n".join(parts).encode(), hashlib.sha256).hexdigest()
+
+
+class _Searcher(asyncio.DatagramProtocol):
+    """Asks who serves, and collects the answers of servers that know the token, where this node has one."""
+
+    def __init__(self, token: Optional[str]) -> None:
+        self.token, self.nonce = token, os.urandom(16).hex()
+        self.found: Dict[str, str] = {}  # names by URL
+
+    def question(self) -> bytes:
+        proof = _proof(self.token, "who serves", self.nonce)
+        return json.dumps({"iort": 1, "nonce": self.nonce, "proof": proof}).encode()
+
+    def datagram_received(self, data: bytes, addr: Tuple[Any, ...]) -> None:
+        told = _datagram(data)
+        port, name = told.get("port"), told.get("name")
+        if (
+            told.get("nonce") != self.nonce
+            or type(port) is not int
+            or not 0 < port < 65536
+            or not isinstance(name, str)
+        ):
+            return
+        proof = _proof(self.token, "I serve", self.nonce, str(port), name)
+        if hmac.compare_digest(proof.encode(), str(told.get("proof", "")).encode()) and len(self.found) < _ANSWERS:
+            self.found["iort://{}:{}".format(addr[0], port)] = name
+
+    def error_received(self, exc: Exception) -> None:
+        """Nobody is there."""
+
+
+class _Answerer(asyncio.DatagramProtocol):
+    """Answers who asks for a server, and knows the token where the server has one."""
+
+    def __init__(self, name: str, port: int, token: Optional[str]) -> None:
+        self.name, self.port, self.token = name, port, token
+        self.transport: Any = None
+        self._second, self._answered = 0.0, 0
+
+    def connection_made(self, transport: Any) -> None:
+        self.transport = transport
+
+    def datagram_received(self, data: bytes, addr: Tuple[Any, ...]) -> None:
+        told = _datagram(data)
+        nonce, proof = told.get("nonce"), _proof(self.token, "who serves", str(told.get("nonce")))
+        if told.get("iort") != 1 or not isinstance(nonce, str) or len(nonce) > 64:
+            return
+        if self.token is not None and not hmac.compare_digest(proof.encode(), str(told.get("proof", "")).encode()):
+            return
+        now = time.monotonic()
+        if now - self._second > 1.0:
+            self._second, self._answered = now, 0
+        self._answered += 1
+        if self._answered <= _ANSWERS_PER_S:
+            proof = _proof(self.token, "I serve", nonce, str(self.port), self.name)
+            answer = {"nonce": nonce, "port": self.port, "name": self.name, "proof": proof}
+            self.transport.sendto(json.dumps(answer).encode(), addr)
+
+
+def _datagram(data: bytes) -> Dict[str, Any]:
+    """Return what a datagram says, nothing for what is none of ours."""
+    try:
+        told = json.loads(data.decode()) if len(data) <= _DATAGRAM_BYTES else None
+    except (ValueError, RecursionError):
+        return {}
+    return told if isinstance(told, dict) else {}
+
+
+async def _search(where: Union[bool, str], token: Optional[str]) -> List[str]:
+    """Return the addresses of local servers, in an order that is the same for all nodes."""
+    searcher = _Searcher(token)
+    if isinstance(where, str):
+        host, _, port = where.rpartition(":")
+        targets = [(host, int(port))]
+    else:
+        targets = [(host, DISCOVERY_PORT) for host in (_GROUP, "255.255.255.255", "127.0.0.1")]
+    loop = asyncio.get_event_loop()
+    try:
+        transport, _ = await loop.create_datagram_endpoint(
+            lambda: searcher,
+            local_addr=("0.0.0.0", 0),  # noqa: S104 - it asks on every network, and hears answers only
+            allow_broadcast=True,
+        )
+    except OSError:  # there is no network at all
+        return []
+    try:
+        for target in targets:
+            with contextlib.suppress(OSError):
+                transport.sendto(searcher.question(), target)
+        await asyncio.sleep(_ASKED_S)
+    finally:
+        transport.close()
+    return [url for name, url in sorted((name, url) for url, name in searcher.found.items())]
+
+
+# ── the local server ───────────────────────────────────────────────────────────────────────────────────────────────
+
+
+class _Served(asyncio.Protocol):
+    """One node at a local server."""
+
+    def __init__(self, server: "LocalServer") -> None:
+        self.server = server
+        self.allowed = server.token is None
+        self.parser = Parser(server.max_packet_bytes if self.allowed else _STRANGERS_BYTES)
+        self.transport: Any = None
+        self.peer, self.origin, self.kind = "", "", ""
+        self.upgraded = False
+        self.subscriptions: Dict[Tuple[str, str], Callable[[], Awaitable[None]]] = {}
+        self.waiting: "OrderedDict[Tuple[str, str], bytes]" = OrderedDict()  # the newest value of each topic
+        self.items: Deque[Union[Packet, Fault]] = deque()
+        self.busy = self.paused = False
+        self.login: Optional[asyncio.TimerHandle] = None  # who has not said who it is by then has to leave
+
+    def connection_made(self, transport: Any) -> None:
+        self.transport = transport
+        transport.set_write_buffer_limits(high=_HIGH_BYTES)
+        self.peer = "{}:{}".format(*(transport.get_extra_info("peername") or ("?", 0))[:2])
+        if len(self.server.nodes) >= _SERVED_NODES:
+            transport.close()
+            return
+        self.server.nodes.append(self)
+        if not self.allowed:
+            self.login = asyncio.get_event_loop().call_later(_LOGIN_S, transport.close)
+
+    def connection_lost(self, exc: Optional[Exception]) -> None:
+        self.items.clear()
+        self.waiting.clear()
+        if self.login is not None:
+            self.login.cancel()
+        if self in self.server.nodes:
+            self.server.nodes.remove(self)
+        for end in self.subscriptions.values():
+            self.server.spawn(end())
+        self.subscriptions.clear()
+
+    def pause_writing(self) -> None:
+        self.paused = True
+        self.transport.pause_reading()
+
+    def resume_writing(self) -> None:
+        self.paused = False
+        while self.waiting and not self.paused:
+            self.transport.write(self.waiting.popitem(last=False)[1])
+        self.go_on()
+
+    def data_received(self, data: bytes) -> None:
+        self.items += self.parser.feed(data)
+        self.go_on()
+
+    def go_on(self) -> None:
+        """Handle what came, one after the other; while one of them waits for the cloud, no more is read."""
+        while self.items and not self.busy and not self.paused:
+            item = self.items.popleft()
+            if isinstance(item, Packet):
+                work = self._handle(item)
+                if work is not None:
+                    self.busy = True
+                    self.server.spawn(self._finish(item, work))
+            else:
+                self.server.faults += 1
+                if self.upgraded:
+                    self._send("-", "-", "+err", {"code": item.code}, item.text.encode())
+        if self.busy:
+            self.transport.pause_reading()
+        elif not self.paused:
+            self.transport.resume_reading()
+
+    async def _finish(self, packet: Packet, work: Awaitable[None]) -> None:
+        try:
+            await work
+        except NodeError as error:
+            self._refuse(packet, error)
+        finally:
+            self.busy = False
+            if not self.transport.is_closing():
+                self.go_on()
+
+    def _handle(self, packet: Packet) -> Optional[Awaitable[None]]:
+        op = packet.op
+        if op[0] == "+":
+            self.upgraded = True
+        try:
+            if op == "d" or op == "+bye":
+                self._ok(packet)
+                self.items.clear()
+                self.transport.close()
+            elif op == "+hello":
+                self._hello(packet)
+            elif op == "+ping":
+                self._ok(packet, t=time.time_ns())
+            elif not self.allowed:
+                raise NodeError("login", "who are you? +hello with the token of the fleet is needed here")
+            elif op in ("p", "+pub"):
+                self._publish(packet)
+            elif op in ("s", "+get"):
+                return self._read(packet)
+            elif op == "+sub":
+                return self._subscribe(packet)
+            elif op == "+unsub":
+                end = self.subscriptions.pop((packet.system, packet.topic), None)
+                if end is not None:
+                    self.server.spawn(end())
+                self._ok(packet)
+            elif op == "+list":
+                self._list(packet)
+            elif op in ("+adv", "+unadv", "+watch"):
+                self._ok(packet)  # who publishes what is not told here
+            else:
+                raise NodeError("malformed", "{} is not known here".format(op[:20]))
+        except NodeError as error:
+            self._refuse(packet, error)
+        return None
+
+    def push(self, value: Value) -> None:
+        """Send a value that was subscribed to; while the node reads slowly, the newest of each topic waits."""
+        raw = pack("00", value.system, value.topic, "+val", _head(value), value.data)
+        if not self.paused:
+            self._write(raw)
+            return
+        self.waiting.pop((value.system, value.topic), None)
+        self.waiting[value.system, value.topic] = raw
+        if len(self.waiting) > _WAITING_LIMIT:
+            self.waiting.popitem(last=False)
+            self.server.superseded += 1
+
+    def _write(self, raw: bytes) -> None:
+        if not self.transport.is_closing():
+            self.transport.write(raw)
+
+    def _send(self, system: str, topic: str, op: str, head: Dict[str, object], data: bytes = b"") -> None:
+        self._write(pack("00", system, topic, op, head, data))
+
+    def _ok(self, packet: Packet, **head: object) -> None:
+        if "n" in packet.head:
+            self._send("-", "-", "+ok", {"n": packet.head["n"], **head})
+
+    def _refuse(self, packet: Packet, error: NodeError) -> None:
+        self.server.refused[error.code] = self.server.refused.get(error.code, 0) + 1
+        text = error.text.replace("%", "").encode()
+        if packet.op == "s":
+            self._write(pack("00", packet.system, packet.topic, "e", None, text, packet.system_type))
+        elif self.upgraded:
+            head = {"n": packet.head["n"]} if "n" in packet.head else {}
+            self._send("-", "-", "+err", {**head, "code": error.code}, text)
+
+    def _hello(self, packet: Packet) -> None:
+        token = self.server.token
+        if token is not None and not hmac.compare_digest(packet.head.get("token", "").encode(), token.encode()):
+            self._refuse(packet, NodeError("login", "the token of the fleet is needed here"))
+            self.transport.close()
+            return
+        self.allowed = True
+        self.parser.max_bytes = self.server.max_packet_bytes
+        if self.login is not None:
+            self.login.cancel()
+        kind = packet.head.get("kind", "")
+        self.kind = kind if kind in KINDS else ""
+        self.origin = packet.head.get("o", "")[:200]
+        self._ok(packet, t=time.time_ns(), max=self.server.max_packet_bytes)
+
+    def _publish(self, packet: Packet) -> None:
+        origin = packet.head.get("o", "")[:200] or self.origin or origin_of(packet.id, self.peer, self.kind)
+        version, stamp_ns = _number(packet, "v"), _number(packet, "t") or time.time_ns()
+        value = Value(
+            packet.system, packet.topic, packet.data, version, stamp_ns, origin, packet.head.get("k", "")[:200], "local"
+        )
+        kept = self.server.publish(value, packet.head.get("m") == "1", self)
+        self._ok(packet, v=kept.version)
+
+    async def _read(self, packet: Packet) -> None:
+        value = await self.server.read(packet.system, packet.topic)
+        if packet.op == "+get":
+            if "n" in packet.head:
+                head = {"n": packet.head["n"], **_head(value)}
+                self._send(value.system, value.topic, "+val", head, value.data)
+            return
+        id = identifier_of(value.origin)
+        try:
+            self._write(pack(id, packet.system, packet.topic, "p", None, value.data, packet.system_type))
+        except ValueError as error:
+            raise NodeError("conversion", str(error)) from None
+
+    async def _subscribe(self, packet: Packet) -> None:
+        key = (packet.system, packet.topic)
+        if key not in self.subscriptions:
+            if len(self.subscriptions) >= _SERVED_SUBSCRIPTIONS:
+                raise NodeError("full", "a node has {} subscriptions at most".format(_SERVED_SUBSCRIPTIONS))
+            self.subscriptions[key] = await self.server.follow(key, self)
+        self._ok(packet)
+        if packet.head.get("last", "1") == "1":
+            for value in self.server.values(*key):
+                raw = pack("00", value.system, value.topic, "+val", {**_head(value), "last": 1}, value.data)
+                self._write(raw)
+
+    def _list(self, packet: Packet) -> None:
+        found = [
+            {"system": value.system, "topic": value.topic, **_told(value), "kind": kind_of(value.origin)}
+            for value in self.server.values(packet.system, packet.topic)
+        ]
+        if "n" in packet.head:
+            self._send("-", "-", "+val", {"n": packet.head["n"]}, json.dumps(found).encode())
+
+
+def _head(value: Value) -> Dict[str, object]:
+    head: Dict[str, object] = {"t": value.stamp_ns, "v": value.version, "o": value.origin}
+    if value.type:
+        head["k"] = value.type
+    return head
+
+
+class LocalServer:
+    """The server of nodes on one network, on any machine of it: it keeps values, and brings them to the cloud.
+
+    ``cloud`` is the server whose place it takes while that is away (``None``: none). ``directory``: where values are
+    kept over restarts. ``token``: of the fleet; nodes show it, plain ones cannot and are refused, and the cloud gets
+    it. Beyond loopback a token or ``insecure`` is needed. ``announce`` lets nodes with ``discover`` find it, at UDP
+    port ``discovery_port``. ``offline_depth`` values of each topic are brought to the cloud.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        cloud: Optional[str] = None,
+        directory: Optional[str] = None,
+        token: Optional[str] = None,
+        tls: Union[None, str, ssl.SSLContext] = None,
+        insecure: bool = False,
+        announce: bool = False,
+        discovery_port: int = DISCOVERY_PORT,
+        offline_depth: int = 1,
+        max_packet_bytes: int = MAX_PACKET_BYTES,
+    ) -> None:
+        self.name, self.cloud, self.token, self.insecure = name, cloud, token, insecure
+        self.announce, self.discovery_port, self.max_packet_bytes = announce, discovery_port, max_packet_bytes
+        self.nodes: List[_Served] = []
+        self.faults = self.superseded = 0
+        self.refused: Dict[str, int] = {}
+        self.node = AsyncNode(
+            name,
+            cloud or "",
+            directory=directory,
+            offline_depth=offline_depth,
+            token=token,
+            tls=tls,
+            kind="",
+            max_packet_bytes=max_packet_bytes,
+        )
+        self._bytes = sum(len(value.data) for value in self.node.all_known())
+        self._server: Any = None
+        self._answerer: Any = None
+
+    async def listen(self, host: str = "127.0.0.1", port: int = DEFAULT_PORT) -> int:
+        """Listen for nodes, and return the port. Raises ``NodeError`` where that cannot be, or is not safe."""
+        if self.token is None and not self.insecure and not (host == "localhost" or host.startswith("127.")):
+            raise NodeError("login", "beyond loopback the token of the fleet is needed, or insecure")
+        loop = asyncio.get_event_loop()
+        try:
+            self._server = await loop.create_server(lambda: _Served(self), host, port)
+            port = self._server.sockets[0].getsockname()[1]
+            if self.announce:
+                sock = _discovery_socket(self.discovery_port)
+                answerer = _Answerer(self.name, port, self.token)
+                self._answerer, _ = await loop.create_datagram_endpoint(lambda: answerer, sock=sock)
+        except OSError as error:
+            await self.close()
+            raise NodeError("busy", "{}:{} cannot be listened on: {}".format(host, port, error)) from None
+        if self.cloud is not None:
+            await self.node.open()
+        return port
+
+    async def close(self) -> None:
+        """Stop; what the cloud does not have yet stays in the directory."""
+        if self._answerer is not None:
+            self._answerer.close()
+        if self._server is not None:
+            self._server.close()
+        for node in list(self.nodes):
+            node.transport.close()
+        await self.node.close()
+
+    # ── what nodes ask for ─────────────────────────────────────────────────────────────────────────────────────
+
+    def publish(self, value: Value, merge: bool, sender: Optional[_Served]) -> Value:
+        """Keep a value of a node, and tell the others. Raises ``NodeError``."""
+        for name in (value.system, value.topic):
+            if not name.isprintable() or len(name.encode()) > 200:
+                raise NodeError("name", "a system and a topic have a name of up to 200 bytes that can be printed")
+        before = self.node.known(value.system, value.topic)
+        grown = len(value.data) - (len(before.data) if before is not None else 0)
+        if before is None and len(self.node._copy.values) >= _SERVED_VALUES:
+            raise NodeError("full", "{} values are kept here, and no more".format(_SERVED_VALUES))
+        if self._bytes + grown > _SERVED_BYTES:
+            raise NodeError("full", "all values together have {} bytes at most".format(_SERVED_BYTES))
+        kept = self.node.take(value, merge)
+        if kept is value:
+            self._bytes += grown
+            self._tell(value, sender)
+        return kept
+
+    async def read(self, system: str, topic: str) -> Value:
+        """Return the last value; what is not here is asked for in the cloud. Raises ``NodeError``."""
+        known = self.node.known(system, topic)
+        return known if known is not None else await self.node.read(topic, system=system)
+
+    def values(self, system: str, topic: str) -> List[Value]:
+        """Return the values whose names fit."""
+        return [v for v in self.node.all_known() if _fits(v.system, system) and _fits(v.topic, topic)]
+
+    async def follow(self, key: Tuple[str, str], reader: _Served) -> Callable[[], Awaitable[None]]:
+        """Send a node what the cloud says on a topic, too; returns what ends it. Raises ``NodeError``."""
+        return await self.node.subscribe(key[1], reader.push, system=key[0], latest=False)
+
+    def _tell(self, value: Value, sender: Optional[_Served]) -> None:
+        for node in self.nodes:
+            if node is not sender and any(
+                _fits(value.system, system) and _fits(value.topic, topic) for system, topic in node.subscriptions
+            ):
+                node.push(value)
+
+    def spawn(self, work: Awaitable[None]) -> None:
+        """Run something for a node."""
+        self.node._spawn(work)
+
+
+def _discovery_socket(port: int) -> socket.socket:
+    """Return a socket that hears who looks for a server, by multicast, broadcast or directly."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind(("", port))
+        with contextlib.suppress(OSError):  # a machine without multicast is found by broadcast
+            group = struct.pack("4s4s", socket.inet_aton(_GROUP), socket.inet_aton("0.0.0.0"))  # noqa: S104 - any interface
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+        sock.setblocking(False)
+    except OSError:
+        sock.close()
+        raise
+    return sock
+
+
 # ── without asyncio ────────────────────────────────────────────────────────────────────────────────────────────────
 
 T = TypeVar("T")
@@ -1409,19 +1918,68 @@ class Node:
             self._loop.close()
 
 
+async def _serve(told: Any) -> None:
+    """Be the local server until the process is ended."""
+    host, _, port = told.serve.rpartition(":")
+    if not host or not port.isdigit() or "/" in host:
+        raise NodeError("malformed", "--serve takes HOST:PORT, such as 0.0.0.0:7410; the cloud comes with --cloud")
+    server = LocalServer(
+        told.called or socket.gethostname(),
+        cloud=told.cloud or told.server,
+        directory=told.directory,
+        token=told.token,
+        tls=told.ca,
+        insecure=told.insecure,
+        announce=told.announce,
+        discovery_port=told.discovery_port,
+        offline_depth=told.offline_depth,
+    )
+    bound = await server.listen(host, int(port))
+    print("serving nodes on iort://{}:{}".format(host, bound), flush=True)
+    try:
+        await asyncio.Event().wait()
+    finally:
+        await server.close()
+
+
 def _main(arguments: List[str]) -> int:
-    """``iort.py SERVER publish|read|watch|list``, for shells on robots."""
+    """``iort.py SERVER publish|read|watch|list`` and ``iort.py --serve``, for shells on robots."""
     import argparse
 
-    parser = argparse.ArgumentParser(prog="iort.py", description="publish and read values of robots")
-    parser.add_argument("server", help="iort://host:7410")
-    parser.add_argument("verb", choices=["publish", "read", "watch", "list"])
-    parser.add_argument("name", nargs="?", default="*/*", help="SYSTEM/TOPIC")
+    parser = argparse.ArgumentParser(prog="iort.py", description="publish and read values of robots, or serve them")
+    parser.add_argument("server", nargs="?", help="iort://host:7410")
+    parser.add_argument("verb", nargs="?", choices=["publish", "read", "watch", "list"])
+    parser.add_argument("name", nargs="?", default="", help="SYSTEM/TOPIC")
     parser.add_argument("data", nargs="?", help="what to publish")
     parser.add_argument("--token", default=os.environ.get("ROPEWAY_TOKEN"), help="or ROPEWAY_TOKEN")
     parser.add_argument("--ca", help="file of the authorities to trust, for iorts://")
+    parser.add_argument(
+        "--serve",
+        nargs="?",
+        const="127.0.0.1:{}".format(DEFAULT_PORT),
+        metavar="HOST:PORT",
+        help="be the server of this network (default %(const)s; 0.0.0.0:7410 for others, with --token)",
+    )
+    parser.add_argument("--cloud", help="with --serve: the server that gets what is kept here, and may be away")
+    parser.add_argument("--called", help="with --serve: its name (default: that of this machine)")
+    parser.add_argument("--directory", help="with --serve: keep values here over restarts")
+    parser.add_argument("--announce", action="store_true", help="with --serve: let nodes on this network find it")
+    parser.add_argument("--discovery-port", type=int, default=DISCOVERY_PORT, help="UDP port (default %(default)s)")
+    parser.add_argument("--offline-depth", type=int, default=1, help="values of a topic that the cloud gets later")
+    parser.add_argument("--insecure", action="store_true", help="with --serve: no token, for everybody")
     told = parser.parse_args(arguments)
-    system, _, topic = told.name.partition("/")
+    if told.serve is not None:
+        try:
+            asyncio.run(_serve(told))
+        except NodeError as error:
+            print(error, file=sys.stderr)
+            return 1
+        except KeyboardInterrupt:
+            pass
+        return 0
+    if told.server is None or told.verb is None:
+        parser.error("a server and one of publish, read, watch, list is needed, or --serve")
+    system, _, topic = (told.name or "*/*").partition("/")
     with Node("shell", told.server, token=told.token, tls=told.ca, kind="pc") as node:
         if node.mode != "remote":
             print(node.last_error, file=sys.stderr)
