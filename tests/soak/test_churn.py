@@ -13,7 +13,7 @@ from tests.soak.visits import VISITS, Visit
 COUNT = int(os.environ.get("ROPEWAY_VISITS", "2000"))
 WARM_UP = 1100  # visits that fill what is bounded: 1,024 calls and names are remembered
 AT_ONCE = 20
-GROWTH_BYTES = 6 << 20
+GROWTH_BYTES = 16 << 20  # what allocators keep of the moment when most were there; a leak shows in the objects
 GROWTH_OBJECTS = 40  # of one class
 CONFIG = {
     "gateway": {
