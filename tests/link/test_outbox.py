@@ -38,6 +38,20 @@ def test_only_the_newest_image_waits() -> None:
     assert camera.lost == {Lost.REPLACED: 4}
 
 
+def test_released() -> None:
+    """A topic that is taken out keeps what waits in it, for another outbox to send."""
+    outbox: Outbox[Message] = Outbox()
+    camera, tf = outbox.open(Queue("camera")), outbox.open(Queue("tf", depth=10))
+    for message in (b"1", b"2"):
+        outbox.put(tf, Message(message))
+    outbox.put(camera, Message(b"image"))
+    assert [message.payload for message in outbox.release(tf)] == [b"1", b"2"]
+    assert outbox.statistics() == (1, 5, 1)
+    assert not tf.lost
+    assert drain(outbox) == [b"image"]
+    assert outbox.release(camera) == []
+
+
 def test_latched_messages_all_wait() -> None:
     """Of a latched topic as many messages wait as its depth says, however big they are."""
     outbox: Outbox[Message] = Outbox()

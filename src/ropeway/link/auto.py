@@ -10,11 +10,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Protocol
 
-from ropeway.link.pace import Pace
-
-__all__ = ["EncodingChooser"]
+__all__ = ["EncodingChooser", "Paced"]
 
 RAW: Final = "cbor-raw"
 PACKED: Final = "zstd"
@@ -32,10 +30,18 @@ _FIRST_RETRY_S: Final = 4.0
 _LAST_RETRY_S: Final = 60.0
 
 
+class Paced(Protocol):
+    """What has a pace: ``ropeway.link.pace.Pace``, and whatever is as fast as the slowest of several."""
+
+    @property
+    def bytes_per_s(self) -> float | None:
+        """Return the pace, ``None`` where it is not known."""
+
+
 class EncodingChooser:
     """Chooses for one topic on one link."""
 
-    def __init__(self, pace: Pace, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, pace: Paced, clock: Callable[[], float] = time.monotonic) -> None:
         self._pace = pace
         self._clock = clock
         self.encoding = RAW

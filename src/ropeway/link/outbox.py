@@ -138,6 +138,19 @@ class Outbox(Generic[M]):
         self._queues.discard(queue)
         self._clear(queue, Lost.UNSENT)
 
+    def release(self, queue: Queue[M]) -> list[M]:
+        """Take a queue out; return what waited in it. Its message must not be under way."""
+        self._queues.discard(queue)
+        if queue.waiting:
+            self._line_out(queue)
+        waiting = list(queue.waiting)
+        queue.waiting.clear()
+        self.messages -= len(waiting)
+        self.bytes -= queue.bytes
+        queue.bytes = 0
+        queue.served = 0.0  # each outbox has a time of its own
+        return waiting
+
     def clear(self, reason: Lost = Lost.UNSENT) -> None:
         """Lose everything that waits."""
         for queue in self._queues:
@@ -175,6 +188,10 @@ class Outbox(Generic[M]):
         for priority, (small, big) in enumerate(zip(self._small, self._big, strict=True)):
             if small or big:
                 yield priority
+
+    def waits(self, priority: int) -> bool:
+        """Return whether something waits in a lane."""
+        return bool(self._small[priority] or self._big[priority])
 
     def overtakes(self, priority: int, queue: Queue[M]) -> bool:
         """Return whether a small message that waits in a lane goes before the big one of ``queue`` is sent whole.
@@ -232,6 +249,11 @@ class Outbox(Generic[M]):
         queue.lane = (self._small if size <= SMALL_BYTES else self._big)[queue.priority]
         heapq.heappush(queue.lane, (queue.served, queue.number, queue))
 
+    @staticmethod
+    def _line_out(queue: Queue[M]) -> None:
+        queue.lane.remove((queue.served, queue.number, queue))
+        heapq.heapify(queue.lane)
+
     def statistics(self) -> OutboxStatistics:
         """What waits now."""
         return OutboxStatistics(self.messages, self.bytes, sum(1 for q in self._queues if q.waiting))
@@ -246,7 +268,6 @@ class Outbox(Generic[M]):
 
     def _clear(self, queue: Queue[M], reason: Lost) -> None:
         if queue.waiting and not queue.under_way:
-            queue.lane.remove((queue.served, queue.number, queue))
-            heapq.heapify(queue.lane)
+            self._line_out(queue)
         while queue.waiting:
             self._drop_oldest(queue, reason)

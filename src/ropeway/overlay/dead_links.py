@@ -19,6 +19,10 @@ __all__ = ["limit"]
 
 _LOCATOR: Final = re.compile(r"(?:tls|tcp)/(?:\[(?P<six>[^\]]+)\]|(?P<four>[^:]+)):(?P<port>\d+)")
 _DESCRIPTORS: Final = Path("/proc/self/fd")
+_NOTSENT_LOWAT: Final[int | None] = getattr(socket, "TCP_NOTSENT_LOWAT", None)
+_UNSENT_BYTES: Final = 128 * 1024  # the next batch of Zenoh's, of 32 kB, is there before the last has left
+_CONGESTION: Final[int | None] = getattr(socket, "TCP_CONGESTION", None)
+_LOSS_TOLERANT: Final = b"bbr"
 
 
 def limit(source: str, target: str, timeout_ms: int) -> bool:
@@ -40,8 +44,17 @@ def limit(source: str, target: str, timeout_ms: int) -> bool:
                     continue
                 if (_pair(link.getsockname()), _pair(link.getpeername())) == ends:
                     link.setsockopt(socket.IPPROTO_TCP, option, timeout_ms)
+                    _keep_fresh(link)
                     found = True
     return found
+
+
+def _keep_fresh(link: socket.socket) -> None:
+    """Have little wait in the kernel, and a link with losses filled all the same, where the system can."""
+    for option, value in ((_NOTSENT_LOWAT, _UNSENT_BYTES), (_CONGESTION, _LOSS_TOLERANT)):
+        if option is not None:
+            with contextlib.suppress(OSError):  # there is no such congestion control here
+                link.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
 def _address(locator: str) -> tuple[str, int] | None:

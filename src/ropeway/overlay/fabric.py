@@ -179,11 +179,11 @@ class Fabric:
 
     # ── hearing ────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def subscribe(self, key: str, callback: Callable[[str, zenoh.ZBytes], None]) -> Handle:
-        """Have ``callback(key, payload)`` called in Zenoh's thread for what is put under ``key``."""
+    def subscribe(self, key: str, callback: Callable[[str, zenoh.ZBytes, zenoh.ZBytes | None], None]) -> Handle:
+        """Have ``callback(key, payload, attachment)`` called in Zenoh's thread for what is put under ``key``."""
 
         def take(sample: zenoh.Sample) -> None:
-            callback(str(sample.key_expr), sample.payload)
+            callback(str(sample.key_expr), sample.payload, sample.attachment)
 
         handler = zenoh.handlers.Callback(take, indirect=False)
         return self._declare(lambda session: session.declare_subscriber(key, handler))
@@ -194,7 +194,7 @@ class Fabric:
         """The same on the loop, for payloads of ``limit_bytes`` at most."""
         inlet: Inlet[tuple[str, bytes]] = Inlet(self._loop, one_by_one(lambda item: callback(*item)))
 
-        def take(key: str, payload: zenoh.ZBytes) -> None:
+        def take(key: str, payload: zenoh.ZBytes, _: object) -> None:
             if len(payload) <= limit_bytes:
                 inlet.put((key, bytes(payload)), len(payload))
             else:
@@ -288,11 +288,16 @@ class Fabric:
             with contextlib.suppress(zenoh.ZError):
                 self._session.undeclare(key)
 
-    def put(self, lane: int, key: str | zenoh.KeyExpr, payload: bytes) -> None:
-        """Put data; waits while the link is congested, so call it in the thread of the lane (``in_lane``)."""
+    def put(self, lane: int, key: str | zenoh.KeyExpr, payload: bytes, mark: bytes | None = None) -> None:
+        """Put data, with a mark beside it; waits while the link is congested, so call it in the lane's thread."""
         self._ready.wait(_REOPEN_S)
         self.session.put(
-            key, payload, congestion_control=zenoh.CongestionControl.BLOCK, priority=_PRIORITIES[lane], express=True
+            key,
+            payload,
+            attachment=mark,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=_PRIORITIES[lane],
+            express=True,
         )
 
     def in_lane(self, lane: int, work: Callable[[], T]) -> asyncio.Future[T]:

@@ -18,6 +18,7 @@ import zenoh
 
 from ropeway.errors import CallError, RopewayError, SealError
 from ropeway.limits import (
+    OVERLAY_BATCH_BYTES,
     OVERLAY_HELD_BYTES_PER_PUBLISHER,
     OVERLAY_HISTORY_BYTES,
     OVERLAY_MESSAGE_BYTES,
@@ -30,6 +31,9 @@ from ropeway.overlay.follower import Follower
 from ropeway.overlay.held import Held
 from ropeway.overlay.inlet import Inlet
 from ropeway.overlay.item import Item, read_item, read_items
+from ropeway.overlay.mark import Mark
+from ropeway.overlay.parts import Parts
+from ropeway.overlay.receipts import Receipts
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rpc import RemoteError, Rpc
 from ropeway.overlay.seal import Grant, Opener
@@ -43,6 +47,7 @@ _ASK_S: Final = 2.0
 _AGAIN_S: Final = 1.0
 _SPACING_S: Final = 0.5  # between two requests for keys: packets that name keys nobody has cost no more than that
 _REMEMBERED: Final = 4096
+_SEALED_BYTES: Final = OVERLAY_BATCH_BYTES  # what a packet may have beside its largest message
 _ITEM_BYTES: Final = 256  # what a message costs beside its payload
 
 
@@ -86,6 +91,7 @@ class Stream:
         self._granted_at = float("-inf")
         self._keying: asyncio.Task[None] | None = None
         self._recovering = Chores()
+        self.parts = Parts(feed.limit_bytes + _SEALED_BYTES, feed.held)
 
     # ── keys ───────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -131,6 +137,7 @@ class Stream:
         with self.lock:
             self.opener.add(grant)
         self._epoch = grant.current.epoch
+        self._feed.receipts.introduce(self.advert.gateway)
         for reader in waiting:
             if reader in self.readers:
                 self._follow(reader, answer["n"])
@@ -265,6 +272,8 @@ class Stream:
         await end(self._keying)
         await self._recovering.close()
         self._let_go()
+        with self.lock:
+            self.parts.drop()
         for reader in list(self.readers):
             self.leave(reader)
 
@@ -282,6 +291,7 @@ class Feed:
         self,
         fabric: Fabric,
         rpc: Rpc,
+        receipts: Receipts,
         name: bytes,
         refused: Callable[[str, SealError], None],
         denied: Callable[[Advertisement, str], None],
@@ -290,7 +300,7 @@ class Feed:
         held: Held | None = None,
     ) -> None:
         self.limit_bytes, self.held = limit_bytes, held or Held()
-        self.fabric, self.rpc, self.name = fabric, rpc, name
+        self.fabric, self.rpc, self.receipts, self.name = fabric, rpc, receipts, name
         self.refused, self.denied = refused, denied
         self.missed = 0
         self.had: dict[tuple[bytes, bytes], int] = {}
@@ -326,15 +336,23 @@ class Feed:
             if endpoint not in self.streams:
                 self.streams[endpoint] = Stream(self, advert, certificate)
 
-    def _came(self, key: str, payload: zenoh.ZBytes) -> None:
+    def _came(self, key: str, payload: zenoh.ZBytes, attachment: zenoh.ZBytes | None) -> None:
         """A packet, in Zenoh's thread."""
         endpoint = bytes.fromhex(key.rsplit("/", 1)[1]) if _is_hex(key.rsplit("/", 1)[1]) else b""
         stream = self.streams.get(endpoint)
         if stream is None or not stream.readers:
             return
         raw = bytes(payload)
+        mark = Mark.read(bytes(attachment)) if attachment is not None else None
+        if mark is not None:
+            self.receipts.came(stream.advert.gateway, mark)
         try:
             with stream.lock:
+                if mark is not None and mark.size:
+                    packet = stream.parts.take(mark, raw)
+                    if packet is None:
+                        return
+                    raw = packet
                 if not stream.opener.knows(raw):
                     self._inlet.put((stream, raw), len(raw))
                     return

@@ -25,6 +25,7 @@ from ropeway.overlay.held import Held
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.links import Links
 from ropeway.overlay.membership import Membership
+from ropeway.overlay.receipts import Receipts
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rib import Rib
 from ropeway.overlay.rpc import Rpc, part
@@ -112,9 +113,10 @@ class OverlayNode:
             tails=self._tails,
             on_tails=self._on_tails,
             on_newer_crl=lambda: self._ask_crl.set(),
-            on_gone=self.rpc.forget,
+            on_gone=self._gone,
             refused=self.refused,
         )
+        self.receipts = Receipts(self.fabric, self.rpc, self.membership.certificate, self.refused)
         self.sources: dict[bytes, Source] = {}
         self.on_granted: dict[bytes, Callable[[Sequence[bytes]], None]] = {}
         self.providers: dict[bytes, Provider] = {}
@@ -140,6 +142,7 @@ class OverlayNode:
                 self.rpc.answers("ping", self._answer_ping)
                 self.rpc.answers("list", self._answer_list)
                 self.rpc.open()
+                self.receipts.open()
                 self._ends.append(self.fabric.serve(CRL_KEY, self._tell_crl))
                 take = self.fabric.hear(CRL_KEY, lambda _, raw: self._take_crl(raw), limit_bytes=OVERLAY_CRL_BYTES)
                 self._ends.append(take)
@@ -163,6 +166,7 @@ class OverlayNode:
                 await feed.close()
             self.feeds.clear()
             await self.membership.close()
+            await self.receipts.close()
             await self.rpc.close()
             for handle in self._ends:
                 handle()
@@ -294,6 +298,7 @@ class OverlayNode:
             feed = self.feeds[name] = Feed(
                 self.fabric,
                 self.rpc,
+                self.receipts,
                 name,
                 self.refused,
                 self.denied,
@@ -318,9 +323,13 @@ class OverlayNode:
                 found[advert.endpoint] = (advert, certificate)
         feed.follow(found)
 
+    def _gone(self, gateway: bytes) -> None:
+        self.rpc.forget(gateway)
+        self.receipts.forget(gateway)
+
     def _tails(self) -> dict[bytes, int]:
         now = time.monotonic()
-        return {endpoint: source.number for endpoint, source in self.sources.items() if now - source.active < _ACTIVE_S}
+        return {endpoint: source.tail() for endpoint, source in self.sources.items() if now - source.active < _ACTIVE_S}
 
     def _on_tails(self, gateway: bytes, tails: Mapping[Any, Any]) -> None:
         for feed in self.feeds.values():

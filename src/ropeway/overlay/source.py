@@ -18,6 +18,7 @@ from ropeway.overlay.seal import Sealer
 __all__ = ["Source"]
 
 _KEEP_BYTES: Final = 64 << 20  # above, the oldest go, whatever the depth; one message always stays
+_ON_THE_WAY_S: Final = 0.9  # a little less than the time between two heartbeats
 _KEEP_ALL: Final = 10_000
 
 
@@ -44,6 +45,8 @@ class Source:
         self.name, self.endpoint, self.topic = name, endpoint, topic
         self.number = 0
         self.active = 0.0
+        self._sent = 0
+        self._tails = (0, 0, float("-inf"))  # what should have come, what may be on the way, and since when
         self._sealer = Sealer(name, endpoint, sign)
         self._depth = _KEEP_ALL if depth is None else depth
         self._lifespan_ns = None if lifespan_s is None else int(lifespan_s * 1e9)
@@ -67,6 +70,19 @@ class Source:
             while len(kept) > 1 and (len(kept) > self._depth or self._kept_bytes > _KEEP_BYTES):
                 self._kept_bytes -= len(kept.popleft().payload)
         return item
+
+    def sent(self, number: int) -> None:
+        """Note that the message with this number, and all before it, went out, or never will."""
+        self._sent = max(self._sent, number)
+
+    def tail(self) -> int:
+        """Return the newest number that readers should have: it went out a while ago, and not just now."""
+        come, coming, since_s = self._tails
+        now_s = time.monotonic()
+        if now_s - since_s >= _ON_THE_WAY_S:
+            come = coming
+            self._tails = come, self._sent, now_s
+        return come
 
     def seal(self, items: Sequence[Item]) -> bytes:
         """One packet."""

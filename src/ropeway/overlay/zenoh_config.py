@@ -17,7 +17,7 @@ __all__ = ["KEYS", "MEMBER_DEAD_MS", "ROUTER_DEAD_MS", "gateway_config", "gatewa
 KEYS: Final = "rw/**"
 """All that travels in an overlay lies under this key expression."""
 
-_DENIED: Final = ("rw/a/**", "rw/d/**", "rw/g/**", "rw/h/**", "rw/l/**", "rw/m/**")
+_DENIED: Final = ("rw/a/**", "rw/d/**", "rw/g/**", "rw/h/**", "rw/k/**", "rw/l/**", "rw/m/**")
 """All of it but the revocation list."""
 
 # A dead link is known within these times. A router knows it first: a member that comes again before its router has let

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import struct
 import time
+from collections import Counter
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 
@@ -331,17 +332,20 @@ async def test_encodings(site: Site, encoding: str) -> None:
 def test_packing_follows_the_path() -> None:
     """Where what was sent took long, the next is compressed; where the path is fast again, it is not."""
     packing = Packing(STRING, "auto")
-    packing.sent(100, 10.0)
-    assert not packing.on
-    packing.sent(1_000_000, 1.0)
+    item = Item(1, 0, 0, bytes(16), 0, RAW, b"x" * 100_000)
+    packing.taken(100, 10.0)
+    assert not packing.choose(len(item.payload), Counter())
+    packing.taken(1_000_000, 1.0)
+    assert packing.choose(len(item.payload), Counter())  # once, to see what it brings
+    assert len(packing.pack(item, True).payload) < 1000
+    assert packing.choose(len(item.payload), Counter())
     assert packing.used == "zstd"
-    item = Item(1, 0, 0, bytes(16), 0, RAW, b"x" * 10_000)
-    assert len(packing.pack(item).payload) < 1000
-    assert packing.pack(item._replace(payload=b"short")).encoding == RAW
+    assert packing.pack(item._replace(payload=b"short"), True).encoding == RAW
     for _ in range(10):
-        packing.sent(1_000_000, 0.001)
+        packing.taken(1_000_000, 0.0001)
+    assert not packing.choose(len(item.payload), Counter())
     assert packing.used == "cbor-raw"
-    assert packing.pack(item) == item
+    assert packing.pack(item, False) == item
 
 
 async def test_keys_rotate(site: Site) -> None:

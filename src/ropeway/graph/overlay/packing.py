@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Mapping
 from typing import Final
 
+from ropeway.link.auto import EncodingChooser
+from ropeway.link.outbox import Lost
+from ropeway.link.pace import Pace
 from ropeway.overlay.item import RAW, ZSTD, Item
 from ropeway.wire import filters
 
@@ -11,39 +16,55 @@ __all__ = ["Packing"]
 
 _SMALL_BYTES: Final = 512  # not worth a frame
 _TELLING_BYTES: Final = 32 * 1024  # fewer vanish in queues, whatever the path
-_SLOW_BPS: Final = 60e6  # bytes per second: below, compressing an image brings it sooner
-_FAST_BPS: Final = 120e6
-_WEIGHT: Final = 0.3
+_ALWAYS: Final = ("zstd", "zip", "rawzip")
 
 
 class Packing:
     """Of one publisher. ``encoding`` is the configured one: ``zstd``, ``zip`` and ``rawzip`` always compress, ``auto``
-    where what was sent before took long; without loss, by the filters for images and point clouds.
+    where that brings messages over sooner; without loss, by the filters for images and point clouds.
+
+    ``slowest`` gives the pace of the slowest path that acknowledges, ``None`` where none does: then it is judged by how
+    long what was sent took to be taken.
     """
 
-    def __init__(self, type: str, encoding: str) -> None:
+    def __init__(self, type: str, encoding: str, slowest: Callable[[], float | None] = lambda: None) -> None:
         self.type = type
-        self.auto = encoding == "auto"
-        self.on = encoding in ("zstd", "zip", "rawzip")
-        self.pace_bps: float | None = None
+        self.on = encoding in _ALWAYS
+        self._slowest = slowest
+        self._taken = Pace()
+        self._chooser = EncodingChooser(self) if encoding == "auto" else None
+        self._sent = 0
+
+    @property
+    def bytes_per_s(self) -> float | None:
+        """The pace of the path, ``None`` where it is not known."""
+        pace = self._slowest()
+        return self._taken.bytes_per_s if pace is None else pace
 
     @property
     def used(self) -> str:
         """What is done now."""
         return "zstd" if self.on else "cbor-raw"
 
-    def pack(self, item: Item) -> Item:
+    def choose(self, size_bytes: int, lost: Mapping[Lost, int]) -> bool:
+        """Return whether to compress the next message; ``lost`` counts those that could not be sent."""
+        self._sent += 1
+        if self._chooser is not None:
+            fell = lost[Lost.REPLACED] + lost[Lost.OVERFLOW]
+            self.on = self._chooser.choose(size_bytes, self._sent, fell) == "zstd"
+        return self.on
+
+    def pack(self, item: Item, on: bool) -> Item:
         """The item as it is to be sent."""
-        if not self.on or len(item.payload) < _SMALL_BYTES or item.encoding != RAW:
+        if not on or len(item.payload) < _SMALL_BYTES or item.encoding != RAW:
             return item
+        began = time.perf_counter()
         packed = filters.encode(item.payload, self.type)
+        if self._chooser is not None:
+            self._chooser.measured(len(item.payload), len(packed), time.perf_counter() - began)
         return item._replace(encoding=ZSTD, payload=packed) if len(packed) < len(item.payload) else item
 
-    def sent(self, size: int, took_s: float) -> None:
-        """So many bytes were taken by the path in so long."""
-        if size < _TELLING_BYTES:
-            return
-        pace = size / max(took_s, 1e-6)
-        self.pace_bps = pace if self.pace_bps is None else (1 - _WEIGHT) * self.pace_bps + _WEIGHT * pace
-        if self.auto:
-            self.on = self.pace_bps < (_FAST_BPS if self.on else _SLOW_BPS)
+    def taken(self, size_bytes: int, seconds: float) -> None:
+        """So many bytes were taken by Zenoh in so long."""
+        if size_bytes >= _TELLING_BYTES:
+            self._taken.carried(size_bytes, seconds)

@@ -41,9 +41,8 @@ class OverlayPublisher:
         self._graph = graph
         self._seq = 0
         self._granted: set[bytes] = set()
-        self._readers: set[bytes] = set()
+        self._readers: dict[bytes, bytes] = {}  # endpoint: gateway
         self._had_readers = False
-        self.packing = Packing(self.type, delivery.encoding)
         self._short: zenoh.KeyExpr | None = None
         self._demand: list[Callable[[int], None]] = []
         qos = advert.qos
@@ -65,6 +64,7 @@ class OverlayPublisher:
             waiting = max(qos.depth, 1)
         self.queue: Queue[Sample] = Queue(self, priority=delivery.priority, depth=waiting, lifespan_ns=lifespan_ns)
         self.queue.latched = qos.latched
+        self.packing = Packing(self.type, delivery.encoding, lambda: graph.sender.slowest(self.queue))
 
     @property
     def lost(self) -> Counter[Lost]:
@@ -83,7 +83,7 @@ class OverlayPublisher:
         if self._readers:
             self._graph.sender.put(self.queue, sample)
         elif self.qos.transient_local or (self._had_readers and self.qos.reliable):
-            self.add(sample)
+            self.source.sent(self.add(sample).number)
 
     def wire_key(self) -> zenoh.KeyExpr:
         """The key to put under, in its short form once something is sent."""
@@ -114,18 +114,19 @@ class OverlayPublisher:
     def rematch(self) -> None:
         """See who reads it."""
         found = {
-            advert.endpoint
+            advert.endpoint: advert.gateway
             for advert in self._graph.node.rib.by_name(self.advert.global_name, "subscription")
             if matches(self.qos, advert.qos)
         }
         if len(self._granted) > _REMEMBERED:  # those that were here and may come back
-            self._granted &= found
-        readers = found & self._granted
+            self._granted &= found.keys()
+        readers = {endpoint: gateway for endpoint, gateway in found.items() if endpoint in self._granted}
         if readers == self._readers:
             return
         changed = len(readers) != len(self._readers)
         self._readers = readers
         self._had_readers = self._had_readers or bool(readers)
+        self._graph.sender.aim(self.queue, frozenset(readers.values()))
         if changed:
             for callback in self._demand:
                 self._graph.guard(self.topic, callback, len(readers))
