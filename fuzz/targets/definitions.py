@@ -12,6 +12,8 @@ from ropeway.types.told import Teller
 
 __all__ = ["TARGETS"]
 
+_MEMORY_BYTES: Final = 32 << 20  # a list of as many items as a fixed array may have, twice
+
 _MSG: Final = """\
 # a comment
 int32 A=-7
@@ -96,12 +98,14 @@ TARGETS: Final = {
             b"Header",
             b"int64 ",
         ),
+        memory_bytes=_MEMORY_BYTES,
     ),
     "interfaces": Target(
         _interface,
         (TypesError,),
         lambda: [b"\0int64 a\n---\nint64 b\n", b"\x80int32 a\n---\n---\nint32[] b\n"],
         (b"\n---\n",),
+        memory_bytes=_MEMORY_BYTES,
     ),
     "idl": Target(
         _idl,

@@ -28,7 +28,7 @@ _ADDRESS: Final = "127.0.0.1"
 
 def declared(given: Mapping[str, Any], actual_port: int) -> list[OwnParameter]:
     """Return the parameters for the options ``given``, in rosbridge's types; those left out have its defaults."""
-    defaults = {"retry_startup_delay": _RETRY_S, "address": _ADDRESS}
+    defaults: dict[str, Any] = {"retry_startup_delay": _RETRY_S, "address": _ADDRESS}
     found = [
         OwnParameter(
             name,
