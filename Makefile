@@ -3,7 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-BENCHES = paper loopback urgent big wan start readers services clients overlay nodes
+BENCHES = paper scenarios applications loopback urgent big wan start readers services clients overlay nodes
 export PYTHON
 
 .PHONY: help demo demo-iort test test-all lint bench fuzz clean

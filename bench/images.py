@@ -6,10 +6,11 @@ import numpy as np
 
 from ropeway.types import TypeRegistry
 
-__all__ = ["frames"]
+__all__ = ["frames", "matrix"]
 
 IMAGE = "sensor_msgs/msg/Image"
 HEIGHT, WIDTH, COUNT = 240, 424, 15
+_MATRIX_IMAGES = 67
 # of the picture, nothing to see: what LZ4 gains; of the rest, noise: what filters and entropy coding leave
 _PLAIN_COLOUR, _NOISE_COLOUR = 0.21, 1.1
 _PLAIN_DEPTH, _NOISE_DEPTH = 0.515, 55.0
@@ -37,6 +38,26 @@ def frames(kind: str) -> list[bytes]:
             )
         )
     return made
+
+
+def matrix() -> bytes:
+    """Return a depth matrix of more than 13 MB, of 67 made depth images one below the other, as an Image in CDR."""
+    random = np.random.default_rng(1)
+    pixels = np.concatenate([_depth(random, number) for number in range(_MATRIX_IMAGES)])
+    return (
+        TypeRegistry()
+        .codec(IMAGE)
+        .encode(
+            {
+                "header": {"frame_id": "camera"},
+                "height": HEIGHT * _MATRIX_IMAGES,
+                "width": WIDTH,
+                "encoding": "16UC1",
+                "step": 2 * WIDTH,
+                "data": np.frombuffer(pixels.tobytes(), np.uint8),
+            }
+        )
+    )
 
 
 def _slope(number: int) -> np.ndarray:

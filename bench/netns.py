@@ -17,12 +17,15 @@ def _run(command: str) -> None:
 
 
 class Process:
-    """A Python program in a namespace, its standard output captured as text."""
+    """A program, of Python unless another is named, in a namespace; its standard output is captured as text."""
 
-    def __init__(self, namespace: str | None, *args: str, quiet: bool = True) -> None:
+    def __init__(
+        self, namespace: str | None, *args: str, quiet: bool = True, program: str = sys.executable, **environment: str
+    ) -> None:
         prefix = ["ip", "netns", "exec", namespace] if namespace else []
         self._popen = subprocess.Popen(
-            [*prefix, sys.executable, *args],
+            [*prefix, program, *args],
+            env={**os.environ, **environment},
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL if quiet else None,
             stdin=subprocess.PIPE,
@@ -79,9 +82,11 @@ class Network:
     address_b: str
     processes: list[Process] = field(default_factory=list)
 
-    def start(self, where: str, *args: str, quiet: bool = True) -> Process:
-        """Run a Python program in namespace ``a`` or ``b``."""
-        process = Process({"a": self.a, "b": self.b}[where], *args, quiet=quiet)
+    def start(
+        self, where: str, *args: str, quiet: bool = True, program: str = sys.executable, **environment: str
+    ) -> Process:
+        """Run a program, of Python unless another is named, in namespace ``a`` or ``b``."""
+        process = Process({"a": self.a, "b": self.b}[where], *args, quiet=quiet, program=program, **environment)
         self.processes.append(process)
         return process
 

@@ -80,7 +80,9 @@ def measure(
     return result
 
 
-def start_sources(net: Network, hz: float, seconds: float, topics: dict[str, str]) -> list[Process]:
+def start_sources(
+    net: Network, hz: float, seconds: float, topics: dict[str, str], interface: str = "lo"
+) -> list[Process]:
     """A camera driver for each topic, so that their frames do not come in step."""
     return [
         net.start(
@@ -98,6 +100,8 @@ def start_sources(net: Network, hz: float, seconds: float, topics: dict[str, str
             str(seconds),
             "--settle",
             "1",
+            "--interface",
+            interface,
         )
         for t, k in topics.items()
     ]

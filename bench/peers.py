@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import uvloop
 
-from bench.images import IMAGE, frames
+from bench.images import IMAGE, frames, matrix
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.dds import DdsGraph
 from ropeway.qos import QoS
@@ -69,6 +69,8 @@ def messages(kind: str) -> tuple[str, list[bytes]]:
         return TWIST, [b"\0\1\0\0" + bytes(8) + struct.pack("<I", 1) + bytes(4) + bytes(48)]
     if kind.isdigit():
         return "sensor_msgs/msg/CompressedImage", [stamped(int(kind))]
+    if kind == "matrix":
+        return IMAGE, [matrix()]
     directory = data_directory()
     if directory is None:
         if kind in ("rgb", "depth"):
@@ -163,14 +165,17 @@ async def sink(args: argparse.Namespace) -> None:
     print("ready", flush=True)
     await asyncio.sleep(args.seconds)
     print(
-        json.dumps({topic: figures(rows) for topic, rows in got.items()} | ({"wrong": wrong} if args.check else {})),
+        json.dumps(
+            {topic: figures(rows, args.limit_ms) for topic, rows in got.items()}
+            | ({"wrong": wrong} if args.check else {})
+        ),
         flush=True,
     )
     await graph.close()
 
 
-def figures(rows: list[tuple[float, float, int]]) -> dict[str, float]:
-    """Rate and delay of what arrived."""
+def figures(rows: list[tuple[float, float, int]], limit_ms: float = 0.0) -> dict[str, float]:
+    """Rate and delay of what arrived, and the share that took ``limit_ms`` at most."""
     if len(rows) < 2:
         return {"n": len(rows)}
     times = np.array([r[0] for r in rows])
@@ -180,7 +185,9 @@ def figures(rows: list[tuple[float, float, int]]) -> dict[str, float]:
         "n": len(rows),
         "rate_hz": float((len(rows) - 1) / span),
         "mbps": float(sum(r[2] for r in rows[1:]) / span / 1e6),
+        "delay_min_ms": float(delays.min() * 1e3),
         "delay_mean_ms": float(delays.mean() * 1e3),
+        "within": float((delays * 1e3 <= limit_ms).mean()) if limit_ms else 1.0,
         "delay_p50_ms": float(np.percentile(delays, 50) * 1e3),
         "delay_p99_ms": float(np.percentile(delays, 99) * 1e3),
         "delay_max_ms": float(delays.max() * 1e3),
@@ -201,6 +208,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=5)
     parser.add_argument("--count", type=int, default=0)
     parser.add_argument("--settle", type=float, default=0.3)
+    parser.add_argument("--limit-ms", type=float, default=0)
     parser.add_argument("--burst", type=int, default=16)
     parser.add_argument("--depth", type=int, default=10)
     parser.add_argument("--best-effort", action="store_true")

@@ -18,7 +18,7 @@ from typing import Any
 import psutil
 import pytest
 
-from ropeway.errors import GraphUnavailable
+from ropeway.errors import ConnectFailed
 from ropeway.gateway import config
 from ropeway.gateway.supervisor import Supervisor, slices
 from ropeway.graph.base import SEQ_NONE, Sample
@@ -191,14 +191,14 @@ async def test_status(stack: AsyncExitStack) -> None:
 
 
 async def test_start_failure(stack: AsyncExitStack) -> None:
-    """A worker that cannot start fails the start of all, with its name and reason, and leaves no process."""
+    """Where nothing can start, as the port is taken, the reason is told, and no process is left."""
     taken = socket.socket()
     stack.callback(taken.close)
     taken.bind(("127.0.0.1", 0))
     taken.listen()
     listen = [f"ws://127.0.0.1:{taken.getsockname()[1]}"]
     supervisor = Supervisor(config.parse({"gateway": settings("memory:x", listen=listen, workers=2)}))
-    with pytest.raises(GraphUnavailable, match=r"worker worker\d: .*is another gateway running\?"):
+    with pytest.raises(ConnectFailed, match=r"is another gateway running\?"):
         await supervisor.__aenter__()
     assert not psutil.Process().children()
 
