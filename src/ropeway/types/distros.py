@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from ropeway.errors import TypesError
 from ropeway.types.definition import Definition, short_name
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from ropeway.types.registry import TypeRegistry
 
 __all__ = ["CHANGED", "ROS2_DISTROS", "OtherDistros"]
+
+Convert: TypeAlias = Callable[[bytes], bytes]
 
 log = logging.getLogger("ropeway.types")
 
@@ -52,6 +54,7 @@ class OtherDistros:
         self._registry, self._make = registry, make
         self._made: dict[str, TypeRegistry] = {}
         self._said: set[tuple[str, str]] = set()
+        self._converters: dict[tuple[str, str, bool], tuple[object, Convert | None]] = {}
         self._lock = threading.Lock()
 
     def touches(self, type: str) -> bool:
@@ -76,7 +79,7 @@ class OtherDistros:
                 continue
         return None
 
-    def toward(self, type: str, distro: str) -> Callable[[bytes], bytes] | None:
+    def toward(self, type: str, distro: str) -> Convert | None:
         """What turns our CDR into that of ``distro``; ``None`` where both are the same."""
         return self._converter(type, distro, back=True) if self.touches(type) else None
 
@@ -87,7 +90,15 @@ class OtherDistros:
                 self._made[distro] = self._make(distro)
             return self._made[distro]
 
-    def _converter(self, type: str, distro: str, *, back: bool) -> Callable[[bytes], bytes] | None:
+    def _converter(self, type: str, distro: str, *, back: bool) -> Convert | None:
+        """What turns their CDR into ours, or ``back``; kept until our definition changes."""
+        codec = self._registry.codec(type)
+        known = self._converters.get((type, distro, back))
+        if known is None or known[0] is not codec:
+            known = self._converters[type, distro, back] = (codec, self._make_converter(type, distro, back=back))
+        return known[1]
+
+    def _make_converter(self, type: str, distro: str, *, back: bool) -> Convert | None:
         other, ours = self.registry(distro), self._registry
         differences = list(_differences(type, other, ours))
         if not differences:

@@ -243,6 +243,8 @@ class _Reader(Expressions):
     def sequence(self) -> FieldType:
         """Read what a sequence is made of."""
         self.expect("<")
+        if self.token.text == "sequence":
+            raise self.fault("a sequence of arrays or sequences is not supported in messages")
         inner = self.type_spec()
         if inner.kind != "scalar":
             raise self.fault("a sequence of arrays or sequences is not supported in messages", back=1)

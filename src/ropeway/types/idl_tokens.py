@@ -66,7 +66,8 @@ def tokens(text: str) -> Iterator[Token]:
 def _unescaped(text: str) -> str:
     def replaced(found: re.Match[str]) -> str:
         if found[1] or found[2]:
-            return chr(int(found[1] or found[2], 16))
+            point = int(found[1] or found[2], 16)
+            return "\ufffd" if 0xD800 <= point < 0xE000 else chr(point)  # half a surrogate pair is no text
         return chr(int(found[3], 8)) if found[3] else _LETTERS.get(found[4], found[4])
 
     return _ESCAPE.sub(replaced, text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Callable, Iterable
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from ropeway.errors import GraphUnavailable, TypesError
@@ -33,7 +34,11 @@ class Spelling:
     def __init__(self, graph: RosbridgeGraph, ros1: bool | None) -> None:
         self._graph = graph
         self._ros1 = ros1
-        self._theirs = Ros1Spelling(Ros1Types(graph.registry))
+
+    @cached_property
+    def _theirs(self) -> Ros1Spelling:
+        """Made when it is needed: it reads all definitions of ROS 1."""
+        return Ros1Spelling(Ros1Types(self._graph.registry))
 
     @property
     def is_ros1(self) -> bool:
