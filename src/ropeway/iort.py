@@ -876,14 +876,17 @@ class AsyncNode:
         Raises ``NodeError``: ``stale`` for an older one of a merge, ``not-kept`` where the disk refuses it.
         """
         known = self.known(value.system, value.topic)
+        now_ns = self._clock_ns() + self._offset_ns
         if merge and value.version:
+            if value.version > latest_version(now_ns):
+                raise NodeError("malformed", "version {} is too far in the future".format(value.version))
             if known is not None and known.order >= value.order:
                 if known.order == value.order:
                     return known
                 raise NodeError("stale", "version {} is there, which is later".format(known.version))
         else:
             last = known.version if known is not None else 0
-            now_us = (self._clock_ns() + self._offset_ns) // 1000
+            now_us = now_ns // 1000
             if not last < value.version <= now_us + _AHEAD_US:
                 self._version = value.version = max(now_us, self._version + 1, last + 1)
         self._copy.publish(value)

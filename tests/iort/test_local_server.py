@@ -229,6 +229,7 @@ async def test_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     assert await code(b"%01/A/1/+pub/n=4/" + b"x" * 100 + b"%") == "full"
     assert await code(b"%01/A/1/+pub/n=5,v=4,m=1/old%") == "stale"
     assert await code(b"%01/A/1/+pub/n=6,v=x/y%") == "malformed"
+    assert await code(b"%01/A/1/+pub/n=6,v=4611686018427387903,m=1/y%") == "malformed"
     assert await code(b"%01/" + b"A" * 201 + b"/1/+pub/n=7/y%") == "name"
     assert await code(b"%01/A/1/+sub/n=8,last=0%") == ""
     assert await code(b"%01/A/2/+sub/n=9,last=0%") == "full"

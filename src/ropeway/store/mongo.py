@@ -12,6 +12,7 @@ from typing import Any, Final
 from urllib.parse import quote, unquote, urlsplit
 
 from ropeway.errors import StoreUnavailable
+from ropeway.iort import latest_version
 from ropeway.store.entry import FOREIGN, Change, Entry, Key
 
 __all__ = ["POLL_S", "MongoBackend"]
@@ -280,6 +281,8 @@ def _entry(system: str, document: dict[str, Any], read_ns: int) -> Entry | None:
     else:
         raw = (data if isinstance(data, str) else json.dumps(data, default=str)).encode()
     version, stamp_ns = _number(document.get("version")), _number(document.get("stamp_ns"))
+    if version > latest_version(read_ns or time.time_ns()):
+        version = 0  # no clock made it
     if not version or not stamp_ns:
         stamp_ns = read_ns
     words = [str(document.get(key) or "") for key in ("origin", "type", "form")]
