@@ -177,6 +177,20 @@ def test_definitions_in_a_recording_become_known(tmp_path: Path) -> None:
     assert registry.codec("robot/msg/Mood").decode(record.payload) == {"level": 7}
 
 
+def test_recordings_of_another_distribution(tmp_path: Path) -> None:
+    """A message in the layout of Humble is played in that of the network, with or without its definition."""
+    humble = TypeRegistry("humble", alone=True)
+    name = "sensor_msgs/msg/Range"
+    raw = humble.codec(name).encode({"range": 1.25})
+    for schema in ("ros2msg", ""):
+        registry = TypeRegistry()
+        text = humble.full_text(name) if schema else ""
+        path = write_one(tmp_path / "a.mcap", "/range", name, "cdr", schema, text, raw)
+        with Bag(path, registry) as bag:
+            (record,) = bag.records()
+        assert record.payload == registry.codec(name).encode({"range": 1.25})
+
+
 def test_ros1_types_that_changed_are_carried_over_by_name(tmp_path: Path) -> None:
     """CameraInfo of ROS 1 spells its matrices in capitals; their values arrive all the same."""
     registry = TypeRegistry()

@@ -144,6 +144,9 @@ class Bag:
             topic = replace(topic, name=resolve_name(first.topic), type=full)
             if first.encoding == "ros1":
                 return replace(topic, convert=_from_ros1(self.registry, full, first.definition))
+            others = self.registry.others
+            if others is not None and others.touches(full):  # the network's layout counts, and it may be another
+                return replace(topic, convert=_fitting(self.registry, full))
             self._add(full, first.definition)
         except (TypesError, InvalidName) as error:
             return replace(topic, problem=str(error))
@@ -160,6 +163,19 @@ class Bag:
             self.registry.add_full_text(type, definition, replace=True)
         except TypesError as error:
             log.warning("%s: the definition of %s in it is not used: %s", self.path, type, error)
+
+
+def _fitting(registry: TypeRegistry, type: str) -> Callable[[bytes], bytes]:
+    """What brings a message of any distribution into our layout; what is of none is played as it is."""
+    codec = registry.codec(type)
+
+    def convert(raw: bytes) -> bytes:
+        try:
+            return codec.fitting(raw)
+        except TypesError:
+            return raw
+
+    return convert
 
 
 def _from_ros1(registry: TypeRegistry, type: str, definition: str | None) -> Callable[[bytes], bytes]:

@@ -54,17 +54,18 @@ class Border:
         return passed
 
     def outward(self, type: str) -> Callable[[bytes], bytes] | None:
-        """What brings a message into the layout of the network; ``None`` where no distribution has another."""
-        others = None if self._registry is None else self._registry.others
-        if others is None or not others.touches(type):
+        """What brings a message into the layout of the network; ``None`` where no distribution has another.
+
+        The message may be in the layout of a third one, as recordings are.
+        """
+        registry = self._registry
+        others = None if registry is None else registry.others
+        if registry is None or others is None or not others.touches(type):
             return None
-        made: dict[str, Callable[[bytes], bytes] | None] = {"": None}
+        codec = registry.codec(type)
 
         def written(payload: bytes) -> bytes:
-            distro = self.distro
-            if distro not in made:
-                made[distro] = others.toward(type, distro)
-            convert = made[distro]
+            convert = others.toward(type, self.distro) if self.distro else codec.fitting
             try:
                 return payload if convert is None else convert(payload)
             except TypesError:
