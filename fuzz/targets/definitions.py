@@ -12,7 +12,7 @@ from ropeway.types.told import Teller
 
 __all__ = ["TARGETS"]
 
-_MEMORY_BYTES: Final = 32 << 20  # a list of as many items as a fixed array may have, twice
+_MEMORY_BYTES: Final = 256 << 20  # an empty message with the largest fixed array of truths: bytes, lists and a JSON text
 
 _MSG: Final = """\
 # a comment
