@@ -12,7 +12,7 @@ from ropeway.types.told import Teller
 
 __all__ = ["TARGETS"]
 
-_MEMORY_BYTES: Final = 256 << 20  # an empty message with the largest fixed array of truths: bytes, lists and a JSON text
+_MEMORY_BYTES: Final = 256 << 20  # an empty message with the largest fixed array of truths: bytes, lists, a JSON text
 
 _MSG: Final = """\
 # a comment
