@@ -136,6 +136,19 @@ async def says_nothing(ports: list[int], n: int) -> None:
     writer.transport.abort()
 
 
+async def is_a_page_of_a_stranger(ports: list[int], n: int) -> None:
+    async with Client(ports[0], headers={"Origin": f"https://p{n}.example"}) as client:
+        assert client.status.startswith("HTTP/1.1 403")
+    assert (await fetch(ports[0], "/store", host=f"h{n}.example")).status == 403
+
+
+async def speaks_something_else(ports: list[int], n: int) -> None:
+    reader, writer = await asyncio.open_connection("127.0.0.1", ports[0])
+    writer.write((b"\x16\x03\x01\x02\x00\x01" + bytes(500), b"SSH-2.0-x\r\n\r\n")[n % 2])
+    assert b" 400 " in await reader.readuntil(b"\r\n")
+    writer.transport.abort()
+
+
 async def resets(ports: list[int], n: int) -> None:
     """Leave with a reset, as a machine that is switched off does once it is back."""
     async with Client(ports[0]) as client:
@@ -176,6 +189,8 @@ VISITS: tuple[Visit, ...] = (
     asks_over_http,
     watches_over_http,
     says_nothing,
+    is_a_page_of_a_stranger,
+    speaks_something_else,
     resets,
     is_a_robot,
 )
