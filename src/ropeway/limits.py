@@ -243,7 +243,7 @@ PENDING_CONNECTIONS: Final = 1_024
 """Connections of all listeners on which a TLS handshake, a request or a login is still to come. Above, the oldest is
 dropped, so that silent ones keep nobody out."""
 
-PENDING_PER_ADDRESS: Final = 256
+PENDING_PER_ADDRESS: Final = 128
 """Such connections from one address (an IPv6 network of 64 bits counts as one). Above, its oldest is dropped."""
 
 LOGIN_S: Final = 10.0

@@ -29,12 +29,10 @@ __all__ = ["Listener", "keep_alive", "open_listener"]
 MakeProtocol = Callable[[Visit], asyncio.BaseProtocol]
 
 _BACKLOG: Final = 1024  # clients that come back all at once after a cut
-_PER_TURN: Final = 64  # connections that are accepted before others have their turn
+_PER_TURN: Final = 16  # connections that are accepted before others have their turn
 _PAUSE_S: Final = 1.0
 _NO_ROOM: Final = frozenset((errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM))
-_BIO_BYTES: Final = (
-    1 << 16
-)  # of a TLS connection in each direction; the default of 256 KiB costs too much of a handshake
+_BIO_BYTES: Final = 17 << 10  # of a TLS connection each way: a record; the default is 256 KiB, also half-open
 _SHUTDOWN_S: Final = 2.0  # how long a client may take to say goodbye
 _ABSENT: Final = frozenset((errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT))
 
@@ -104,9 +102,7 @@ class Listener:
 
     async def _greet(self, connection: socket.socket, host: str) -> None:
         """Speak TLS, and hand the connection over; from then on the visit is the protocol's."""
-        task = asyncio.current_task()
-        assert task is not None
-        visit = self._lobby.enter(host, self, task.cancel)
+        visit = self._lobby.enter(host, self, _cancel_this())
         secure: dict[str, Any] = {}
         if self.context is not None:
             secure = {
@@ -126,6 +122,12 @@ class Listener:
         except BaseException:
             visit.leave()
             raise
+
+
+def _cancel_this() -> Callable[[], object]:
+    task = asyncio.current_task()
+    assert task is not None
+    return task.cancel
 
 
 async def open_listener(

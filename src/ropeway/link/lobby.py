@@ -42,6 +42,7 @@ class Visit:
     def leave(self) -> None:
         """End the stay: the connection was let in, or is gone. Harmless twice."""
         self._lobby.left(self)
+        self.drop = _nothing  # or the connection and its visit would keep each other
 
 
 class Lobby:
@@ -78,8 +79,9 @@ class Lobby:
     def clear(self, listener: object) -> None:
         """Drop those that came to a listener, which is closed."""
         for visit in [visit for visit in self._visits if visit.listener is listener]:
-            self.left(visit)
-            visit.drop()
+            drop = visit.drop
+            visit.leave()
+            drop()
 
     def relieve(self) -> None:
         """Drop the older half of those that wait: the system has no room for more."""
@@ -101,6 +103,11 @@ class Lobby:
         return {"waiting": len(self), **{f"dropped: {why}": n for why, n in self.dropped.items()}}
 
     def _drop(self, visit: Visit, why: str) -> None:
-        self.left(visit)
         self.dropped[why] += 1
-        visit.drop()
+        drop = visit.drop
+        visit.leave()
+        drop()
+
+
+def _nothing() -> None:
+    """There is nothing to drop any more."""
