@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
+import shutil
 import subprocess
 import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from ropeway.graph.iort import Space
 from ropeway.iort import Fault, Packet, Parser
@@ -17,7 +21,7 @@ from ropeway.server.entrance import Entrance
 from ropeway.server.iort import IortServer
 from ropeway.store import Store, StoreLimits, make_backend, make_mirror
 
-__all__ = ["Raw", "ServerProcess", "serving"]
+__all__ = ["Raw", "ServerProcess", "old_python", "serving"]
 
 
 class Served:
@@ -138,3 +142,13 @@ class ServerProcess:
             if self._process.stdout is not None:
                 self._process.stdout.close()
             self._process = None
+
+
+def old_python() -> str:
+    """The program of Python 3.8; the test is skipped where there is none."""
+    home = Path(os.environ.get("PYENV_ROOT", "~/.pyenv")).expanduser()
+    found = [*map(str, sorted(home.glob("versions/3.8.*/bin/python"))), shutil.which("python3.8")]
+    for path in found:
+        if path and subprocess.run([path, "-V"], capture_output=True, check=False).returncode == 0:
+            return path
+    pytest.skip("no Python 3.8")

@@ -16,7 +16,7 @@ import pytest
 
 from ropeway import iort
 from ropeway.iort import AsyncNode, LocalServer, NodeError, Value
-from tests.iort.servers import Raw, ServerProcess, serving
+from tests.iort.servers import Raw, ServerProcess, old_python, serving
 from tests.ports import free_port
 from tests.until import until
 
@@ -38,8 +38,8 @@ class Served:
         self.url = f"iort://127.0.0.1:{self.port}"
         self._process: subprocess.Popen[str] | None = None
 
-    def start(self, *options: str) -> None:
-        command = [sys.executable, "-I", str(self.file), "--serve", f"127.0.0.1:{self.port}", *options]
+    def start(self, *options: str, python: str = sys.executable) -> None:
+        command = [python, "-W", "error", "-I", str(self.file), "--serve", f"127.0.0.1:{self.port}", *options]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         assert self._process.stdout.readline().startswith("serving")
@@ -100,6 +100,17 @@ async def test_robot_to_robot(local: Served) -> None:
             await alice.read("none", system="PEPPER")
         with pytest.raises(NodeError, match="not known here"):
             await alice.request("A", "b", "+what", {})
+
+
+async def test_serves_on_old_python(local: Served) -> None:
+    """A copy of the file serves on Python 3.8, where there is one."""
+    local.start(python=old_python())
+    got: list[Value] = []
+    async with AsyncNode("PEPPER", local.url) as pepper, AsyncNode("ALICE", local.url) as alice:
+        await alice.subscribe("count", got.append, system="PEPPER")
+        for number in range(100):
+            await pepper.publish("count", number)
+        await until(lambda: [value.text for value in got] == [str(number) for number in range(100)])
 
 
 async def test_brings_all_to_the_cloud(local: Served, tmp_path: Path, stack: ExitStack) -> None:

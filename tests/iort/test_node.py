@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import re
-import shutil
 import ssl
 import subprocess
 import sys
@@ -24,7 +22,7 @@ from ropeway.server.access import EVERYTHING
 from ropeway.server.door import CertificateRule, Door
 from ropeway.store import StoreLimits
 from tests.gateway.test_tls import Authority
-from tests.iort.servers import ServerProcess, serving
+from tests.iort.servers import ServerProcess, old_python, serving
 from tests.ports import free_port
 from tests.until import until
 
@@ -308,11 +306,14 @@ async def test_refused() -> None:
 
 async def test_wrong_server() -> None:
     """A server that is none of ours leaves the node in local mode, with the reason."""
+    visitors: set[asyncio.StreamWriter] = set()
 
     async def silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        visitors.add(writer)
         await reader.read(10)
         writer.write(b"HTTP/1.1 400 Bad Request\r\n\r\n")
         writer.close()
+        visitors.remove(writer)
 
     server = await asyncio.start_server(silent, "127.0.0.1", 0)
     node = AsyncNode("A", f"iort://127.0.0.1:{server.sockets[0].getsockname()[1]}")
@@ -320,6 +321,7 @@ async def test_wrong_server() -> None:
     await until(lambda: node.last_error)
     assert node.mode == "local"
     await node.close()
+    await until(lambda: not visitors)
     server.close()
     bad = AsyncNode("A", "http://127.0.0.1")
     await bad.open()
@@ -423,11 +425,7 @@ def test_documented(tmp_path: Path) -> None:
 
 def test_old_python(tmp_path: Path) -> None:
     """A copy of the file runs on Python 3.8, where there is one."""
-    home = Path(os.environ.get("PYENV_ROOT", "~/.pyenv")).expanduser()
-    found = [*map(str, sorted(home.glob("versions/3.8.*/bin/python"))), shutil.which("python3.8")]
-    old = next((path for path in found if path and subprocess.run([path, "-V"], check=False).returncode == 0), None)
-    if old is None:
-        pytest.skip("no Python 3.8")
+    old = old_python()
     (tmp_path / "iort.py").write_text(Path(iort.__file__).read_text())
     server = ServerProcess(tmp_path / "s.sqlite", free_port())
     server.start()
@@ -447,6 +445,7 @@ def test_old_python(tmp_path: Path) -> None:
 async def test_a_server_that_tells_no_numbers() -> None:
     """A version or a list that is none is a fault of the server, and the next value is taken."""
     got: list[Value] = []
+    left = asyncio.Event()
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         parser = iort.Parser()
@@ -459,6 +458,8 @@ async def test_a_server_that_tells_no_numbers() -> None:
                         writer.write(iort.pack("01", "S", "t", "+val", {"v": version}, b"x"))
                 text = b"[" * 5000 if packet.op == "+list" else b""
                 writer.write(iort.pack("01", "-", "-", "+ok", {"n": number}, text))
+        writer.close()
+        left.set()
 
     server = await asyncio.start_server(serve, "127.0.0.1", 0)
     port = server.sockets[0].getsockname()[1]
@@ -470,3 +471,4 @@ async def test_a_server_that_tells_no_numbers() -> None:
         with pytest.raises(NodeError, match="no JSON") as told:
             await node.list()
         assert told.value.code == "malformed"
+    await left.wait()
