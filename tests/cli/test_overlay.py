@@ -60,6 +60,7 @@ def place(tmp_path: Path, ropeway: Ropeway, environment: dict[str, str]) -> Iter
     assert "router1 has ended" in errors
 
 
+@pytest.mark.timeout(180)  # a dozen processes, one after the other
 def test_as_a_user(place: Place) -> None:
     """A topic published with one bundle is listed, traced and read with another, over a router."""
     robot = place.start(
