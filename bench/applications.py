@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,7 +52,7 @@ def measure(net: Network, application: Application, hz: float) -> dict[str, floa
     with tempfile.TemporaryDirectory() as directory:
         gateways = start_pair(net, Path(directory), "publish", application.encoding, topics)
         given = ("--topic", _TOPIC, "--kind", application.kind)
-        sink = net.start("b", "-m", "bench.peers", "sink", *given, "--check", "--seconds", str(span + 10))
+        sink = net.start("b", "-m", "bench.peers", "sink", *given, "--check", "--seconds", str(span + 10), quiet=False)
         sink.line()
         rate = ("--hz", str(hz), "--count", str(application.count), "--seconds", str(2 * span + 10))
         source = net.start("a", "-m", "bench.peers", "source", *given, *rate, "--settle", str(_SETTLE_S))
@@ -65,13 +66,15 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--mbit", type=float, default=5, help="of the slow link; the fast one has no limit")
+    parser.add_argument("--links", default="slow,fast")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     rows: list[list[Any]] = []
     with network(args.mbit, name=f"ap{os.getpid()}", subnet=79) as net:
-        for mbit in (args.mbit, 0):
+        for mbit in [{"slow": args.mbit, "fast": 0.0}[name] for name in args.links.split(",")]:
             net.rate(mbit)
             for application in APPLICATIONS:
+                print(f"{mbit:g} Mbit/s: {application.name}", file=sys.stderr, flush=True)
                 size = len(messages(application.kind)[1][0])
                 got = measure(net, application, application.slow_hz if mbit else application.fast_hz)
                 rows.append(
