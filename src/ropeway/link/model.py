@@ -29,8 +29,8 @@ _FIRST_WINDOW_BYTES: Final = 16 * 1024  # what TCP itself begins with
 _LEAST_WINDOW_BYTES: Final = 4 * 1024
 _MOST_WINDOW_BYTES: Final = 64 << 20
 _LEAST_QUEUE_S: Final = 0.002  # timers have a resolution of 1 ms
-_MOST_QUEUE_S: Final = 0.01
-_QUEUE_SHARE: Final = 0.15  # of the round trip
+_MOST_QUEUE_S: Final = 0.005
+_QUEUE_SHARE: Final = 0.05  # of the round trip
 _MOST_QUEUE_SHARE: Final = 0.25  # where round trips vary
 _STEP: Final = 1.25  # every other round trip without a queue
 _LEAP: Final = 2.0  # where the pace says that there is room, and after some steps without a queue
@@ -48,8 +48,8 @@ _LEAST_UNSENT_BYTES: Final = 8 * 1024
 _FIRST_UNSENT_BYTES: Final = 16 * 1024
 _SHORTEST_LOOK_S: Final = 0.001
 _LONGEST_LOOK_S: Final = 0.02
-_LOSSY_ROUNDS: Final = 3  # of the last eight: losses without a queue are no sign of a full link
-_LOSS_MEMORY: Final = 0xFF
+_LOSSY_ROUNDS: Final = 3  # of the last sixteen: losses without a queue are no sign of a full link
+_LOSS_MEMORY: Final = 0xFFFF
 
 
 class Reading(NamedTuple):
