@@ -12,6 +12,7 @@ from ropeway.wire import codec as wire_codec
 from ropeway.wire import filters
 
 if TYPE_CHECKING:
+    from ropeway.link.express import Express
     from ropeway.link.sender import Sender
     from ropeway.types import MessageCodec
 
@@ -43,7 +44,9 @@ class Channel:
         "closed",
         "codec",
         "encoding",
+        "express",
         "fragment_size",
+        "large",
         "number",
         "queue",
         "sender",
@@ -78,12 +81,16 @@ class Channel:
         self.fragment_size: int | None = None  # characters; longer texts go in fragments
         self.sent = self.sent_bytes = 0
         self.closed = False
+        self.express: Express | None = None  # where there may be a second connection
+        self.large = False  # a message was too large for it
 
     def put(self, sample: Outgoing) -> None:
         """Let a message wait for its turn."""
         if self.closed:
             self.queue.lost[Lost.UNSENT] += 1
         else:
+            if self.express is not None:
+                self.express.place(self, len(sample.payload))
             self.sender.put(self, sample)
 
     def close(self) -> None:

@@ -19,7 +19,7 @@ from collections import Counter, deque
 from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
 __all__ = ["LANES", "Lost", "Outbox", "OutboxStatistics", "Queue"]
 
@@ -68,12 +68,14 @@ class Queue(Generic[M]):
     ``depth`` counts messages, ``None`` means keep all (bounded in bytes); ``lifespan_ns`` is the age at which a
     waiting message is not worth sending; of a ``latched`` topic each of the last ``depth`` messages is wanted,
     whatever their size. ``weight`` is the topic's share of its lane beside those of the others. ``served`` is its
-    virtual time, and ``under_way`` is true from ``take`` to ``done``.
+    virtual time, and ``under_way`` is true from ``take`` to ``done``. It is ``held`` from ``adopt`` to ``done``: what
+    comes meanwhile is kept beyond the depth, up to 64 KiB.
     """
 
     __slots__ = (
         "bytes",
         "depth",
+        "held",
         "key",
         "lane",
         "latched",
@@ -111,6 +113,7 @@ class Queue(Generic[M]):
         self.weight = weight
         self.served = 0.0
         self.under_way = False
+        self.held = False
         self.lost: Counter[Lost] = Counter()
 
 
@@ -151,6 +154,15 @@ class Outbox(Generic[M]):
         queue.served = 0.0  # each outbox has a time of its own
         return waiting
 
+    def adopt(self, queue: Queue[M], waiting: Iterable[M]) -> None:
+        """Take a queue over, and what waited in it; nothing of it is sent before ``done`` is called for it."""
+        self.open(queue)
+        queue.served = self._time(queue.priority)
+        queue.under_way = queue.held = True
+        self._under_way[queue.priority].append(queue)
+        for message in waiting:
+            self.put(queue, message)
+
     def clear(self, reason: Lost = Lost.UNSENT) -> None:
         """Lose everything that waits."""
         for queue in self._queues:
@@ -163,6 +175,8 @@ class Outbox(Generic[M]):
             return False
         if queue.depth is None:
             return queue.bytes + size > queue.limit_bytes
+        if queue.held:
+            return queue.bytes + size > FRESH_BYTES
         limit_bytes = queue.limit_bytes if queue.latched else FRESH_BYTES
         return count >= queue.depth or queue.bytes + size > limit_bytes
 
@@ -232,7 +246,7 @@ class Outbox(Generic[M]):
     def done(self, queue: Queue[M]) -> None:
         """Let a topic have its next turn: its message has gone."""
         if queue.under_way:
-            queue.under_way = False
+            queue.under_way = queue.held = False
             self._under_way[queue.priority].remove(queue)
             self._times[queue.priority] = max(self._times[queue.priority], queue.served)
         if queue.waiting and queue in self._queues:

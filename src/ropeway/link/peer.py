@@ -7,6 +7,7 @@ urgent ones overtake, calls and answers among them; everybody else gets plain ro
 
 from __future__ import annotations
 
+import asyncio
 import enum
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +18,7 @@ from ropeway.limits import UNREAD_ANSWERS_BYTES
 from ropeway.link.calls import OP_CHANNELS, WAITING_LIMIT_BYTES, OpSender, Unsent
 from ropeway.link.channel import Channel, Outgoing
 from ropeway.link.complaints import Complaints
+from ropeway.link.express import Express
 from ropeway.link.sender import PlainSender, RecordSender, Sender
 from ropeway.wire import codec as wire_codec
 from ropeway.wire import filters, ops
@@ -48,6 +50,7 @@ CONTROL_OPS: Final = frozenset(
         "cancelling",
     }
 )
+_SECRET_CHARACTERS: Final = 64
 _CALLS: Final = 1  # calls and answers in records
 _REQUESTS: Final = ("call_service", "send_action_goal")  # answered with or without an id
 
@@ -72,6 +75,7 @@ class PeerHandler(Protocol):
         """Messages came on a channel, still encoded."""
 
     def takes(self, channel: int) -> bool:
+        """Return whether records of a channel are expected."""
         """Return whether messages are expected on a channel; parts of others are not even kept."""
 
     def lost(self, code: int, reason: str) -> None:
@@ -97,17 +101,19 @@ class Peer:
         self.complaints = Complaints(connection.peer)
         kind = RecordSender if self.dialect is ROPEWAY else PlainSender
         self.sender: Sender = kind(connection, self.complaints, self.dialect)
+        self.express = Express(self)
         self.greeted = False  # a Ropeway gateway that has said hello
+        self.heard_hello = asyncio.Event()
         self._ops = OpSender(self.sender)
         self.on_invalid: Callable[[Mapping[str, Any], WireError], None] = self._invalid  # what is no operation
         self.rtt_s: float | None = None
         self.clock_offset_ns: int | None = None  # the peer's clock minus ours, once it is measured
         self._offset_rtt = float("inf")
-        self._reader = RecordReader(self.limit_bytes, self._refused, self._takes)
+        self._reader = RecordReader(self.limit_bytes, self.refused, self.takes)
         self._assembler = wire_codec.JsonAssembler(limit_bytes=self.limit_bytes)
         self._defragmenter = Defragmenter(limit_bytes=self.limit_bytes)
         self._packing: Packing | None = None  # of the operations that are being taken
-        connection.on_text = self._on_text
+        connection.on_text = self.take_text
         connection.on_binary = self._on_binary
         connection.on_writable = self.sender.pump
         connection.on_closed = self._on_closed
@@ -135,9 +141,11 @@ class Peer:
         message = op if isinstance(op, Mapping) else op.to_dict()
         connection.send_text(ops.dumps(message))
 
-    def hello(self, gateway: str, name: str) -> None:
-        """Say who we are, to a Ropeway gateway."""
-        self.send({"op": "hello", "gateway": gateway, "name": name, "calls": _CALLS, "limit_bytes": self.limit_bytes})
+    def hello(self, gateway: str, name: str, *, express: bool = False) -> None:
+        """Say who we are, to a Ropeway gateway; with ``express`` it may open a second connection."""
+        offer = {"express": self.express.offer()} if express else {}
+        about = {"gateway": gateway, "name": name, "calls": _CALLS, "limit_bytes": self.limit_bytes}
+        self.send({"op": "hello", **about, **offer})
 
     def send_op(
         self,
@@ -200,7 +208,7 @@ class Peer:
         lifespan_s: float | None,
     ) -> Channel:
         """Make a topic ready to go out. Raises ``UnknownType`` if the encoding needs a definition nobody has."""
-        return self.sender.open(
+        channel = self.sender.open(
             self.registry,
             number,
             topic,
@@ -210,6 +218,9 @@ class Peer:
             depth=depth,
             lifespan_s=lifespan_s,
         )
+        if self.sender.records:
+            channel.express = self.express
+        return channel
 
     def pump(self) -> None:
         """Send what waits, as far as the link takes it."""
@@ -217,7 +228,8 @@ class Peer:
 
     # ── in ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _on_text(self, data: bytes) -> None:
+    def take_text(self, data: bytes) -> None:
+        """Take a text frame, of either connection."""
         self._objects(data, text=True)
 
     def unpacked(self, text: bytes, packing: Packing) -> None:
@@ -249,8 +261,12 @@ class Peer:
         if self.dialect is not ROPEWAY:
             self._objects(bytes(data), text=False)
             return
+        self.take_records(self._reader, data)
+
+    def take_records(self, reader: RecordReader, data: bytes | memoryview) -> None:
+        """Take a frame of records; each connection has its reader."""
         try:
-            arrivals = self._reader.read(data)
+            arrivals = reader.read(data)
         except InvalidFrame as error:
             self.complaints.note("frame", "", error)
             return
@@ -314,7 +330,8 @@ class Peer:
             if op == "ping":
                 self.send({"op": "pong", "t": message.get("t"), "r": time.time_ns()})
             elif op == "pong":
-                self._pong(message)
+                if not self.express.arrived(message):
+                    self._pong(message)
             else:
                 if op == "hello":
                     self._greeted(message)
@@ -344,6 +361,9 @@ class Peer:
         limit = message.get("limit_bytes")
         self._ops.limit_bytes = limit if type(limit) is int and limit > 0 else None
         self._ops.records = self._ops.records or message.get("calls") == _CALLS
+        secret = message.get("express")
+        self.heard_hello.set()
+        self.express.offered = secret if isinstance(secret, str) and len(secret) <= _SECRET_CHARACTERS else ""
 
     def _control(self, op: str, message: Mapping[str, Any]) -> None:
         try:
@@ -364,10 +384,12 @@ class Peer:
         """Drop the unfinished message of an inbound channel."""
         self._reader.forget(channel)
 
-    def _takes(self, channel: int) -> bool:
+    def takes(self, channel: int) -> bool:
+        """Return whether records of a channel are expected."""
         return channel in OP_CHANNELS or self.handler.takes(channel)
 
-    def _refused(self, channel: int, error: WireError) -> None:
+    def refused(self, channel: int, error: WireError) -> None:
+        """Note a message of a channel that was refused."""
         self.complaints.note("size" if isinstance(error, MessageTooBig) else "frame", f"channel {channel}", error)
         if isinstance(error, MessageTooBig):
             self.send({"op": "refused", "channel": channel, "reason": str(error)})
@@ -397,6 +419,7 @@ class Peer:
             self.clock_offset_ns = remote - (sent + now) // 2
 
     def _on_closed(self, code: int, reason: str) -> None:
+        self.express.close()
         self.sender.close()
         self._reader.clear()
         self._defragmenter.clear()

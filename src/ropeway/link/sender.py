@@ -224,11 +224,15 @@ class RecordSender(Sender):
     def drop(self, channel: Channel) -> None:
         """Forget a channel; what waits of it, or is half sent, is lost."""
         super().drop(channel)
+        self.withdraw(channel)
+        self.wake()  # others may have waited for this lane
+
+    def withdraw(self, channel: Channel) -> None:
+        """Stop sending the message of a channel that is under way, if there is one."""
         for cursor in self._under_way[channel.queue.priority]:
             if cursor.channel is channel:
                 self._end(cursor)
-                self.wake()  # others may have waited for this lane
-                break
+                return
 
     def _pump(self) -> None:
         connection = self.connection

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 from ropeway.errors import ConnectFailed, RopewayError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.link.connection import Connection, Limits
+from ropeway.link.express import HEADER
 from ropeway.link.front import Admission
 from ropeway.link.http import Request, Response
 from ropeway.link.listener import Listener
@@ -183,9 +184,10 @@ class RosbridgeServer:
         role = self.entrance.admit(request)
         if not isinstance(role, Role):
             return role
-        found = self._refusal(role, request)
-        if found is not None:
-            return self.entrance.refuse(request, found)
+        if self._link_of(request) is None:
+            found = self._refusal(role, request)
+            if found is not None:
+                return self.entrance.refuse(request, found)
         limits = self.limits
         if role.max_message_bytes is not None:
             size = min(role.max_message_bytes, limits.max_message_bytes)
@@ -239,7 +241,22 @@ class RosbridgeServer:
             ros1_actions=self.hub.graph.actions if ros1 else None,
         )
 
+    def _link_of(self, request: Request | None) -> Session | None:
+        """Return the session whose second connection a request is for, if it shows the secret of one."""
+        secret = "" if request is None else request.headers.get(HEADER.lower(), "")
+        if not secret:
+            return None
+        return next((session for session in self.sessions if session.peer.express.knows(secret)), None)
+
     def _connected(self, connection: Connection) -> None:
+        request = connection.handshake
+        if request is not None and HEADER.lower() in request.headers:
+            link = self._link_of(request)
+            if link is not None and link.access.role == connection.grant and not link.peer.connection.closed:
+                link.peer.express.attach(connection)
+            else:
+                connection.close(1008, "there is no link with this secret")
+            return
         if connection.subprotocol != ROPEWAY_SUBPROTOCOL:
             connection.silence_s = self.silence_s
             if connection.ping_interval_s is not None:

@@ -128,7 +128,7 @@ class Session:
         if self._tells_status:
             self.peer.complaints.on_note = lambda kind, text, id: self._send_status("error", f"{kind}: {text}", id)
         if self.gateway:
-            self.peer.hello(gateway_id, name)
+            self.peer.hello(gateway_id, name, express=True)
             self.peer.ping()
 
     @property

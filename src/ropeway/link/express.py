@@ -1,0 +1,201 @@
+"""A second connection beside a link, for the topics whose messages are small.
+
+On one connection a command waits for the images before it: in TCP for what was lost of them and is sent again, and
+always for the part that is being sent. So two Ropeway gateways use two connections. The listening one names a secret in
+its ``hello``; the one that dialled shows it in the header ``Ropeway-Express`` of a second handshake, with the same
+credentials. A topic goes by the second connection while its messages are small, and leaves it for good with the first
+large one. Before a topic changes its connection, everything that it sent on the old one has arrived: a ``ping`` goes
+after it, and nothing of the topic is sent until the ``pong`` is there. So the order within a topic holds.
+
+The second connection is a help and nothing depends on it: where it cannot be had, or is lost, everything goes on by the
+first. What was sent last is then sent once more, as nobody knows whether it arrived; receivers know a message again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import secrets
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+from ropeway.link.sender import RecordSender, Sender
+from ropeway.wire.records import RecordReader
+
+if TYPE_CHECKING:
+    from ropeway.link.channel import Channel, Outgoing
+    from ropeway.link.connection import Connection
+    from ropeway.link.peer import Peer
+
+__all__ = ["EXPRESS_BYTES", "HEADER", "Express"]
+
+HEADER: Final = "Ropeway-Express"
+"""The header of the second handshake; its value is the secret that ``hello`` named."""
+
+EXPRESS_BYTES: Final = 4 * 1024
+"""The largest message that takes the second connection."""
+
+_FENCE_S: Final = 2.0  # a pong that takes longer is not waited for: the topic goes on
+_REMEMBERED_BYTES: Final = 64 * 1024  # as much as a message that is lost holds up, and more
+
+
+class _ExpressSender(RecordSender):
+    """Sends on the second connection, and remembers what it sent last."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.recent: deque[tuple[Channel, Outgoing]] = deque()
+        self._recent_bytes = 0
+
+    def take(self, lane: int, *, small: bool = False) -> tuple[Channel, Outgoing, str] | None:
+        """See ``Sender.take``."""
+        taken = super().take(lane, small=small)
+        if taken is not None:
+            channel, sample, _ = taken
+            self.recent.append((channel, sample))
+            self._recent_bytes += len(sample.payload)
+            while self._recent_bytes > _REMEMBERED_BYTES:
+                self._recent_bytes -= len(self.recent.popleft()[1].payload)
+        return taken
+
+
+class Express:
+    """The second connection of one peer, if there is one, and which topics take it."""
+
+    def __init__(self, peer: Peer) -> None:
+        self._peer = peer
+        self.offered = ""
+        """The secret that the peer's ``hello`` named."""
+        self._secret = ""
+        self._connection: Connection | None = None
+        self._sender: _ExpressSender | None = None
+        self._fences: dict[int, Callable[[], None]] = {}
+
+    @property
+    def open(self) -> bool:
+        """Whether the second connection stands."""
+        return self._sender is not None
+
+    @property
+    def connection(self) -> Connection | None:
+        """The second connection, if it stands."""
+        return self._connection
+
+    def offer(self) -> str:
+        """Make the secret that lets the peer open the second connection."""
+        self._secret = self._secret or secrets.token_hex(16)
+        return self._secret
+
+    def knows(self, secret: str) -> bool:
+        """Return whether this is the secret that was offered."""
+        return bool(self._secret) and hmac.compare_digest(secret.encode(), self._secret.encode())
+
+    def attach(self, connection: Connection) -> None:
+        """Use a second connection; one that stands already is replaced."""
+        if self._connection is not None:
+            self._connection.close(1000, "replaced")
+            self._detach()
+        peer = self._peer
+        self._connection = connection
+        self._sender = sender = _ExpressSender(connection, peer.complaints, peer.dialect)
+        reader = RecordReader(EXPRESS_BYTES * 4, peer.refused, peer.takes)
+        connection.on_text = peer.take_text
+        connection.on_binary = lambda data: peer.take_records(reader, data)
+        connection.on_writable = sender.pump
+        connection.on_closed = lambda code, reason: self._lost(connection)
+        connection.account.hold("messages in parts", lambda: reader.pending_bytes)
+        connection.account.hold("queues", lambda: sender.outbox.bytes)
+
+    def close(self) -> None:
+        """Close the second connection: the link is gone."""
+        connection = self._connection
+        if connection is not None:
+            self._connection = None
+            if self._sender is not None:
+                self._sender.close()
+                self._sender = None
+            connection.close(1000, "the link has closed")
+        self._fences.clear()
+
+    def place(self, channel: Channel, size_bytes: int) -> None:
+        """Choose the connection for a message of a topic that is about to wait."""
+        express = self._sender
+        if size_bytes > EXPRESS_BYTES:
+            channel.large = True
+            if channel.sender is not self._peer.sender:
+                self._move(channel, self._peer.sender)
+        elif express is not None and not channel.large and channel.sender is not express:
+            self._move(channel, express)
+
+    def arrived(self, pong: Mapping[str, Any]) -> bool:
+        """Take a ``pong``; return whether a topic waited for it."""
+        key = pong.get("t")
+        release = self._fences.pop(key, None) if isinstance(key, int) else None
+        if release is not None:
+            release()
+        return release is not None
+
+    def _move(self, channel: Channel, to: Sender) -> None:
+        queue, old = channel.queue, channel.sender
+        if queue.under_way:
+            return  # it is being sent, or waits for a pong: at the next message
+        waiting = old.outbox.release(queue)
+        old.channels.pop(channel.number, None)
+        to.outbox.adopt(queue, waiting)
+        to.channels[channel.number] = channel
+        channel.sender = to
+
+        def go_on() -> None:
+            to.outbox.done(queue)
+            to.wake()
+
+        if old.connection.closed:
+            go_on()
+        else:  # also for what was never sent: that there is such a topic has to arrive first
+            self._fence(old.connection, go_on)
+
+    def _fence(self, connection: Connection, then: Callable[[], None]) -> None:
+        """Call ``then`` when everything that was sent on a connection has arrived, or after a while."""
+        key = time.time_ns()
+        while key in self._fences:
+            key += 1
+
+        def expire() -> None:
+            if self._fences.pop(key, None) is not None:
+                then()
+
+        timer = asyncio.get_running_loop().call_later(_FENCE_S, expire)
+
+        def release() -> None:
+            timer.cancel()
+            then()
+
+        self._fences[key] = release
+        connection.send_text(b'{"op":"ping","t":%d}' % key)
+
+    def _lost(self, connection: Connection) -> None:
+        if connection is self._connection:
+            self._detach()
+
+    def _detach(self) -> None:
+        """Go on with the first connection alone."""
+        express, self._sender, self._connection = self._sender, None, None
+        if express is None:
+            return
+        main = self._peer.sender
+        recent: dict[int, list[Outgoing]] = {}
+        for channel, sample in express.recent:
+            recent.setdefault(id(channel), []).append(sample)
+        for channel in list(express.channels.values()):
+            queue = channel.queue
+            express.withdraw(channel)
+            waiting = express.outbox.release(queue)
+            main.outbox.adopt(queue, [*recent.get(id(channel), ()), *waiting])
+            main.channels[channel.number] = channel
+            channel.sender = main
+            main.outbox.done(queue)
+        express.channels.clear()
+        express.close()
+        main.wake()
