@@ -120,10 +120,12 @@ class EncodingChooser:
             self._retry_at = now + self._retry_s
 
     def _may_win(self, encoding: str, size_bytes: int) -> bool:
-        """Raw cannot bring more messages than the link has room for."""
+        """Raw cannot bring more messages than the link has room for, and none where the link is the slower part."""
         pace = self._pace.bytes_per_s
         if encoding == PACKED or pace is None:
             return True
+        if self.ratio is not None and 2 * self._seconds_per_byte < 1 / (self.ratio * pace):
+            return False
         return pace / size_bytes > self._rates.get(PACKED, 0.0)
 
     def _wants_sample(self, size_bytes: int, now: float) -> bool:

@@ -75,7 +75,6 @@ class PeerHandler(Protocol):
         """Messages came on a channel, still encoded."""
 
     def takes(self, channel: int) -> bool:
-        """Return whether records of a channel are expected."""
         """Return whether messages are expected on a channel; parts of others are not even kept."""
 
     def lost(self, code: int, reason: str) -> None:

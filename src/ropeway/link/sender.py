@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 
 __all__ = ["PlainSender", "RecordSender", "Sender"]
 
-_PART_MIN_BYTES: Final = 4 * 1024
+_PART_MIN_BYTES: Final = 1400  # what a packet carries
 _PART_MAX_BYTES: Final = 1 << 20
 _PART_S: Final = 0.002  # a part takes about so long on the wire, so that an urgent message waits no longer
+_AHEAD_S: Final = 0.01  # before the end of a message the next is encoded, so that the link does not wait for it
 
 
 class Sender:
@@ -295,6 +296,8 @@ class RecordSender(Sender):
                 current = self._begin(lane)
             elif outbox.overtakes(lane, current.channel.queue) and len(current.sample.payload) > SMALL_BYTES:
                 current = self._begin(lane, small=True) or current
+            elif len(under_way) == 1 and current.at:
+                self._prepare_next(lane, current)
             if current is not None:
                 return current
         return None
@@ -315,6 +318,28 @@ class RecordSender(Sender):
                 self._end(cursor)
                 channel.failed(sample, error)
         return None
+
+    def _prepare_next(self, lane: int, current: _Cursor) -> None:
+        """Have a thread encode the message that comes after the one that is nearly sent."""
+        pace = self.connection.flow.pace.bytes_per_s
+        assert current.body is not None
+        if pace is None or len(current.body) - current.at > pace * _AHEAD_S:
+            return
+        taken = self.take(lane)
+        if taken is None:
+            return
+        channel, sample, encoding = taken
+        cursor = _Cursor(channel, sample, encoding, None)
+        self._under_way[lane].insert(0, cursor)  # it follows the current one
+        self._parts += 1
+        if channel.is_slow(sample, encoding):
+            self._encode_in_thread(cursor)
+            return
+        try:
+            cursor.body = channel.body(sample, encoding)
+        except TypesError as error:
+            self._end(cursor)
+            channel.failed(sample, error)
 
     def _end(self, cursor: _Cursor) -> None:
         queue = cursor.channel.queue
@@ -346,4 +371,4 @@ class RecordSender(Sender):
             return _PART_MAX_BYTES
         pace = flow.pace.bytes_per_s
         wanted = flow.model.window_bytes / 4 if pace is None else pace * _PART_S
-        return int(min(max(wanted, _PART_MIN_BYTES), _PART_MAX_BYTES))
+        return int(max(min(wanted, flow.model.room_bytes, _PART_MAX_BYTES), _PART_MIN_BYTES))

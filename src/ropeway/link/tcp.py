@@ -22,7 +22,8 @@ _TCP_INFO: Final = getattr(socket, "TCP_INFO", None)
 _FIELDS: Final = struct.Struct("<16x I 4x 4I 28x 2I 24x I 16x 2Q 8x 2I 48x 2Q")
 _TCP_CONGESTION: Final = getattr(socket, "TCP_CONGESTION", None)
 _SO_MAX_PACING_RATE: Final = 47
-_NO_PACING: Final = (1 << 32) - 1
+_RATE: Final = struct.Struct("@L")
+_NO_PACING: Final = (1 << 8 * _RATE.size) - 1
 
 
 class TcpInfo(NamedTuple):
@@ -68,7 +69,7 @@ class Tcp:
 
     def __init__(self, sock: Any) -> None:
         self._socket = sock
-        self._paced = 0
+        self._paced = _NO_PACING
 
     def read(self) -> Reading | None:
         """Read the figures that the model works with; ``None`` where the kernel does not tell them."""
@@ -93,11 +94,11 @@ class Tcp:
     def pace(self, bytes_per_s: float | None) -> None:
         """Have the kernel spread packets evenly at this rate, ``None`` for no limit."""
         wanted = _NO_PACING if bytes_per_s is None else min(int(bytes_per_s), _NO_PACING - 1)
-        if abs(wanted - self._paced) * 20 <= self._paced:  # within a twentieth
+        if wanted == self._paced or abs(wanted - self._paced) * 20 <= min(wanted, self._paced):  # within a twentieth
             return
         self._paced = wanted
         with contextlib.suppress(OSError, AttributeError):
-            self._socket.setsockopt(socket.SOL_SOCKET, _SO_MAX_PACING_RATE, wanted)
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_MAX_PACING_RATE, _RATE.pack(wanted))
 
     @property
     def congestion(self) -> str:
