@@ -445,3 +445,9 @@ def test_recorded_ros1_messages(recordings: Path, bag: str) -> None:
                 break
             codec = registry.codec(connection.msgtype)
             assert codec.ros1(codec.from_ros1(raw))[4:] == bytes(raw)[4:]
+
+
+def test_a_message_without_fields_may_lack_its_byte() -> None:
+    """A message without fields fits with the byte that says nothing and without it."""
+    codec = TypeRegistry().codec("std_srvs/srv/Trigger_Request")
+    assert codec.fitting(b"\0\1\0\0") == codec.fitting(b"\0\1\0\0\0") == b"\0\1\0\0\0"

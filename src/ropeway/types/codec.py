@@ -201,6 +201,8 @@ class MessageCodec:
 
     def fitting(self, cdr: bytes) -> bytes:
         """The message in our layout, also where another distribution has written it. Raises ``DecodeError``."""
+        if not self.fields and len(cdr) == len(_CDR_HEADER):
+            cdr = bytes(cdr) + b"\0"  # the byte of a message without fields, which some leave out
         try:
             self._read("object", cdr, alone=True)
         except DecodeError:
