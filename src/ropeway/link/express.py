@@ -18,7 +18,7 @@ import hmac
 import secrets
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.link.sender import RecordSender, Sender
@@ -71,7 +71,7 @@ class Express:
         self._secret = ""
         self._connection: Connection | None = None
         self._sender: _ExpressSender | None = None
-        self._fences: dict[int, Callable[[], None]] = {}
+        self._fences: dict[int, tuple[Channel, asyncio.TimerHandle]] = {}
 
     @property
     def open(self) -> bool:
@@ -117,6 +117,8 @@ class Express:
                 self._sender.close()
                 self._sender = None
             connection.close(1000, "the link has closed")
+        for _, timer in self._fences.values():
+            timer.cancel()
         self._fences.clear()
 
     def place(self, channel: Channel, size_bytes: int) -> None:
@@ -132,10 +134,10 @@ class Express:
     def arrived(self, pong: Mapping[str, Any]) -> bool:
         """Take a ``pong``; return whether a topic waited for it."""
         key = pong.get("t")
-        release = self._fences.pop(key, None) if isinstance(key, int) else None
-        if release is not None:
-            release()
-        return release is not None
+        if not isinstance(key, int) or key not in self._fences:
+            return False
+        self._pass(key)
+        return True
 
     def _move(self, channel: Channel, to: Sender) -> None:
         queue, old = channel.queue, channel.sender
@@ -143,37 +145,32 @@ class Express:
             return  # it is being sent, or waits for a pong: at the next message
         waiting = old.outbox.release(queue)
         old.channels.pop(channel.number, None)
-        to.outbox.adopt(queue, waiting)
-        to.channels[channel.number] = channel
         channel.sender = to
-
-        def go_on() -> None:
-            to.outbox.done(queue)
-            to.wake()
-
+        to.channels[channel.number] = channel
+        to.outbox.adopt(queue, waiting)
         if old.connection.closed:
-            go_on()
+            self._go_on(channel)
         else:  # also for what was never sent: that there is such a topic has to arrive first
-            self._fence(old.connection, go_on)
+            self._fence(old.connection, channel)
 
-    def _fence(self, connection: Connection, then: Callable[[], None]) -> None:
-        """Call ``then`` when everything that was sent on a connection has arrived, or after a while."""
+    @staticmethod
+    def _go_on(channel: Channel) -> None:
+        channel.sender.outbox.done(channel.queue)
+        channel.sender.wake()
+
+    def _fence(self, connection: Connection, channel: Channel) -> None:
+        """Let a topic go on when everything that was sent on a connection has arrived, or after a while."""
         key = time.time_ns()
         while key in self._fences:
             key += 1
-
-        def expire() -> None:
-            if self._fences.pop(key, None) is not None:
-                then()
-
-        timer = asyncio.get_running_loop().call_later(_FENCE_S, expire)
-
-        def release() -> None:
-            timer.cancel()
-            then()
-
-        self._fences[key] = release
+        timer = asyncio.get_running_loop().call_later(_FENCE_S, self._pass, key)
+        self._fences[key] = (channel, timer)
         connection.send_text(b'{"op":"ping","t":%d}' % key)
+
+    def _pass(self, key: int) -> None:
+        channel, timer = self._fences.pop(key)
+        timer.cancel()
+        self._go_on(channel)
 
     def _lost(self, connection: Connection) -> None:
         if connection is self._connection:
@@ -184,18 +181,18 @@ class Express:
         express, self._sender, self._connection = self._sender, None, None
         if express is None:
             return
+        for key in list(self._fences):  # no pong comes by a connection that is gone
+            self._pass(key)
         main = self._peer.sender
-        recent: dict[int, list[Outgoing]] = {}
+        recent: dict[Channel, list[Outgoing]] = {}
         for channel, sample in express.recent:
-            recent.setdefault(id(channel), []).append(sample)
+            recent.setdefault(channel, []).append(sample)
         for channel in list(express.channels.values()):
-            queue = channel.queue
             express.withdraw(channel)
-            waiting = express.outbox.release(queue)
-            main.outbox.adopt(queue, [*recent.get(id(channel), ()), *waiting])
-            main.channels[channel.number] = channel
+            waiting = express.outbox.release(channel.queue)
             channel.sender = main
-            main.outbox.done(queue)
+            main.channels[channel.number] = channel
+            main.outbox.adopt(channel.queue, [*recent.get(channel, ()), *waiting])
+            self._go_on(channel)
         express.channels.clear()
         express.close()
-        main.wake()
