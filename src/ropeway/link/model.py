@@ -43,6 +43,8 @@ _DRAIN_ROUNDS: Final = 3
 _LEAST_DRAINED: Final = 0.5  # of the window is used while we look for the shortest round trip
 _CUT: Final = 0.8  # of the window is left after a cut that should show
 _UNSENT_S: Final = 0.004  # what the kernel may hold back: four looks of the shortest kind
+_FULL: Final = 2.0  # times the shortest round trip, and a long queue: the start has gone too far
+_FORGET: Final = 0.99  # per hand-over
 _LONG_QUEUE: Final = 3.0  # targets
 _LEAST_UNSENT_BYTES: Final = 8 * 1024
 _FIRST_UNSENT_BYTES: Final = 16 * 1024
@@ -89,6 +91,7 @@ class LinkModel:
         """Messages are lost on a link that is not full: a congestion control that takes losses for a full link
         wastes it."""
         self._unsent_bytes = 0
+        self._largest_bytes = 0.0  # of what was handed over at once
         self._least_bytes = _LEAST_WINDOW_BYTES
         self._quiet = 0
         self._base_slots = [float("inf"), float("inf")]  # the shortest of the slot before and of this one
@@ -140,6 +143,7 @@ class LinkModel:
         """Note what was handed to the kernel since the last reading."""
         self.room_bytes -= size_bytes
         self.outstanding_bytes += size_bytes
+        self._largest_bytes = max(size_bytes, self._largest_bytes * _FORGET)
 
     def observe(self, reading: Reading) -> None:
         """Take a reading: learn from it, and set ``room_bytes``."""
@@ -208,7 +212,7 @@ class LinkModel:
             self._settling = 1
         elif ended.held:
             self._held_in_slot = True
-            if self.outstanding_bytes > 1.1 * self.window_bytes + self._least_bytes:
+            if self.outstanding_bytes > 1.1 * self.window_bytes + self._least_bytes + self._largest_bytes:
                 self._settling = 1  # what was sent before a cut is still on the way
             elif queue_s < target_s / 2:
                 self._grow(base + target_s)
@@ -238,8 +242,12 @@ class LinkModel:
     def _cut_at_once(self, rtt_s: float) -> None:
         """Cut a window that is far too wide, without waiting for the end of the round."""
         base, pace = self.base_rtt_s, self.pace.bytes_per_s
-        if base is None or pace is None or self.starting or rtt_s < base + _LONG_QUEUE * self.target_queue_s:
+        if base is None or pace is None or rtt_s < base + _LONG_QUEUE * self.target_queue_s:
             return
+        if self.starting:
+            if rtt_s < _FULL * base + _LONG_QUEUE * _MOST_QUEUE_S:
+                return
+            self.starting = False
         wanted = max(pace * (base + self.target_queue_s), self._least_bytes)
         if wanted < _CUT * self.window_bytes:
             self._set_window(wanted)

@@ -77,8 +77,8 @@ class Tcp:
         if info is None:
             return None
         segment = info.segment_bytes
-        # What is acknowledged selectively has arrived; what is marked as lost is not on the way.
-        on_the_way = info.unacknowledged - info.selectively_acknowledged - info.lost + info.retransmitted
+        # What is acknowledged selectively has arrived. What the kernel takes for lost may only be late: it counts.
+        on_the_way = info.unacknowledged - info.selectively_acknowledged
         unacknowledged_bytes = info.bytes_sent - info.bytes_sent_again - info.bytes_acknowledged
         return Reading(
             time.monotonic(),
