@@ -107,10 +107,10 @@ def test_ordinary_depth_is_no_problem() -> None:
 def test_a_hostile_frame_raises_invalid_frame_soon(name: str) -> None:
     """Whatever is wrong with a frame, InvalidFrame tells in a short text, in time proportional to its size."""
     data, text = HOSTILE[name]
-    began = time.perf_counter()
+    began = time.process_time()
     with pytest.raises(InvalidFrame) as caught:
         loads(data, text=text)
-    assert time.perf_counter() - began < 2
+    assert time.process_time() - began < 2
     assert len(str(caught.value)) < 300
 
 
@@ -167,11 +167,11 @@ def test_what_waits_is_bounded() -> None:
 def test_small_pieces_cost_no_more_than_large_ones() -> None:
     """What was looked at is not looked at again, so that a slow sender cannot keep the processor busy."""
     assembler = JsonAssembler()
-    began = time.perf_counter()
+    began = time.process_time()
     for piece in [b'{"op":"x","t":"', *[b"y" * 64] * 20_000, b'","s":', *[b" " * 64] * 20_000, b"1}"]:
         found = assembler.feed(piece, text=True)
     assert [list(x) for x in found] == [["op", "t", "s"]]
-    assert time.perf_counter() - began < 5
+    assert time.process_time() - began < 5
 
 
 def test_a_long_path_may_come_in_pieces() -> None:

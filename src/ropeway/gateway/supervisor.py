@@ -25,7 +25,7 @@ __all__ = ["Supervisor", "slices"]
 
 log = logging.getLogger("ropeway.gateway")
 
-_START_S: Final = 20.0
+_START_S: Final = 20.0  # for the next worker: many that start at the same time slow each other
 _STOP_S: Final = 3.0
 _STEADY_S: Final = 5.0  # a worker that lived so long is started again at once
 _PAUSE_S: Final = 1.0
@@ -189,14 +189,16 @@ class Supervisor:
         for task in self._tasks:
             task.start()
         try:
-            async with asyncio.timeout(_START_S):
-                for worker in self.workers:
+            for worker in self.workers:
+                async with asyncio.timeout(_START_S):
                     await worker.ready.wait()
-                    if worker.error:
-                        raise GraphUnavailable(f"worker {worker.name}", worker.error)
+                if worker.error:
+                    raise GraphUnavailable(f"worker {worker.name}", worker.error)
         except TimeoutError:
             await self.__aexit__()
-            raise GraphUnavailable(self.config.gateway.name, f"its workers were not up in {_START_S:g} s") from None
+            up = sum(worker.ready.is_set() for worker in self.workers)
+            text = f"{up} of its {len(self.workers)} workers are up, and none more within {_START_S:g} s"
+            raise GraphUnavailable(self.config.gateway.name, text) from None
         except BaseException:
             await self.__aexit__()
             raise
