@@ -71,7 +71,7 @@ remotes:
     remote_namespace: /robot1
     tls: {ca: ca.pem, verify: false}
     publish:
-      - {name: camera/image, type: sensor_msgs/Image, rate_hz: 15, priority: bulk, lifespan_s: 0.5, depth: 2}
+      - {name: camera/image, type: sensor_msgs/Image, rate_hz: 15, priority: bulk, lifespan_s: 0.5, depth: 2, weight: 3}
       - {name: /tf, type: tf2_msgs/msg/TFMessage, remote_name: /tf, qos: {reliability: best_effort, depth: 100}}
     subscribe:
       - {name: /cmd_vel, type: geometry_msgs.msg.Twist, priority: command, encoding: none}
@@ -159,7 +159,7 @@ def test_full_form_in_yaml(tmp_path: Path) -> None:
     image, tf, cmd, odom = config.routes()[0], config.routes()[1], config.routes()[2], config.routes()[3]
     assert (image.name, image.remote_name) == ("/camera/image", "/robot1/camera/image")
     assert image.type == "sensor_msgs/msg/Image"
-    assert image.delivery == Delivery(encoding="auto", priority=7, rate_hz=15.0, lifespan_s=0.5, depth=2)
+    assert image.delivery == Delivery(encoding="auto", priority=7, rate_hz=15.0, lifespan_s=0.5, depth=2, weight=3.0)
     assert image.remote.address == "wss://cloud.example.org:9090/robots"
     assert (image.graph, image.remote.tls and image.remote.tls.verify) == ("dds:7", False)
     assert (tf.remote_name, tf.qos) == ("/tf", QoS(reliability="best_effort", depth=100))

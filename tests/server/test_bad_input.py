@@ -232,7 +232,7 @@ async def test_odd_numbers_of_a_gateway(place: Place, number: object) -> None:
     assert (await client.json())["op"] == "hello"
     odd = json.dumps(number)
     sub = '{"op":"subscribe","topic":"/t","type":"std_msgs/msg/String","id":"s","ropeway":{"channel":'
-    for key in ("rate_hz", "depth", "priority", "lifespan_s"):
+    for key in ("rate_hz", "depth", "priority", "lifespan_s", "weight"):
         client.send(f'{sub}3,"{key}":{odd}}}}}')
     client.send(f"{sub}{odd}}}}}")
     client.send(f"{sub.replace('subscribe', 'advertise')}{odd}}}}}")

@@ -45,7 +45,7 @@ def texts() -> list[bytes]:
     """One good operation of every kind, and of every dialect."""
     goal = {"action": "/a", "action_type": "example_interfaces/Fibonacci", "args": {"order": 1}, "id": "g"}
     call = {"call": "0" * 31 + "1", "via": ["a"], "caller": "b", "encoding": "zstd", "definition": "int32 x\n---\n"}
-    note = {"ropeway": {"channel": 5, "priority": 0, "depth": 3, "rate_hz": 10.0, "lifespan_s": 1.0}}
+    note = {"ropeway": {"channel": 5, "priority": 0, "depth": 3, "rate_hz": 10.0, "lifespan_s": 1.0, "weight": 2.0}}
     typed = {"channel": 6, "type_hash": "RIHS01_00", "definition": "int32 x\nstring[<=5] y\n"}
     qos = {
         "reliability": "best_effort",

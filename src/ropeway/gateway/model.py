@@ -255,6 +255,9 @@ class TopicItem(Item):
     )
     rate_hz: Seconds | None = Field(None, description="at most so many messages per second; left out: no limit")
     lifespan_s: Seconds | None = Field(None, description="older messages (seconds) are not sent; left out: no limit")
+    weight: float = Field(
+        1.0, ge=0.1, le=100, description="share of the link in bytes, beside other topics of the same priority"
+    )
     depth: int | None = Field(None, ge=1, description="how many messages may wait; left out: as the publisher's QoS")
     store: bool = Field(
         False, description="true keeps the last message: late joiners get it, and it can be read from the store"
@@ -263,7 +266,13 @@ class TopicItem(Item):
 
     def delivery(self) -> Delivery:
         """How the far side should treat this route."""
-        return replace(super().delivery(), rate_hz=self.rate_hz, lifespan_s=self.lifespan_s, depth=self.depth)
+        return replace(
+            super().delivery(),
+            rate_hz=self.rate_hz,
+            lifespan_s=self.lifespan_s,
+            depth=self.depth,
+            weight=self.weight,
+        )
 
 
 class RenamedTopicItem(TopicItem):

@@ -32,6 +32,8 @@ log = logging.getLogger("ropeway.server")
 
 REGISTRATION_BYTES: Final = 2 << 10  # of one id of one topic: the operation, its names, and the place in tables
 _EARLY_LIMIT_BYTES: Final = 16 << 20  # what may wait while a publisher is being made
+_LEAST_WEIGHT: Final = 0.1  # as in the configuration
+_MOST_WEIGHT: Final = 100.0
 _PRIORITY_OF_COMPRESSION: Final = {
     "none": 0,
     "png": 1,
@@ -217,6 +219,7 @@ class TopicOut:
             depth=self._depth or 10,
             lifespan_s=_number(extra.get("lifespan_s")),
         )
+        channel.queue.weight = min(max(_number(extra.get("weight")) or 1.0, _LEAST_WEIGHT), _MOST_WEIGHT)
         if channel.codec is not None or self.session.is_ros1:
             channel.codec = self.session.codec(self.type)
         if self.channel is not None:

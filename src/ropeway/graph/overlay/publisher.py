@@ -64,6 +64,7 @@ class OverlayPublisher:
             waiting = max(qos.depth, 1)
         self.queue: Queue[Sample] = Queue(self, priority=delivery.priority, depth=waiting, lifespan_ns=lifespan_ns)
         self.queue.latched = qos.latched
+        self.queue.weight = delivery.weight
         self.packing = Packing(self.type, delivery.encoding, lambda: graph.sender.slowest(self.queue))
 
     @property

@@ -146,6 +146,7 @@ class RemotePublisher:
         if self.channel.codec is not None:
             self.channel.codec = self.graph.spelling.codec(self.type)
         self.channel.queue.lost = self.lost
+        self.channel.queue.weight = delivery.weight
         self.channel.queue.latched = self.qos.latched
         rosgw = peer.dialect is ROSGW
         peer.send(
@@ -259,6 +260,8 @@ class RemoteSubscription:
         extra: dict[str, Any] | None = None
         if peer.dialect is ROPEWAY:
             extra = {"channel": self.number, "priority": delivery.priority, **self.graph.type_note(self.type)}
+            if delivery.weight != 1.0:
+                extra["weight"] = delivery.weight
             for key in ("rate_hz", "lifespan_s", "depth"):
                 if (value := getattr(delivery, key)) is not None:
                     extra[key] = value
