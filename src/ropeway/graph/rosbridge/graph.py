@@ -33,6 +33,7 @@ from ropeway.graph.rosbridge.mirror import Mirror
 from ropeway.graph.rosbridge.parts import EchoFilter, RemotePublisher, RemoteSubscription
 from ropeway.graph.rosbridge.plain import PlainServer
 from ropeway.graph.rosbridge.refusals import answer_invalid
+from ropeway.graph.rosbridge.second import keep_second
 from ropeway.graph.rosbridge.servers import RemoteActionServer
 from ropeway.graph.rosbridge.services import RemoteClient, RemoteService
 from ropeway.graph.rosbridge.spelling import Spelling
@@ -56,8 +57,6 @@ __all__ = ["LinkState", "RosbridgeGraph"]
 log = logging.getLogger("ropeway.graph.rosbridge")
 
 _CLOCK_S: Final = 1.0
-_EXPRESS_RETRY_S: Final = 0.5
-_EXPRESS_LAST_RETRY_S: Final = 30.0  # a server in several processes may take a while to answer with the right one
 _ROSAPI_S: Final = 3.0
 _US: Final = ProviderInfo(local=True)
 
@@ -217,7 +216,7 @@ class RosbridgeGraph:
             self.calls.ready(peer)
         self._keeper.set_state(LinkState.CONNECTED)
         chores = Supervised(partial(self._chores, peer), f"chores {self.name}").start()
-        second = Supervised(partial(self._keep_express, peer), f"second connection {self.name}").start()
+        second = Supervised(partial(keep_second, peer, self._second), f"second connection {self.name}").start()
         try:
             code, reason = await connection.wait_closed()
         finally:
@@ -234,32 +233,16 @@ class RosbridgeGraph:
         if not self._keeper.leaving:
             log.warning("%s: disconnected (%d %s)", self.name, code, reason)
 
-    async def _keep_express(self, peer: Peer) -> None:
-        """Keep a second connection for small messages, where the peer has offered it."""
-        await peer.heard_hello.wait()
-        if not peer.express.offered:
-            return
-        headers = {**(self._headers or {}), EXPRESS_HEADER: peer.express.offered}
-        delay_s = _EXPRESS_RETRY_S
-        while True:
-            try:
-                made = await connect(
-                    self.name,
-                    limits=self._keeper.limits,
-                    subprotocols=(ROPEWAY_SUBPROTOCOL,),
-                    ssl_context=self._ssl,
-                    headers=headers,
-                    on_connection=peer.express.attach,
-                )
-            except ConnectFailed as error:
-                log.debug("%s: no second connection: %s", self.name, error)
-            else:
-                began = time.monotonic()
-                await made.wait_closed()
-                if time.monotonic() - began > _EXPRESS_LAST_RETRY_S:
-                    delay_s = _EXPRESS_RETRY_S
-            await asyncio.sleep(delay_s)
-            delay_s = min(2 * delay_s, _EXPRESS_LAST_RETRY_S)
+    async def _second(self, peer: Peer) -> Connection:
+        """Open a second connection beside the one of ``peer``. Raises ``ConnectFailed``."""
+        return await connect(
+            self.name,
+            limits=self._keeper.limits,
+            subprotocols=(ROPEWAY_SUBPROTOCOL,),
+            ssl_context=self._ssl,
+            headers={**(self._headers or {}), EXPRESS_HEADER: peer.express.offered},
+            on_connection=peer.express.attach,
+        )
 
     async def _chores(self, peer: Peer) -> None:
         """Measure the clock of a gateway; ask a plain server for its topics."""
