@@ -345,7 +345,7 @@ async def test_tiny_pieces(place: Place) -> None:
             client.raw(empty * 1000 + one * 500)
             await client.writer.drain()
         client.raw(frame(CONTINUATION, b"", fin=True))
-        await until(lambda: far.got)
+        await until(lambda: far.got, 40)
         assert tracemalloc.get_traced_memory()[1] < 2_000_000
     finally:
         tracemalloc.stop()

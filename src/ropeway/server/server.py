@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import ssl
+import weakref
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -87,6 +88,7 @@ class RosbridgeServer:
         self.limits = limits or Limits()
         self.unregister_timeout_s = unregister_timeout_s
         self.sessions: dict[Session, asyncio.Task[None]] = {}
+        self._connections: weakref.WeakSet[Connection] = weakref.WeakSet()  # also second ones, and those sent away
         self.lingering = Lingering(unregister_timeout_s)
         self.listeners: list[Listener] = []
         self.entrance = entrance or Entrance()
@@ -249,6 +251,7 @@ class RosbridgeServer:
         return next((session for session in self.sessions if session.peer.express.knows(secret)), None)
 
     def _connected(self, connection: Connection) -> None:
+        self._connections.add(connection)
         request = connection.handshake
         if request is not None and HEADER.lower() in request.headers:
             link = self._link_of(request)
@@ -330,14 +333,15 @@ class RosbridgeServer:
         await end(self._ticker)
         self._ticker = None
         tasks = list(self.sessions.values())
-        connections = [session.peer.connection for session in self.sessions]
+        connections = list(self._connections)
         giving_up = [asyncio.create_task(session.give_up(_STOPS)) for session in self.sessions]
         if giving_up:
             await asyncio.wait(giving_up, timeout=_GIVE_UP_S)
             await end(*giving_up)
             await asyncio.sleep(0)  # answers are sent at the end of a turn of the loop
+        for connection in connections:
+            connection.close(1001, _STOPS)
         for session in list(self.sessions):
-            session.peer.connection.close(1001, _STOPS)
             session.lost(1001, _STOPS)
         if tasks:
             await asyncio.wait(tasks, timeout=5)
