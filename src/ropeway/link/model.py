@@ -78,8 +78,8 @@ class LinkModel:
     ``look_in_s`` when to read again.
     """
 
-    def __init__(self) -> None:
-        self.pace = Pace()
+    def __init__(self, pace: Pace | None = None) -> None:
+        self.pace = pace or Pace()
         self.window_bytes = _FIRST_WINDOW_BYTES
         self.room_bytes = _FIRST_UNSENT_BYTES
         self.outstanding_bytes = 0

@@ -24,9 +24,21 @@ _LONGEST_PAUSE_S: Final = 0.1
 
 
 class Pace:
-    """The pace of one connection. ``bytes_per_s`` is ``None`` until enough was sent to see it."""
+    """The pace of one connection. ``bytes_per_s`` is ``None`` until enough was sent to see it.
 
-    def __init__(self) -> None:
+    A row that ends is measured if it took ``least_row_s``, one that goes on whenever it took ``shortest_row_s``. A row
+    that was slower counts for the share ``down``.
+    """
+
+    def __init__(
+        self,
+        *,
+        least_row_s: float = _LEAST_ROW_S,
+        shortest_row_s: float = _SHORTEST_ROW_S,
+        down: float = _DOWN,
+    ) -> None:
+        self._down = down
+        self._least_row_s, self._shortest_row_s = least_row_s, shortest_row_s
         self.bytes_per_s: float | None = None
         self._from: tuple[float, int] | None = None  # where the row began: time and bytes delivered
         self._last_s = 0.0  # when bytes arrived last, as far as we looked
@@ -54,7 +66,7 @@ class Pace:
         self._busy = self._busy and busy
         seconds, size = now_s - self._from[0], delivered_bytes - self._from[1]
         least = self._least_bytes(segment_bytes)
-        if size >= least and (seconds >= _LONGEST_ROW_S or (seconds >= _SHORTEST_ROW_S and size >= 4 * least)):
+        if size >= least and (seconds >= _LONGEST_ROW_S or (seconds >= self._shortest_row_s and size >= 4 * least)):
             self._end_row(segment_bytes)
             self._from = (now_s, delivered_bytes)
             self._busy = busy
@@ -68,7 +80,7 @@ class Pace:
         elif rate > before:
             self.bytes_per_s = before + _UP * (rate - before)
         elif busy:
-            self.bytes_per_s = before + _DOWN * (rate - before)
+            self.bytes_per_s = before + self._down * (rate - before)
 
     @staticmethod
     def _least_bytes(segment_bytes: int) -> int:
@@ -84,5 +96,5 @@ class Pace:
         if begin is None:
             return
         size, seconds = self._last_bytes - begin[1], self._last_s - begin[0]
-        if seconds >= _LEAST_ROW_S and size >= self._least_bytes(segment_bytes):
+        if seconds >= self._least_row_s and size >= self._least_bytes(segment_bytes):
             self.carried(size, seconds, busy=self._busy)

@@ -13,19 +13,27 @@ from typing import Final
 
 from ropeway.link.model import LinkModel, Reading
 from ropeway.link.outbox import LANES
+from ropeway.link.pace import Pace
 
 __all__ = ["Path"]
 
 _SEGMENT_BYTES: Final = 1448  # what a packet on the way usually carries
 _STALLED_S: Final = 1.0  # without an acknowledgement: the others are not held up any more
 _STALLED_ROUND_TRIPS: Final = 4
-_FAST_BPS: Final = 40e6  # bytes per second: above, queues are short whatever is sent
+_FAST_BPS: Final = 10e6
+_FAST_S: Final = 0.02  # so much may wait on a fast and near path
+_FAST_PART_S: Final = 0.01
 _FAST_ROUND_TRIP_S: Final = 0.005
-_FAST_WINDOW_BYTES: Final = 16 << 20
 _PART_S: Final = 0.002  # a part takes about so long, so that an urgent message waits no longer
 _PART_MIN_BYTES: Final = 4 * 1024
 _PART_MAX_BYTES: Final = 1 << 20
 _NO_LIMIT: Final = 1 << 40
+_SAMPLES: Final = 8
+"""Of so many round trips the shortest counts: what waits behind a packet that was lost comes late on any link."""
+_LEAST_ROW_S: Final = 0.01  # what waited behind a packet that was lost comes all at once
+_SHORTEST_ROW_S: Final = 0.03
+_DOWN: Final = 0.05  # a row that such a packet held up says little of the link
+_MOST_BLOCKED: Final = 0.75
 _RTT_WEIGHT: Final = 1 / 8  # as TCP smooths it (RFC 6298)
 _DEVIATION_WEIGHT: Final = 1 / 4
 
@@ -38,13 +46,14 @@ class Path:
     """
 
     def __init__(self) -> None:
-        self.model = LinkModel()
+        self.model = LinkModel(Pace(least_row_s=_LEAST_ROW_S, shortest_row_s=_SHORTEST_ROW_S, down=_DOWN))
         self.stalled = False
         self._under_way: list[deque[tuple[int, int, float]]] = [deque() for _ in range(LANES)]  # number, bytes, when
         self._sent_bytes = [0] * LANES  # each changed by its lane's thread alone
         self._delivered_bytes = 0
         self._pending_bytes = 0
         self._rtt_s = self._deviation_s = 0.0
+        self._samples: deque[float] = deque(maxlen=_SAMPLES)
         self._heard_s = float("-inf")
 
     # ── what goes out ──────────────────────────────────────────────────────────────────────────────────────────
@@ -74,10 +83,15 @@ class Path:
         model = self.model
         if model.room_bytes <= 0:
             model.observe(self._reading(now_s))
-        pace, base_s = model.pace.bytes_per_s, model.base_rtt_s
-        if pace is not None and base_s is not None and pace > _FAST_BPS and base_s < _FAST_ROUND_TRIP_S:
-            return max(model.room_bytes, _FAST_WINDOW_BYTES - self.in_flight_bytes)
-        return model.room_bytes
+        fast = self._fast_bps
+        return model.room_bytes if fast is None else max(model.room_bytes, int(_FAST_S * fast) - self.in_flight_bytes)
+
+    @property
+    def _fast_bps(self) -> float | None:
+        """The pace of a near and fast path, where processors are what takes time; ``None`` for any other."""
+        pace, base_s = self.model.pace.bytes_per_s, self.model.base_rtt_s
+        near = base_s is not None and base_s < _FAST_ROUND_TRIP_S
+        return pace if near and pace is not None and pace > _FAST_BPS else None
 
     @property
     def in_flight_bytes(self) -> int:
@@ -88,7 +102,8 @@ class Path:
     def part_bytes(self) -> int:
         """Return the size of a part: what the path carries in a moment."""
         pace = self.model.pace.bytes_per_s
-        wanted = self.model.window_bytes / 4 if pace is None else pace * _PART_S
+        part_s = _PART_S if self._fast_bps is None else _FAST_PART_S
+        wanted = self.model.window_bytes / 4 if pace is None else pace * part_s
         return int(min(max(wanted, _PART_MIN_BYTES), _PART_MAX_BYTES))
 
     # ── what arrived ───────────────────────────────────────────────────────────────────────────────────────────
@@ -113,6 +128,7 @@ class Path:
             self.model.observe(self._reading(now_s))
 
     def _sample(self, rtt_s: float) -> None:
+        self._samples.append(rtt_s)
         if not self._rtt_s:
             self._rtt_s, self._deviation_s = rtt_s, rtt_s / 2
             return
@@ -120,12 +136,16 @@ class Path:
         self._rtt_s += _RTT_WEIGHT * (rtt_s - self._rtt_s)
 
     def _reading(self, now_s: float) -> Reading:
+        shortest_s = min(self._samples, default=0.0)
+        in_flight, pace = self.in_flight_bytes, self.model.pace.bytes_per_s
+        if pace is not None:  # what is there already, behind a packet that was lost, is not on the way
+            in_flight -= int(min(pace * max(self._rtt_s - shortest_s, 0.0), _MOST_BLOCKED * in_flight))
         return Reading(
             now_s,
             self._delivered_bytes,
-            self.in_flight_bytes,
+            in_flight,
             0,
-            self._rtt_s,
+            shortest_s,
             self._deviation_s,
             0,
             _SEGMENT_BYTES,

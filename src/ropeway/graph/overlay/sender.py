@@ -35,6 +35,7 @@ _ITEM_BYTES: Final = 64  # what a message costs beside its payload
 _PACKET_BYTES: Final = 200  # and what a packet costs
 _FLUSH_S: Final = 2.0
 _LOOK_S: Final = 0.25  # whether a path has stalled
+_OVERDRAFT_BYTES: Final = 4 * 1024
 _NO_LIMIT: Final = 1 << 40
 
 Job = tuple["OverlayPublisher", list[tuple[Item, bool]]]
@@ -216,24 +217,34 @@ class Sender:
         """Have the next group that can send something in a lane; return whether there was one."""
         for lot, group in list(self._groups.items()):
             waits = group.cursors[lane] or group.outbox.waits(lane)
-            if waits and self._room_bytes(group) > 0 and self._send_next(lane, group):
+            if waits and self._send_within(self._room_bytes(group), lane, group):
                 if len(self._groups) > 1 and self._groups.get(lot) is group:  # to the end: the others are next
                     self._groups[lot] = self._groups.pop(lot)
                 return True
         return False
 
+    def _send_within(self, room_bytes: int, lane: int, group: _Group) -> bool:
+        """Send the next; small messages need not wait until the path has room, as they hardly take any."""
+        if room_bytes > 0:
+            return self._send_next(lane, group)
+        return room_bytes > -_OVERDRAFT_BYTES and self._send_whole(lane, group, small=True)
+
     def _send_next(self, lane: int, group: _Group) -> bool:
         cursor = group.cursors[lane]
         if cursor is None or group.outbox.overtakes(lane, cursor.publisher.queue):
-            jobs, size = self._gather(lane, group, small=cursor is not None)
-            if jobs:
-                self._hand(lane, group, partial(self._send, lane, jobs, self._paths(group)), size, jobs)
+            if self._send_whole(lane, group, small=cursor is not None):
                 return True
             cursor = group.cursors[lane]
         if cursor is None or cursor.packet is None:
             return False
         self._send_part(lane, group, cursor, cursor.packet)
         return True
+
+    def _send_whole(self, lane: int, group: _Group, *, small: bool) -> bool:
+        jobs, size = self._gather(lane, group, small=small)
+        if jobs:
+            self._hand(lane, group, partial(self._send, lane, jobs, self._paths(group)), size, jobs)
+        return bool(jobs)
 
     def _gather(self, lane: int, group: _Group, *, small: bool) -> tuple[list[Job], int]:
         """Take what goes whole in one turn, by publisher; what goes in parts is begun."""
