@@ -88,6 +88,7 @@ async def heard_once(network: Network, wanted: range) -> None:
     assert strays <= 6, network.heard
 
 
+@pytest.mark.timeout(180)  # it starts five gateways; 25 s where the machine has nothing else to do
 async def test_two_pairs(stack: AsyncExitStack) -> None:
     """A topic that two pairs of gateways forward arrives once; when parts of a pair die, it goes on without loss."""
     a, b = await two_networks(stack)

@@ -212,14 +212,16 @@ async def test_worker_that_keeps_falling(stack: AsyncExitStack, caplog: pytest.L
     (worker,) = supervisor.workers
     times = []
     for starts in (1, 2, 3):
-        await until(lambda n=starts: worker.starts == n and worker.process and worker.process.returncode is None)
+        await until(lambda n=starts: worker.starts == n and worker.process and worker.process.returncode is None, 20)
         process = worker.process
         assert process is not None
         began = time.monotonic()
         process.kill()
-        await until(lambda n=starts: worker.starts > n, 5)
+        await until(lambda n=starts: worker.starts > n, 20)
         times.append(time.monotonic() - began)
-    assert times[0] < 0.5 < times[1] < times[2]
+    assert times[0] < times[1] < times[2]
+    assert times[1] >= 1
+    assert times[2] >= 2
     assert len([m for m in caplog.messages if "it is started again" in m]) == 3
 
 

@@ -9,6 +9,7 @@ import asyncio
 import base64
 import json
 import shutil
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
@@ -149,11 +150,14 @@ async def test_throttle(run: Run, place: Place) -> None:
     plan = {"subscribe": [{"name": "/fast", "type": STRING, "throttle_rate": 200, "queue_length": 1}]}
     async with run(plan) as program:
         await until(lambda: publisher.subscribers == 1)
+        began = time.monotonic()
         for number in range(60):
             publisher.publish(sample(place, STRING, {"data": f"n{number}"}))
             await asyncio.sleep(0.01)
         await program.wait(lambda: program.heard("/fast")[-1:] == [{"data": "n59"}])
-        assert 3 <= len(program.heard("/fast")) <= 6
+        heard = len(program.heard("/fast"))
+        assert heard >= 3
+        assert (heard - 2) * 0.2 <= time.monotonic() - began  # however long the busy machine took
 
 
 async def test_calls(run: Run, place: Place) -> None:
