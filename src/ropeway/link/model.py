@@ -7,11 +7,11 @@ trip, and a little more. Two figures bound it:
 * the **window**, what may be on the way. Its law is that of FAST TCP (Wei, Jin, Low and Hegde, 2006): while it holds
   us back, ``window * (shortest round trip + target) / round trip`` leaves a queue of ``target`` seconds at the
   narrowest place, whatever its rate. Where no queue builds up, the window is too small: it doubles at the start and
-  grows by a quarter per round trip later.
+  grows by a quarter every other round trip later, as a change shows a round trip after it was made.
 * what is **unsent**, handed to the kernel and not yet on the way: only what the link carries away before we look again.
 
-The shortest round trip is forgotten after a while, as routes change; while we fill the link ourselves, half of the
-window is left unused for a round trip now and then, to see it again. A queue that stays although we send less is not
+The shortest round trip is forgotten after a while, as routes change; while we fill the link ourselves, a part of the
+window is left unused for three round trips every five seconds, to see it again. A queue that stays although we send less is not
 ours (the route became longer, or others fill the link): it counts as part of the path.
 
 There is no input or output here: readings go in, bounds come out. A simulated link tests it.
