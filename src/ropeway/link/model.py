@@ -205,7 +205,8 @@ class LinkModel:
             return
         queue_s = self.queue_s = max(0.0, ended.shortest_s - base)
         target_s = max(self.target_queue_s, min(2 * ended.deviation_s, _MOST_QUEUE_SHARE * base))
-        self._lossy_rounds = (self._lossy_rounds << 1 | (lost and queue_s < target_s)) & _LOSS_MEMORY
+        shallow_s = max(target_s, _MOST_QUEUE_SHARE * base)
+        self._lossy_rounds = (self._lossy_rounds << 1 | (lost and queue_s < shallow_s)) & _LOSS_MEMORY
         self.losing = self._lossy_rounds.bit_count() >= _LOSSY_ROUNDS
         if self._drain_rounds:
             self._drain_rounds -= 1
