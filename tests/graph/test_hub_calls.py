@@ -247,8 +247,8 @@ class _Shown:
     def __init__(self) -> None:
         self.servers: tuple[ProviderInfo, ...] = ()
 
-    def __call__(self) -> dict[str, ServiceInfo]:
-        return {"/s": ServiceInfo("/s", (TRIGGER,), self.servers)}
+    def __call__(self, name: str) -> ServiceInfo:
+        return ServiceInfo(name, (TRIGGER,), self.servers)
 
 
 async def _nothing() -> _Nothing:

@@ -141,7 +141,7 @@ async def test_other_distribution(graph: MemoryGraph) -> None:
 async def test_clients_are_closed(graph: MemoryGraph) -> None:
     """Nothing is left open after a question."""
     await list_parameters(graph, REGISTRY, "/camera")
-    assert graph.network.clients == []
+    assert not graph.network.clients
 
 
 async def test_nodes_with_parameters(graph: MemoryGraph) -> None:

@@ -698,7 +698,7 @@ async def test_server_restarts(stack: AsyncExitStack, cloud: Cloud) -> None:
     call = start(client, timeout_s=60)
     await until(lambda: gate.seen)
     await cloud.stop()
-    with pytest.raises(ProviderLost, match="link"):
+    with pytest.raises(ProviderLost, match="the gateway stops"):
         await call
     gate.open.set()
     await cloud.start()

@@ -302,11 +302,15 @@ class Gateway:
     async def _update_meters(self) -> None:
         while True:
             await asyncio.sleep(_METERS_S)
-            for remote in self.remotes:
-                for bridge in remote.topics():
-                    bridge.meter.update()
-            for bridge in self.nodes.bridges.values() if self.nodes is not None else ():
+            self._update_all_meters()
+
+    def _update_all_meters(self) -> None:
+        """Update the meters of all bridges; a function of its own, so that none is held from one time to the next."""
+        for remote in self.remotes:
+            for bridge in remote.topics():
                 bridge.meter.update()
+        for bridge in self.nodes.bridges.values() if self.nodes is not None else ():
+            bridge.meter.update()
 
     def missing(self) -> list[str]:
         """Why the gateway is not ready for clients, in sentences; empty once all graphs and listeners are up."""

@@ -26,7 +26,7 @@ import os
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final, Literal, Protocol, overload, runtime_checkable
 
 from ropeway.errors import InvalidName
 from ropeway.graph.calls import (
@@ -57,6 +57,7 @@ __all__ = [
     "Subscription",
     "TopicInfo",
     "Undelivered",
+    "look_up",
     "new_origin",
     "resolve_name",
     "types_of",
@@ -345,15 +346,32 @@ def types_of(graph: Graph, kind: str, name: str) -> tuple[str, ...]:
 
     A graph that can look a name up without describing all others does so in a method of this name.
     """
-    look_up: Callable[[str, str], tuple[str, ...]] | None = getattr(graph, "types_of", None)
-    if look_up is not None:
-        return look_up(kind, name)
-    known: TopicInfo | ServiceInfo | ActionInfo | None
-    if kind == "topic":
-        known = graph.topics().get(name)
-    else:
-        known = graph.services().get(name) if kind == "service" else graph.actions().get(name)
+    own: Callable[[str, str], tuple[str, ...]] | None = getattr(graph, "types_of", None)
+    if own is not None:
+        return own(kind, name)
+    known = look_up(graph, kind, name)
     return known.types if known is not None else ()
+
+
+@overload
+def look_up(graph: Graph, kind: Literal["topic"], name: str) -> TopicInfo | None: ...
+@overload
+def look_up(graph: Graph, kind: Literal["service"], name: str) -> ServiceInfo | None: ...
+@overload
+def look_up(graph: Graph, kind: Literal["action"], name: str) -> ActionInfo | None: ...
+@overload
+def look_up(graph: Graph, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None: ...
+def look_up(graph: Graph, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
+    """Return what is known of one ``topic``, ``service`` or ``action`` now, ``None`` if it is not there.
+
+    A graph that can look a name up without describing all others does so in a method of this name.
+    """
+    own: Callable[[str, str], TopicInfo | ServiceInfo | ActionInfo | None] | None = getattr(graph, "look_up", None)
+    if own is not None:
+        return own(kind, name)
+    if kind == "topic":
+        return graph.topics().get(name)
+    return graph.services().get(name) if kind == "service" else graph.actions().get(name)
 
 
 @dataclass

@@ -11,11 +11,11 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from typing import Any, Final, Generic, Protocol, TypeVar
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Final, Generic, Protocol, TypeVar
 
 from ropeway.errors import RopewayError
-from ropeway.graph.calls import ProviderInfo
+from ropeway.graph.calls import ActionInfo, ProviderInfo, ServiceInfo
 
 __all__ = ["Entry", "Holders"]
 
@@ -73,18 +73,26 @@ class Entry(Generic[P]):
 
 
 class Holders(Generic[P]):
-    """The holders of all names of one kind on one graph. ``known`` gives who serves what on the network now."""
+    """The holders of all names of one kind on one graph. ``known`` tells who serves a name on the network now."""
 
-    def __init__(self, kind: str, graph: str, gateway_id: str, known: Callable[[], Mapping[str, Any]]) -> None:
+    def __init__(
+        self, kind: str, graph: str, gateway_id: str, known: Callable[[str], ServiceInfo | ActionInfo | None]
+    ) -> None:
         self._kind, self._graph, self._gateway_id, self._known = kind, graph, gateway_id, known
         self._entries: dict[str, list[Entry[P]]] = {}
         self._locks: dict[str, asyncio.Lock] = {}
         self._warned: set[str] = set()
-        self.changed = asyncio.Event()
+        self._changed: asyncio.Future[None] | None = None
 
     def holder(self, name: str) -> Entry[P] | None:
         """Who serves ``name`` in this process."""
         return next((entry for entry in self._entries.get(name, ()) if entry.serving), None)
+
+    def changed(self) -> asyncio.Future[None]:
+        """Return what is done at the next change; all who wait share it."""
+        if self._changed is None:
+            self._changed = asyncio.get_running_loop().create_future()
+        return self._changed
 
     def names(self) -> Sequence[str]:
         """Every name that is wanted here."""
@@ -158,7 +166,7 @@ class Holders(Generic[P]):
 
     def _before(self, name: str, holder: Entry[P] | None) -> ProviderInfo | None:
         """A provider on the network that comes before ours, or ``None``."""
-        info = self._known().get(name)
+        info = self._known(name)
         servers: Sequence[ProviderInfo] = info.servers if info is not None else ()
         others = [p for p in servers if not p.local and (not p.gateway or p.gateway != self._gateway_id)]
         if holder is None:
@@ -183,5 +191,6 @@ class Holders(Generic[P]):
         return None
 
     def _ring(self) -> None:
-        self.changed.set()
-        self.changed = asyncio.Event()
+        changed, self._changed = self._changed, None
+        if changed is not None and not changed.done():
+            changed.set_result(None)

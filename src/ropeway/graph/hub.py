@@ -34,6 +34,7 @@ from ropeway.graph.calls import ActionHandlers, ActionInfo, ServiceHandler, Serv
 from ropeway.graph.hub_actions import ViewActionClient, ViewActionServer
 from ropeway.graph.hub_calls import HubCalls, ViewClient, ViewService
 from ropeway.graph.hub_topics import ViewPublisher, ViewSubscription
+from ropeway.graph.kept import Kept
 from ropeway.graph.seen import Seen
 from ropeway.qos import QoS
 from ropeway.tasks import Supervised, end
@@ -133,7 +134,7 @@ class View:
         self.drops: Counter[tuple[str, Undelivered]] = hub.graph.drops
         self.own_changes = Changes()
         self._closed = False
-        self._parts: list[_Part] = []
+        self._parts: Kept[_Part] = Kept()
 
     async def open(self) -> None:
         """Nothing to do: the graph is open."""
@@ -141,9 +142,7 @@ class View:
     async def close(self) -> None:
         """Close what was created through this view."""
         self._closed = True
-        for part in list(self._parts):
-            await part.close()
-        self._parts.clear()
+        await self._parts.close()
         self.own_changes.close()
         if self in self.hub.views:
             self.hub.views.remove(self)
@@ -155,7 +154,7 @@ class View:
         self._check()
         inner = await self.hub.graph.create_publisher(topic, type, qos, delivery=delivery)
         publisher = ViewPublisher(self, inner)
-        self._keep(publisher)
+        self._parts.add(publisher)
         self.hub.publishers.setdefault(publisher.topic, []).append(publisher)
         for reader in list(self.hub.subscriptions.get(publisher.topic, ())):
             publisher.match(reader)
@@ -178,7 +177,7 @@ class View:
         subscription = ViewSubscription(self, resolve_name(topic), type, qos, callback)
         inner = await self.hub.graph.create_subscription(topic, type, qos, subscription.arrived, delivery=delivery)
         subscription.attach(inner)
-        self._keep(subscription)
+        self._parts.add(subscription)
         self.hub.subscriptions.setdefault(subscription.topic, []).append(subscription)
         for publisher in list(self.hub.publishers.get(subscription.topic, ())):
             publisher.match(subscription)
@@ -191,7 +190,7 @@ class View:
         self._check()
         client = ViewClient(self.hub.calls, resolve_name(service), type)
         await client.attach(delivery)
-        self._keep(client)
+        self._parts.add(client)
         return client
 
     async def create_service(
@@ -201,7 +200,7 @@ class View:
         self._check()
         made = ViewService(self.hub.calls, self.user, resolve_name(service), type, handler, delivery)
         await self.hub.calls.services.add(made.entry)
-        self._keep(made)
+        self._parts.add(made)
         self.hub.announce(self, "service", made.service, type, True)
         made.on_closed = lambda: self.hub.announce(self, "service", made.service, type, False)
         return made
@@ -211,7 +210,7 @@ class View:
         self._check()
         client = ViewActionClient(self.hub.calls, resolve_name(action), type)
         await client.attach(delivery)
-        self._keep(client)
+        self._parts.add(client)
         return client
 
     async def create_action_server(
@@ -221,7 +220,7 @@ class View:
         self._check()
         made = ViewActionServer(self.hub.calls, self.user, resolve_name(action), type, handlers, delivery)
         await self.hub.calls.actions.add(made.entry)
-        self._keep(made)
+        self._parts.add(made)
         self.hub.announce(self, "action", made.action, type, True)
         made.on_closed = lambda: self.hub.announce(self, "action", made.action, type, False)
         return made
@@ -229,10 +228,6 @@ class View:
     def _check(self) -> None:
         if self._closed:
             raise GraphUnavailable(self.name, f"{self.user} has closed its view")
-
-    def _keep(self, part: _Part) -> None:
-        self._parts = [p for p in self._parts if not p.closed]
-        self._parts.append(part)
 
     def topics(self) -> dict[str, TopicInfo]:
         """Everything on the graph; what other views created does not count as local."""

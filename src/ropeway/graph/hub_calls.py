@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import CallFailed, CallTimeout, GraphUnavailable, NotServed, ProviderLost
-from ropeway.graph.base import Delivery
+from ropeway.graph.base import Delivery, look_up
 from ropeway.graph.calls import (
     DEFAULT_TIMEOUT_S,
     ActionClient,
@@ -52,8 +52,12 @@ class HubCalls:
 
     def __init__(self, graph: Graph, gateway_id: str) -> None:
         self.graph, self.gateway_id = graph, gateway_id
-        self.services: Holders[ViewService] = Holders("service", graph.name, gateway_id, lambda: graph.services())
-        self.actions: Holders[ViewActionServer] = Holders("action", graph.name, gateway_id, lambda: graph.actions())
+        self.services: Holders[ViewService] = Holders(
+            "service", graph.name, gateway_id, lambda name: look_up(graph, "service", name)
+        )
+        self.actions: Holders[ViewActionServer] = Holders(
+            "action", graph.name, gateway_id, lambda name: look_up(graph, "action", name)
+        )
         self._clients: dict[tuple[str, str, str], _Shared] = {}
         self._making: dict[tuple[str, str, str], asyncio.Future[None]] = {}
         self._idle: dict[tuple[str, str, str], None] = {}
@@ -250,7 +254,7 @@ class ViewClient:
     @property
     def listed(self) -> bool:
         """True if the graph knows a server, reached or not."""
-        info = self._calls.graph.services().get(self.service)
+        info = look_up(self._calls.graph, "service", self.service)
         return info is not None and bool(info.servers)
 
     @property
@@ -324,19 +328,16 @@ async def either(inner: Awaitable[bool], here: Callable[[], bool], holders: Hold
     deadline = asyncio.get_running_loop().time() + timeout_s
     try:
         while True:
-            changed = asyncio.ensure_future(holders.changed.wait())
-            try:
-                if here():
-                    return True
-                left = deadline - asyncio.get_running_loop().time()
-                await asyncio.wait({network, changed}, timeout=max(left, 0), return_when=asyncio.FIRST_COMPLETED)
-                if here():
-                    return True
-                if network.done():
-                    return bool(network.result())
-                if left <= 0:
-                    return False
-            finally:
-                await end(changed)
+            if here():
+                return True
+            left = deadline - asyncio.get_running_loop().time()
+            waited: set[asyncio.Future[Any]] = {network, holders.changed()}
+            await asyncio.wait(waited, timeout=max(left, 0), return_when=asyncio.FIRST_COMPLETED)
+            if here():
+                return True
+            if network.done():
+                return bool(network.result())
+            if left <= 0:
+                return False
     finally:
         await end(network)

@@ -7,7 +7,16 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from ropeway.graph.base import SEQ_NONE, Publisher, Sample, SampleCallback, Subscription, Undelivered, new_origin
+from ropeway.graph.base import (
+    SEQ_NONE,
+    Publisher,
+    Sample,
+    SampleCallback,
+    Subscription,
+    Undelivered,
+    look_up,
+    new_origin,
+)
 from ropeway.graph.history import History
 from ropeway.graph.seen import Seen
 from ropeway.graph.standby import Standby
@@ -186,7 +195,7 @@ class ViewSubscription:
             return
         hub = self.view.hub
         offered = [p.qos for p in hub.publishers.get(self.topic, ()) if p.view is not self.view or self.view.echo]
-        topic = hub.graph.topics().get(self.topic)
+        topic = look_up(hub.graph, "topic", self.topic)
         if topic is None or any(not p.local for p in topic.publishers) or not offered:
             offered.append(self._inner.qos)
         qos = common_qos(offered)

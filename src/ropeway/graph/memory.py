@@ -8,11 +8,17 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import AsyncIterator
-from typing import Final
+from collections.abc import AsyncIterator, Iterable, Iterator
+from typing import Final, Generic, TypeVar
 
 from ropeway.errors import GraphUnavailable, TypeConflict
-from ropeway.graph.action import ComposedActionClient, ComposedActionServer, action_of_service, actions_of
+from ropeway.graph.action import (
+    ComposedActionClient,
+    ComposedActionServer,
+    action_of_service,
+    actions_of,
+    service_of_action,
+)
 from ropeway.graph.base import (
     NO_HINTS,
     Changes,
@@ -26,6 +32,7 @@ from ropeway.graph.base import (
     resolve_name,
 )
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.kept import Kept
 from ropeway.graph.memory_calls import MemoryClient, MemoryService
 from ropeway.graph.memory_topics import MemoryPublisher, MemorySubscription
 from ropeway.qos import DEFAULT, QoS
@@ -37,15 +44,51 @@ __all__ = ["MemoryGraph", "MemoryPublisher", "MemorySubscription"]
 _ACTION_PART: Final = "/_action/"
 
 
+_Part = MemoryPublisher | MemorySubscription | MemoryService | MemoryClient
+_P = TypeVar("_P", bound=_Part)
+
+
+class _Table(Generic[_P]):
+    """Parts by their names; under one name in the order in which they came."""
+
+    def __init__(self) -> None:
+        self._named: dict[str, dict[_P, None]] = {}
+
+    def add(self, name: str, part: _P) -> None:
+        """Add one."""
+        self._named.setdefault(name, {})[part] = None
+
+    def remove(self, name: str, part: _P) -> None:
+        """Remove one that is there."""
+        named = self._named[name]
+        del named[part]
+        if not named:
+            del self._named[name]
+
+    def of(self, name: str) -> list[_P]:
+        """Return those of one name."""
+        return list(self._named.get(name, ()))
+
+    def names(self) -> list[str]:
+        """Return every name that somebody has."""
+        return list(self._named)
+
+    def __iter__(self) -> Iterator[_P]:
+        return (part for named in self._named.values() for part in named)
+
+    def __len__(self) -> int:
+        return sum(map(len, self._named.values()))
+
+
 class _Network:
     """What the participants of one name share."""
 
     def __init__(self) -> None:
         self.graphs: list[MemoryGraph] = []
-        self.publishers: list[MemoryPublisher] = []
-        self.subscriptions: list[MemorySubscription] = []
-        self.services: list[MemoryService] = []
-        self.clients: list[MemoryClient] = []
+        self.publishers: _Table[MemoryPublisher] = _Table()
+        self.subscriptions: _Table[MemorySubscription] = _Table()
+        self.services: _Table[MemoryService] = _Table()
+        self.clients: _Table[MemoryClient] = _Table()
 
 
 _networks: dict[str, _Network] = {}
@@ -68,8 +111,7 @@ class MemoryGraph:
         self._network_name = network
         self._changes = Changes()
         self._open = False
-        self._parts: list[MemoryPublisher | MemorySubscription | MemoryService | MemoryClient] = []
-        self._actions: list[ComposedActionClient | ComposedActionServer] = []
+        self._actions: Kept[ComposedActionClient | ComposedActionServer] = Kept()
         self._registry = registry
         self.loop: asyncio.AbstractEventLoop
 
@@ -91,10 +133,17 @@ class MemoryGraph:
         """Leave the network with everything that was created here."""
         if not self._open:
             return
-        for part in [*self._actions, *self._parts]:
-            await part.close()
-        self._parts.clear()
-        self._actions.clear()
+        await self._actions.close()
+        network = self.network
+        tables: tuple[Iterable[_Part], ...] = (
+            network.publishers,
+            network.subscriptions,
+            network.services,
+            network.clients,
+        )
+        for table in tables:
+            for part in [part for part in table if part.graph is self]:
+                await part.close()
         self._open = False
         self.network.graphs.remove(self)
         self._changes.close()
@@ -107,8 +156,7 @@ class MemoryGraph:
         """Publish ``topic``; ``delivery`` has no meaning inside one process."""
         self._check(topic, type)
         publisher = MemoryPublisher(self, resolve_name(topic), type, qos or DEFAULT)
-        self._parts.append(publisher)
-        self.network.publishers.append(publisher)
+        self.network.publishers.add(publisher.topic, publisher)
         self._rematch(publisher.topic)
         self.announce("publisher", publisher.topic, type, True)
         return publisher
@@ -125,8 +173,7 @@ class MemoryGraph:
         """Read ``topic``; ``delivery`` has no meaning inside one process."""
         self._check(topic, type)
         subscription = MemorySubscription(self, resolve_name(topic), type, qos, callback)
-        self._parts.append(subscription)
-        self.network.subscriptions.append(subscription)
+        self.network.subscriptions.add(subscription.topic, subscription)
         self._rematch(subscription.topic)
         self.announce("subscription", subscription.topic, type, True)
         return subscription
@@ -135,8 +182,7 @@ class MemoryGraph:
         """Call ``service`` of another participant; ``delivery`` has no meaning inside one process."""
         self._check(service, type)
         client = MemoryClient(self, resolve_name(service), canonical_name(type, "srv"))
-        self._keep(client)
-        self.network.clients.append(client)
+        self.network.clients.add(client.service, client)
         return client
 
     async def create_service(
@@ -145,8 +191,7 @@ class MemoryGraph:
         """Serve ``service``; who served the name before goes first. ``delivery`` has no meaning inside one process."""
         self._check(service, type)
         served = MemoryService(self, resolve_name(service), canonical_name(type, "srv"), handler)
-        self._keep(served)
-        self.network.services.append(served)
+        self.network.services.add(served.service, served)
         self.announce_service(served, True)
         return served
 
@@ -157,7 +202,8 @@ class MemoryGraph:
         self._check(action, type)
         client = ComposedActionClient(self, action, type, self.registry)
         await client.open()
-        self._actions = [*(part for part in self._actions if not part.closed), client]
+        self._actions.add(client)
+        client.on_closed = lambda: self._actions.discard(client)
         return client
 
     async def create_action_server(
@@ -167,7 +213,8 @@ class MemoryGraph:
         self._check(action, type)
         server = ComposedActionServer(self, action, type, handlers, self.registry)
         await server.open()
-        self._actions = [*(part for part in self._actions if not part.closed), server]
+        self._actions.add(server)
+        server.on_closed = lambda: self._actions.discard(server)
         return server
 
     @property
@@ -179,20 +226,17 @@ class MemoryGraph:
 
     def services(self) -> dict[str, ServiceInfo]:
         """Every service of the network, served or called."""
-        found: dict[str, tuple[list[MemoryService], list[MemoryClient]]] = {}
-        for service in self.network.services:
-            found.setdefault(service.service, ([], []))[0].append(service)
-        for client in self.network.clients:
-            found.setdefault(client.service, ([], []))[1].append(client)
-        return {
-            name: ServiceInfo(
-                name,
-                tuple(dict.fromkeys([*(part.type for part in servers), *(part.type for part in clients)])),
-                tuple(self._provider(part) for part in servers),
-                tuple(self._provider(part) for part in clients),
-            )
-            for name, (servers, clients) in sorted(found.items())
-        }
+        network = self.network
+        return {name: self._service(name) for name in sorted({*network.services.names(), *network.clients.names()})}
+
+    def _service(self, name: str) -> ServiceInfo:
+        servers, clients = self.network.services.of(name), self.network.clients.of(name)
+        return ServiceInfo(
+            name,
+            tuple(dict.fromkeys([*(part.type for part in servers), *(part.type for part in clients)])),
+            tuple(self._provider(part) for part in servers),
+            tuple(self._provider(part) for part in clients),
+        )
 
     def actions(self) -> dict[str, ActionInfo]:
         """Every action of the network, served or used."""
@@ -200,16 +244,25 @@ class MemoryGraph:
 
     def topics(self) -> dict[str, TopicInfo]:
         """Every topic of the network; those that actions are made of stand under ``actions``."""
-        found: dict[str, tuple[list[EndpointInfo], list[EndpointInfo]]] = {}
-        for publisher in self.network.publishers:
-            found.setdefault(publisher.topic, ([], []))[0].append(self._endpoint("publisher", publisher))
-        for subscription in self.network.subscriptions:
-            found.setdefault(subscription.topic, ([], []))[1].append(self._endpoint("subscription", subscription))
-        return {
-            name: TopicInfo(name, tuple(dict.fromkeys(e.type for e in pubs + subs)), tuple(pubs), tuple(subs))
-            for name, (pubs, subs) in sorted(found.items())
-            if _ACTION_PART not in name
-        }
+        network = self.network
+        names = sorted({*network.publishers.names(), *network.subscriptions.names()})
+        return {name: self._topic(name) for name in names if _ACTION_PART not in name}
+
+    def _topic(self, name: str) -> TopicInfo:
+        publishers = tuple(self._endpoint("publisher", part) for part in self.network.publishers.of(name))
+        subscriptions = tuple(self._endpoint("subscription", part) for part in self.network.subscriptions.of(name))
+        types = tuple(dict.fromkeys(endpoint.type for endpoint in publishers + subscriptions))
+        return TopicInfo(name, types, publishers, subscriptions)
+
+    def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
+        """See ``ropeway.graph.base.look_up``."""
+        if kind == "topic":
+            topic = self._topic(name)
+            return topic if topic.types and _ACTION_PART not in name else None
+        service = self._service(name if kind == "service" else service_of_action(name))
+        if not service.types:
+            return None
+        return service if kind == "service" else actions_of({service.name: service}).get(name)
 
     def nodes(self) -> dict[str, NodeInfo]:
         """Every participant, as a node."""
@@ -231,11 +284,10 @@ class MemoryGraph:
         self._tell(kind, name, type, discovered)
         if not discovered:
             self._rematch(name)
-            self._parts = [p for p in self._parts if not p.closed]
 
     def announce_service(self, service: MemoryService, discovered: bool) -> None:
         """Tell the other participants of a service that came or goes here, and of the action it belongs to."""
-        for client in self.network.clients:
+        for client in self.network.clients.of(service.service):
             client.look()
         self._tell("service", service.service, service.type, discovered)
         action = action_of_service(service.service, service.type)
@@ -249,15 +301,12 @@ class MemoryGraph:
             if graph is not self:
                 graph._changes.emit(GraphEvent(discovered, kind, name, type, self.node, graph.name))
 
-    def _keep(self, part: MemoryService | MemoryClient) -> None:
-        self._parts = [*(p for p in self._parts if not p.closed), part]
-
     def _rematch(self, topic: str) -> None:
         network = self.network
-        readers = [s for s in network.subscriptions if s.topic == topic]
+        readers = network.subscriptions.of(topic)
         for reader in readers:
             reader.readopt()
-        for publisher in [p for p in network.publishers if p.topic == topic]:
+        for publisher in network.publishers.of(topic):
             for reader in readers:
                 publisher.match(reader)
 

@@ -39,7 +39,7 @@ class MemoryService:
         if self.closed:
             return
         self.closed = True
-        self.graph.network.services.remove(self)
+        self.graph.network.services.remove(self.service, self)
         self.graph.announce_service(self, False)
         await self._running.fail(ProviderLost(self.service, LEFT))
 
@@ -61,8 +61,8 @@ class MemoryClient:
 
     def provider(self) -> MemoryService | None:
         """The first service of another participant with this name and type."""
-        for service in self.graph.network.services:
-            if service.service == self.service and service.type == self.type and service.graph is not self.graph:
+        for service in self.graph.network.services.of(self.service):
+            if service.type == self.type and service.graph is not self.graph:
                 return service
         return None
 
@@ -105,6 +105,6 @@ class MemoryClient:
             return
         self.closed = True
         self._came.set()
-        self.graph.network.clients.remove(self)
+        self.graph.network.clients.remove(self.service, self)
         why = f"the client of {self.service} was closed in mid-call"
         await self._under_way.fail(GraphUnavailable(self.graph.name, why))

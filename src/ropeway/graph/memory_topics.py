@@ -91,7 +91,7 @@ class MemoryPublisher:
             return
         self.closed = True
         network = self.graph.network
-        network.publishers.remove(self)
+        network.publishers.remove(self.topic, self)
         for reader in list(self._readers):
             self.match(reader)
         self.graph.announce("publisher", self.topic, self.type, False)
@@ -127,7 +127,7 @@ class MemorySubscription:
         """Follow the publishers' profiles, where the subscription was made to."""
         if not self._adopt:
             return
-        offered = [p.qos for p in self.graph.network.publishers if p.topic == self.topic and p.type == self.type]
+        offered = [p.qos for p in self.graph.network.publishers.of(self.topic) if p.type == self.type]
         qos = common_qos(offered, self._qos)
         if qos == self._qos:
             return
@@ -176,7 +176,7 @@ class MemorySubscription:
             return
         self.closed = True
         network = self.graph.network
-        network.subscriptions.remove(self)
-        for publisher in network.publishers:
+        network.subscriptions.remove(self.topic, self)
+        for publisher in network.publishers.of(self.topic):
             publisher.match(self)
         self.graph.announce("subscription", self.topic, self.type, False)

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
 from ropeway.errors import RopewayError
-from ropeway.graph.base import Graph, Sample, Subscription
+from ropeway.graph.base import Graph, Sample, Subscription, look_up
 
 if TYPE_CHECKING:
     from ropeway.graph.seen import Seen
@@ -78,7 +78,7 @@ class Standby:
         async with self._lock:
             if self._closed or self._alone:
                 return
-            known = self._graph.topics().get(self._topic)
+            known = look_up(self._graph, "topic", self._topic)
             others = {p.gateway for p in known.publishers if not p.local} if known is not None else set()
             others.discard(self._gateway_id)
             if others and self._monitor is None:

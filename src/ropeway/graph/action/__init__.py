@@ -5,7 +5,14 @@ here: three services and two topics below ``<action>/_action/``.
 """
 
 from ropeway.graph.action.client import ComposedActionClient
-from ropeway.graph.action.parts import ActionParts, action_of_service, actions_of
+from ropeway.graph.action.parts import ActionParts, action_of_service, actions_of, service_of_action
 from ropeway.graph.action.server import ComposedActionServer
 
-__all__ = ["ActionParts", "ComposedActionClient", "ComposedActionServer", "action_of_service", "actions_of"]
+__all__ = [
+    "ActionParts",
+    "ComposedActionClient",
+    "ComposedActionServer",
+    "action_of_service",
+    "actions_of",
+    "service_of_action",
+]

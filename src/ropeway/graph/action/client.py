@@ -28,7 +28,7 @@ from ropeway.graph.action.parts import (
     STATUS_TYPE,
     ActionParts,
 )
-from ropeway.graph.base import NO_HINTS, Delivery, Graph, GraphEvent, Sample, Subscription, Undelivered
+from ropeway.graph.base import NO_HINTS, Delivery, Graph, GraphEvent, Sample, Subscription, Undelivered, look_up
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Client, Goal, GoalStatus, Outcome, Request
 from ropeway.tasks import Supervised, describe, end
 from ropeway.types import TypeRegistry
@@ -99,6 +99,7 @@ class ComposedActionClient:
         self._parts = ActionParts(action, type, registry)
         self.action, self.type = self._parts.action, self._parts.type
         self.closed = False
+        self.on_closed: Callable[[], None] | None = None
         self._graph = graph
         self._goals: dict[bytes, ComposedGoal] = {}
         self._sending: set[asyncio.Task[None]] = set()
@@ -147,6 +148,8 @@ class ComposedActionClient:
             await client.close()
         for subscription in self._subscriptions:
             await subscription.close()
+        if self.on_closed is not None:
+            self.on_closed()
 
     @property
     def available(self) -> bool | None:
@@ -292,7 +295,7 @@ class ComposedActionClient:
         self._abort(list(self._goals.values()), f"{self._graph.name} was closed")
 
     def _served(self) -> bool:
-        info = self._graph.actions().get(self.action)
+        info = look_up(self._graph, "action", self.action)
         return info is not None and any(not server.local for server in info.servers)
 
     def _abort(self, goals: list[ComposedGoal], text: str) -> None:

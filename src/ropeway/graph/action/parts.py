@@ -25,6 +25,7 @@ __all__ = [
     "action_of_service",
     "actions_of",
     "parts_of_action",
+    "service_of_action",
 ]
 
 CANCEL_TYPE: Final = "action_msgs/srv/CancelGoal"
@@ -165,6 +166,11 @@ def action_of_service(service: str, type: str = "") -> tuple[str, str] | None:
     if not name or name == service:
         return None
     return name, type.removesuffix("_SendGoal")
+
+
+def service_of_action(action: str) -> str:
+    """Return the name of the service that takes the goals of an action."""
+    return action + _SEND_GOAL
 
 
 def actions_of(services: Mapping[str, ServiceInfo]) -> dict[str, ActionInfo]:

@@ -7,7 +7,7 @@ import contextlib
 import logging
 import time
 from collections import OrderedDict, deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Final
 
 from ropeway.errors import DecodeError, RopewayError
@@ -76,6 +76,7 @@ class ComposedActionServer:
         self._parts = ActionParts(action, type, registry)
         self.action, self.type = self._parts.action, self._parts.type
         self.closed = False
+        self.on_closed: Callable[[], None] | None = None
         self._graph = graph
         self._handlers = handlers
         self._deciding: set[bytes] = set()
@@ -133,6 +134,8 @@ class ComposedActionServer:
         if self._expiry is not None:
             self._expiry.cancel()
         self._ended.clear()
+        if self.on_closed is not None:
+            self.on_closed()
 
     async def _be_asked(self, goals: Iterable[_Tracked]) -> None:
         """Those who sent a goal a moment ago come to ask for its result: they are not left without an answer."""

@@ -10,7 +10,17 @@ from typing import Final
 
 from ropeway.graph.base import EndpointInfo, GraphEvent, NodeInfo, TopicInfo
 from ropeway.graph.calls import ActionInfo, ProviderInfo, ServiceInfo
-from ropeway.graph.dds.names import Name, NameKind, action_of, action_of_feedback, demangle, is_hidden, is_of_action
+from ropeway.graph.dds.names import (
+    Name,
+    NameKind,
+    action_of,
+    action_of_feedback,
+    demangle,
+    feedback_of,
+    goals_of,
+    is_hidden,
+    is_of_action,
+)
 from ropeway.graph.dds.nodes import NodeEntities
 from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, Joined, NodesRecord
 from ropeway.qos import QoS
@@ -128,10 +138,24 @@ class Discovery:
         """Every service, with its servers and clients; those of actions, too."""
         return {name: self._service_info(name, service) for name, service in sorted(self._services.items())}
 
+    def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
+        """See ``ropeway.graph.base.look_up``."""
+        if kind == "topic":
+            topic = self._topics.get(name)
+            return None if topic is None or is_of_action(name) else self._topic_info(name, topic)
+        if kind == "service":
+            service = self._services.get(name)
+            return None if service is None else self._service_info(name, service)
+        carriers = (self._services.get(goals_of(name)), self._topics.get(feedback_of(name)))
+        endpoints = [
+            e for found in carriers if found for e in (*found.publishers.values(), *found.subscriptions.values())
+        ]
+        return self._actions_of(endpoints).get(name)
+
     def types_of(self, kind: str, name: str) -> tuple[str, ...]:
         """The types that one topic or service has now, or one action."""
         if kind == "action":
-            info = self.actions().get(name)
+            info = self.look_up(kind, name)
             return info.types if info is not None else ()
         if kind == "topic" and is_of_action(name):
             return ()
@@ -145,8 +169,11 @@ class Discovery:
 
     def actions(self) -> dict[str, ActionInfo]:
         """Every action: who takes and sends goals, and who else publishes or reads feedback."""
+        return self._actions_of(self._endpoints.values())
+
+    def _actions_of(self, endpoints: Iterable[_Endpoint]) -> dict[str, ActionInfo]:
         found: dict[str, _Action] = {}
-        for endpoint in self._endpoints.values():
+        for endpoint in endpoints:
             name, reads = endpoint.name, endpoint.record.kind == "subscription"
             if endpoint.record.helper or not is_of_action(name.name):
                 continue

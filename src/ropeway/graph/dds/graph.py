@@ -269,6 +269,10 @@ class DdsGraph:
         """Every action in the domain, ours too."""
         return self._discovery.actions() if self._discovery else {}
 
+    def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
+        """See ``ropeway.graph.base.look_up``."""
+        return self._discovery.look_up(kind, name) if self._discovery else None
+
     def types_of(self, kind: str, name: str) -> tuple[str, ...]:
         """See ``ropeway.graph.base.types_of``."""
         return self._discovery.types_of(kind, name) if self._discovery else ()

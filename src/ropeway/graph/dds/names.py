@@ -124,6 +124,16 @@ def action_of(service: str, type: str = "") -> tuple[str, str] | None:
     return _action(service, "send_goal", type, "_SendGoal")
 
 
+def goals_of(action: str) -> str:
+    """Return the name of the service that an action takes goals by."""
+    return f"{action}{_ACTION}send_goal"
+
+
+def feedback_of(action: str) -> str:
+    """Return the name of the topic that carries the feedback of an action."""
+    return f"{action}{_ACTION}feedback"
+
+
 def action_of_feedback(topic: str, type: str = "") -> tuple[str, str] | None:
     """The action and its type whose feedback the topic ``topic`` carries, or ``None`` for other topics."""
     return _action(topic, "feedback", type, "_FeedbackMessage")

@@ -29,6 +29,7 @@ from ropeway.graph.base import (
     resolve_name,
 )
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.kept import Kept
 from ropeway.graph.overlay.calls import OverlayClient, OverlayService
 from ropeway.graph.overlay.publisher import OverlayPublisher
 from ropeway.graph.overlay.sender import Sender
@@ -88,7 +89,7 @@ class OverlayGraph:
         self._services: dict[bytes, OverlayService] = {}
         self._clients: dict[bytes, OverlayClient] = {}
         self._matched: dict[bytes, list[OverlayPublisher | OverlaySubscription | OverlayClient]] = {}
-        self._actions: list[ComposedActionClient | ComposedActionServer] = []
+        self._actions: Kept[ComposedActionClient | ComposedActionServer] = Kept()
         self._changes = Changes()
         self._open = False
         self._stop: Callable[[], None] | None = None
@@ -109,8 +110,8 @@ class OverlayGraph:
         """Leave it with everything that was created here."""
         if not self._open:
             return
+        await self._actions.close()
         parts: Iterable[Sequence[object]] = (
-            self._actions,
             list(self._clients.values()),
             list(self._services.values()),
             list(self._publishers.values()),
@@ -119,7 +120,6 @@ class OverlayGraph:
         for group in parts:
             for part in group:
                 await part.close()  # type: ignore[attr-defined]
-        self._actions.clear()
         self._open = False
         if self._stop is not None:
             self._stop()
@@ -291,7 +291,8 @@ class OverlayGraph:
         parts = Delivery(metadata=delivery.metadata)
         client = ComposedActionClient(self, action, type, self.registry, delivery=parts)
         await client.open()
-        self._actions = [*(part for part in self._actions if not part.closed), client]
+        self._actions.add(client)
+        client.on_closed = lambda: self._actions.discard(client)
         return client
 
     async def create_action_server(
@@ -302,7 +303,8 @@ class OverlayGraph:
         parts = Delivery(metadata=delivery.metadata)
         server = ComposedActionServer(self, action, type, handlers, self.registry, delivery=parts)
         await server.open()
-        self._actions = [*(part for part in self._actions if not part.closed), server]
+        self._actions.add(server)
+        server.on_closed = lambda: self._actions.discard(server)
         return server
 
     # ── what is there ──────────────────────────────────────────────────────────────────────────────────────────

@@ -226,14 +226,18 @@ class IortServer:
     async def _tick(self) -> None:
         while True:
             await asyncio.sleep(min(_TICK_S, self.unfinished_s / 2, self.silence_s / 2))
-            now = time.monotonic()
-            for session in [*self.sessions, *self._strangers]:
-                if session.began is not None and now - session.began > self.unfinished_s:
-                    self.counts["slow"] += 1
-                    session.close("malformed", f"a packet was not complete within {self.unfinished_s:g} s")
-                elif session.upgraded and now - session.last_heard > self.silence_s:
-                    self.counts["silent"] += 1
-                    session.close("timeout", f"nothing was heard for {self.silence_s:g} s")
+            self._close_silent()
+
+    def _close_silent(self) -> None:
+        """Close whoever is too slow; a function of its own, so that no session is held from one look to the next."""
+        now = time.monotonic()
+        for session in [*self.sessions, *self._strangers]:
+            if session.began is not None and now - session.began > self.unfinished_s:
+                self.counts["slow"] += 1
+                session.close("malformed", f"a packet was not complete within {self.unfinished_s:g} s")
+            elif session.upgraded and now - session.last_heard > self.silence_s:
+                self.counts["silent"] += 1
+                session.close("timeout", f"nothing was heard for {self.silence_s:g} s")
 
 
 def _no_text(entry: Entry) -> bytes:

@@ -1,0 +1,52 @@
+"""What somebody made on a graph and has to close one day."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final, Generic, Protocol, TypeVar
+
+__all__ = ["Kept"]
+
+_FEW: Final = 32  # are not looked through
+
+
+class _Part(Protocol):
+    @property
+    def closed(self) -> bool: ...
+
+    async def close(self) -> None: ...
+
+
+P = TypeVar("P", bound=_Part)
+
+
+class Kept(Generic[P]):
+    """The parts that are open. Those that were closed are forgotten as others come.
+
+    They are looked through each time that their number has doubled: a thousand parts cost a thousand steps, not a
+    million.
+    """
+
+    def __init__(self) -> None:
+        self._parts: dict[P, None] = {}
+        self._look_at = _FEW
+
+    def add(self, part: P) -> None:
+        """Keep one more."""
+        if len(self._parts) >= self._look_at:
+            self._parts = dict.fromkeys(self)
+            self._look_at = max(_FEW, 2 * len(self._parts))
+        self._parts[part] = None
+
+    def discard(self, part: P) -> None:
+        """Forget one now, for parts that tell when they have closed."""
+        self._parts.pop(part, None)
+
+    def __iter__(self) -> Iterator[P]:
+        return (part for part in self._parts if not part.closed)
+
+    async def close(self) -> None:
+        """Close them all, in the order in which they were made."""
+        for part in list(self):
+            await part.close()
+        self._parts.clear()
