@@ -20,6 +20,7 @@ from tests.server.client import BINARY, CONTINUATION, TEXT, Client, frame
 from tests.soak.process import serving
 
 SENT_BYTES = 1 << 20
+PUBLISHERS = 1000  # of the kind whose every frame makes one; a client may have 4,096
 PEAK_BYTES = 32 << 20  # CBOR and JSON may take 24 times their bytes for the moment in which they are read
 LEFT_BYTES = 16 << 20  # what the allocator keeps for the next
 STRING = "std_msgs/String"
@@ -104,7 +105,7 @@ def a_megabyte(make: Any) -> Iterator[bytes]:
     for number in itertools.count():
         data = make(number)
         sent += len(data)
-        if sent > SENT_BYTES and number:
+        if (sent > SENT_BYTES and number) or (make is PLAIN["advertise_deep"] and number >= PUBLISHERS):
             return
         yield data
 
