@@ -11,8 +11,8 @@ trip, and a little more. Two figures bound it:
 * what is **unsent**, handed to the kernel and not yet on the way: only what the link carries away before we look again.
 
 The shortest round trip is forgotten after a while, as routes change; while we fill the link ourselves, a part of the
-window is left unused for three round trips every five seconds, to see it again. A queue that stays although we send less is not
-ours (the route became longer, or others fill the link): it counts as part of the path.
+window is left unused for three round trips every five seconds, to see it again. A queue that stays although we send
+less is not ours (the route became longer, or others fill the link): it counts as part of the path.
 
 There is no input or output here: readings go in, bounds come out. A simulated link tests it.
 """
