@@ -454,7 +454,7 @@ async def test_stalled_reader() -> None:
         await writer.ask(request("+pub", 99, "A", "small", b"hello"))
         assert (await reader.packet()).data == b"hello"
         session = next(s for s in served.server.sessions if s.superseded)
-        assert session._waiting_bytes <= 16 << 20
+        assert session._pushes.bytes <= 16 << 20
         found: dict[str, bytes] = {}
         while b"hello" not in found.values():
             packet = await stalled.packet()

@@ -15,8 +15,10 @@ from ropeway.errors import AccessDenied, StoreUnavailable, TypesError, ValueRefu
 from ropeway.graph.iort.space import Endpoint, is_pattern
 from ropeway.iort import KINDS, Fault, NodeError, Packet, Parser, identifier_of, origin_of, pack
 from ropeway.limits import HTTP_HEAD_BYTES, WRONG_TOKENS_PER_CONNECTION
+from ropeway.link.flow import Flow
 from ropeway.link.lobby import Visit
 from ropeway.server.access import Access
+from ropeway.server.iort.pushes import Pushes
 from ropeway.store import Entry, as_json
 
 if TYPE_CHECKING:
@@ -27,7 +29,6 @@ __all__ = ["Session"]
 log = logging.getLogger("ropeway.server.iort")
 
 _HIGH_BYTES: Final = 256 << 10  # above, values wait, each topic's newest only, and nothing more is read
-_WAITING_BYTES: Final = 16 << 20
 _OURS: Final = "00"  # the identifier of the server
 _IDENTIFIER_CHARACTERS: Final = 40  # of one that is shown in the status
 
@@ -58,8 +59,8 @@ class Session(asyncio.Protocol):
         self._scheduled = False
         self._paused = False
         self._looking = False  # a value is looked up elsewhere; what came after its request waits
-        self._waiting: dict[tuple[str, str], tuple[Entry, bool]] = {}
-        self._waiting_bytes = 0
+        self._flow = Flow(self._catch_up)
+        self._pushes = Pushes(self._superseded)
         self._watching = False
 
     # ── what the event loop calls ──────────────────────────────────────────────────────────────────────────────
@@ -68,6 +69,7 @@ class Session(asyncio.Protocol):
         """A node connected."""
         self.transport = cast(asyncio.Transport, transport)
         self.transport.set_write_buffer_limits(high=_HIGH_BYTES)
+        self._flow.open(self.transport.get_extra_info("socket"))
         self._visit.drop = self.transport.abort
         self.server.welcome(self, self.transport)
 
@@ -93,7 +95,8 @@ class Session(asyncio.Protocol):
         self._end_visit()
         self._items.clear()
         self._out.clear()
-        self._waiting.clear()
+        self._pushes.clear()
+        self._flow.close()
         self.server.gone(self)
 
     def pause_writing(self) -> None:
@@ -103,15 +106,16 @@ class Session(asyncio.Protocol):
             self.transport.pause_reading()
 
     def resume_writing(self) -> None:
-        """It caught up: the newest value of each topic that waits is sent."""
+        """Go on: the node caught up."""
         self._paused = False
-        while self._waiting and not self._paused:
-            key = next(iter(self._waiting))
-            entry, latest = self._waiting.pop(key)
-            self._waiting_bytes -= len(entry.data)
-            self._pushed(entry, latest)
-            self.flush()
+        self._catch_up()
         self._work()
+
+    def _catch_up(self) -> None:
+        """Send the newest value of each topic that waits, as far as the link takes it."""
+        while not self._paused and self._flow.free and (taken := self._pushes.take()) is not None:
+            self._pushed(*taken)
+            self.flush()
 
     def data_received(self, data: bytes) -> None:
         """Take what came; of a stranger packet by packet: one may let it in, and with it bigger ones."""
@@ -162,7 +166,9 @@ class Session(asyncio.Protocol):
         """Send what was collected, in one write."""
         self._scheduled = False
         if self._out and self.transport is not None and not self.transport.is_closing():
-            self.transport.write(b"".join(self._out))
+            data = b"".join(self._out)
+            self.transport.write(data)
+            self._flow.sent(len(data))
         self._out.clear()
         self._out_bytes = 0
 
@@ -212,19 +218,10 @@ class Session(asyncio.Protocol):
         """A value of a topic that the node subscribed to."""
         if self.access is None or not self.access.allows("subscribe", f"/{entry.system}/{entry.topic}"):
             return
-        if not self._paused:
+        if not self._paused and self._flow.free and not self._pushes:
             self._pushed(entry, latest)
-            return
-        before = self._waiting.pop(entry.key, None)
-        if before is not None:
-            self._waiting_bytes -= len(before[0].data)
-            self._superseded()
-        self._waiting[entry.key] = (entry, latest)
-        self._waiting_bytes += len(entry.data)
-        while self._waiting_bytes > _WAITING_BYTES and len(self._waiting) > 1:
-            oldest, _ = self._waiting.pop(next(iter(self._waiting)))
-            self._waiting_bytes -= len(oldest.data)
-            self._superseded()
+        else:
+            self._pushes.put(entry, latest)
 
     def _superseded(self) -> None:
         self.superseded += 1
