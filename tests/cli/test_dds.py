@@ -135,7 +135,7 @@ def test_playing_a_recording(ropeway: Ropeway, background: Start, tmp_path: Path
             payload = registry.codec(POINT).encode({"header": {"stamp": {"sec": n}}, "point": {"x": float(n)}})
             writer.add_message(channel, n * 20_000_000, payload, n)
         writer.finish()
-    reader = background("topic", "echo", "/recorded", POINT, "--csv", "--timeout", "15")
+    reader = background("topic", "echo", "/recorded", POINT, "--csv", "--timeout", "40")
     result = ropeway("play", str(path), "--restamp", "--json", "--topics", "recorded", "--wait", "10")
     assert result.returncode == 0, result.stderr
     told = json.loads(result.stdout)

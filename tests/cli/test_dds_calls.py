@@ -138,7 +138,8 @@ async def test_actions(robot: ParameterNode, run: Run) -> None:
         "Result:\n    sequence:\n    - 0\n    - 1\n    - 2\n\nGoal finished with status: SUCCEEDED\n"
     )
     assert sent.returncode == 0
-    assert (rejected.returncode, rejected.stderr) == (1, "ropeway: the server of /count rejected the goal\n")
+    assert rejected.returncode == 1
+    assert rejected.stderr.splitlines()[-1] == "ropeway: the server of /count rejected the goal"  # it may have waited
 
 
 async def test_interrupted_goal(

@@ -19,6 +19,7 @@ from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.server import RosbridgeServer
 from ropeway.server.access import EVERYTHING, Role
 from ropeway.server.door import Door, TokenRule
+from ropeway.server.entrance import Entrance
 from ropeway.types import TypeRegistry
 from tests.until import until
 
@@ -37,7 +38,7 @@ async def serve(stack: AsyncExitStack, registry: TypeRegistry, door: Door) -> Ro
     graph = MemoryGraph(f"refusal-{id(stack)}")
     await graph.open()
     stack.push_async_callback(graph.close)
-    server = RosbridgeServer(Hub(graph), registry, door=door)
+    server = RosbridgeServer(Hub(graph), registry, entrance=Entrance(door))
     stack.push_async_callback(server.close)
     await server.listen("ws://127.0.0.1:0")
     return server
@@ -83,6 +84,7 @@ async def test_who_is_let_in_no_more_ends(stack: AsyncExitStack, registry: TypeR
     door = Door(tokens=(TokenRule.plain("secret", EVERYTHING),), default=None)
     server = await serve(stack, registry, door)
     session = await join(stack, server, "secret")
-    server.replace_door(Door(tokens=(TokenRule.plain("other", EVERYTHING),), default=None))
+    server.entrance.door = Door(tokens=(TokenRule.plain("other", EVERYTHING),), default=None)
+    server.recheck()
     with pytest.raises(Refused, match="answered HTTP 401"):
         await echo(session, "/odom", STRING, None, lambda sample: "")
