@@ -18,7 +18,7 @@ import hmac
 import secrets
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.link.sender import RecordSender, Sender
@@ -71,7 +71,7 @@ class Express:
         self._secret = ""
         self._connection: Connection | None = None
         self._sender: _ExpressSender | None = None
-        self._fences: dict[int, tuple[Channel, asyncio.TimerHandle]] = {}
+        self._fences: dict[int, tuple[Channel, asyncio.TimerHandle, Sequence[Outgoing]]] = {}
 
     @property
     def open(self) -> bool:
@@ -117,7 +117,7 @@ class Express:
                 self._sender.close()
                 self._sender = None
             connection.close(1000, "the link has closed")
-        for _, timer in self._fences.values():
+        for _, timer, _ in self._fences.values():
             timer.cancel()
         self._fences.clear()
 
@@ -158,18 +158,23 @@ class Express:
         channel.sender.outbox.done(channel.queue)
         channel.sender.wake()
 
-    def _fence(self, connection: Connection, channel: Channel) -> None:
-        """Let a topic go on when everything that was sent on a connection has arrived, or after a while."""
+    def _fence(self, connection: Connection, channel: Channel, again: Sequence[Outgoing] = ()) -> None:
+        """Let a topic go on when everything that was sent on a connection has arrived, or after a while.
+
+        What it is to send ``again`` goes first; it is not lost if the link is gone before.
+        """
         key = time.time_ns()
         while key in self._fences:
             key += 1
         timer = asyncio.get_running_loop().call_later(_FENCE_S, self._pass, key)
-        self._fences[key] = (channel, timer)
+        self._fences[key] = (channel, timer, again)
         connection.send_text(b'{"op":"ping","t":%d}' % key)
 
     def _pass(self, key: int) -> None:
-        channel, timer = self._fences.pop(key)
+        channel, timer, again = self._fences.pop(key)
         timer.cancel()
+        if again and channel.queue.held:
+            channel.sender.outbox.put_back(channel.queue, again)
         self._go_on(channel)
 
     def _lost(self, connection: Connection) -> None:
@@ -192,7 +197,7 @@ class Express:
             waiting = express.outbox.release(channel.queue)
             channel.sender = main
             main.channels[channel.number] = channel
-            main.outbox.adopt(channel.queue, [*recent.get(channel, ()), *waiting])
-            self._go_on(channel)
+            main.outbox.adopt(channel.queue, waiting)
+            self._fence(main.connection, channel, recent.get(channel, ()))
         express.channels.clear()
         express.close()

@@ -19,7 +19,7 @@ from collections import Counter, deque
 from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
 __all__ = ["LANES", "Lost", "Outbox", "OutboxStatistics", "Queue"]
 
@@ -162,6 +162,17 @@ class Outbox(Generic[M]):
         self._under_way[queue.priority].append(queue)
         for message in waiting:
             self.put(queue, message)
+
+    def put_back(self, queue: Queue[M], messages: Sequence[M]) -> None:
+        """Let messages go before those that wait in a queue that is held; of too many the last."""
+        for message in reversed(messages):
+            size = len(message.payload)
+            if self.full(queue, size):
+                return
+            queue.waiting.appendleft(message)
+            queue.bytes += size
+            self.bytes += size
+            self.messages += 1
 
     def clear(self, reason: Lost = Lost.UNSENT) -> None:
         """Lose everything that waits."""
