@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -176,3 +177,23 @@ async def test_a_channel_is_closed_on_its_way(pair: Pair) -> None:
         other.put(sample(body))
     await until(lambda: len(pair.bodies(50)) == 20)
     assert pair.near.sender.outbox.statistics().messages == 0
+
+
+@pytest.mark.parametrize("small", [1, 2, 3])
+async def test_a_large_message_follows_at_once(pair: Pair, small: int) -> None:
+    """A large message that comes while its topic changes to the second connection goes by the first, in order."""
+    await pair.second()
+    channel = pair.channel(1)
+    sent = numbered(small)
+    for body in sent:
+        channel.put(sample(body))
+        await asyncio.sleep(0)
+    sent.append(text("x" * 3_000_000))
+    channel.put(sample(sent[-1]))
+    sent += numbered(5, 10)
+    for body in sent[-5:]:
+        channel.put(sample(body))
+    await until(lambda: len(pair.bodies(1)) == len(sent))
+    assert pair.bodies(1) == sent
+    assert channel.sender is pair.near.sender
+    assert pair.seconds[0].bytes_out < 100_000

@@ -100,7 +100,7 @@ class Express:
         peer = self._peer
         self._connection = connection
         self._sender = sender = _ExpressSender(connection, peer.complaints, peer.dialect)
-        reader = RecordReader(EXPRESS_BYTES * 4, peer.refused, peer.takes)
+        reader = RecordReader(peer.limit_bytes, peer.refused, peer.takes)
         connection.on_text = peer.take_text
         connection.on_binary = lambda data: peer.take_records(reader, data)
         connection.on_writable = sender.pump
@@ -141,17 +141,27 @@ class Express:
 
     def _move(self, channel: Channel, to: Sender) -> None:
         queue, old = channel.queue, channel.sender
-        if queue.under_way:
-            return  # it is being sent, or waits for a pong: at the next message
+        back = queue.held and self._call_off(channel)
+        if queue.under_way and not back:
+            return  # a message is being sent: at the next one
         waiting = old.outbox.release(queue)
         old.channels.pop(channel.number, None)
         channel.sender = to
         to.channels[channel.number] = channel
         to.outbox.adopt(queue, waiting)
-        if old.connection.closed:
+        if back or old.connection.closed:
             self._go_on(channel)
         else:  # also for what was never sent: that there is such a topic has to arrive first
             self._fence(old.connection, channel)
+
+    def _call_off(self, channel: Channel) -> bool:
+        """Let a topic that waits for a pong go back: nothing of it was sent on the new connection."""
+        key = next((key for key, (other, _, again) in self._fences.items() if other is channel and not again), None)
+        if key is None:
+            return False
+        self._fences.pop(key)[1].cancel()
+        channel.sender.outbox.done(channel.queue)
+        return True
 
     @staticmethod
     def _go_on(channel: Channel) -> None:
