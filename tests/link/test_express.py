@@ -123,6 +123,20 @@ async def test_a_large_message_brings_its_topic_back(pair: Pair) -> None:
     assert channel.sender is pair.near.sender
 
 
+async def test_a_large_message_while_its_topic_changes_its_connection(pair: Pair) -> None:
+    """A large message never goes by the second connection, also where its topic was about to: nothing is refused."""
+    await pair.second()
+    channels = [pair.channel(number) for number in range(1, 20)]
+    for channel in channels:
+        channel.put(sample(text("small")))
+        channel.put(sample(text("x" * 1_000_000)))
+    await until(lambda: len(pair.far_handler.arrivals) == 2 * len(channels))
+    for channel in channels:
+        assert pair.bodies(channel.number) == [text("small"), text("x" * 1_000_000)]
+        assert channel.sender is pair.near.sender
+    assert not pair.far.complaints.counts
+
+
 async def test_the_second_connection_may_come_late_and_go(pair: Pair) -> None:
     """A topic moves when the second connection comes and when it is lost: nothing is missing, and the order holds."""
     channel = pair.channel(1)
