@@ -218,6 +218,14 @@ class Outbox(Generic[M]):
         """Return whether something waits in a lane."""
         return bool(self._small[priority] or self._big[priority])
 
+    def first(self, priority: int) -> tuple[Queue[M], M] | None:
+        """Return what ``take`` would take of a lane, and leave it there."""
+        heads = [heap[0] for heap in (self._small[priority], self._big[priority]) if heap]
+        if not heads:
+            return None
+        queue = min(heads)[2]
+        return queue, queue.waiting[0]
+
     def overtakes(self, priority: int, queue: Queue[M]) -> bool:
         """Return whether a small message that waits in a lane goes before the big one of ``queue`` is sent whole.
 

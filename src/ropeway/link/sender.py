@@ -30,7 +30,7 @@ __all__ = ["PlainSender", "RecordSender", "Sender"]
 _PART_MIN_BYTES: Final = 1400  # what a packet carries
 _PART_MAX_BYTES: Final = 1 << 20
 _PART_S: Final = 0.002  # a part takes about so long on the wire, so that an urgent message waits no longer
-_AHEAD_S: Final = 0.01  # before the end of a message the next is encoded, so that the link does not wait for it
+_AHEAD_S: Final = 0.004  # before the end of a message the next is encoded, so that the link does not wait for it
 
 
 class Sender:
@@ -320,26 +320,22 @@ class RecordSender(Sender):
         return None
 
     def _prepare_next(self, lane: int, current: _Cursor) -> None:
-        """Have a thread encode the message that comes after the one that is nearly sent."""
+        """Have a thread encode the message that comes after the one that is nearly sent, if that takes time."""
         pace = self.connection.flow.pace.bytes_per_s
         assert current.body is not None
         if pace is None or len(current.body) - current.at > pace * _AHEAD_S:
             return
-        taken = self.take(lane)
-        if taken is None:
+        first = self.outbox.first(lane)
+        if first is None:
             return
-        channel, sample, encoding = taken
-        cursor = _Cursor(channel, sample, encoding, None)
-        self._under_way[lane].insert(0, cursor)  # it follows the current one
-        self._parts += 1
-        if channel.is_slow(sample, encoding):
+        channel = first[0].key
+        assert isinstance(channel, Channel)
+        if channel.is_slow(first[1], channel.used) and (taken := self.take(lane)) is not None:
+            channel, sample, encoding = taken
+            cursor = _Cursor(channel, sample, encoding, None)
+            self._under_way[lane].insert(0, cursor)  # it follows the current one
+            self._parts += 1
             self._encode_in_thread(cursor)
-            return
-        try:
-            cursor.body = channel.body(sample, encoding)
-        except TypesError as error:
-            self._end(cursor)
-            channel.failed(sample, error)
 
     def _end(self, cursor: _Cursor) -> None:
         queue = cursor.channel.queue
