@@ -38,7 +38,7 @@ EXPRESS_BYTES: Final = 4 * 1024
 """The largest message that takes the second connection."""
 
 _FENCE_S: Final = 2.0  # a pong that takes longer is not waited for: the topic goes on
-_REMEMBERED_BYTES: Final = 64 * 1024  # as much as a message that is lost holds up, and more
+_REMEMBERED: Final = 128  # messages: as many as a lost one holds up, and more
 
 
 class _ExpressSender(RecordSender):
@@ -46,8 +46,7 @@ class _ExpressSender(RecordSender):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        self.recent: deque[tuple[Channel, Outgoing]] = deque()
-        self._recent_bytes = 0
+        self.recent: deque[tuple[Channel, Outgoing]] = deque(maxlen=_REMEMBERED)
 
     def take(self, lane: int, *, small: bool = False) -> tuple[Channel, Outgoing, str] | None:
         """See ``Sender.take``."""
@@ -55,9 +54,6 @@ class _ExpressSender(RecordSender):
         if taken is not None:
             channel, sample, _ = taken
             self.recent.append((channel, sample))
-            self._recent_bytes += len(sample.payload)
-            while self._recent_bytes > _REMEMBERED_BYTES:
-                self._recent_bytes -= len(self.recent.popleft()[1].payload)
         return taken
 
 
