@@ -71,7 +71,7 @@ class Express:
 
     @property
     def open(self) -> bool:
-        """Whether the second connection stands."""
+        """Return whether the second connection stands."""
         return self._sender is not None
 
     @property

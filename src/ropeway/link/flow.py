@@ -68,8 +68,7 @@ class Flow:
             if model.room_bytes <= 0:
                 self._held = True
                 self.free = False
-        if self._look is None and (self._held or model.outstanding_bytes >= _WATCHED_BYTES):
-            self._arm()
+        self._watch()
 
     def full(self) -> None:
         """Stop sending: the operating system did not take everything."""
@@ -86,7 +85,10 @@ class Flow:
             self.free = True
             self._on_free()
 
-    def _arm(self) -> None:
+    def _watch(self) -> None:
+        """Look again soon, while sending is held or enough is on the way to show the pace."""
+        if self._look is not None or not (self._held or self.model.outstanding_bytes >= _WATCHED_BYTES):
+            return
         if self._held:
             seconds = self.model.look_in_s
         else:
@@ -102,8 +104,7 @@ class Flow:
         if self._held and self.model.room_bytes > 0:
             self._held = False
             self._go_on()
-        if self._look is None and (self._held or self.model.outstanding_bytes >= _WATCHED_BYTES):
-            self._arm()
+        self._watch()
 
     def _read(self) -> None:
         tcp, model = self._tcp, self.model
