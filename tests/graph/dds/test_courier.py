@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 
 import pytest
@@ -10,6 +9,7 @@ import pytest
 from ropeway.graph.base import Undelivered
 from ropeway.graph.dds.courier import Courier
 from ropeway.qos import QoS
+from tests.threads import new_threads
 from tests.until import until
 
 from .conftest import Join
@@ -20,6 +20,7 @@ BIG = "x" * (3 << 20)
 
 async def test_order(join: Join) -> None:
     """Small messages do not overtake big ones of their topic."""
+    started = new_threads()
     near, far = await join("near"), await join("far")
     inbox = Inbox()
     await far.create_subscription("/t", STRING, QoS(depth=100), inbox)
@@ -30,7 +31,7 @@ async def test_order(join: Join) -> None:
         publisher.publish(message(value))
     await inbox.wait(len(sent))
     assert inbox.payloads == [text(value) for value in sent]
-    assert threading.active_count() == 4  # this one, one per graph, and the courier
+    assert len(started()) == 3  # one per graph, and the courier
 
 
 async def test_one_errand_fails_alone(caplog: pytest.LogCaptureFixture) -> None:
@@ -102,7 +103,7 @@ async def test_refusals_come_back(join: Join) -> None:
 
 async def test_without_errands() -> None:
     """A courier that was never needed has no thread, and ends at once."""
-    before = threading.active_count()
+    started = new_threads()
     courier = Courier("test")
     await courier.flush()
     await courier.stop()
@@ -111,4 +112,4 @@ async def test_without_errands() -> None:
     await courier.flush()
     assert done == [1]
     await courier.stop()
-    assert threading.active_count() == before
+    assert not started()

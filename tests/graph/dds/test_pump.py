@@ -11,6 +11,7 @@ from ropeway.errors import GraphUnavailable
 from ropeway.graph.dds.pump import run_in_thread
 from ropeway.qos import QoS
 from ropeway.tasks import failing
+from tests.threads import new_threads
 from tests.until import until
 
 from .conftest import Join
@@ -69,36 +70,36 @@ async def test_one_wake_up_per_burst(join: Join) -> None:
 
 async def test_thread_per_graph(join: Join) -> None:
     """A graph has one thread of its own, and none after it is closed."""
-    before = threading.active_count()
+    started = new_threads()
     graph = await join()
     for i in range(10):
         await graph.create_subscription(f"/t{i}", STRING, QoS(), lambda _: None)
-    assert threading.active_count() == before + 1
+    assert len(started()) == 1
     await graph.close()
-    assert threading.active_count() == before
+    assert not started()
 
 
 async def test_cancelled_open(domain: int) -> None:
     """An open that is cancelled leaves no thread."""
     from ropeway.graph.dds import DdsGraph
 
-    before = threading.active_count()
+    started = new_threads()
     task = asyncio.create_task(DdsGraph(domain, interface="lo").open())
     await asyncio.sleep(0)
     await asyncio.sleep(0)
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
         await task
-    assert threading.active_count() == before
+    assert not started()
 
 
 async def test_run_in_thread() -> None:
     """A function in a thread of its own tells of its failure, and leaves no thread."""
-    before = threading.active_count()
+    started = new_threads()
     await run_in_thread("test", lambda: None)
     with pytest.raises(ZeroDivisionError):
         await run_in_thread("test", lambda: 1 // 0)  # type: ignore[arg-type]
-    assert threading.active_count() == before
+    assert not started()
 
 
 async def test_thread_fails(join: Join, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
