@@ -1,15 +1,5 @@
-"""Ports of the loopback interface that nobody uses now."""
+"""Forwards to ``tests.support.ports``, for tests that are being moved."""
 
-from __future__ import annotations
-
-import socket
+from tests.support.ports import free_port
 
 __all__ = ["free_port"]
-
-
-def free_port() -> int:
-    """One of them."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -10,7 +10,7 @@ import pytest
 
 from ropeway.errors import GraphUnavailable
 from ropeway.tasks import Chores, Supervised, describe, failing, keep_running
-from tests.until import until
+from tests.support.until import until
 
 
 async def test_supervised_work_is_started_again(caplog: pytest.LogCaptureFixture) -> None:

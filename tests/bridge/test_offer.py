@@ -15,7 +15,7 @@ from ropeway.bridge.service import ServiceBridge
 from ropeway.errors import CallFailed, CallTimeout, GoalRejected, NotServed
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.graph.memory import MemoryGraph
-from tests.until import until
+from tests.support.until import until
 
 _numbers = itertools.count()
 TRIGGER = "std_srvs/srv/Trigger"

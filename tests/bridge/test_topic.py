@@ -20,7 +20,7 @@ from ropeway.graph.memory import MemoryGraph
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample, text
-from tests.until import until
+from tests.support.until import until
 
 _numbers = itertools.count()
 

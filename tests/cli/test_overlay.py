@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Ropeway
-from tests.overlay.fleet import free_endpoint
+from tests.support.ports import free_endpoint
 
 
 class Place:

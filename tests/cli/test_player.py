@@ -18,7 +18,8 @@ from ropeway.cli.player import Pace, Played, play, read_ahead, restamped
 from ropeway.cli.session import Session
 from ropeway.graph.base import Sample
 from ropeway.types import TypeRegistry
-from tests.cli.conftest import Ropeway, until
+from tests.cli.conftest import Ropeway
+from tests.support.until import until
 
 POINT = "geometry_msgs/msg/PointStamped"
 STRING = "std_msgs/msg/String"

@@ -21,7 +21,7 @@ from ropeway.server.access import EVERYTHING, Role
 from ropeway.server.door import Door, TokenRule
 from ropeway.server.entrance import Entrance
 from ropeway.types import TypeRegistry
-from tests.until import until
+from tests.support.until import until
 
 STRING = "std_msgs/msg/String"
 

@@ -14,7 +14,7 @@ import pytest
 
 from ropeway.iort import Node
 from tests.cli.conftest import Ropeway
-from tests.ports import free_port
+from tests.support.ports import free_port
 
 
 class Place:

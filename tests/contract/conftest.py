@@ -30,9 +30,10 @@ from ropeway.store import Store, StoreLimits, make_backend
 from ropeway.types import TypeRegistry
 from tests.graph.ros1.network import HAS_MASTER, RosMaster
 from tests.graph.ros2.network import isolated_ros2
-from tests.isolation import isolated_dds
-from tests.overlay.fleet import free_endpoint, member
-from tests.until import until
+from tests.overlay.fleet import member
+from tests.support.isolation import isolated_dds
+from tests.support.ports import free_endpoint
+from tests.support.until import until
 
 _numbers = itertools.count()
 _types = TypeRegistry()

@@ -20,7 +20,7 @@ from ropeway.graph.calls import (
     Outcome,
     ServerGoal,
 )
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import Pair
 

@@ -22,7 +22,7 @@ from ropeway.errors import (
 )
 from ropeway.graph.base import GraphEvent
 from ropeway.graph.calls import Client, Request, Service
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import Pair
 

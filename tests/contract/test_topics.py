@@ -11,7 +11,7 @@ import pytest
 from ropeway.errors import GraphUnavailable, InvalidName
 from ropeway.graph.base import SEQ_NONE, Graph, Publisher, Sample, Subscription
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import Inbox, Pair
 

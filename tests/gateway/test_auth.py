@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
-import socket
 import ssl
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
@@ -26,7 +25,8 @@ from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample, text
 from tests.gateway.test_tls import Authority, gateway, url
 from tests.server.client import Client, fetch
-from tests.until import until
+from tests.support.ports import free_port
+from tests.support.until import until
 
 TOKEN = "a-token-that-must-not-be-seen"
 
@@ -42,12 +42,6 @@ def token_file(tmp_path: Path) -> Path:
     file = tmp_path / "token"
     file.write_text(TOKEN + "\n")
     return file
-
-
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 def problems(**gateway: Any) -> list[tuple[str, str]]:

@@ -16,7 +16,7 @@ from ropeway.graph.base import EndpointInfo, TopicInfo
 from ropeway.graph.memory import MemoryGraph
 from ropeway.qos import DEFAULT
 from tests.contract.test_topics import STRING
-from tests.until import until
+from tests.support.until import until
 
 _numbers = itertools.count()
 

@@ -15,7 +15,7 @@ from ropeway.gateway.gateway import Gateway
 from ropeway.graph.base import Graph
 from ropeway.graph.calls import ActionHandlers, Client, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.types import TypeRegistry
-from tests.until import until
+from tests.support.until import until
 
 from .test_gateway import World, url
 from .test_gateway import world as world  # the fixture

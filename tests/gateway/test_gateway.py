@@ -17,7 +17,7 @@ from ropeway.graph.memory import MemoryGraph, _networks
 from ropeway.qos import LATCHED, QoS
 from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample, text
-from tests.until import until
+from tests.support.until import until
 
 _numbers = itertools.count()
 

@@ -28,7 +28,7 @@ from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, joined, sample, text
 from tests.gateway.test_gateway import World
 from tests.iort.servers import Raw, serving
-from tests.until import until
+from tests.support.until import until
 
 TWIST = "geometry_msgs/msg/Twist"
 registry = TypeRegistry()

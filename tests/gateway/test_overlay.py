@@ -19,7 +19,7 @@ from tests.contract.test_topics import STRING, sample
 from tests.overlay.conftest import Site
 from tests.overlay.conftest import site as site
 from tests.overlay.fleet import member
-from tests.until import until
+from tests.support.until import until
 
 from .test_calls import ADD, FIBONACCI, add, pair, sequence, total
 from .test_gateway import World

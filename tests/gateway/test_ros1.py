@@ -15,7 +15,7 @@ from ropeway.types import TypeRegistry
 from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, joined, sample, text
 from tests.graph.ros1.network import HAS_ROSPY, RosMaster, rospy
-from tests.until import until
+from tests.support.until import until
 
 pytestmark = pytest.mark.skipif(not HAS_ROSPY, reason="Debian's python3-rospy is not installed")
 

@@ -16,7 +16,7 @@ from ropeway.graph.dds import DdsGraph
 from ropeway.qos import QoS
 from tests.contract.test_topics import STRING, text
 from tests.faults.conftest import Machine
-from tests.until import until
+from tests.support.until import until
 
 _domains = itertools.cycle(range(110, 120))
 HZ = 50.0

@@ -30,7 +30,8 @@ from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
 from tests.contract.test_topics import STRING, text
 from tests.server.client import Client
-from tests.until import until
+from tests.support.ports import free_port
+from tests.support.until import until
 
 _domains = itertools.cycle(range(100, 110))
 _numbers = itertools.count()
@@ -91,12 +92,6 @@ async def talker(stack: AsyncExitStack, domain: int, topic: str) -> None:
 
     task = asyncio.create_task(talk())
     stack.callback(task.cancel)
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 # ── slices ─────────────────────────────────────────────────────────────────────────────────────────────────────────

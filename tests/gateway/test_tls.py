@@ -33,7 +33,7 @@ from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
 from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample, text
-from tests.until import until
+from tests.support.until import until
 
 _numbers = itertools.count()
 NOW = datetime.datetime.now(datetime.UTC)

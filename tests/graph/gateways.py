@@ -13,7 +13,7 @@ from ropeway.types import TypeRegistry
 from ropeway.wire import ops
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.wire.records import Arrival
-from tests.until import until
+from tests.support.until import until
 
 __all__ = ["ScriptedGateway"]
 

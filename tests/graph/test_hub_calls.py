@@ -23,7 +23,7 @@ from ropeway.graph.calls import (
 from ropeway.graph.holders import Entry, Holders
 from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
-from tests.until import until
+from tests.support.until import until
 
 from .test_hub import Place
 

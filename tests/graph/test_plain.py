@@ -20,7 +20,7 @@ from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.graph.rosbridge.plain import rosgw_reads
 from ropeway.qos import LATCHED
 from ropeway.types import TypeRegistry
-from tests.until import until
+from tests.support.until import until
 
 STRING, JOINTS = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
 TORNADO, ROSGW, UNKNOWN = "Server: TornadoServer/6.4", "date: Sun, 22 Nov 2026 10:05:03 GMT", "Server: nginx"

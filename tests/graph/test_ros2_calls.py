@@ -22,7 +22,7 @@ from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Reque
 from ropeway.graph.dds import DdsGraph
 from ropeway.types import TypeRegistry
 from tests.graph.dds.calls import ADD, TRIGGER, Adder, add, called
-from tests.until import until
+from tests.support.until import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rclpy") is None:

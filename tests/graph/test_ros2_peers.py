@@ -24,7 +24,7 @@ from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
 from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample
-from tests.until import until
+from tests.support.until import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rclpy") is None:

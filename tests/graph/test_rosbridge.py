@@ -30,7 +30,7 @@ from ropeway.wire.fragment import Fragmenter
 from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample, text
 from tests.server.test_fuzz import Hostile
-from tests.until import until
+from tests.support.until import until
 
 REGISTRY = TypeRegistry()
 OWN = "my_msgs/msg/Own"

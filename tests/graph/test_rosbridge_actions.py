@@ -22,7 +22,7 @@ from tests.contract.test_actions import FIBONACCI, Worker, order, sequence
 from tests.graph.gateways import ScriptedGateway
 from tests.graph.test_rosbridge import Cloud, FakeServer
 from tests.graph.test_rosbridge_services import connect, heard, played
-from tests.until import until
+from tests.support.until import until
 
 REGISTRY = TypeRegistry()
 

@@ -16,7 +16,7 @@ from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.link.connection import Connection
 from tests.contract.test_topics import sample
 from tests.graph.test_rosbridge import REGISTRY, FakeServer
-from tests.until import until
+from tests.support.until import until
 
 HEADER = "std_msgs/msg/Header"
 RAW = bytes(4) + b"\x64\0\0\0\x05\0\0\0\x01\0\0\0l"

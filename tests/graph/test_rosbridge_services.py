@@ -32,7 +32,7 @@ from ropeway.wire.dialect import ROSGW
 from tests.contract.test_services import ADD, TEXT, Gate, add, addends, answer, text, total
 from tests.graph.gateways import ScriptedGateway
 from tests.graph.test_rosbridge import Cloud, FakeServer
-from tests.until import until
+from tests.support.until import until
 
 REGISTRY = TypeRegistry()
 REQUEST, RESPONSE = REGISTRY.codec(f"{ADD}_Request"), REGISTRY.codec(f"{ADD}_Response")

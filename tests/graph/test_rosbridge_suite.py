@@ -6,7 +6,6 @@ import asyncio
 import importlib.util
 import os
 import signal
-import socket
 import time
 from asyncio.subprocess import DEVNULL, Process
 from collections.abc import AsyncIterator
@@ -22,7 +21,8 @@ from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
 from ropeway.qos import LATCHED, QoS
 from ropeway.types import TypeRegistry
 from tests.contract.conftest import Inbox
-from tests.until import until
+from tests.support.ports import free_port
+from tests.support.until import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rosbridge_library") is None:
@@ -48,12 +48,6 @@ MESSAGES: dict[str, dict[str, Any]] = {
     },
 }
 DOMAIN = 130 + os.getpid() % 10
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Suite:

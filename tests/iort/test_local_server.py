@@ -17,14 +17,8 @@ import pytest
 from ropeway import iort
 from ropeway.iort import AsyncNode, LocalServer, NodeError, Value
 from tests.iort.servers import Raw, ServerProcess, old_python, serving
-from tests.ports import free_port
-from tests.until import until
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
+from tests.support.ports import free_port, free_udp_port
+from tests.support.until import until
 
 
 class Served:

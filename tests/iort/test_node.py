@@ -23,8 +23,8 @@ from ropeway.server.door import CertificateRule, Door
 from ropeway.store import StoreLimits
 from tests.gateway.test_tls import Authority
 from tests.iort.servers import ServerProcess, old_python, serving
-from tests.ports import free_port
-from tests.until import until
+from tests.support.ports import free_port
+from tests.support.until import until
 
 
 async def test_publish_and_read() -> None:

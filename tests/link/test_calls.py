@@ -21,7 +21,7 @@ from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.wire.records import RecordWriter
 from tests.contract.test_topics import STRING, text
 from tests.link.test_peer import REGISTRY, Link, Setting, sample
-from tests.until import until
+from tests.support.until import until
 
 CODEC = REGISTRY.codec(STRING)
 

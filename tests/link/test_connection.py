@@ -18,7 +18,7 @@ from ropeway.link.connection import Connection, Limits
 from ropeway.link.listener import Listener
 from ropeway.link.websocket import connect, listen
 from tests.server.client import BINARY, CLOSE, CONTINUATION, PING, PONG, TEXT, Client, ClosedByServer, frame
-from tests.until import until
+from tests.support.until import until
 
 QUIET = Limits(ping_interval_s=None, max_message_bytes=100_000, open_timeout_s=1.0)
 

@@ -16,7 +16,7 @@ from ropeway.link.websocket import connect, listen
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 from tests.contract.test_topics import STRING, text
 from tests.link.test_peer import LIMITS, REGISTRY, Handler, sample
-from tests.until import until
+from tests.support.until import until
 
 
 class Pair:

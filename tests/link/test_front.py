@@ -21,7 +21,7 @@ from ropeway.link.lobby import Lobby
 from ropeway.link.websocket import listen
 from tests.gateway.test_tls import Authority
 from tests.server.client import CLOSE, Client
-from tests.until import until
+from tests.support.until import until
 
 UPGRADE = (
     "GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: {connection}\r\n"

@@ -13,7 +13,7 @@ import pytest
 from ropeway.link.connection import Limits
 from ropeway.link.listener import Listener
 from ropeway.link.websocket import listen
-from tests.until import until
+from tests.support.until import until
 
 _hosts = itertools.count(2)
 

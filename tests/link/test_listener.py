@@ -18,7 +18,7 @@ import pytest
 from ropeway.errors import ConnectFailed
 from ropeway.link.listener import Listener, open_listener
 from ropeway.link.lobby import Lobby, Visit
-from tests.until import until
+from tests.support.until import until
 
 
 class Echo(asyncio.Protocol):

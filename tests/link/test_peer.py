@@ -26,7 +26,7 @@ from ropeway.wire.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL
 from ropeway.wire.records import HEADER_BYTES, Arrival
 from tests.contract.test_topics import STRING, text
 from tests.server.client import Client, frame
-from tests.until import until
+from tests.support.until import until
 
 LIMITS = Limits(ping_interval_s=None, max_message_bytes=8 << 20)
 ORIGIN = b"o" * 16

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from ropeway.link.tcp import Tcp, tcp_info
-from tests.until import until
+from tests.support.until import until
 
 
 @pytest.fixture

@@ -12,8 +12,9 @@ from ropeway.graph.overlay import OverlayGraph
 from ropeway.overlay.identity import Identity
 from ropeway.overlay.node import OverlayNode
 from ropeway.overlay.router import Router
-from tests.overlay.fleet import fleet, free_endpoint, member
-from tests.until import until
+from tests.overlay.fleet import fleet, member
+from tests.support.ports import free_endpoint
+from tests.support.until import until
 
 Join = Callable[..., Awaitable[OverlayGraph]]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import socket
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -24,10 +23,3 @@ def fleet(name: str = "tests", algorithm: str = "ed25519") -> Fleet:
 def member(name: str = "robot", of: Fleet | None = None, **options: Any) -> Identity:
     """A new member; a number makes its name its own."""
     return (of or fleet()).issue(f"{name}{next(_numbers)}", **options)
-
-
-def free_endpoint() -> str:
-    """A Zenoh endpoint on the loopback interface that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tls/127.0.0.1:{probe.getsockname()[1]}"

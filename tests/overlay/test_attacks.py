@@ -28,7 +28,7 @@ from ropeway.qos import QoS
 from tests.contract.conftest import Inbox
 from tests.overlay.conftest import Site
 from tests.overlay.fleet import fleet, member
-from tests.until import until
+from tests.support.until import until
 
 STRING = "std_msgs/msg/String"
 ADD = "example_interfaces/srv/AddTwoInts"

@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from ropeway.overlay.inlet import Inlet, one_by_one
-from tests.until import until
+from tests.support.until import until
 
 
 async def test_in_order_and_in_batches() -> None:

@@ -9,7 +9,7 @@ from ropeway.overlay.node import OverlayNode
 from tests.overlay.conftest import Site
 from tests.overlay.fleet import member
 from tests.overlay.test_attacks import STRING
-from tests.until import until
+from tests.support.until import until
 
 
 async def test_coming_as_another_one_leaves(site: Site) -> None:

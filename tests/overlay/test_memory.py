@@ -24,7 +24,7 @@ from tests.overlay.conftest import Site
 from tests.overlay.fleet import member
 from tests.overlay.hostile import bomb
 from tests.overlay.test_attacks import STRING, refusals, text
-from tests.until import until
+from tests.support.until import until
 
 MIB = 1 << 20
 

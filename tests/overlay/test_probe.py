@@ -14,8 +14,9 @@ from ropeway.overlay.links import Links
 from ropeway.overlay.node import OverlayNode
 from ropeway.overlay.probe import unreachable
 from tests.overlay.conftest import Site
-from tests.overlay.fleet import free_endpoint, member
-from tests.until import until
+from tests.overlay.fleet import member
+from tests.support.ports import free_endpoint
+from tests.support.until import until
 
 
 async def test_reasons(site: Site, tmp_path: Path) -> None:

@@ -22,9 +22,9 @@ from ropeway.overlay.router import Router, push_crl
 from ropeway.overlay.zenoh_config import gateway_config, gateway_id
 from ropeway.qos import QoS
 from tests.contract.conftest import Inbox
-from tests.overlay.fleet import free_endpoint
 from tests.overlay.test_attacks import STRING, text
-from tests.until import until
+from tests.support.ports import free_endpoint
+from tests.support.until import until
 
 
 class Place:

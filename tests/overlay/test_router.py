@@ -18,8 +18,9 @@ from ropeway.overlay.node import OverlayNode
 from ropeway.overlay.router import Router, push_crl
 from ropeway.qos import QoS
 from tests.contract.conftest import Inbox
-from tests.overlay.fleet import free_endpoint, member
-from tests.until import until
+from tests.overlay.fleet import member
+from tests.support.ports import free_endpoint
+from tests.support.until import until
 
 STRING = "std_msgs/msg/String"
 

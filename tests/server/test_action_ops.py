@@ -15,7 +15,7 @@ from ropeway.graph.calls import ActionHandlers, ClientGoal, Goal, GoalStatus, Ou
 from tests.contract.test_actions import FIBONACCI, Worker, count, order, ordered, sequence
 from tests.server.client import Client
 from tests.server.conftest import Place
-from tests.until import until
+from tests.support.until import until
 
 GOAL = '{"op":"send_action_goal","id":"send_action_goal:/fib:1","action":"/fib",'
 TYPE = '"action_type":"example_interfaces/Fibonacci",'

@@ -21,7 +21,7 @@ from tests.contract.test_topics import STRING, sample, text
 from tests.server.client import BINARY, TEXT, Client, frame
 from tests.server.conftest import Place
 from tests.server.test_session import CHATTER, heard, listen, publishers, said
-from tests.until import until
+from tests.support.until import until
 
 IMAGE = {"op": "advertise", "topic": "/image", "type": "sensor_msgs/Image"}
 PUBLISH = {"op": "publish", "topic": "/chatter", "msg": {"data": "x"}}

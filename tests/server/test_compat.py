@@ -26,7 +26,7 @@ from tests.contract.test_topics import STRING, sample, text
 from tests.server.client import BINARY, Client
 from tests.server.conftest import Place
 from tests.server.test_session import CHATTER, heard, listen, said
-from tests.until import until
+from tests.support.until import until
 
 IMU, FLOATS = "sensor_msgs/msg/Imu", "std_msgs/msg/Float64MultiArray"
 

@@ -13,7 +13,7 @@ from ropeway.server.access import EVERYTHING, Role
 from ropeway.server.door import CertificateRule, Door, TokenRule, given_token, subprotocol, unserved
 from ropeway.server.hosts import Hosts
 from tests.server.conftest import Place
-from tests.until import until
+from tests.support.until import until
 
 OPERATOR = Role("operator", {"publish": ("*",), "call_service": ("*",)})
 VIEWER = Role("viewer", {"subscribe": ("*",)})

@@ -14,7 +14,7 @@ from tests.contract.test_actions import FIBONACCI, Worker, count, order, sequenc
 from tests.contract.test_services import ADD, add, addends, total
 from tests.server.client import Client
 from tests.server.conftest import Place
-from tests.until import until
+from tests.support.until import until
 
 CALL = "0123456789abcdef" * 2
 

@@ -8,7 +8,7 @@ import pytest
 
 from ropeway.limits import LINGERING_CLIENTS
 from ropeway.server.lingering import Lingering
-from tests.until import until
+from tests.support.until import until
 
 
 class Left:

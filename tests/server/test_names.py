@@ -7,7 +7,7 @@ import pytest
 from ropeway.errors import InvalidName
 from ropeway.server.names import Names
 from tests.server.conftest import Place
-from tests.until import until
+from tests.support.until import until
 
 STRING = "std_msgs/msg/String"
 NAMES = Names("/bridges/rosbridge")

@@ -14,7 +14,7 @@ from ropeway.server import RosbridgeServer
 from ropeway.server.presence import COUNT_TYPE, LIST_TYPE, Presence, ip_address
 from ropeway.types import TypeRegistry
 from tests.server.conftest import Place
-from tests.until import until
+from tests.support.until import until
 
 _registry = TypeRegistry()
 _numbers = itertools.count()

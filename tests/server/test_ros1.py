@@ -17,7 +17,7 @@ from ropeway.types.ros1_types import Ros1Types
 from tests.contract.test_topics import sample
 from tests.graph.test_rosbridge import REGISTRY
 from tests.server.conftest import Place
-from tests.until import until
+from tests.support.until import until
 
 SPELLING = Ros1Spelling(Ros1Types(REGISTRY))
 

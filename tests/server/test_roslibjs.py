@@ -26,7 +26,7 @@ from tests.contract.test_actions import FIBONACCI, Worker, count, order, ordered
 from tests.contract.test_services import ADD, add, addends, total
 from tests.server.conftest import Place
 from tests.server.peers import Peers, peers
-from tests.until import until
+from tests.support.until import until
 
 PROGRAM = Path(__file__).parents[1] / "js" / "client.mjs"
 NODE = shutil.which("node")

@@ -22,7 +22,7 @@ from tests.contract.test_actions import FIBONACCI, Worker, count, ordered
 from tests.contract.test_services import ADD, add, addends, total
 from tests.server.conftest import Place
 from tests.server.peers import Peers, peers
-from tests.until import until
+from tests.support.until import until
 
 if importlib.util.find_spec("roslibpy") is None:
     pytest.skip("needs roslibpy", allow_module_level=True)

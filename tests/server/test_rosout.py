@@ -15,7 +15,7 @@ from ropeway.graph.memory import MemoryGraph
 from ropeway.server.rosout import LOG_QOS, LOG_TYPE, Rosout
 from ropeway.types import TypeRegistry
 from tests.server.conftest import Place
-from tests.until import until
+from tests.support.until import until
 
 _registry = TypeRegistry()
 _numbers = itertools.count()

@@ -17,7 +17,7 @@ from ropeway.wire.codec import decode_value
 from tests.contract.test_services import ADD, add, addends, total
 from tests.server.client import BINARY, Client
 from tests.server.conftest import Place
-from tests.until import until
+from tests.support.until import until
 
 SET, TRIGGER, EMPTY = "std_srvs/srv/SetBool", "std_srvs/srv/Trigger", "std_srvs/srv/Empty"
 CALL = '{"op":"call_service","id":"call_service:/add:1","service":"/add","type":"example_interfaces/AddTwoInts",'

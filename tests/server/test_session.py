@@ -19,7 +19,7 @@ from tests.contract.conftest import Inbox
 from tests.contract.test_topics import STRING, sample, text
 from tests.server.client import BINARY, Client, ClosedByServer
 from tests.server.conftest import Place
-from tests.until import until
+from tests.support.until import until
 
 CHATTER = {"op": "advertise", "topic": "/chatter", "type": "std_msgs/String"}
 

@@ -9,7 +9,7 @@ import time
 from ropeway.graph.base import Sample
 from ropeway.limits import THROTTLED_BYTES, THROTTLED_MESSAGES
 from ropeway.server.throttle import Throttle
-from tests.until import until
+from tests.support.until import until
 
 
 class Place:

@@ -14,7 +14,7 @@ import pytest
 from ropeway.errors import StoreUnavailable, ValueRefused
 from ropeway.store import Change, Entry, Key, Store, StoreLimits, Versions, default_path, make_backend, make_mirror
 from tests.store.mongo import MongoServer
-from tests.until import until
+from tests.support.until import until
 
 
 class Flaky:

@@ -15,7 +15,7 @@ from ropeway.cli.session import Session
 from ropeway.errors import GoalRejected, NotServed, ValueMismatch
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, ServerGoal
 from ropeway.types import TypeRegistry
-from tests.cli.conftest import until
+from tests.support.until import until
 
 FIBONACCI = "example_interfaces/action/Fibonacci"
 ID = bytes(range(16))

@@ -18,7 +18,8 @@ from ropeway.cli.session import Session
 from ropeway.gateway.config import parse
 from ropeway.graph.base import Sample
 from ropeway.types import TypeRegistry
-from tests.cli.conftest import Ropeway, until
+from tests.cli.conftest import Ropeway
+from tests.support.until import until
 
 DATA = Path(os.environ.get("ROPEWAY_DATA", Path(__file__).parents[4] / "shared/data"))
 SECOND = 10**9

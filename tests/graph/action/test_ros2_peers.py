@@ -19,7 +19,7 @@ from ropeway.errors import GoalRejected
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
 from ropeway.graph.dds import DdsGraph
 from ropeway.types import TypeRegistry
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import FIBONACCI, order, sequence
 

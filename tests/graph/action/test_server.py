@@ -14,7 +14,7 @@ from ropeway.graph.action.parts import FEEDBACK_QOS, STATUS_QOS
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal, new_id
 from ropeway.qos import LATCHED, QoS
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import REGISTRY, Scene, order, sequence
 

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 import pytest
 
 from ropeway.graph.dds import DdsGraph
-from tests.isolation import isolated_dds
+from tests.support.isolation import isolated_dds
 
 _domains = itertools.cycle(range(40, 56))
 

@@ -57,7 +57,9 @@ class Inbox:
 @contextmanager
 def process(code: str, *arguments: object) -> Iterator[subprocess.Popen[str]]:
     """Python code in a process of its own, with ``helpers`` imported; ``sys.argv[1:]`` are the arguments."""
-    prelude = "import asyncio, sys, time\nfrom tests.until import until\nfrom tests.graph.dds.helpers import *\n"
+    prelude = (
+        "import asyncio, sys, time\nfrom tests.support.until import until\nfrom tests.graph.dds.helpers import *\n"
+    )
     prelude += "from ropeway.graph.dds import DdsGraph\nfrom ropeway.qos import *\n"
     with subprocess.Popen(
         [sys.executable, "-c", prelude + textwrap.dedent(code), *map(str, arguments)],

@@ -9,7 +9,7 @@ from ropeway.graph.base import SEQ_NONE, Sample, new_origin
 from ropeway.graph.dds.border import Border
 from ropeway.graph.factory import make_graph
 from ropeway.types import TypeRegistry
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import Join
 from .helpers import Inbox

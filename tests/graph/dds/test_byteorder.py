@@ -11,7 +11,7 @@ from ropeway.graph.base import Undelivered
 from ropeway.graph.dds.byteorder import ByteOrder
 from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import Join
 from .helpers import DDS_STRING, STRING, Inbox, text

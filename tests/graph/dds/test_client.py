@@ -16,7 +16,7 @@ from ropeway.graph.dds.records import Peer
 from ropeway.graph.dds.rpc import Header
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
-from tests.until import until
+from tests.support.until import until
 
 from .calls import ADD, Adder, add, addends, called, total
 from .conftest import Join

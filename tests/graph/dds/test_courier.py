@@ -9,8 +9,8 @@ import pytest
 from ropeway.graph.base import Undelivered
 from ropeway.graph.dds.courier import Courier
 from ropeway.qos import QoS
-from tests.threads import new_threads
-from tests.until import until
+from tests.support.threads import new_threads
+from tests.support.until import until
 
 from .conftest import Join
 from .helpers import STRING, Inbox, message, text

@@ -13,7 +13,7 @@ from ropeway.graph.dds.discovery import Discovery
 from ropeway.graph.dds.nodes import NodeEntities
 from ropeway.graph.dds.records import EndpointRecord, Gone, Joined, NodesRecord
 from ropeway.qos import QoS
-from tests.until import until
+from tests.support.until import until
 
 from .helpers import DDS_STRING, STRING
 

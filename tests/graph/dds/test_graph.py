@@ -18,8 +18,8 @@ from ropeway.graph.dds import DdsGraph
 from ropeway.graph.dds import raw as raw_module
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
-from tests.threads import new_threads
-from tests.until import until
+from tests.support.threads import new_threads
+from tests.support.until import until
 
 from .conftest import Join
 from .helpers import STRING, Inbox, message, text

@@ -10,7 +10,7 @@ import pytest
 
 from ropeway.graph.base import Sample
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import Join
 from .helpers import STRING, Inbox, message, process, text

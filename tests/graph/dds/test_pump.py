@@ -11,8 +11,8 @@ from ropeway.errors import GraphUnavailable
 from ropeway.graph.dds.pump import run_in_thread
 from ropeway.qos import QoS
 from ropeway.tasks import failing
-from tests.threads import new_threads
-from tests.until import until
+from tests.support.threads import new_threads
+from tests.support.until import until
 
 from .conftest import Join
 from .helpers import STRING, Inbox, message

@@ -14,7 +14,7 @@ from ropeway.graph.dds import DdsGraph, rpc
 from ropeway.graph.dds import service as module
 from ropeway.graph.dds.rpc import Header
 from ropeway.types import TypeRegistry
-from tests.until import until
+from tests.support.until import until
 
 from .calls import ADD, TRIGGER, Adder, add, addends, called, total
 from .conftest import Join

@@ -24,8 +24,9 @@ from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from tests.contract.conftest import Inbox
 from tests.overlay.conftest import Site
 from tests.overlay.conftest import site as site
-from tests.overlay.fleet import free_endpoint, member
-from tests.until import until
+from tests.overlay.fleet import member
+from tests.support.ports import free_endpoint
+from tests.support.until import until
 
 STRING = "std_msgs/msg/String"
 ADD = "example_interfaces/srv/AddTwoInts"

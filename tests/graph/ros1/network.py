@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
-from tests.ports import free_port
+from tests.support.ports import free_port
 
 PYTHON = "/usr/bin/python3"
 MASTER = "/usr/bin/rosmaster"

@@ -10,7 +10,7 @@ import pytest
 from ropeway.errors import GoalRejected
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
 from ropeway.types import TypeRegistry
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import Join
 from .network import HAS_ROSPY, RosMaster, rospy

@@ -15,8 +15,8 @@ from ropeway.graph.ros1 import Ros1Graph
 from ropeway.graph.ros1.tcpros import encode_header
 from ropeway.graph.ros1.xmlrpc import split_uri
 from ropeway.qos import LATCHED, QoS
-from tests.ports import free_port
-from tests.until import until
+from tests.support.ports import free_port
+from tests.support.until import until
 
 from .conftest import Join
 from .messages import STRING, Box, sample, text

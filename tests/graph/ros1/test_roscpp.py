@@ -10,7 +10,7 @@ import pytest
 
 from ropeway.errors import CallFailed
 from ropeway.graph.calls import Request
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import Join
 from .messages import STRING, Box, sample, text

@@ -11,7 +11,7 @@ from ropeway.errors import CallFailed, ProviderLost
 from ropeway.graph.calls import Request
 from ropeway.qos import LATCHED
 from ropeway.types import TypeRegistry
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import Join
 from .messages import STRING, Box, sample, text

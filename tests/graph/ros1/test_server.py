@@ -12,7 +12,7 @@ from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.qos import QoS
 from ropeway.server import RosbridgeServer
 from ropeway.server.rosapi import Globs, Rosapi
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import Join
 from .messages import STRING, Box, sample, text

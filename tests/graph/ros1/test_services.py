@@ -12,7 +12,7 @@ from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Request, ServiceHandler
 from ropeway.graph.ros1.client import probe_service
 from ropeway.graph.ros1.tcpros import encode_header, read_frame, read_header
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import Join
 

@@ -13,7 +13,7 @@ from ropeway.graph.base import Sample, new_origin
 from ropeway.graph.ros1 import node as ros1_node
 from ropeway.graph.ros1.tcpros import encode_header, read_frame, read_header
 from ropeway.qos import LATCHED, QoS
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import Join
 from .messages import STRING, Box, sample, text

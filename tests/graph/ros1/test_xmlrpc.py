@@ -14,7 +14,7 @@ import pytest
 
 from ropeway.errors import ConnectFailed
 from ropeway.graph.ros1.xmlrpc import Fault, XmlRpcClient, XmlRpcServer, split_uri
-from tests.ports import free_port
+from tests.support.ports import free_port
 
 Serve = Callable[[Callable[..., Awaitable[Any]]], Awaitable[str]]
 

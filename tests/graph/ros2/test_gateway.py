@@ -11,7 +11,7 @@ from ropeway.gateway.gateway import Gateway
 from tests.contract.test_actions import FIBONACCI
 from tests.contract.test_services import ADD
 from tests.contract.test_topics import STRING
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import World
 

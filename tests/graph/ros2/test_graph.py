@@ -21,7 +21,7 @@ from tests.contract.conftest import Inbox
 from tests.contract.test_actions import FIBONACCI, order, sequence
 from tests.contract.test_services import ADD, add, addends, total
 from tests.contract.test_topics import STRING, sample, text
-from tests.until import until
+from tests.support.until import until
 
 from .conftest import World
 

@@ -6,7 +6,7 @@ import threading
 from functools import partial
 
 from ropeway.graph.ros2.senders import Senders
-from tests.until import until
+from tests.support.until import until
 
 
 def senders() -> Senders:

@@ -21,9 +21,9 @@ from ropeway.server.access import EVERYTHING, Role
 from ropeway.server.door import Door, TokenRule
 from ropeway.store import StoreLimits
 from tests.iort.servers import Raw, ServerProcess, serving
-from tests.ports import free_port
 from tests.store.mongo import mongo_database
-from tests.until import until
+from tests.support.ports import free_port
+from tests.support.until import until
 
 
 def request(op: str, n: int, system: str = "-", topic: str = "-", data: bytes = b"", **head: object) -> bytes:

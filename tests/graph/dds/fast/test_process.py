@@ -16,7 +16,7 @@ from ropeway.graph.dds.fast import process as module
 from ropeway.graph.dds.fast.frames import Frame, Op
 from ropeway.graph.dds.fast.process import Helper, Unfit
 from ropeway.graph.dds.profile import make_profile
-from tests.until import until
+from tests.support.until import until
 
 
 class Watch:

@@ -24,7 +24,7 @@ from ropeway.graph.hub import Hub
 from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
 from tests.server.client import Client
-from tests.until import until
+from tests.support.until import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rclpy") is None:

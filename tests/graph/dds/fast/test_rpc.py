@@ -16,7 +16,7 @@ from ropeway.graph.calls import Client, Request, Service
 from ropeway.graph.dds.fast import FastRpc, Surroundings, rpc
 from ropeway.graph.dds.fast.frames import Frame, Op
 from ropeway.graph.dds.profile import make_profile
-from tests.until import until
+from tests.support.until import until
 
 ADD = "example_interfaces/srv/AddTwoInts"
 CDR = b"\0\1\0\0"

@@ -1,0 +1,26 @@
+"""Waiting for what has no signal of its own."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Final
+
+__all__ = ["PATIENCE_S", "until"]
+
+PATIENCE_S: Final = 60.0
+"""How long a test waits for what must happen: only a test that fails waits so long, however busy the machine is."""
+
+
+async def until(condition: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:
+    """Wait until ``condition()`` holds; what it looks up may not be there yet."""
+
+    def holds() -> object:
+        try:
+            return condition()
+        except LookupError:
+            return False
+
+    async with asyncio.timeout(timeout_s):
+        while not holds():
+            await asyncio.sleep(0.01)
