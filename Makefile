@@ -23,9 +23,10 @@ test: $(VENV)/dev.stamp ## all tests but the slow ones; TEST="-k outbox" for som
 test-all: $(VENV)/dev.stamp ## all tests, with a short run of the fuzzer and of everything that must not grow
 	@$(BIN)/python -m pytest -q $(TEST)
 
-lint: $(VENV)/dev.stamp ## style, types, and the direction of imports
+lint: $(VENV)/dev.stamp ## style, spelling, types, and the direction of imports
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+	@$(BIN)/codespell
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 

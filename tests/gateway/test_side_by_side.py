@@ -119,7 +119,7 @@ async def test_two_pairs(stack: AsyncExitStack) -> None:
 
 
 async def test_both_ways(stack: AsyncExitStack) -> None:
-    """Two pairs that forward a topic to and fro give every message once on each side, and no echo."""
+    """Two pairs that forward a topic both ways give every message once on each side, and no echo."""
     a, b = await two_networks(stack)
     item = {"name": "/x", "type": STRING}
     for i in (1, 2):
