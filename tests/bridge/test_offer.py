@@ -15,11 +15,11 @@ from ropeway.bridge.service import ServiceBridge
 from ropeway.errors import CallFailed, CallTimeout, GoalRejected, NotServed
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.graph.memory import MemoryGraph
+from tests.support.actions import FIBONACCI
 from tests.support.until import until
 
 _numbers = itertools.count()
 TRIGGER = "std_srvs/srv/Trigger"
-FIBONACCI = "example_interfaces/action/Fibonacci"
 EMPTY = b"\0\1\0\0"
 ORDER = EMPTY + b"\5\0\0\0"
 SEQUENCE = EMPTY + b"\2\0\0\0\0\0\0\0\1\0\0\0"

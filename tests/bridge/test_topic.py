@@ -18,8 +18,8 @@ from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Delivery, Sample
 from ropeway.graph.memory import MemoryGraph
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
-from tests.contract.conftest import Inbox
-from tests.contract.test_topics import STRING, sample, text
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample, text
 from tests.support.until import until
 
 _numbers = itertools.count()

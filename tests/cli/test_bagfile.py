@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,9 +20,9 @@ from ropeway.cli.bagfile import Bag
 from ropeway.errors import BagUnreadable
 from ropeway.qos import DEFAULT, LATCHED, QoS
 from ropeway.types import TypeRegistry
+from tests.support.messages import STRING
+from tests.support.recordings import RECORDINGS
 
-DATA = Path(os.environ.get("ROPEWAY_DATA", Path(__file__).parents[3] / "shared/data"))
-STRING = "std_msgs/msg/String"
 POINT = "geometry_msgs/msg/PointStamped"
 SECOND = 10**9
 NEVER = QosTime(2**31 - 1, 2**32 - 1)
@@ -290,7 +289,7 @@ def test_damaged_files_never_break_the_reader(
 
 
 @pytest.mark.data
-@pytest.mark.skipif(not DATA.exists(), reason="the recorded data is not here")
+@pytest.mark.skipif(not RECORDINGS.exists(), reason="the recorded data is not here")
 @pytest.mark.parametrize(
     ("name", "count"),
     [
@@ -304,7 +303,7 @@ def test_damaged_files_never_break_the_reader(
 def test_real_recordings(name: str, count: int) -> None:
     """Real recordings are read to the last message, and what is decoded is of its type."""
     registry = TypeRegistry()
-    with Bag(DATA / name, registry) as bag:
+    with Bag(RECORDINGS / name, registry) as bag:
         last = 0
         read = 0
         for record in bag.records():

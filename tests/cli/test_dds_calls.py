@@ -18,17 +18,12 @@ from ropeway.cli import app
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.graph.dds import DdsGraph
 from tests.graph.parameter_node import ParameterNode
+from tests.support.actions import FIBONACCI, sequence
+from tests.support.services import ADD
 
-ADD = "example_interfaces/srv/AddTwoInts"
-FIBONACCI = "example_interfaces/action/Fibonacci"
 NODE = "/robot"
 
 Run = Callable[..., Awaitable[subprocess.CompletedProcess[str]]]
-
-
-def sequence(*values: int) -> bytes:
-    """A Fibonacci_Result or Fibonacci_Feedback as CDR."""
-    return b"\0\1\0\0" + struct.pack(f"<I{len(values)}i", len(values), *values)
 
 
 async def add(request: Request) -> bytes:

@@ -11,8 +11,7 @@ from ropeway.cli import patience
 from ropeway.cli.patience import Patience, patiently, why_silent
 from ropeway.cli.session import Session
 from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA
-
-STRING = "std_msgs/msg/String"
+from tests.support.messages import STRING
 
 
 @pytest.fixture

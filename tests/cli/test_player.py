@@ -19,10 +19,10 @@ from ropeway.cli.session import Session
 from ropeway.graph.base import Sample
 from ropeway.types import TypeRegistry
 from tests.cli.conftest import Ropeway
+from tests.support.messages import STRING
 from tests.support.until import until
 
 POINT = "geometry_msgs/msg/PointStamped"
-STRING = "std_msgs/msg/String"
 STEP_NS = 20_000_000
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 
 import pytest
@@ -21,16 +20,8 @@ from ropeway.server.access import EVERYTHING, Role
 from ropeway.server.door import Door, TokenRule
 from ropeway.server.entrance import Entrance
 from ropeway.types import TypeRegistry
+from tests.support.messages import STRING
 from tests.support.until import until
-
-STRING = "std_msgs/msg/String"
-
-
-@pytest.fixture
-async def stack() -> AsyncIterator[AsyncExitStack]:
-    """Closes what a test opened."""
-    async with AsyncExitStack() as opened:
-        yield opened
 
 
 async def serve(stack: AsyncExitStack, registry: TypeRegistry, door: Door) -> RosbridgeServer:

@@ -14,8 +14,7 @@ from ropeway.errors import GraphUnavailable
 from ropeway.graph.memory import MemoryGraph
 from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
-
-STRING = "std_msgs/msg/String"
+from tests.support.messages import STRING
 
 
 def test_default_graph_follows_ros() -> None:

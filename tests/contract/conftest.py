@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import importlib.util
 import itertools
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -14,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from ropeway.graph.base import Graph, Sample
+from ropeway.graph.base import Graph
 from ropeway.graph.dds import DdsGraph
 from ropeway.graph.hub import Hub
 from ropeway.graph.iort import IortGraph, LocalLink, RemoteLink, Space
@@ -83,29 +82,6 @@ ABILITIES = {
     "ros2": Abilities(errors=False, pad_alike=False),
 }
 """Kinds that cannot say everything, the others can."""
-
-
-class Inbox:
-    """A callback that keeps what arrives and lets a test wait for it."""
-
-    def __init__(self) -> None:
-        self.samples: list[Sample] = []
-        self._arrived = asyncio.Event()
-
-    def __call__(self, batch: Any) -> None:
-        self.samples.extend(batch)
-        self._arrived.set()
-
-    @property
-    def payloads(self) -> list[bytes]:
-        return [bytes(s.payload) for s in self.samples]
-
-    async def wait(self, count: int, timeout_s: float = 10.0) -> list[Sample]:
-        async with asyncio.timeout(timeout_s):
-            while len(self.samples) < count:
-                self._arrived.clear()
-                await self._arrived.wait()
-        return self.samples
 
 
 async def open_memory(stack: AsyncExitStack) -> Pair:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import struct
 from collections.abc import Awaitable, Callable
 
 import pytest
@@ -20,53 +19,10 @@ from ropeway.graph.calls import (
     Outcome,
     ServerGoal,
 )
+from tests.support.actions import FIBONACCI, Worker, count, order, ordered, sequence
 from tests.support.until import until
 
 from .conftest import Pair
-
-FIBONACCI = "example_interfaces/action/Fibonacci"
-
-
-def order(value: int) -> bytes:
-    """A Fibonacci_Goal as CDR."""
-    return b"\0\1\0\0" + struct.pack("<i", value)
-
-
-def sequence(*values: int) -> bytes:
-    """A Fibonacci_Result or Fibonacci_Feedback as CDR."""
-    return b"\0\1\0\0" + struct.pack(f"<I{len(values)}i", len(values), *values)
-
-
-def ordered(goal: ServerGoal) -> int:
-    """The number in a goal."""
-    return int(struct.unpack("<i", goal.payload[4:8])[0])
-
-
-async def count(goal: ServerGoal) -> Outcome:
-    """Count up to the order, with feedback of each step."""
-    for step in range(ordered(goal)):
-        goal.feedback(sequence(*range(step + 1)))
-    return Outcome(GoalStatus.SUCCEEDED, sequence(*range(ordered(goal))))
-
-
-class Worker:
-    """An action that does what the test says."""
-
-    def __init__(self) -> None:
-        self.goals: list[ServerGoal] = []
-        self.finish = asyncio.Event()
-
-    async def __call__(self, goal: ServerGoal) -> Outcome:
-        self.goals.append(goal)
-        cancelled, finished = asyncio.ensure_future(goal.cancelled.wait()), asyncio.ensure_future(self.finish.wait())
-        try:
-            await asyncio.wait({cancelled, finished}, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            cancelled.cancel()
-            finished.cancel()
-        if goal.cancelled.is_set():
-            return Outcome(GoalStatus.CANCELED, sequence(5))
-        return Outcome(GoalStatus.SUCCEEDED, sequence(4))
 
 
 async def using(

@@ -22,52 +22,11 @@ from ropeway.errors import (
 )
 from ropeway.graph.base import GraphEvent
 from ropeway.graph.calls import Client, Request, Service
+from tests.support.messages import text
+from tests.support.services import ADD, TEXT, Gate, add, addends, answer, total
 from tests.support.until import until
 
 from .conftest import Pair
-
-ADD = "example_interfaces/srv/AddTwoInts"
-TEXT = "diagnostic_msgs/srv/AddDiagnostics"
-
-
-def addends(a: int, b: int = 0) -> bytes:
-    """An AddTwoInts_Request as CDR."""
-    return b"\0\1\0\0" + struct.pack("<qq", a, b)
-
-
-def total(value: int) -> bytes:
-    """An AddTwoInts_Response as CDR."""
-    return b"\0\1\0\0" + struct.pack("<q", value)
-
-
-def text(value: str) -> bytes:
-    """An AddDiagnostics_Request as CDR."""
-    raw = value.encode() + b"\0"
-    return b"\0\1\0\0" + struct.pack("<I", len(raw)) + raw
-
-
-def answer(value: str) -> bytes:
-    """An AddDiagnostics_Response as CDR."""
-    raw = value.encode() + b"\0"
-    return b"\0\1\0\0\1\0\0\0" + struct.pack("<I", len(raw)) + raw
-
-
-async def add(request: Request) -> bytes:
-    """Add the two numbers."""
-    return total(sum(struct.unpack("<qq", request.payload[4:20])))
-
-
-class Gate:
-    """A service that answers when told to."""
-
-    def __init__(self) -> None:
-        self.seen: list[Request] = []
-        self.open = asyncio.Event()
-
-    async def __call__(self, request: Request) -> bytes:
-        self.seen.append(request)
-        await self.open.wait()
-        return await add(request)
 
 
 async def calling(pair: Pair, name: str, handler: Callable[[Request], object], type: str = ADD) -> Client:

@@ -3,35 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import struct
-import time
 
 import pytest
 
 from ropeway.errors import GraphUnavailable, InvalidName
-from ropeway.graph.base import SEQ_NONE, Graph, Publisher, Sample, Subscription
+from ropeway.graph.base import Graph, Publisher, Subscription
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, joined, sample, text
 from tests.support.until import until
 
-from .conftest import Inbox, Pair
-
-STRING = "std_msgs/msg/String"
-
-
-def text(value: str) -> bytes:
-    """A std_msgs/msg/String as CDR."""
-    raw = value.encode() + b"\0"
-    return b"\0\1\0\0" + struct.pack("<I", len(raw)) + raw
-
-
-def sample(value: str, type: str = STRING) -> Sample:
-    return Sample(text(value), type, time.time_ns(), bytes(16), SEQ_NONE)
-
-
-async def joined(publisher: Publisher, count: int = 1) -> None:
-    """Wait until ``count`` readers are matched, where the network can tell."""
-    if publisher.subscribers is not None:
-        await until(lambda: (publisher.subscribers or 0) >= count)
+from .conftest import Pair
 
 
 async def test_protocols(pair: Pair) -> None:

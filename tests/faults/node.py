@@ -33,8 +33,8 @@ from ropeway.graph.base import SEQ_NONE, Graph, Sample  # noqa: E402
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal  # noqa: E402
 from ropeway.graph.factory import open_graph  # noqa: E402
 from ropeway.qos import QoS  # noqa: E402
-from tests.contract.test_topics import STRING, text  # noqa: E402
 from tests.faults.node_types import ACTION, SERVICE  # noqa: E402
+from tests.support.messages import STRING, text  # noqa: E402
 
 
 def tell(**event: Any) -> None:

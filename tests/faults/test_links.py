@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from tests.contract.test_topics import STRING
 from tests.faults.conftest import ROOT, Machine, Pair
+from tests.support.messages import STRING
 
 pytestmark = [pytest.mark.netns, pytest.mark.timeout(90)]
 

@@ -6,7 +6,6 @@ import asyncio
 import hashlib
 import json
 import ssl
-from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
@@ -21,20 +20,14 @@ from ropeway.gateway.gateway import Gateway
 from ropeway.gateway.supervisor import Supervisor
 from ropeway.link.http import Request
 from ropeway.server.access import EVERYTHING, Role
-from tests.contract.conftest import Inbox
-from tests.contract.test_topics import STRING, sample, text
 from tests.gateway.test_tls import Authority, gateway, url
 from tests.server.client import Client, fetch
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample, text
 from tests.support.ports import free_port
 from tests.support.until import until
 
 TOKEN = "a-token-that-must-not-be-seen"
-
-
-@pytest.fixture
-async def stack() -> AsyncIterator[AsyncExitStack]:
-    async with AsyncExitStack() as made:
-        yield made
 
 
 @pytest.fixture

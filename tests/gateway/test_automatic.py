@@ -15,7 +15,7 @@ from ropeway.gateway.model import RemoteConfig
 from ropeway.graph.base import EndpointInfo, TopicInfo
 from ropeway.graph.memory import MemoryGraph
 from ropeway.qos import DEFAULT
-from tests.contract.test_topics import STRING
+from tests.support.messages import STRING
 from tests.support.until import until
 
 _numbers = itertools.count()

@@ -15,8 +15,8 @@ from ropeway.gateway.gateway import Gateway
 from ropeway.graph.base import Sample
 from ropeway.graph.memory import MemoryGraph, _networks
 from ropeway.qos import LATCHED, QoS
-from tests.contract.conftest import Inbox
-from tests.contract.test_topics import STRING, sample, text
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample, text
 from tests.support.until import until
 
 _numbers = itertools.count()

@@ -24,10 +24,10 @@ from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.iort import AsyncNode
 from ropeway.qos import LATCHED, QoS
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import Inbox
-from tests.contract.test_topics import STRING, joined, sample, text
 from tests.gateway.test_gateway import World
 from tests.iort.servers import Raw, serving
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, joined, sample, text
 from tests.support.until import until
 
 TWIST = "geometry_msgs/msg/Twist"

@@ -14,11 +14,11 @@ from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Reque
 from ropeway.graph.memory import MemoryGraph
 from ropeway.overlay.identity import write_private
 from ropeway.qos import LATCHED, QoS
-from tests.contract.conftest import Inbox
-from tests.contract.test_topics import STRING, sample
 from tests.overlay.conftest import Site
 from tests.overlay.conftest import site as site
 from tests.overlay.fleet import member
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample
 from tests.support.until import until
 
 from .test_calls import ADD, FIBONACCI, add, pair, sequence, total

@@ -12,9 +12,9 @@ from ropeway.gateway.gateway import Gateway
 from ropeway.graph.memory import MemoryGraph
 from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import Inbox
-from tests.contract.test_topics import STRING, joined, sample, text
 from tests.graph.ros1.network import HAS_ROSPY, RosMaster, rospy
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, joined, sample, text
 from tests.support.until import until
 
 pytestmark = pytest.mark.skipif(not HAS_ROSPY, reason="Debian's python3-rospy is not installed")

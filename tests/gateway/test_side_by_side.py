@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 import time
-from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from typing import Any
 
@@ -14,18 +13,12 @@ import pytest
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.dds import DdsGraph
 from ropeway.qos import QoS
-from tests.contract.test_topics import STRING, text
 from tests.faults.conftest import Machine
+from tests.support.messages import STRING, text
 from tests.support.until import until
 
 _domains = itertools.cycle(range(110, 120))
 HZ = 50.0
-
-
-@pytest.fixture
-async def stack() -> AsyncIterator[AsyncExitStack]:
-    async with AsyncExitStack() as made:
-        yield made
 
 
 class Network:

@@ -10,7 +10,6 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
@@ -28,8 +27,8 @@ from ropeway.graph.memory import MemoryGraph
 from ropeway.qos import QoS
 from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
-from tests.contract.test_topics import STRING, text
 from tests.server.client import Client
+from tests.support.messages import STRING, text
 from tests.support.ports import free_port
 from tests.support.until import until
 
@@ -38,12 +37,6 @@ _numbers = itertools.count()
 BACK_S = 12.0  # 2 s where the machine has nothing else to do
 START_S = 50.0  # 2 s for a supervisor and its workers where the machine has nothing else to do
 HZ = 50.0
-
-
-@pytest.fixture
-async def stack() -> AsyncIterator[AsyncExitStack]:
-    async with AsyncExitStack() as made:
-        yield made
 
 
 def settings(graph: str, **more: Any) -> dict[str, Any]:

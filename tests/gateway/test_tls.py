@@ -9,7 +9,7 @@ import itertools
 import shutil
 import ssl
 import warnings
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import Iterable
 from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
@@ -31,8 +31,8 @@ from ropeway.link.connection import Limits
 from ropeway.link.websocket import connect
 from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import Inbox
-from tests.contract.test_topics import STRING, sample, text
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample, text
 from tests.support.until import until
 
 _numbers = itertools.count()
@@ -110,12 +110,6 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Authority:
 def strangers(tmp_path_factory: pytest.TempPathFactory) -> Authority:
     """One that nobody trusts."""
     return Authority(tmp_path_factory.mktemp("strangers"), "strangers")
-
-
-@pytest.fixture
-async def stack() -> AsyncIterator[AsyncExitStack]:
-    async with AsyncExitStack() as made:
-        yield made
 
 
 async def gateway(

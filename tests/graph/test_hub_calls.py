@@ -23,12 +23,12 @@ from ropeway.graph.calls import (
 from ropeway.graph.holders import Entry, Holders
 from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
+from tests.support.actions import FIBONACCI
 from tests.support.until import until
 
 from .test_hub import Place
 
 TRIGGER = "std_srvs/srv/Trigger"
-FIBONACCI = "example_interfaces/action/Fibonacci"
 EMPTY = b"\0\1\0\0"
 
 

@@ -12,9 +12,9 @@ import pytest
 from ropeway.errors import NotServed, TypeConflict, UnknownType
 from ropeway.graph.calls import ActionHandlers, Goal, Outcome, Request, ServerGoal
 from ropeway.graph.memory import MemoryGraph
+from tests.support.actions import FIBONACCI
+from tests.support.services import ADD
 
-ADD = "example_interfaces/srv/AddTwoInts"
-FIBONACCI = "example_interfaces/action/Fibonacci"
 _numbers = itertools.count()
 
 

@@ -21,7 +21,8 @@ from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, Pro
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.graph.dds import DdsGraph
 from ropeway.types import TypeRegistry
-from tests.graph.dds.calls import ADD, TRIGGER, Adder, add, called
+from tests.graph.dds.calls import TRIGGER, Adder, add, called
+from tests.support.services import ADD
 from tests.support.until import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]

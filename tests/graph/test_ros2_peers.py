@@ -22,8 +22,8 @@ from ropeway.graph.base import Publisher, Sample
 from ropeway.graph.dds import DdsGraph
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import Inbox
-from tests.contract.test_topics import STRING, sample
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample
 from tests.support.until import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack
 from typing import Any
 
@@ -14,75 +13,22 @@ import pytest
 
 from ropeway.errors import ConnectFailed, GraphUnavailable, UnknownType
 from ropeway.graph.base import Delivery
-from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
 from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
 from ropeway.link.connection import Connection, Limits
-from ropeway.link.listener import Listener
 from ropeway.link.outbox import Lost
-from ropeway.link.websocket import listen
 from ropeway.qos import LATCHED, QoS
-from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
 from ropeway.wire import codec, png
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.wire.fragment import Fragmenter
-from tests.contract.conftest import Inbox
-from tests.contract.test_topics import STRING, sample, text
 from tests.server.test_fuzz import Hostile
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample, text
+from tests.support.rosbridge import FAST, REGISTRY, Cloud, FakeServer
 from tests.support.until import until
 
-REGISTRY = TypeRegistry()
 OWN = "my_msgs/msg/Own"
-FAST = Limits(ping_interval_s=0.05, silence_s=0.3)
-
-
-class FakeServer:
-    """A server that a test plays: keeps what clients say, and says what it is told to."""
-
-    def __init__(self) -> None:
-        self.connections: list[Connection] = []
-        self.heard: list[dict[str, Any]] = []
-        self.binaries: list[bytes] = []
-        self.on_connection: Callable[[Connection], None] = lambda _: None
-        self._server: Listener | None = None
-        self.port = 0
-
-    async def start(self, *, subprotocols: tuple[str, ...] = (), limits: Limits | None = None) -> None:
-        self._server = await listen(
-            "127.0.0.1", self.port, self._accept, limits=limits or Limits(), subprotocols=subprotocols
-        )
-        self.port = self._server.port
-
-    def _accept(self, connection: Connection) -> None:
-        self.connections.append(connection)
-        connection.on_text = lambda data: self.heard.append(json.loads(data))
-        connection.on_binary = lambda data: self.binaries.append(bytes(data))
-        self.on_connection(connection)
-
-    async def stop(self) -> None:
-        """Vanish."""
-        if self._server is not None:
-            await self._server.close()
-        for connection in self.connections:
-            connection.abort("gone")
-        await until(lambda: all(c.closed for c in self.connections))
-
-    def ops(self, op: str) -> list[dict[str, Any]]:
-        return [m for m in self.heard if m.get("op") == op]
-
-    def say(self, message: dict[str, Any]) -> None:
-        self.connections[-1].send_text(json.dumps(message).encode())
-
-    @property
-    def url(self) -> str:
-        return f"ws://127.0.0.1:{self.port}"
-
-
-@pytest.fixture
-async def stack() -> AsyncIterator[AsyncExitStack]:
-    async with AsyncExitStack() as made:
-        yield made
 
 
 @pytest.fixture
@@ -97,26 +43,6 @@ async def client(stack: AsyncExitStack, url: str, **options: Any) -> RosbridgeGr
     await graph.open()
     stack.push_async_callback(graph.close)
     return graph
-
-
-class Cloud:
-    """A real server on a network of its own, which can go and come back."""
-
-    def __init__(self, network: str, limits: Limits = FAST) -> None:
-        self.network, self.limits = network, limits
-        self.port = 0
-        self._stack = AsyncExitStack()
-
-    async def start(self) -> None:
-        graph = MemoryGraph(self.network, node="/cloud")
-        await graph.open()
-        self._stack.push_async_callback(graph.close)
-        self.server = RosbridgeServer(Hub(graph), REGISTRY, gateway_id="the cloud", name="cloud", limits=self.limits)
-        self._stack.push_async_callback(self.server.close)
-        self.port = (await self.server.listen(f"ws://127.0.0.1:{self.port}")).port
-
-    async def stop(self) -> None:
-        await self._stack.aclose()
 
 
 @pytest.fixture

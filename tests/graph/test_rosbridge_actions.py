@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from contextlib import AsyncExitStack
 from typing import Any
 
@@ -14,49 +14,13 @@ from ropeway.graph.base import Delivery, Undelivered
 from ropeway.graph.calls import ActionHandlers, ClientGoal, Goal, GoalStatus, Outcome, ServerGoal, new_id
 from ropeway.graph.rosbridge import RosbridgeGraph, servers
 from ropeway.graph.rosbridge.actions import RemoteActionClient
-from ropeway.link.connection import Limits
-from ropeway.types import TypeRegistry
 from ropeway.wire import ops
 from ropeway.wire.dialect import ROSGW
-from tests.contract.test_actions import FIBONACCI, Worker, order, sequence
 from tests.graph.gateways import ScriptedGateway
-from tests.graph.test_rosbridge import Cloud, FakeServer
 from tests.graph.test_rosbridge_services import connect, heard, played
+from tests.support.actions import FIBONACCI, Worker, order, sequence
+from tests.support.rosbridge import Cloud, FakeServer
 from tests.support.until import until
-
-REGISTRY = TypeRegistry()
-
-
-@pytest.fixture
-async def stack() -> AsyncIterator[AsyncExitStack]:
-    async with AsyncExitStack() as made:
-        yield made
-
-
-@pytest.fixture
-async def fake(stack: AsyncExitStack) -> FakeServer:
-    """A plain server."""
-    made = FakeServer()
-    stack.push_async_callback(made.stop)
-    await made.start()
-    return made
-
-
-@pytest.fixture
-async def far(stack: AsyncExitStack) -> ScriptedGateway:
-    """A gateway."""
-    made = ScriptedGateway(REGISTRY)
-    stack.push_async_callback(made.stop)
-    await made.start()
-    return made
-
-
-@pytest.fixture
-async def cloud(stack: AsyncExitStack, request: pytest.FixtureRequest) -> Cloud:
-    made = Cloud(request.node.name, Limits())
-    stack.push_async_callback(made.stop)
-    await made.start()
-    return made
 
 
 async def ended(goal: ClientGoal) -> Outcome:

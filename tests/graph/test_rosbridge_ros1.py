@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from typing import Any
 
@@ -14,28 +13,13 @@ import pytest
 from ropeway.graph.calls import Request
 from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.link.connection import Connection
-from tests.contract.test_topics import sample
-from tests.graph.test_rosbridge import REGISTRY, FakeServer
+from tests.support.messages import sample
+from tests.support.rosbridge import REGISTRY, FakeServer
 from tests.support.until import until
 
 HEADER = "std_msgs/msg/Header"
 RAW = bytes(4) + b"\x64\0\0\0\x05\0\0\0\x01\0\0\0l"
 VALUES = {"stamp": {"sec": 100, "nanosec": 5}, "frame_id": "l"}
-
-
-@pytest.fixture
-async def stack() -> AsyncIterator[AsyncExitStack]:
-    async with AsyncExitStack() as made:
-        yield made
-
-
-@pytest.fixture
-async def fake(stack: AsyncExitStack) -> FakeServer:
-    """A server that a test plays."""
-    made = FakeServer()
-    stack.push_async_callback(made.stop)
-    await made.start()
-    return made
 
 
 async def graph(stack: AsyncExitStack, fake: FakeServer, **options: Any) -> RosbridgeGraph:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from typing import Any
 
@@ -24,50 +23,16 @@ from ropeway.graph.base import Delivery, Undelivered
 from ropeway.graph.calls import Request, new_id
 from ropeway.graph.rosbridge import LinkState, RosbridgeGraph, services
 from ropeway.graph.rosbridge.services import RemoteClient
-from ropeway.link.connection import Limits
-from ropeway.types import TypeRegistry
 from ropeway.wire import ops
 from ropeway.wire.codec import decode_value
 from ropeway.wire.dialect import ROSGW
-from tests.contract.test_services import ADD, TEXT, Gate, add, addends, answer, text, total
 from tests.graph.gateways import ScriptedGateway
-from tests.graph.test_rosbridge import Cloud, FakeServer
+from tests.support.messages import text
+from tests.support.rosbridge import REGISTRY, Cloud, FakeServer
+from tests.support.services import ADD, TEXT, Gate, add, addends, answer, total
 from tests.support.until import until
 
-REGISTRY = TypeRegistry()
 REQUEST, RESPONSE = REGISTRY.codec(f"{ADD}_Request"), REGISTRY.codec(f"{ADD}_Response")
-
-
-@pytest.fixture
-async def stack() -> AsyncIterator[AsyncExitStack]:
-    async with AsyncExitStack() as made:
-        yield made
-
-
-@pytest.fixture
-async def fake(stack: AsyncExitStack) -> FakeServer:
-    """A plain server."""
-    made = FakeServer()
-    stack.push_async_callback(made.stop)
-    await made.start()
-    return made
-
-
-@pytest.fixture
-async def far(stack: AsyncExitStack) -> ScriptedGateway:
-    """A gateway."""
-    made = ScriptedGateway(REGISTRY)
-    stack.push_async_callback(made.stop)
-    await made.start()
-    return made
-
-
-@pytest.fixture
-async def cloud(stack: AsyncExitStack, request: pytest.FixtureRequest) -> Cloud:
-    made = Cloud(request.node.name, Limits())
-    stack.push_async_callback(made.stop)
-    await made.start()
-    return made
 
 
 async def connect(stack: AsyncExitStack, url: str, **options: Any) -> RosbridgeGraph:

@@ -20,7 +20,7 @@ from ropeway.graph.dds import DdsGraph
 from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
 from ropeway.qos import LATCHED, QoS
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import Inbox
+from tests.support.inbox import Inbox
 from tests.support.ports import free_port
 from tests.support.until import until
 

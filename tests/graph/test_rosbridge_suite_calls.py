@@ -15,10 +15,10 @@ import pytest
 from ropeway.errors import CallError, CallTimeout, GraphUnavailable, NotServed, ProviderLost
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.graph.rosbridge import RosbridgeGraph
-from tests.contract.test_actions import FIBONACCI, order, sequence
-from tests.contract.test_services import ADD, Gate, add, addends, total
 from tests.graph.test_ros2_calls import CYCLONE, PROGRAM, Peer
 from tests.graph.test_rosbridge_suite import DOMAIN, Suite
+from tests.support.actions import FIBONACCI, order, sequence
+from tests.support.services import ADD, Gate, add, addends, total
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 

@@ -13,7 +13,7 @@ from ropeway.graph.base import EndpointInfo, Sample, TopicInfo
 from ropeway.graph.seen import Seen
 from ropeway.graph.standby import Standby
 from ropeway.qos import QoS
-from tests.contract.test_topics import STRING, text
+from tests.support.messages import STRING, text
 from tests.support.until import until
 
 US = "m"  # our id; the smaller one speaks

@@ -19,8 +19,8 @@ from ropeway.wire import ops
 from ropeway.wire.codec import decode_value
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.wire.records import RecordWriter
-from tests.contract.test_topics import STRING, text
 from tests.link.test_peer import REGISTRY, Link, Setting, sample
+from tests.support.messages import STRING, text
 from tests.support.until import until
 
 CODEC = REGISTRY.codec(STRING)

@@ -14,8 +14,8 @@ from ropeway.link.express import EXPRESS_BYTES, HEADER
 from ropeway.link.peer import Channel, Peer
 from ropeway.link.websocket import connect, listen
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
-from tests.contract.test_topics import STRING, text
 from tests.link.test_peer import LIMITS, REGISTRY, Handler, sample
+from tests.support.messages import STRING, text
 from tests.support.until import until
 
 

@@ -24,8 +24,8 @@ from ropeway.wire import ops
 from ropeway.wire.codec import ENCODING_NUMBERS
 from ropeway.wire.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL
 from ropeway.wire.records import HEADER_BYTES, Arrival
-from tests.contract.test_topics import STRING, text
 from tests.server.client import Client, frame
+from tests.support.messages import STRING, text
 from tests.support.until import until
 
 LIMITS = Limits(ping_interval_s=None, max_message_bytes=8 << 20)

@@ -17,12 +17,12 @@ from ropeway.overlay.rib import Rib
 from ropeway.overlay.rights import Rights
 from ropeway.qos import LATCHED, QoS
 from tests.overlay.fleet import fleet, member
+from tests.support.messages import STRING
 
 OWNER = member("owner")
 SECRET = fleet().name_secret
 KEY = advert_key(SECRET)
 GATEWAY = bytes(range(16))
-STRING = "std_msgs/msg/String"
 
 
 def advert(name: str = "/a", kind: str = "publisher", number: int = 1, qos: QoS | None = LATCHED) -> Advertisement:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import struct
-import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -15,7 +14,6 @@ import pytest
 import zenoh
 
 from ropeway.errors import CallFailed, GraphUnavailable, IdentityError
-from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.calls import Request
 from ropeway.graph.overlay import OverlayGraph
 from ropeway.overlay.fabric import Fabric
@@ -25,18 +23,13 @@ from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rights import Rights
 from ropeway.overlay.zenoh_config import gateway_config, gateway_id
 from ropeway.qos import QoS
-from tests.contract.conftest import Inbox
 from tests.overlay.conftest import Site
 from tests.overlay.fleet import fleet, member
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING
+from tests.support.messages import sample as text
+from tests.support.services import ADD
 from tests.support.until import until
-
-STRING = "std_msgs/msg/String"
-ADD = "example_interfaces/srv/AddTwoInts"
-
-
-def text(value: str) -> Sample:
-    raw = value.encode() + b"\0"
-    return Sample(b"\0\1\0\0" + struct.pack("<I", len(raw)) + raw, STRING, time.time_ns(), bytes(16), SEQ_NONE)
 
 
 def refusals(graph: OverlayGraph) -> set[Refusal]:

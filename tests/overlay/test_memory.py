@@ -19,11 +19,11 @@ from ropeway.overlay.item import RAW, ZSTD, Item
 from ropeway.overlay.node import OverlayNode
 from ropeway.overlay.refusal import Refusal
 from ropeway.qos import QoS
-from tests.contract.conftest import Inbox
 from tests.overlay.conftest import Site
 from tests.overlay.fleet import member
 from tests.overlay.hostile import bomb
 from tests.overlay.test_attacks import STRING, refusals, text
+from tests.support.inbox import Inbox
 from tests.support.until import until
 
 MIB = 1 << 20

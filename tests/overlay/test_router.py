@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-import time
 from contextlib import AsyncExitStack
 from pathlib import Path
 
@@ -11,23 +9,17 @@ import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from ropeway.errors import GraphUnavailable, IdentityError
-from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.overlay import OverlayGraph
 from ropeway.overlay.fleet import Fleet
 from ropeway.overlay.node import OverlayNode
 from ropeway.overlay.router import Router, push_crl
 from ropeway.qos import QoS
-from tests.contract.conftest import Inbox
 from tests.overlay.fleet import member
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING
+from tests.support.messages import sample as text
 from tests.support.ports import free_endpoint
 from tests.support.until import until
-
-STRING = "std_msgs/msg/String"
-
-
-def text(value: str) -> Sample:
-    raw = value.encode() + b"\0"
-    return Sample(b"\0\1\0\0" + struct.pack("<I", len(raw)) + raw, STRING, time.time_ns(), bytes(16), SEQ_NONE)
 
 
 async def test_a_mesh(tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ from ropeway.server.access import EVERYTHING, VERBS, Access, Globs, Role
 from ropeway.server.door import Door
 from tests.server.client import Client
 from tests.server.conftest import Place
+from tests.support.messages import STRING
 from tests.support.until import until
 
-STRING = "std_msgs/msg/String"
 NAMES = st.from_regex(r"/[a-z_]{1,5}(/[a-z_]{1,5}){0,2}", fullmatch=True)
 VIEWER = Role(
     "viewer",

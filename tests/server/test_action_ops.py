@@ -12,9 +12,9 @@ import pytest
 
 from ropeway.errors import GoalRejected
 from ropeway.graph.calls import ActionHandlers, ClientGoal, Goal, GoalStatus, Outcome, ServerGoal
-from tests.contract.test_actions import FIBONACCI, Worker, count, order, ordered, sequence
 from tests.server.client import Client
 from tests.server.conftest import Place
+from tests.support.actions import FIBONACCI, Worker, count, order, ordered, sequence
 from tests.support.until import until
 
 GOAL = '{"op":"send_action_goal","id":"send_action_goal:/fib:1","action":"/fib",'

@@ -16,11 +16,11 @@ import zstandard
 from ropeway.link.connection import Limits
 from ropeway.qos import QoS
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
-from tests.contract.conftest import Inbox
-from tests.contract.test_topics import STRING, sample, text
 from tests.server.client import BINARY, TEXT, Client, frame
 from tests.server.conftest import Place
 from tests.server.test_session import CHATTER, heard, listen, publishers, said
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample, text
 from tests.support.until import until
 
 IMAGE = {"op": "advertise", "topic": "/image", "type": "sensor_msgs/Image"}

@@ -19,13 +19,13 @@ from ropeway.graph.calls import ActionHandlers, Request
 from ropeway.graph.memory import MemoryPublisher
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.server.access import Access
-from tests.contract.conftest import Inbox
-from tests.contract.test_actions import FIBONACCI, count
-from tests.contract.test_services import ADD, add
-from tests.contract.test_topics import STRING, sample, text
 from tests.server.client import BINARY, Client
 from tests.server.conftest import Place
 from tests.server.test_session import CHATTER, heard, listen, said
+from tests.support.actions import FIBONACCI, count
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample, text
+from tests.support.services import ADD, add
 from tests.support.until import until
 
 IMU, FLOATS = "sensor_msgs/msg/Imu", "std_msgs/msg/Float64MultiArray"

@@ -20,9 +20,9 @@ from ropeway.types import TypeRegistry
 from ropeway.wire import codec, filters
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.wire.records import RecordWriter
-from tests.contract.test_topics import STRING, text
 from tests.server.client import BINARY, TEXT, Client, ClosedByServer, frame
 from tests.server.test_session import CHATTER, heard, listen, said
+from tests.support.messages import STRING, text
 
 FRAMES: Final = 100_000
 CONNECTIONS: Final = 6

@@ -10,10 +10,10 @@ import pytest
 from ropeway.errors import CallFailed, GoalRejected, NotServed
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
-from tests.contract.test_actions import FIBONACCI, Worker, count, order, sequence
-from tests.contract.test_services import ADD, add, addends, total
 from tests.server.client import Client
 from tests.server.conftest import Place
+from tests.support.actions import FIBONACCI, Worker, count, order, sequence
+from tests.support.services import ADD, add, addends, total
 from tests.support.until import until
 
 CALL = "0123456789abcdef" * 2

@@ -7,9 +7,9 @@ import pytest
 from ropeway.errors import InvalidName
 from ropeway.server.names import Names
 from tests.server.conftest import Place
+from tests.support.messages import STRING
 from tests.support.until import until
 
-STRING = "std_msgs/msg/String"
 NAMES = Names("/bridges/rosbridge")
 
 

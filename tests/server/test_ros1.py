@@ -14,9 +14,9 @@ from ropeway.qos import LATCHED
 from ropeway.server.server import RosbridgeServer
 from ropeway.types.ros1_spelling import Ros1Spelling
 from ropeway.types.ros1_types import Ros1Types
-from tests.contract.test_topics import sample
-from tests.graph.test_rosbridge import REGISTRY
 from tests.server.conftest import Place
+from tests.support.messages import sample
+from tests.support.rosbridge import REGISTRY
 from tests.support.until import until
 
 SPELLING = Ros1Spelling(Ros1Types(REGISTRY))

@@ -7,9 +7,9 @@ import json
 import pytest
 
 from ropeway.graph.calls import Request
-from tests.contract.test_topics import STRING
 from tests.server.conftest import Place
 from tests.server.rosapi.test_rosapi import FIBONACCI
+from tests.support.messages import STRING
 
 
 @pytest.mark.parametrize("service", ["/rosapi/topic_type", "rosapi/topic_type", "/rosapi/topic_type#7"])

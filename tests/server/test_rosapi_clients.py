@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 
 from ropeway.graph.calls import ActionHandlers
-from tests.contract.test_topics import STRING
 from tests.graph.parameter_node import ParameterNode
 from tests.server.conftest import Place
 from tests.server.peers import peers
 from tests.server.rosapi.test_rosapi import FIBONACCI, SET_BOOL, never, nothing
+from tests.support.messages import STRING
 
 JS = Path(__file__).parents[1] / "js"
 NODE = shutil.which("node") if (JS / "node_modules").is_dir() else None

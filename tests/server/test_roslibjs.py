@@ -21,11 +21,11 @@ from ropeway.errors import CallFailed
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.qos import LATCHED, QoS
-from tests.contract.conftest import Inbox
-from tests.contract.test_actions import FIBONACCI, Worker, count, order, ordered, sequence
-from tests.contract.test_services import ADD, add, addends, total
 from tests.server.conftest import Place
 from tests.server.peers import Peers, peers
+from tests.support.actions import FIBONACCI, Worker, count, order, ordered, sequence
+from tests.support.inbox import Inbox
+from tests.support.services import ADD, add, addends, total
 from tests.support.until import until
 
 PROGRAM = Path(__file__).parents[1] / "js" / "client.mjs"

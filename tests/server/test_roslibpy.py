@@ -17,11 +17,11 @@ import pytest
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.calls import ActionHandlers, Outcome, Request, ServerGoal
 from ropeway.qos import LATCHED, QoS
-from tests.contract.conftest import Inbox
-from tests.contract.test_actions import FIBONACCI, Worker, count, ordered
-from tests.contract.test_services import ADD, add, addends, total
 from tests.server.conftest import Place
 from tests.server.peers import Peers, peers
+from tests.support.actions import FIBONACCI, Worker, count, ordered
+from tests.support.inbox import Inbox
+from tests.support.services import ADD, add, addends, total
 from tests.support.until import until
 
 if importlib.util.find_spec("roslibpy") is None:

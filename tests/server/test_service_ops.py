@@ -14,9 +14,9 @@ from ropeway.errors import CallError, CallFailed, ProviderLost
 from ropeway.graph.calls import Client as GraphClient
 from ropeway.graph.calls import Request
 from ropeway.wire.codec import decode_value
-from tests.contract.test_services import ADD, add, addends, total
 from tests.server.client import BINARY, Client
 from tests.server.conftest import Place
+from tests.support.services import ADD, add, addends, total
 from tests.support.until import until
 
 SET, TRIGGER, EMPTY = "std_srvs/srv/SetBool", "std_srvs/srv/Trigger", "std_srvs/srv/Empty"

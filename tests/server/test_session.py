@@ -15,10 +15,10 @@ import pytest
 
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
-from tests.contract.conftest import Inbox
-from tests.contract.test_topics import STRING, sample, text
 from tests.server.client import BINARY, Client, ClosedByServer
 from tests.server.conftest import Place
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample, text
 from tests.support.until import until
 
 CHATTER = {"op": "advertise", "topic": "/chatter", "type": "std_msgs/String"}

@@ -18,13 +18,13 @@ from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.wire.records import RecordWriter
 from tests.server.client import BINARY, CONTINUATION, TEXT, Client, frame
 from tests.soak.process import serving
+from tests.support.actions import FIBONACCI
 
 SENT_BYTES = 1 << 20
 PUBLISHERS = 1000  # of the kind whose every frame makes one; a client may have 4,096
 PEAK_BYTES = 32 << 20  # CBOR and JSON may take 24 times their bytes for the moment in which they are read
 LEFT_BYTES = 16 << 20  # what the allocator keeps for the next
 STRING = "std_msgs/String"
-FIBONACCI = "example_interfaces/action/Fibonacci"
 CONFIG = {
     "gateway": {
         "name": "memory",

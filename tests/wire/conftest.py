@@ -1,14 +1,13 @@
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from itertools import islice
-from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 
 from ropeway.types import MessageCodec, TypeRegistry
+from tests.support.recordings import recording
 
 Recorded = Callable[[str, int], list[bytes]]
 
@@ -28,10 +27,7 @@ def string(registry: TypeRegistry) -> MessageCodec:
 @pytest.fixture(scope="session")
 def recorded() -> Recorded:
     """The first messages of a topic of the recordings, as CDR."""
-    data = os.environ.get("ROPEWAY_DATA") or Path(__file__).parents[2].parent / "shared" / "data"
-    path = Path(data) / "dev.mcap"
-    if not path.exists():
-        pytest.skip("the recordings are not here; set ROPEWAY_DATA")
+    path = recording()
 
     def read(topic: str, count: int) -> list[bytes]:
         with path.open("rb") as file:

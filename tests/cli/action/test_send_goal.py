@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import struct
 from typing import Any
 
 import pytest
@@ -15,15 +14,10 @@ from ropeway.cli.session import Session
 from ropeway.errors import GoalRejected, NotServed, ValueMismatch
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, ServerGoal
 from ropeway.types import TypeRegistry
+from tests.support.actions import FIBONACCI, sequence
 from tests.support.until import until
 
-FIBONACCI = "example_interfaces/action/Fibonacci"
 ID = bytes(range(16))
-
-
-def sequence(*values: int) -> bytes:
-    """A Fibonacci_Result or Fibonacci_Feedback as CDR."""
-    return b"\0\1\0\0" + struct.pack(f"<I{len(values)}i", len(values), *values)
 
 
 class Notes(Teller):

@@ -19,9 +19,9 @@ from ropeway.gateway.config import parse
 from ropeway.graph.base import Sample
 from ropeway.types import TypeRegistry
 from tests.cli.conftest import Ropeway
+from tests.support.recordings import RECORDINGS
 from tests.support.until import until
 
-DATA = Path(os.environ.get("ROPEWAY_DATA", Path(__file__).parents[4] / "shared/data"))
 SECOND = 10**9
 
 
@@ -155,17 +155,17 @@ def test_free_ports_are_free() -> None:
 
 
 @pytest.mark.data
-@pytest.mark.skipif(not DATA.exists(), reason="the recorded data is not here")
+@pytest.mark.skipif(not RECORDINGS.exists(), reason="the recorded data is not here")
 def test_parts_of_a_recording() -> None:
     """The cameras and the odometry of a recording are used, and the rest is made up."""
-    parts = recorded_parts(TypeRegistry(), DATA / "dev.mcap")
+    parts = recorded_parts(TypeRegistry(), RECORDINGS / "dev.mcap")
     assert [(part.topic, part.side) for part in parts] == [
         ("/camera/color/image_raw", "robot"),
         ("/odom", "robot"),
         ("/camera/depth/image_rect_raw", "cloud"),
         ("/cmd_vel", "cloud"),
     ]
-    scans = recorded_parts(TypeRegistry(), DATA / "bags/scan_tools_demo.bag")
+    scans = recorded_parts(TypeRegistry(), RECORDINGS / "bags/scan_tools_demo.bag")
     assert [(part.topic, part.side) for part in scans] == [
         ("/scan", "robot"),
         ("/odom", "robot"),

@@ -11,8 +11,7 @@ from ropeway.cli.service.call import call
 from ropeway.cli.session import Session
 from ropeway.errors import CallFailed, NotServed, UnknownType, ValueMismatch
 from ropeway.graph.calls import Request
-
-ADD = "example_interfaces/srv/AddTwoInts"
+from tests.support.services import ADD
 
 
 async def add(request: Request) -> bytes:

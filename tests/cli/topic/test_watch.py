@@ -19,9 +19,9 @@ from ropeway.cli.topic.window import Rate
 from ropeway.errors import ValueMismatch
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.qos import SENSOR_DATA
+from tests.support.messages import STRING
 from tests.support.until import until
 
-STRING = "std_msgs/msg/String"
 POINT = "geometry_msgs/msg/PointStamped"
 
 

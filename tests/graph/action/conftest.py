@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import struct
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -14,20 +13,10 @@ from ropeway.graph.action import ActionParts, ComposedActionClient, ComposedActi
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.graph.memory import MemoryGraph
 from ropeway.types import TypeRegistry
+from tests.support.actions import FIBONACCI, order, sequence
 
-FIBONACCI = "example_interfaces/action/Fibonacci"
 REGISTRY = TypeRegistry()
 _numbers = itertools.count()
-
-
-def order(value: int) -> bytes:
-    """A Fibonacci_Goal as CDR."""
-    return b"\0\1\0\0" + struct.pack("<i", value)
-
-
-def sequence(*values: int) -> bytes:
-    """A Fibonacci_Result or Fibonacci_Feedback as CDR."""
-    return b"\0\1\0\0" + struct.pack(f"<I{len(values)}i", len(values), *values)
 
 
 class Worker:

@@ -13,9 +13,10 @@ from ropeway.graph.action import client as module
 from ropeway.graph.base import SEQ_NONE, Sample, Undelivered
 from ropeway.graph.calls import Goal, GoalStatus, Outcome, Request, ServerGoal, new_id
 from ropeway.graph.memory_calls import MemoryClient
+from tests.support.actions import order, sequence
 from tests.support.until import until
 
-from .conftest import Scene, order, sequence
+from .conftest import Scene
 
 
 class ByHand:

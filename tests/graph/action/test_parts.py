@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from ropeway.errors import DecodeError, InvalidName, UnknownType
 from ropeway.graph.action import ActionParts, action_of_service, actions_of
 from ropeway.graph.calls import GoalStatus, ProviderInfo, ServiceInfo, new_id
+from tests.support.actions import FIBONACCI, order, sequence
 
-from .conftest import FIBONACCI, REGISTRY, order, sequence
+from .conftest import REGISTRY
 
 PARTS = ActionParts("/count", FIBONACCI, REGISTRY)
 LOOKUP = ActionParts("/tf", "tf2_msgs/LookupTransform", REGISTRY)

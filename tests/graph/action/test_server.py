@@ -14,9 +14,10 @@ from ropeway.graph.action.parts import FEEDBACK_QOS, STATUS_QOS
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal, new_id
 from ropeway.qos import LATCHED, QoS
+from tests.support.actions import order, sequence
 from tests.support.until import until
 
-from .conftest import REGISTRY, Scene, order, sequence
+from .conftest import REGISTRY, Scene
 
 NONE, REJECTED, UNKNOWN, TERMINATED = range(4)
 

@@ -8,20 +8,9 @@ import struct
 from ropeway.graph.calls import Request
 from ropeway.graph.dds import DdsGraph
 from ropeway.graph.dds.client import DdsClient
-from ropeway.graph.dds.service import DdsService
+from tests.support.services import ADD, addends, total
 
-ADD = "example_interfaces/srv/AddTwoInts"
 TRIGGER = "std_srvs/srv/Trigger"
-
-
-def addends(a: int, b: int = 0) -> bytes:
-    """An AddTwoInts_Request as CDR."""
-    return b"\0\1\0\0" + struct.pack("<qq", a, b)
-
-
-def total(value: int) -> bytes:
-    """An AddTwoInts_Response as CDR."""
-    return b"\0\1\0\0" + struct.pack("<q", value)
 
 
 class Adder:
@@ -58,4 +47,4 @@ async def add(client: DdsClient, a: int, b: int = 0, timeout_s: float = 10.0) ->
     return int(struct.unpack("<q", response[4:])[0])
 
 
-__all__ = ["ADD", "TRIGGER", "Adder", "DdsClient", "DdsService", "add", "addends", "called", "total"]
+__all__ = ["TRIGGER", "Adder", "add", "called"]

@@ -9,10 +9,10 @@ from ropeway.graph.base import SEQ_NONE, Sample, new_origin
 from ropeway.graph.dds.border import Border
 from ropeway.graph.factory import make_graph
 from ropeway.types import TypeRegistry
+from tests.support.inbox import Inbox
 from tests.support.until import until
 
 from .conftest import Join
-from .helpers import Inbox
 
 RANGE = "sensor_msgs/msg/Range"
 HERE, HUMBLE = TypeRegistry(), TypeRegistry("humble", alone=True)

@@ -11,10 +11,12 @@ from ropeway.graph.base import Undelivered
 from ropeway.graph.dds.byteorder import ByteOrder
 from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, text
 from tests.support.until import until
 
 from .conftest import Join
-from .helpers import DDS_STRING, STRING, Inbox, text
+from .helpers import DDS_STRING
 
 REGISTRY = TypeRegistry()
 

@@ -16,9 +16,10 @@ from ropeway.graph.dds.records import Peer
 from ropeway.graph.dds.rpc import Header
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
+from tests.support.services import ADD, addends, total
 from tests.support.until import until
 
-from .calls import ADD, Adder, add, addends, called, total
+from .calls import Adder, add, called
 from .conftest import Join
 from .helpers import process
 

@@ -9,11 +9,12 @@ import pytest
 from ropeway.graph.base import Undelivered
 from ropeway.graph.dds.courier import Courier
 from ropeway.qos import QoS
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample, text
 from tests.support.threads import new_threads
 from tests.support.until import until
 
 from .conftest import Join
-from .helpers import STRING, Inbox, message, text
 
 BIG = "x" * (3 << 20)
 
@@ -28,7 +29,7 @@ async def test_order(join: Join) -> None:
     await until(lambda: publisher.subscribers == 1)
     sent = [f"{i}{BIG if i % 3 == 0 else ''}" for i in range(30)]
     for value in sent:
-        publisher.publish(message(value))
+        publisher.publish(sample(value))
     await inbox.wait(len(sent))
     assert inbox.payloads == [text(value) for value in sent]
     assert len(started()) == 3  # one per graph, and the courier
@@ -52,7 +53,7 @@ async def test_loop_goes_on(join: Join) -> None:
     await far.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await near.create_publisher("/t", STRING)
     await until(lambda: publisher.subscribers == 1)
-    huge = message("x" * 60_000_000)
+    huge = sample("x" * 60_000_000)
     start = time.monotonic()
     publisher.publish(huge)
     assert time.monotonic() - start < 0.02
@@ -66,9 +67,9 @@ async def test_newest_survive(join: Join) -> None:
     await far.create_subscription("/t", STRING, QoS(depth=100), inbox)
     publisher = await near.create_publisher("/t", STRING, QoS(depth=3))
     await until(lambda: publisher.subscribers == 1)
-    samples = [message(f"{i:04}{BIG}") for i in range(50)]
-    for sample in samples:
-        publisher.publish(sample)
+    samples = [sample(f"{i:04}{BIG}") for i in range(50)]
+    for sent in samples:
+        publisher.publish(sent)
     dropped = ("/t", Undelivered.WRITE)
     await until(lambda: len(inbox.samples) + near.drops[dropped] == 50)
     numbers = [int(p[8:12]) for p in inbox.payloads]
@@ -86,7 +87,7 @@ async def test_close_sends_what_waits(join: Join) -> None:
     publisher = await near.create_publisher("/t", STRING)
     await until(lambda: publisher.subscribers == 1)
     for i in range(5):
-        publisher.publish(message(f"{i}{BIG}"))
+        publisher.publish(sample(f"{i}{BIG}"))
     await publisher.close()
     await inbox.wait(5)
 
@@ -95,7 +96,7 @@ async def test_refusals_come_back(join: Join) -> None:
     """What turns out to be no CDR in the thread is counted, too."""
     graph = await join()
     publisher = await graph.create_publisher("/t", STRING)
-    bad = message("")
+    bad = sample("")
     bad.payload = b"\xff" * (2 << 20)
     publisher.publish(bad)
     await until(lambda: graph.drops == {("/t", Undelivered.ENCODE): 1})

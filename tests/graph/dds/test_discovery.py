@@ -13,9 +13,10 @@ from ropeway.graph.dds.discovery import Discovery
 from ropeway.graph.dds.nodes import NodeEntities
 from ropeway.graph.dds.records import EndpointRecord, Gone, Joined, NodesRecord
 from ropeway.qos import QoS
+from tests.support.messages import STRING
 from tests.support.until import until
 
-from .helpers import DDS_STRING, STRING
+from .helpers import DDS_STRING
 
 P1, P2 = b"\1" * 16, b"\2" * 16
 

@@ -18,11 +18,12 @@ from ropeway.graph.dds import DdsGraph
 from ropeway.graph.dds import raw as raw_module
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample, text
 from tests.support.threads import new_threads
 from tests.support.until import until
 
 from .conftest import Join
-from .helpers import STRING, Inbox, message, text
 
 KEEP_ALL = QoS(history="keep_all")
 
@@ -59,7 +60,7 @@ async def test_typed_reader(join: Join, domain: int) -> None:
     reader = peer.reader("rt/chatter")
     publisher = await graph.create_publisher("/chatter", STRING)
     await until(lambda: publisher.subscribers == 1)
-    publisher.publish(message("hello"))
+    publisher.publish(sample("hello"))
     texts: list[str] = []
     await until(lambda: texts.extend(peer.texts(reader)) or texts)
     assert texts == ["hello"]
@@ -79,7 +80,7 @@ async def test_foreign_domain_is_kept(domain: int, monkeypatch: pytest.MonkeyPat
     await graph.open()
     publisher = await graph.create_publisher("/shared", STRING)
     await until(lambda: publisher.subscribers == 1)
-    publisher.publish(message("hello"))
+    publisher.publish(sample("hello"))
     texts: list[str] = []
     await until(lambda: texts.extend(peer.texts(reader)) or texts)
     await graph.close()
@@ -136,7 +137,7 @@ async def test_shared_reader(join: Join) -> None:
     await far.create_subscription("/image", STRING, QoS(), inboxes[3])
     publisher = await near.create_publisher("/image", STRING)
     await until(lambda: publisher.subscribers == 2)
-    publisher.publish(message("frame"))
+    publisher.publish(sample("frame"))
     for inbox in inboxes:
         await inbox.wait(1)
     first, second, third, other = (inbox.samples[0] for inbox in inboxes)
@@ -152,10 +153,10 @@ async def test_closing_one_of_a_shared_reader(join: Join) -> None:
     going = await far.create_subscription("/image", STRING, QoS(), goes)
     publisher = await near.create_publisher("/image", STRING)
     await until(lambda: publisher.subscribers == 1)
-    publisher.publish(message("1"))
+    publisher.publish(sample("1"))
     await goes.wait(1)
     await going.close()
-    publisher.publish(message("2"))
+    publisher.publish(sample("2"))
     await stays.wait(2)
     assert goes.payloads == [text("1")]
     assert publisher.subscribers == 1
@@ -170,7 +171,7 @@ async def test_source_time_is_kept(join: Join) -> None:
     await until(lambda: publisher.subscribers == 1)
     stamps = [1, 999_999_999, 1_700_000_000_123_456_789, 1_700_000_000_000_000_001, 2**31 * 10**9 - 1]
     for stamp in stamps:
-        publisher.publish(message("x", stamp))
+        publisher.publish(sample("x", seq=stamp))
     got = await inbox.wait(len(stamps))
     assert [s.seq for s in got] == stamps
     assert len({s.origin for s in got}) == 1
@@ -184,7 +185,7 @@ async def test_other_sequence_numbers(join: Join, seq: int) -> None:
     await far.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await near.create_publisher("/t", STRING)
     await until(lambda: publisher.subscribers == 1)
-    publisher.publish(message("x", seq))
+    publisher.publish(sample("x", seq=seq))
     (got,) = await inbox.wait(1)
     assert abs(got.seq - time.time_ns()) < 5e9
 
@@ -196,7 +197,7 @@ async def test_lifespan_counts_from_now(join: Join) -> None:
     await far.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await near.create_publisher("/t", STRING, QoS(lifespan_s=5.0))
     await until(lambda: publisher.subscribers == 1)
-    publisher.publish(message("x", 1_600_000_000_000_000_000))
+    publisher.publish(sample("x", seq=1_600_000_000_000_000_000))
     (got,) = await inbox.wait(1)
     assert abs(got.seq - time.time_ns()) < 5e9
 
@@ -215,7 +216,7 @@ async def test_after_close(join: Join) -> None:
     graph = await join()
     publisher = await graph.create_publisher("/t", STRING)
     await publisher.close()
-    publisher.publish(message("x"))
+    publisher.publish(sample("x"))
     assert graph.drops == {("/t", Undelivered.CLOSED): 1}
 
 
@@ -259,7 +260,7 @@ async def test_failing_subscriber(join: Join) -> None:
     await far.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await near.create_publisher("/t", STRING)
     await until(lambda: publisher.subscribers == 1)
-    publisher.publish(message("x"))
+    publisher.publish(sample("x"))
     await inbox.wait(1)
     assert far.drops == {("/t", Undelivered.CALLBACK): 1}
 
@@ -280,9 +281,9 @@ async def test_own_gateway_is_ignored(join: Join) -> None:
     counts: list[int] = []
     publisher.on_demand(counts.append)
     await until(lambda: publisher.subscribers == 1)
-    publisher.publish(message("x"))
-    (sample,) = await heard.wait(1)
-    assert sample.relayed
+    publisher.publish(sample("x"))
+    (got,) = await heard.wait(1)
+    assert got.relayed
     await until(lambda: len(worker2.topics()["/t"].publishers) == 1)
     await asyncio.sleep(0.05)
     assert ignored.samples == []
@@ -299,7 +300,7 @@ async def test_own_samples(join: Join) -> None:
     await graph.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await graph.create_publisher("/t", STRING)
     await until(lambda: len(graph.topics().get("/t").publishers) == 1 if "/t" in graph.topics() else False)
-    publisher.publish(message("x"))
+    publisher.publish(sample("x"))
     await asyncio.sleep(0.05)
     assert inbox.samples == []
     assert publisher.subscribers == 0
@@ -331,7 +332,7 @@ async def test_follows_without_loss(join: Join) -> None:
     sent = 0
     weak = None
     for step in range(300):
-        steady.publish(message(f"steady {sent}"))
+        steady.publish(sample(f"steady {sent}"))
         sent += 1
         if step == 100:
             weak = await near.create_publisher("/t", STRING, SENSOR_DATA)
@@ -355,12 +356,12 @@ async def test_adopts_latched_late(join: Join) -> None:
     latched = await near.create_publisher("/map", STRING, QoS(durability="transient_local", depth=3))
     await until(lambda: latched.subscribers >= 1 and volatile.subscribers >= 1)
     await until(lambda: not subscription.qos.transient_local)
-    latched.publish(message("a"))
+    latched.publish(sample("a"))
     await inbox.wait(1)
     await volatile.close()
     await until(lambda: subscription.qos.transient_local)
     assert subscription.qos.depth == 3
-    latched.publish(message("b"))
+    latched.publish(sample("b"))
     await inbox.wait(2)
     await asyncio.sleep(0.1)
     assert inbox.payloads == [text("a"), text("b")]
@@ -509,7 +510,7 @@ async def test_hostile_discovery_info(join: Join) -> None:
     await far.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await near.create_publisher("/t", STRING)
     await until(lambda: publisher.subscribers == 1)
-    publisher.publish(message("alive"))
+    publisher.publish(sample("alive"))
     await inbox.wait(1)
     await until(lambda: ("/t", STRING) in far.nodes()["/near"].publishers)
     assert set(far.nodes()) == {"/near", "/far"}
@@ -524,8 +525,8 @@ async def test_old_gids(join: Join) -> None:
     seen: list[int] = []
 
     def on_message(batch: list[Sample]) -> None:
-        for sample in batch:
-            found = parse(sample.payload)
+        for heard in batch:
+            found = parse(heard.payload)
             if found is not None and found.guid == far.participant.guid:
                 seen.append(found.gid_bytes)
 
@@ -581,7 +582,7 @@ async def test_open_and_close_leak_nothing(domain: int) -> None:
         await graph.open()
         publisher = await graph.create_publisher("/t", STRING)
         await graph.create_subscription("/t", STRING, None, lambda _: None)
-        publisher.publish(message("x"))
+        publisher.publish(sample("x"))
         await graph.close()
 
     for _ in range(5):
@@ -616,7 +617,7 @@ async def test_close_of_one_of_two(join: Join) -> None:
     await far.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await near.create_publisher("/t", STRING)
     await until(lambda: publisher.subscribers == 1)
-    publisher.publish(message("x"))
+    publisher.publish(sample("x"))
     await inbox.wait(1)
 
 
@@ -628,7 +629,7 @@ async def test_two_domains(join: Join, domain: int) -> None:
     inbox = Inbox()
     await there.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await here.create_publisher("/t", STRING)
-    publisher.publish(message("x"))
+    publisher.publish(sample("x"))
     await until(lambda: "/t" in here.topics())
     await asyncio.sleep(0.05)
     assert inbox.samples == []
@@ -701,7 +702,7 @@ async def test_no_callbacks_after_close(join: Join) -> None:
     publisher = await near.create_publisher("/t", STRING, KEEP_ALL)
     await until(lambda: publisher.subscribers == 1)
     for _ in range(500):
-        publisher.publish(message("x"))
+        publisher.publish(sample("x"))
     await subscription.close()
     had = len(inbox.samples)
     await asyncio.sleep(0.1)

@@ -10,10 +10,12 @@ import pytest
 
 from ropeway.graph.base import Sample
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample, text
 from tests.support.until import until
 
 from .conftest import Join
-from .helpers import STRING, Inbox, message, process, text
+from .helpers import process
 
 READER = """
     import hashlib
@@ -60,11 +62,11 @@ WRITER = """
         graph = DdsGraph(domain, name="writer", interface="lo", gateway_id="far")
         await graph.open()
         latched = await graph.create_publisher("/map", STRING, LATCHED)
-        latched.publish(message("map"))
+        latched.publish(sample("map"))
         sensor = await graph.create_publisher("/scan", STRING, SENSOR_DATA)
         print("ready", flush=True)
         await until(lambda: sensor.subscribers == 1)
-        sensor.publish(message("scan"))
+        sensor.publish(sample("scan"))
         await asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
         await graph.close()
     asyncio.run(main(int(sys.argv[1])))
@@ -104,7 +106,7 @@ async def test_keep_all_never_blocks(join: Join, domain: int) -> None:
         assert reader.stdout is not None
         await until(lambda: publisher.subscribers == 1)
         reader.send_signal(19)  # SIGSTOP
-        big = message("x" * 1_000_000)
+        big = sample("x" * 1_000_000)
         slowest = 0.0
         for _ in range(60):
             start = time.monotonic()
@@ -125,11 +127,11 @@ async def test_close_beside_a_stopped_reader(join: Join, domain: int) -> None:
         await until(lambda: all(p.subscribers == 1 for p in publishers) and alive.subscribers == 1)
         reader.send_signal(19)  # SIGSTOP
         for publisher in publishers:
-            publisher.publish(message("x"))
+            publisher.publish(sample("x"))
         start = time.monotonic()
         closing = asyncio.create_task(publishers.pop().close())
         await asyncio.sleep(0.01)
-        alive.publish(message("y"))
+        alive.publish(sample("y"))
         await inbox.wait(1)
         assert time.monotonic() - start < 0.5
         await graph.close()

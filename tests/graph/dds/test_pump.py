@@ -11,11 +11,12 @@ from ropeway.errors import GraphUnavailable
 from ropeway.graph.dds.pump import run_in_thread
 from ropeway.qos import QoS
 from ropeway.tasks import failing
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample
 from tests.support.threads import new_threads
 from tests.support.until import until
 
 from .conftest import Join
-from .helpers import STRING, Inbox, message
 
 
 async def test_call(join: Join) -> None:
@@ -50,7 +51,7 @@ async def test_failing_handler(join: Join, monkeypatch: pytest.MonkeyPatch, capl
     await until(lambda: all(p.subscribers == 1 for p in publishers))
     for _ in range(3):
         for publisher in publishers:
-            publisher.publish(message("x"))
+            publisher.publish(sample("x"))
     await inbox.wait(3)
     assert len([r for r in caplog.records if "endpoint is dead" in r.message]) == 1
 
@@ -63,7 +64,7 @@ async def test_one_wake_up_per_burst(join: Join) -> None:
     publisher = await near.create_publisher("/t", STRING, QoS(depth=500))
     await until(lambda: publisher.subscribers == 1)
     for _ in range(300):
-        publisher.publish(message("x"))
+        publisher.publish(sample("x"))
     await inbox.wait(300)
     assert inbox.batches < 30
 
@@ -115,7 +116,7 @@ async def test_thread_fails(join: Join, monkeypatch: pytest.MonkeyPatch, caplog:
         pump._wake()
         await until(failing)
         assert "the DDS thread" in failing()[0]["task"]
-    publisher.publish(message("x"))
+    publisher.publish(sample("x"))
     await inbox.wait(1)
     assert not failing()
     assert await pump.call(lambda: 42) == 42

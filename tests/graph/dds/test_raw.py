@@ -9,9 +9,10 @@ import pytest
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.dds import raw, selftest
 from ropeway.qos import QoS
+from tests.support.messages import text
 
 from .conftest import Join
-from .helpers import DDS_STRING, text
+from .helpers import DDS_STRING
 
 
 @pytest.fixture

@@ -14,9 +14,10 @@ from ropeway.graph.dds import DdsGraph, rpc
 from ropeway.graph.dds import service as module
 from ropeway.graph.dds.rpc import Header
 from ropeway.types import TypeRegistry
+from tests.support.services import ADD, addends, total
 from tests.support.until import until
 
-from .calls import ADD, TRIGGER, Adder, add, addends, called, total
+from .calls import TRIGGER, Adder, add, called
 from .conftest import Join
 
 CYCLONE, FAST = b"\x01\x10" + bytes(14), b"\x01\x0f" + bytes(14)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import struct
 import time
 from collections import Counter
 from collections.abc import AsyncIterator
@@ -12,7 +11,7 @@ from contextlib import AsyncExitStack
 import pytest
 
 from ropeway.errors import CallError, CallFailed, ProviderLost
-from ropeway.graph.base import SEQ_NONE, Delivery, Sample
+from ropeway.graph.base import Delivery
 from ropeway.graph.calls import Request
 from ropeway.graph.overlay import OverlayGraph
 from ropeway.graph.overlay.packing import Packing
@@ -21,20 +20,15 @@ from ropeway.overlay.names import Metadata
 from ropeway.overlay.node import OverlayNode
 from ropeway.overlay.router import Router
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
-from tests.contract.conftest import Inbox
 from tests.overlay.conftest import Site
 from tests.overlay.conftest import site as site
 from tests.overlay.fleet import member
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING
+from tests.support.messages import sample as text
 from tests.support.ports import free_endpoint
+from tests.support.services import ADD
 from tests.support.until import until
-
-STRING = "std_msgs/msg/String"
-ADD = "example_interfaces/srv/AddTwoInts"
-
-
-def text(value: str) -> Sample:
-    raw = value.encode() + b"\0"
-    return Sample(b"\0\1\0\0" + struct.pack("<I", len(raw)) + raw, STRING, time.time_ns(), bytes(16), SEQ_NONE)
 
 
 def numbers(inbox: Inbox) -> list[int]:

@@ -16,13 +16,12 @@ from ropeway.graph.ros1.tcpros import encode_header
 from ropeway.graph.ros1.xmlrpc import split_uri
 from ropeway.qos import LATCHED, QoS
 from tests.support.ports import free_port
+from tests.support.services import ADD
 from tests.support.until import until
 
 from .conftest import Join
 from .messages import STRING, Box, sample, text
 from .network import RosMaster
-
-ADD = "example_interfaces/srv/AddTwoInts"
 
 
 async def add(request: Request) -> bytes:

@@ -12,16 +12,12 @@ from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Request, ServiceHandler
 from ropeway.graph.ros1.client import probe_service
 from ropeway.graph.ros1.tcpros import encode_header, read_frame, read_header
+from tests.support.services import ADD, addends
 from tests.support.until import until
 
 from .conftest import Join
 
-ADD = "example_interfaces/srv/AddTwoInts"
 SWITCH = "std_srvs/srv/SetBool"
-
-
-def addends(a: int, b: int) -> bytes:
-    return b"\0\1\0\0" + struct.pack("<qq", a, b)
 
 
 def adding(more: int) -> ServiceHandler:

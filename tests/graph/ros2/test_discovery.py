@@ -11,8 +11,7 @@ from ropeway.graph.calls import ProviderInfo, ServiceInfo
 from ropeway.graph.ros2.discovery import Discovery
 from ropeway.graph.ros2.picture import Picture
 from ropeway.qos import DEFAULT, LATCHED, QoS
-
-STRING = "std_msgs/msg/String"
+from tests.support.messages import STRING
 
 
 def end(

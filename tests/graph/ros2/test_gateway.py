@@ -8,9 +8,9 @@ import pytest
 
 from ropeway.gateway import config
 from ropeway.gateway.gateway import Gateway
-from tests.contract.test_actions import FIBONACCI
-from tests.contract.test_services import ADD
-from tests.contract.test_topics import STRING
+from tests.support.actions import FIBONACCI
+from tests.support.messages import STRING
+from tests.support.services import ADD
 from tests.support.until import until
 
 from .conftest import World

@@ -17,10 +17,10 @@ from ropeway.graph.ros2 import Ros2Graph
 from ropeway.graph.ros2.profiles import from_rclpy, reader_profile, writer_profile
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
-from tests.contract.conftest import Inbox
-from tests.contract.test_actions import FIBONACCI, order, sequence
-from tests.contract.test_services import ADD, add, addends, total
-from tests.contract.test_topics import STRING, sample, text
+from tests.support.actions import FIBONACCI, order, sequence
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample, text
+from tests.support.services import ADD, add, addends, total
 from tests.support.until import until
 
 from .conftest import World

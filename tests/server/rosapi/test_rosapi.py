@@ -10,14 +10,14 @@ import pytest
 from ropeway.errors import CallFailed, NotServed
 from ropeway.graph.calls import ActionHandlers, Outcome, Request, ServerGoal
 from ropeway.server.rosapi import SERVICES, Globs
-from tests.contract.conftest import Inbox
+from tests.support.actions import FIBONACCI
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING
 
 from .conftest import Place
 
-STRING = "std_msgs/msg/String"
 IMAGE = "sensor_msgs/msg/Image"
 SET_BOOL = "std_srvs/srv/SetBool"
-FIBONACCI = "example_interfaces/action/Fibonacci"
 
 
 async def nothing(request: Request) -> bytes:

@@ -14,9 +14,9 @@ from ropeway.graph.dds.fast import census as module
 from ropeway.graph.dds.profile import make_profile
 from ropeway.graph.dds.records import Joined, Peer
 from tests.graph.dds.conftest import Join
+from tests.support.services import ADD
 from tests.support.until import until
 
-ADD = "example_interfaces/srv/AddTwoInts"
 FAST = Peer(b"\x01\x0f" + bytes(14), "", 0)
 NODE = Joined(b"\x01\x0f" + bytes(14))
 

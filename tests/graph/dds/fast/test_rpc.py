@@ -16,9 +16,9 @@ from ropeway.graph.calls import Client, Request, Service
 from ropeway.graph.dds.fast import FastRpc, Surroundings, rpc
 from ropeway.graph.dds.fast.frames import Frame, Op
 from ropeway.graph.dds.profile import make_profile
+from tests.support.services import ADD
 from tests.support.until import until
 
-ADD = "example_interfaces/srv/AddTwoInts"
 CDR = b"\0\1\0\0"
 
 
