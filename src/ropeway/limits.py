@@ -223,6 +223,9 @@ OVERLAY_METADATA_CHARACTERS: Final = 1_024
 OVERLAY_CRL_BYTES: Final = 4 << 20
 """A revocation list: 100,000 certificates."""
 
+OVERLAY_FILE_BYTES: Final = 16 << 20
+"""A bundle, a request, a key or a list in a file. The largest revocation list has a third of it in PEM."""
+
 OVERLAY_REMEMBERED_BYTES: Final = 16 << 20
 """Answers of one service that are kept for requests that come twice."""
 

@@ -114,6 +114,30 @@ def test_mistakes(here: Path) -> None:
     assert "signing request" in run("keys", "sign", "robot1.ropeway", "--fleet", "acme").stderr
 
 
+def test_files_that_cannot_be_used(here: Path) -> None:
+    """A file that is no text, damaged, or far too large is refused in a sentence by every verb that reads one."""
+    done("keys", "init", "acme")
+    done("keys", "issue", "good")
+    done("keys", "request", "robot1")
+    (here / "binary").write_bytes(bytes(range(256)) * 10)
+    with (here / "large").open("wb") as file:
+        file.truncate(17 << 20)
+    for name in ("binary", "large", "acme"):
+        for words in (
+            ("keys", "sign", name),
+            ("keys", "show", "./" + name) if name != "acme" else ("keys", "sign", "missing.csr"),
+            ("keys", "join", name, "robot1.key"),
+            ("keys", "join", "good.ropeway", name),
+            ("keys", "revoke", "good", "--push", name),
+            ("overlay", "verify", "binary", "--ca", name),
+            ("overlay", "verify", "binary", "--ca", "acme/ca.pem", "--crl", name),
+        ):
+            result = run(*words, *(("--fleet", "acme") if words[1] in ("sign", "revoke") else ()))
+            assert result.exit_code == 1, words
+            assert isinstance(result.exception, SystemExit), words
+            assert result.stderr.count("\n") == 1, words
+
+
 def test_names() -> None:
     """A global name is that of the library, for topics, services and actions, and members only make it."""
     done("keys", "init", "acme")

@@ -12,6 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding
+from cryptography.x509.oid import NameOID
 
 from ropeway.errors import IdentityError
 from ropeway.overlay import fleet as fleet_module
@@ -121,6 +126,54 @@ def test_requests(tmp_path: Path) -> None:
             made.sign_request(bad)
     with pytest.raises(IdentityError, match="has a certificate already"):
         made.sign_request(make_request("robot1", key).encode())
+
+
+def test_damaged_requests(tmp_path: Path) -> None:
+    """A request is signed or refused with an error of ours, whatever byte of it is damaged, and however."""
+    made = Fleet.create("f", tmp_path / "f")
+    der = base64.b64decode("".join(make_request("robot1", new_key("ed25519")).splitlines()[1:-1]))
+    refused = 0
+    for at in range(len(der)):
+        for value in (0x00, 0x1A, der[at] ^ 0x80, der[at] ^ 1):
+            raw = base64.encodebytes(der[:at] + bytes((value,)) + der[at + 1 :])
+            pem = b"-----BEGIN CERTIFICATE REQUEST-----\n" + raw + b"-----END CERTIFICATE REQUEST-----\n"
+            if value != der[at]:
+                with pytest.raises(IdentityError):
+                    made.sign_request(pem)
+                refused += 1
+    assert refused > len(der)
+    assert made.issued() == []
+
+
+def test_requests_with_other_keys(tmp_path: Path) -> None:
+    """A request with a key of a kind that the overlay does not know is refused, and says which it knows."""
+    made = Fleet.create("f", tmp_path / "f")
+    key = ec.generate_private_key(ec.SECP256R1())
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "robot1")])
+    request = x509.CertificateSigningRequestBuilder().subject_name(subject).sign(key, hashes.SHA256())
+    with pytest.raises(IdentityError, match="neither Ed25519 nor RSA"):
+        made.sign_request(request.public_bytes(Encoding.PEM))
+
+
+@pytest.mark.parametrize("name", ["ca.pem", "ca.key", "name.secret", "crl.pem", "fleet.json"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"",
+        b"\xff\xfe",
+        b"{}",
+        b"[" * 5000,
+        b'{"routers": [], "issued": 5}',
+        b'{"routers": [], "issued": [{"name": "a"}]}',
+        b'{"routers": [1], "issued": []}',
+    ],
+)
+def test_damaged_fleets(tmp_path: Path, name: str, text: bytes) -> None:
+    """A fleet one of whose files is damaged is refused as a whole, and says that it is no fleet."""
+    Fleet.create("f", tmp_path / "f")
+    (tmp_path / "f" / name).write_bytes(text)
+    with pytest.raises(IdentityError, match="not the directory of a fleet"):
+        Fleet(tmp_path / "f")
 
 
 def test_names_and_places(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def certificate_names(tls: ListenTls) -> frozenset[str]:
     try:
         certificate = x509.load_pem_x509_certificate(Path(tls.certificate).read_bytes())
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except (OSError, ValueError, x509.ExtensionNotFound):
+    except Exception:  # of a library that reads what others wrote, which raises many kinds
         return frozenset()
     hosts = [*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress))]
     return frozenset(host.lower() for host in hosts)

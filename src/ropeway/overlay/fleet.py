@@ -26,8 +26,8 @@ from typing import Any, Final
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey, generate_private_key
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey, RSAPublicKey, generate_private_key
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
@@ -35,7 +35,9 @@ from ropeway.errors import IdentityError
 from ropeway.overlay.certificate import DENIED, MEMBER, RIGHTS, ROUTER, Certificate, PrivateKey, common_name
 from ropeway.overlay.durable import locked, write_durable
 from ropeway.overlay.identity import Identity, bundle_text, private_pem, write_private
-from ropeway.overlay.rights import EVERYTHING, Rights
+from ropeway.overlay.material import SECRET_BYTES, read_secret, understood
+from ropeway.overlay.rights import EVERYTHING, VERBS, Rights
+from ropeway.wire.frames import json_value
 
 __all__ = ["ALGORITHMS", "Fleet", "make_request", "new_key", "valid_name"]
 
@@ -70,16 +72,13 @@ class Fleet:
     def __init__(self, directory: Path) -> None:
         self.directory = directory
         self._record: dict[str, Any]
-        try:
+        hint = "; make one with: ropeway keys init NAME"
+        with understood(str(directory), "it is not the directory of a fleet", hint):
             self.ca = x509.load_pem_x509_certificate((directory / "ca.pem").read_bytes())
             key = load_pem_private_key((directory / "ca.key").read_bytes(), None)
-            self.name_secret = bytes.fromhex((directory / "name.secret").read_text().strip())
+            self.name_secret = read_secret((directory / "name.secret").read_text().strip())
             self.crl = x509.load_pem_x509_crl((directory / "crl.pem").read_bytes())
-            self._record = json.loads((directory / "fleet.json").read_text())
-        except (OSError, ValueError, TypeError) as error:
-            raise IdentityError(
-                str(directory), f"it is not the directory of a fleet ({error}); make one with: ropeway keys init NAME"
-            ) from error
+            self._record = _read_record(directory)
         if not isinstance(key, (Ed25519PrivateKey, RSAPrivateKey)):
             raise IdentityError(str(directory), "the authority's key is neither Ed25519 nor RSA")
         self._key: PrivateKey = key
@@ -121,7 +120,7 @@ class Fleet:
         )
         write_durable(directory / "ca.pem", ca.public_bytes(Encoding.PEM))
         write_private(directory / "ca.key", private_pem(key))
-        write_private(directory / "name.secret", secrets.token_hex(32) + "\n")
+        write_private(directory / "name.secret", secrets.token_hex(SECRET_BYTES) + "\n")
         write_durable(directory / "crl.pem", _crl(ca, key, 1, ()).public_bytes(Encoding.PEM))
         record = {"name": name, "created": now.isoformat(), "routers": list(routers), "issued": []}
         write_durable(directory / "fleet.json", _json(record))
@@ -130,12 +129,11 @@ class Fleet:
     def _changing(self) -> Iterator[None]:
         """Change the fleet as it is now, while nobody else does."""
         with locked(self.directory / "lock"):
-            try:
-                self._record = json.loads((self.directory / "fleet.json").read_text())
-                with contextlib.suppress(ValueError):  # what was damaged since is written again, as it was known here
-                    self.crl = x509.load_pem_x509_crl((self.directory / "crl.pem").read_bytes())
-            except (OSError, ValueError) as error:
-                raise IdentityError(str(self.directory), f"the fleet cannot be read any more: {error}") from error
+            with understood(str(self.directory), "the fleet cannot be read any more"):
+                self._record = _read_record(self.directory)
+                raw = (self.directory / "crl.pem").read_bytes()
+            with contextlib.suppress(IdentityError), understood(str(self.directory), "a damaged list"):
+                self.crl = x509.load_pem_x509_crl(raw)  # if not, it is written again, as it was known here
             yield
 
     @property
@@ -184,17 +182,17 @@ class Fleet:
         routers: Sequence[str] = (),
     ) -> str:
         """A bundle without a key, for a machine that made its own. Raises ``IdentityError`` for a bad request."""
-        try:
+        with understood("the request", "it is no certificate signing request", "; ropeway keys request makes one"):
             request = x509.load_pem_x509_csr(csr)
             good = request.is_signature_valid
-            key = request.public_key()
-        except (ValueError, TypeError) as error:
-            raise IdentityError("the request", f"it is no certificate signing request: {error}") from error
+            key, name = request.public_key(), common_name(request.subject)
+        if not isinstance(key, (Ed25519PublicKey, RSAPublicKey)):
+            raise IdentityError("the request", "its key is neither Ed25519 nor RSA; ropeway keys request makes one")
         if not good:
             raise IdentityError("the request", "its signature does not match its key")
         secret = self.name_secret if role == "member" else None
         with self._changing():
-            certificate = self._certify(self._free(common_name(request.subject)), key, role, rights, days)
+            certificate = self._certify(self._free(name), key, role, rights, days)
             return bundle_text(
                 certificate, self.ca, secret, self._routers(routers), self.crl_der(), key=None, fleet=self.name
             )
@@ -313,6 +311,30 @@ def make_request(name: str, key: PrivateKey) -> str:
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, valid_name(name))])
     made = x509.CertificateSigningRequestBuilder().subject_name(subject).sign(key, _hash(key))
     return made.public_bytes(Encoding.PEM).decode()
+
+
+def _read_record(directory: Path) -> dict[str, Any]:
+    """Return what ``fleet.json`` says. Raises ``OSError``, and ``ValueError`` for what this module never writes."""
+    found: Any = json_value((directory / "fleet.json").read_bytes())
+    rows = found.get("issued") if isinstance(found, dict) else None
+    if not isinstance(rows, list) or not _texts(found.get("routers")) or not all(map(_is_row, rows)):
+        raise ValueError("fleet.json does not say what was issued")
+    return dict(found)
+
+
+def _is_row(row: object) -> bool:
+    return (
+        isinstance(row, dict)
+        and _texts([row.get(key) for key in ("name", "role", "not_after")])
+        and type(row.get("serial")) is int
+        and isinstance(row.get("rights"), dict)
+        and all(verb in VERBS and _texts(patterns) for verb, patterns in row["rights"].items())
+        and _texts(row.get("routers", []))
+    )
+
+
+def _texts(value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(text, str) for text in value)
 
 
 def _json(record: Mapping[str, Any]) -> bytes:

@@ -24,6 +24,7 @@ from cryptography.hazmat.primitives.serialization import (
 
 from ropeway.errors import IdentityError
 from ropeway.overlay.certificate import Certificate, PrivateKey, common_name, sign
+from ropeway.overlay.material import read_material_text, read_secret, understood
 from ropeway.wire.frames import json_value
 
 __all__ = ["Identity", "bundle_text", "private_pem", "public_bytes", "read_bundle", "write_private"]
@@ -93,14 +94,11 @@ class Identity:
     def load(cls, path: str | Path) -> Identity:
         """Read a bundle. Raises ``IdentityError`` that says what to do."""
         path = Path(path)
-        try:
-            text = path.read_text()
-            if os.name == "posix" and path.stat().st_mode & 0o077:
-                log.warning("%s: others can read this key; chmod 600 keeps it secret", path)
-        except FileNotFoundError:
-            raise IdentityError(str(path), "there is no such bundle; make one with: ropeway keys issue NAME") from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise IdentityError(str(path), f"it cannot be read: {error}") from error
+        if not path.exists():
+            raise IdentityError(str(path), "there is no such bundle; make one with: ropeway keys issue NAME")
+        text = read_material_text(path)
+        if os.name == "posix" and path.stat().st_mode & 0o077:
+            log.warning("%s: others can read this key; chmod 600 keeps it secret", path)
         return cls.parse(text, str(path))
 
     @classmethod
@@ -109,15 +107,13 @@ class Identity:
         found = read_bundle(text, source)
         if "key" not in found:
             raise IdentityError(source, "it has no private key yet; put it together with: ropeway keys join")
-        try:
+        with understood(source, "it is damaged", "; have a new one issued"):
             ca = x509.load_pem_x509_certificate(found["ca"].encode())
             certificate = Certificate(_der(found["certificate"]))
             key = load_pem_private_key(found["key"].encode(), None)
-            secret = bytes.fromhex(found["name_secret"]) if found.get("name_secret") else None
+            secret = read_secret(found["name_secret"]) if found.get("name_secret") else None
             crl = x509.load_pem_x509_crl(found["crl"].encode()).public_bytes(Encoding.DER) if found.get("crl") else b""
             routers = tuple(map(str, found.get("routers", ())))
-        except Exception as error:  # of a library that reads what others wrote, which raises many kinds
-            raise IdentityError(source, f"it is damaged ({error}); have a new one issued") from error
         if not isinstance(key, (Ed25519PrivateKey, RSAPrivateKey)):
             raise IdentityError(source, "its key is neither Ed25519 nor RSA; have a new one issued")
         if public_bytes(key) != certificate.x509.public_key().public_bytes(

@@ -11,8 +11,8 @@ import typer
 from ropeway.cli.console import answer, print_json
 from ropeway.cli.keys.common import about, describe
 from ropeway.cli.session import JsonOption
-from ropeway.errors import IdentityError
 from ropeway.overlay.identity import Identity, read_bundle, write_private
+from ropeway.overlay.material import read_material_text
 
 __all__ = ["app"]
 
@@ -29,11 +29,8 @@ def join(
     as_json: JsonOption = False,
 ) -> None:
     """Write NAME.ropeway, the bundle of this machine."""
-    try:
-        found = dict(read_bundle(signed.read_text(), str(signed)))
-        found["key"] = key.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise IdentityError(str(signed), f"it cannot be read: {error}") from error
+    found = dict(read_bundle(read_material_text(signed), str(signed)))
+    found["key"] = read_material_text(key)
     text = json.dumps(found, indent=1) + "\n"
     identity = Identity.parse(text, str(signed))
     path = output or Path(f"{identity.name}.ropeway")

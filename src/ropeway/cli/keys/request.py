@@ -9,6 +9,7 @@ import typer
 
 from ropeway.cli.console import answer, print_json
 from ropeway.cli.session import JsonOption
+from ropeway.errors import IdentityError
 from ropeway.overlay.fleet import ALGORITHMS, make_request, new_key
 from ropeway.overlay.identity import private_pem, write_private
 
@@ -28,7 +29,10 @@ def request(
     csr = make_request(name, key)
     key_path, csr_path = Path(f"{name}.key"), Path(f"{name}.csr")
     write_private(key_path, private_pem(key))
-    csr_path.write_text(csr)
+    try:
+        csr_path.write_text(csr)
+    except OSError as error:
+        raise IdentityError(str(csr_path), f"it cannot be written: {error.strerror}") from error
     if as_json:
         print_json({"key": str(key_path), "request": str(csr_path)})
     else:

@@ -23,6 +23,7 @@ from ropeway.cli.keys.common import (
 from ropeway.cli.session import JsonOption
 from ropeway.errors import IdentityError
 from ropeway.overlay.identity import write_private
+from ropeway.overlay.material import read_material
 
 __all__ = ["app"]
 
@@ -47,12 +48,8 @@ def sign(
     path = request.with_suffix(".signed")
     if path.exists():
         raise IdentityError(str(path), "it exists already and is never overwritten; move it away")
-    try:
-        csr = request.read_bytes()
-    except OSError as error:
-        raise IdentityError(str(request), f"it cannot be read: {error.strerror}") from error
     text = made.sign_request(
-        csr,
+        read_material(request),
         role="router" if router else "member",
         rights=rights_of(may_publish, may_subscribe, may_call, may_offer),
         days=days,

@@ -11,8 +11,9 @@ from cryptography import x509
 
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.session import JsonOption
-from ropeway.errors import IdentityError, SealError
+from ropeway.errors import IdentityError
 from ropeway.overlay.audit import verdicts
+from ropeway.overlay.material import read_material, understood
 from ropeway.overlay.trust import Trust
 
 __all__ = ["app"]
@@ -57,13 +58,9 @@ def verify(
 
 
 def _trust(ca: Path, crl: Path | None) -> Trust:
-    try:
-        trust = Trust(x509.load_pem_x509_certificate(ca.read_bytes()))
-    except (OSError, ValueError) as error:
-        raise IdentityError(str(ca), f"it is no certificate of an authority: {error}") from error
+    with understood(str(ca), "it is no certificate of an authority"):
+        trust = Trust(x509.load_pem_x509_certificate(read_material(ca)))
     if crl is not None:
-        try:
-            trust.update(crl.read_bytes())
-        except (OSError, SealError) as error:
-            raise IdentityError(str(crl), f"it is no revocation list of this fleet: {error}") from error
+        with understood(str(crl), "it is no revocation list of this fleet"):
+            trust.update(read_material(crl))
     return trust
