@@ -69,6 +69,32 @@ async def test_half_open_tls() -> None:
         await until(lambda: not lobby)
 
 
+@pytest.mark.parametrize("secure", [False, True])
+async def test_dropped_before_its_greeting_began(secure: bool) -> None:
+    """A connection that is dropped in the turn in which it was accepted is closed, and its descriptor freed."""
+    lobby = Lobby()
+    async with listening(lobby, ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER) if secure else None) as listener:
+        sockets = [socket.create_connection(("127.0.0.1", listener.port)) for _ in range(3)]
+        listener._accept(listener._sockets[0])  # as the loop calls it; no greeting has begun when this returns
+        assert len(lobby) == 3
+        lobby.clear(listener)
+        assert len(lobby) == 0
+        for sock in sockets:
+            sock.settimeout(5)
+            assert await asyncio.to_thread(_ended, sock)
+            sock.close()
+        assert not listener._accepted
+        if not secure:
+            assert await echoed(listener.port)
+
+
+def _ended(sock: socket.socket) -> bool:
+    try:
+        return sock.recv(1) == b""
+    except ConnectionResetError:
+        return True
+
+
 async def test_out_of_open_files(caplog: pytest.LogCaptureFixture) -> None:
     """Without open files left, the listener rests and says so once; it accepts again when there is room."""
     caplog.set_level(logging.WARNING)

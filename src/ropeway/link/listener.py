@@ -14,6 +14,7 @@ import errno
 import socket
 import ssl
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
 import aiofastnet
@@ -59,6 +60,7 @@ class Listener:
         self._complaints = Complaints(address)
         self._sockets = sockets
         self._greetings = Chores()
+        self._accepted: dict[Visit, socket.socket] = {}  # whose greeting has not begun
         self._end_watching = (
             watch_handshakes(self._complaints, self.port) if context is not None else contextlib.nullcontext
         )
@@ -98,11 +100,22 @@ class Listener:
                 self._lobby.relieve()
                 return
             connection.setblocking(False)
-            self._greetings.start(self._greet(connection, str(peer[0])), "greeting of a client")
+            visit = self._lobby.enter(str(peer[0]), self, connection.close)
+            self._accepted[visit] = connection
+            task = self._greetings.start(self._greet(visit), "greeting of a client")
+            visit.drop = task.cancel
+            task.add_done_callback(partial(self._greeted, visit))
 
-    async def _greet(self, connection: socket.socket, host: str) -> None:
+    def _greeted(self, visit: Visit, _: object) -> None:
+        """Close a connection whose greeting was cancelled before its first step."""
+        connection = self._accepted.pop(visit, None)
+        if connection is not None:
+            visit.leave()
+            connection.close()
+
+    async def _greet(self, visit: Visit) -> None:
         """Speak TLS, and hand the connection over; from then on the visit is the protocol's."""
-        visit = self._lobby.enter(host, self, _cancel_this())
+        connection = self._accepted.pop(visit)
         secure: dict[str, Any] = {}
         if self.context is not None:
             secure = {
@@ -122,12 +135,6 @@ class Listener:
         except BaseException:
             visit.leave()
             raise
-
-
-def _cancel_this() -> Callable[[], object]:
-    task = asyncio.current_task()
-    assert task is not None
-    return task.cancel
 
 
 async def open_listener(
