@@ -27,3 +27,63 @@ def test_no_bare_except() -> None:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ExceptHandler):
                 assert node.type is not None, f"{path}:{node.lineno}"
+
+
+AWAITED = "whoever begins it waits for it there, and sees how it ends"
+ANSWERED = "when it is done, a callback logs its failure and answers whoever waits"
+ALLOWED_TASKS = {
+    "cli/action/send_goal.py:send_goal": AWAITED,
+    "cli/demo/__init__.py:_cross": AWAITED,
+    "cli/demo_iort/drive.py:drive": AWAITED,
+    "cli/param/list_.py:list_all": "a task group",
+    "cli/patience.py:patiently": AWAITED,
+    "cli/router.py:_serve": AWAITED,
+    "cli/serving.py:serve": AWAITED,
+    "cli/serving.py:_run": AWAITED,
+    "cli/session.py:discover": AWAITED,
+    "gateway/worker.py:_run": AWAITED,
+    "graph/action/client.py:send_goal": AWAITED,
+    "graph/hub.py:_merged": AWAITED,
+    "graph/hub_calls.py:either": AWAITED,
+    "graph/overlay/calls.py:_call": AWAITED,
+    "graph/overlay/calls.py:answer_remote": AWAITED,
+    "graph/rosbridge/actions.py:send_goal": AWAITED,
+    "graph/ros1/xmlrpc.py:_accepted": ANSWERED,
+    "iort.py:open": "the file stands alone; the task itself survives every failure, and tells it",
+    "iort.py:_spawn": ANSWERED,
+    "link/connection.py:on_ws_connected": ANSWERED,
+    "overlay/rpc.py:_channel": AWAITED,
+    "server/action_offers.py:run": AWAITED,
+    "server/action_ops.py:__init__": ANSWERED,
+    "server/rosapi/params.py:names": AWAITED,
+    "server/server.py:_connected": ANSWERED,
+    "server/server.py:_close_sessions": AWAITED,
+    "server/service_ops.py:call": ANSWERED,
+    "tasks.py:start": "it is the helper",
+    "tasks.py:background": "it is the helper",
+}
+"""Where a task may be begun without the helpers of ``ropeway.tasks``, and why none is lost there."""
+
+
+def _bare_tasks(path: Path) -> set[str]:
+    """Return the functions of a module that begin tasks themselves, each with the module's path."""
+    found: set[str] = set()
+
+    def look(node: ast.AST, inside: str) -> None:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            inside = node.name
+        if isinstance(node, ast.Attribute | ast.Name):
+            name = node.attr if isinstance(node, ast.Attribute) else node.id
+            if name in ("create_task", "ensure_future"):
+                found.add(f"{path.relative_to(SOURCES)}:{inside}")
+        for child in ast.iter_child_nodes(node):
+            look(child, inside)
+
+    look(ast.parse(path.read_text()), "")
+    return found
+
+
+def test_no_task_dies_unseen() -> None:
+    """Background work is begun with the helpers of ``ropeway.tasks``, but where something else sees how it ends."""
+    found = set().union(*(_bare_tasks(path) for path in SOURCES.rglob("*.py")))
+    assert found == set(ALLOWED_TASKS)

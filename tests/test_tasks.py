@@ -9,7 +9,7 @@ import threading
 import pytest
 
 from ropeway.errors import GraphUnavailable
-from ropeway.tasks import Chores, Supervised, describe, failing, keep_running
+from ropeway.tasks import Chores, Supervised, background, describe, end, failing, keep_running
 from tests.support.until import until
 
 
@@ -125,6 +125,37 @@ async def test_one_chore_fails_alone(caplog: pytest.LogCaptureFixture) -> None:
     await chores.close()
     assert ended.is_set()
     assert len(chores) == 0
+
+
+async def test_chores_are_waited_for_and_cancelled() -> None:
+    """Chores can be waited for as long as one likes, and cancelled without waiting."""
+    chores, go = Chores(), asyncio.Event()
+    await chores.wait()
+    first = chores.start(go.wait(), "the first")
+    await chores.wait(0.0)
+    assert not first.done()
+    go.set()
+    await chores.wait()
+    assert first.done()
+    second = chores.start(asyncio.Event().wait(), "the second")
+    chores.cancel()
+    await chores.wait()
+    assert second.cancelled()
+
+
+async def test_work_in_the_background_fails_aloud(caplog: pytest.LogCaptureFixture) -> None:
+    """Work that nobody waits for is logged when it fails, once, however it is ended afterwards."""
+    seen: list[dict[str, object]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: seen.append(context))
+
+    async def fail() -> None:
+        raise KeyError("x")
+
+    task = background(fail(), "the work")
+    await until(task.done)
+    await end(task)
+    assert [text for text in caplog.messages if "failed" in text] == ["the work failed: KeyError: 'x'"]
+    assert not seen
 
 
 def test_describe() -> None:

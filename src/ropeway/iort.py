@@ -1166,7 +1166,14 @@ class AsyncNode:
     def _spawn(self, work: Any) -> None:
         task = asyncio.get_event_loop().create_task(work)
         _running.add(task)
-        task.add_done_callback(_running.discard)
+        task.add_done_callback(self._spawned)
+
+    def _spawned(self, task: "asyncio.Task[Any]") -> None:
+        _running.discard(task)
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            self.last_error = "work of a callback failed: {!r}".format(error)
+            asyncio.get_event_loop().call_exception_handler({"message": self.last_error, "exception": error})
 
     async def _subscribe(self, connection: _Connection, subscription: _Subscription) -> None:
         # after a cut the newest is asked for, whatever was asked first: nothing of the meantime is missed

@@ -7,15 +7,27 @@ import contextlib
 import logging
 import threading
 import time
+import weakref
 from collections.abc import Callable, Coroutine
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from ropeway.errors import RopewayError
 
-__all__ = ["Chores", "Interruptible", "Supervised", "describe", "end", "failing", "keep_running"]
+__all__ = [
+    "Chores",
+    "Interruptible",
+    "Supervised",
+    "background",
+    "describe",
+    "end",
+    "failing",
+    "keep_running",
+    "tell_failure",
+]
 
 log = logging.getLogger("ropeway.tasks")
 
+_T = TypeVar("_T")
 Work = Callable[[], Coroutine[Any, Any, None]]
 
 _PAUSE_S: Final = 1.0  # long enough that a failure at every attempt costs next to nothing
@@ -172,6 +184,26 @@ class Supervised:
             await asyncio.sleep(pause_s)
 
 
+def background(work: Coroutine[Any, Any, _T], name: str) -> asyncio.Task[_T]:
+    """Begin work that nobody waits for, and return its task; if it fails, that is logged at once.
+
+    The owner keeps the task and ends it with ``end``. Work that has to go on after a failure is ``Supervised``.
+    """
+    task = asyncio.create_task(work, name=name)
+    task.add_done_callback(tell_failure)
+    return task
+
+
+def tell_failure(task: asyncio.Task[Any]) -> None:
+    """Log how a task failed, as its callback for when it is done; ``end`` then does not tell it again."""
+    if not task.cancelled() and (error := task.exception()) is not None:
+        _told.add(task)
+        log.error("%s failed: %s", task.get_name(), describe(error), exc_info=error)
+
+
+_told: weakref.WeakSet[asyncio.Task[Any]] = weakref.WeakSet()  # tasks whose failure is in the log
+
+
 class Chores:
     """Tasks that end by themselves, each on its own: one that fails is logged at once, and costs the others nothing."""
 
@@ -185,10 +217,20 @@ class Chores:
 
     def start(self, work: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
         """Begin one."""
-        task = asyncio.create_task(work, name=name)
+        task = background(work, name)
         self._tasks.add(task)
         task.add_done_callback(self._done)
         return task
+
+    def cancel(self) -> None:
+        """Have those end that are under way."""
+        for task in self._tasks:
+            task.cancel()
+
+    async def wait(self, timeout_s: float | None = None) -> None:
+        """Wait until those that are under way are done, or the time is over."""
+        if self._tasks:
+            await asyncio.wait(self._tasks, timeout=timeout_s)
 
     async def close(self) -> None:
         """End those that are under way, but for the one that asks."""
@@ -200,9 +242,7 @@ class Chores:
 
     def _done(self, task: asyncio.Task[Any]) -> None:
         self._tasks.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            self.failures += 1
-            log.error("%s failed: %s", task.get_name(), describe(error), exc_info=error)
+        self.failures += task in _told
 
 
 async def end(*tasks: asyncio.Task[Any] | Supervised | None) -> None:
@@ -217,7 +257,7 @@ async def end(*tasks: asyncio.Task[Any] | Supervised | None) -> None:
     if ending:
         await asyncio.wait(ending)
     for task in ending:
-        if not task.cancelled() and (error := task.exception()) is not None:
+        if not task.cancelled() and task not in _told and (error := task.exception()) is not None:
             context = {"message": f"{task.get_name()} failed", "exception": error, "task": task}
             asyncio.get_running_loop().call_exception_handler(context)
 

@@ -87,6 +87,23 @@ async def test_failing_callback() -> None:
         assert "broken" in other.last_error
 
 
+async def test_failing_coroutine() -> None:
+    """A callback that goes on by itself and fails then is told to the loop at once."""
+    told: list[Any] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: told.append(context))
+
+    async def fail(_: Value) -> None:
+        await asyncio.sleep(0)
+        raise RuntimeError("broken later")
+
+    async with serving() as served, AsyncNode("A", served.url) as one, AsyncNode("B", served.url) as other:
+        await other.subscribe("x", fail, system="A")
+        await one.publish("x", "1")
+        await until(lambda: told)
+        assert "broken later" in told[0]["message"]
+        assert "broken later" in other.last_error
+
+
 async def test_offline(tmp_path: Path) -> None:
     """Without a server a node publishes and reads locally; what it wrote is merged when the server comes."""
     port = free_port()

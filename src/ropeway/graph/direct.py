@@ -11,7 +11,7 @@ from typing import Final
 from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, ProviderLost, RopewayError
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
 from ropeway.logs import failed
-from ropeway.tasks import Interruptible, end
+from ropeway.tasks import Interruptible, background, end
 
 __all__ = ["LEFT", "DirectGoal", "Running", "answer"]
 
@@ -101,7 +101,7 @@ class DirectGoal:
                 raise GoalRejected(self._action)
         if self._outcome.done():
             raise ProviderLost(self._action, LEFT)
-        self._work = asyncio.create_task(self._carry_out(), name=f"goal of {self._action}")
+        self._work = background(self._carry_out(), f"goal of {self._action}")
 
     async def _carry_out(self) -> Outcome:
         try:

@@ -17,6 +17,7 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 from ropeway.graph.base import SEQ_NONE, Sample, SampleCallback, Undelivered
 from ropeway.logs import failed
 from ropeway.qos import DEFAULT, QoS
+from ropeway.tasks import Chores
 
 __all__ = ["Following", "Host", "SharedReader", "settled"]
 
@@ -104,7 +105,7 @@ class Following(Generic[R]):
         self._seen: dict[int, bytes | None] = {}  # as in ``ropeway.graph.seen``
         self._overlap: asyncio.TimerHandle | None = None
         self._tries = 0
-        self._closing: set[asyncio.Task[None]] = set()
+        self._closing = Chores()
         self._qos_callbacks: list[Callable[[QoS], None]] = []
 
     @property
@@ -160,8 +161,7 @@ class Following(Generic[R]):
         readers, self._readers = self._readers, []
         for reader in readers:
             await self._graph.detach(self, reader)
-        if self._closing:
-            await asyncio.gather(*self._closing)
+        await self._closing.wait()
 
     def _fresh(self, batch: list[Sample]) -> list[Sample]:
         """``batch`` without what another reader of ours has delivered, or delivers at the same time."""
@@ -193,6 +193,4 @@ class Following(Generic[R]):
             return
         old, self._readers = self._readers[:-1], self._readers[-1:]
         for reader in old:
-            task = asyncio.ensure_future(self._graph.detach(self, reader))
-            self._closing.add(task)
-            task.add_done_callback(self._closing.discard)
+            self._closing.start(self._graph.detach(self, reader), f"end of a reader of {self.topic}")

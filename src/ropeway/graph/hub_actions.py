@@ -23,7 +23,7 @@ from ropeway.graph.direct import DirectGoal
 from ropeway.graph.holders import Entry
 from ropeway.graph.hub_calls import NOBODY_S, either
 from ropeway.logs import failed
-from ropeway.tasks import describe, end
+from ropeway.tasks import background, describe, end
 
 if TYPE_CHECKING:
     from ropeway.graph.hub_calls import HubCalls
@@ -176,7 +176,7 @@ class _ViewGoal:
         self.id = inner.id
         self._action, self._inner = action, inner
         self.ended: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
-        self._follow = asyncio.create_task(self._wait(), name=f"outcome of {action}")
+        self._follow = background(self._wait(), f"outcome of {action}")
 
     async def _wait(self) -> None:
         try:

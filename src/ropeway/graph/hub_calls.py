@@ -20,7 +20,7 @@ from ropeway.graph.calls import (
 )
 from ropeway.graph.direct import LEFT, Running, answer
 from ropeway.graph.holders import Entry, Holders
-from ropeway.tasks import end
+from ropeway.tasks import Chores, end
 
 if TYPE_CHECKING:
     from ropeway.graph.base import Graph
@@ -61,7 +61,7 @@ class HubCalls:
         self._clients: dict[tuple[str, str, str], _Shared] = {}
         self._making: dict[tuple[str, str, str], asyncio.Future[None]] = {}
         self._idle: dict[tuple[str, str, str], None] = {}
-        self._closers: set[asyncio.Task[None]] = set()
+        self._closers = Chores()
         self._calls: OrderedDict[bytes, asyncio.Future[bytes | Exception]] = OrderedDict()
         self.repeated = 0
 
@@ -73,7 +73,7 @@ class HubCalls:
         clients, self._clients = list(self._clients.values()), {}
         for shared in clients:
             await shared.inner.close()
-        await end(*self._closers)
+        await self._closers.close()
 
     # ── clients of the graph ───────────────────────────────────────────────────────────────────────────────────
 
@@ -125,9 +125,7 @@ class HubCalls:
         if shared is not None:
             if shared.closing is not None:
                 shared.closing.cancel()
-            task = asyncio.create_task(shared.inner.close(), name=f"close client {key[1]}")
-            self._closers.add(task)
-            task.add_done_callback(self._closers.discard)
+            self._closers.start(shared.inner.close(), f"close client {key[1]}")
 
     # ── calls ──────────────────────────────────────────────────────────────────────────────────────────────────
 

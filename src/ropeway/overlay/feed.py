@@ -37,7 +37,7 @@ from ropeway.overlay.receipts import Receipts
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rpc import RemoteError, Rpc
 from ropeway.overlay.seal import Grant, Opener
-from ropeway.tasks import Chores, describe, end
+from ropeway.tasks import Chores, background, describe, end
 
 __all__ = ["Feed", "Reader", "Stream", "data_key", "read_item"]
 
@@ -98,7 +98,7 @@ class Stream:
     def want_key(self) -> None:
         """Ask the publisher for its keys, until it gives or refuses them."""
         if self._keying is None:
-            self._keying = asyncio.create_task(self._ask_key(), name=f"key of {self.advert.name}")
+            self._keying = background(self._ask_key(), f"key of {self.advert.name}")
 
     async def _ask_key(self) -> None:
         feed, loop = self._feed, asyncio.get_running_loop()

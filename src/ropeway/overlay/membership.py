@@ -27,7 +27,7 @@ from ropeway.overlay.note import NoteKey, note_key_id
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rib import Rib
 from ropeway.overlay.trust import Trust
-from ropeway.tasks import Supervised, describe, end
+from ropeway.tasks import Supervised, background, describe, end
 
 __all__ = ["LEASE_S", "Membership"]
 
@@ -329,7 +329,7 @@ class Membership:
 
     def _sync(self, gateway: bytes, known: KnownGateway) -> None:
         if known.sync is None:
-            known.sync = asyncio.create_task(self._ask(gateway, known), name=f"list of {gateway.hex()[:8]}")
+            known.sync = background(self._ask(gateway, known), f"list of {gateway.hex()[:8]}")
 
     async def _ask(self, gateway: bytes, known: KnownGateway) -> None:
         """Ask a gateway for its whole list, until we have what it had when it was asked."""

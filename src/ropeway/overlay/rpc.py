@@ -160,12 +160,17 @@ class Rpc:
         if opening is None:
             opening = asyncio.create_task(self._open_channel(gateway), name=f"channel to {gateway.hex()[:8]}")
             self._opening[gateway] = opening
-            opening.add_done_callback(lambda _: self._opening.pop(gateway, None))
+            opening.add_done_callback(partial(self._opened, gateway))
         try:
             async with asyncio.timeout(timeout_s):
                 return await asyncio.shield(opening)
         except TimeoutError:
             raise CallTimeout("hello", timeout_s) from None
+
+    def _opened(self, gateway: bytes, opening: asyncio.Task[Channel]) -> None:
+        self._opening.pop(gateway, None)
+        if not opening.cancelled():
+            opening.exception()  # seen, also where whoever asked has stopped waiting
 
     async def _open_channel(self, gateway: bytes) -> Channel:
         began = Initiator(self._identity, gateway)

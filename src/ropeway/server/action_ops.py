@@ -23,7 +23,7 @@ from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ClientGoal, Goal, GoalStatus,
 from ropeway.limits import ACTIONS_PER_CLIENT, GOALS_PER_CLIENT, UNREAD_STATUS_BYTES
 from ropeway.server.action_offers import OfferedAction, TakenGoal
 from ropeway.server.bodies import answer_encoding, codec_of, decode_args, failure_note, passage, text_of, type_of
-from ropeway.tasks import end
+from ropeway.tasks import Chores, end
 from ropeway.wire import ops
 from ropeway.wire.dialect import ROSGW
 
@@ -45,12 +45,13 @@ class ActionOps:
         self._cancel_goals = cancel_goals
         self.goals: set[SentGoal] = set()
         self.offered: dict[str, OfferedAction] = {}  # by the name that the client gave
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._cancelling = Chores()
 
     async def leave(self) -> None:
         """The client has left: its goals are cancelled, unless they may go on, and its actions withdrawn."""
         await self._cancel_all()
-        await end(*self._tasks, *(goal.task for goal in self.goals))
+        await self._cancelling.close()
+        await end(*(goal.task for goal in self.goals))
         for action in list(self.offered.values()):
             await action.close("its provider has left")
         self.offered.clear()
@@ -65,10 +66,8 @@ class ActionOps:
 
     async def _cancel_all(self) -> None:
         for goal in list(self.goals) if self._cancel_goals else ():
-            self._start(goal.cancel(), f"cancel goal of {goal.name}")
-        cancelling = [task for task in self._tasks if not task.done()]
-        if cancelling:
-            await asyncio.wait(cancelling, timeout=_LEAVE_S)
+            self._cancelling.start(goal.cancel(), f"cancel goal of {goal.name}")
+        await self._cancelling.wait(_LEAVE_S)
 
     def status(self) -> Iterator[dict[str, Any]]:
         """One row per action that the client serves."""
@@ -80,11 +79,6 @@ class ActionOps:
                 "pending": len(action.pending),
                 "taken_by": action.taken_by,
             }
-
-    def _start(self, work: Any, name: str) -> None:
-        task = asyncio.create_task(work, name=name)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
 
     # ── using actions ──────────────────────────────────────────────────────────────────────────────────────────
 
@@ -123,7 +117,7 @@ class ActionOps:
         name = self.session.names.resolve(op.name)
         found = [g for g in self.goals if g.name == name and (not ops.present(op.id) or g.op.id == op.id)]
         for goal in found:
-            self._start(goal.cancel(answer=self.session.gateway), f"cancel goal of {name}")
+            self._cancelling.start(goal.cancel(answer=self.session.gateway), f"cancel goal of {name}")
         if not found and self.session.gateway:
             self.session.peer.send_op({"op": "cancelling", **_id(op), "agreed": False})
 

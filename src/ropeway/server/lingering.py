@@ -8,7 +8,7 @@ import logging
 from typing import Protocol
 
 from ropeway.limits import LINGERING_CLIENTS
-from ropeway.tasks import end
+from ropeway.tasks import Supervised, end
 
 __all__ = ["Lingerer", "Lingering"]
 
@@ -36,7 +36,7 @@ class Lingering:
         self._keep_s = keep_s
         self._until: dict[Lingerer, float] = {}  # by the loop's clock, who left first comes first
         self._wake = asyncio.Event()
-        self._task: asyncio.Task[None] | None = None
+        self._task: Supervised | None = None
 
     def __len__(self) -> int:
         return len(self._until)
@@ -46,7 +46,7 @@ class Lingering:
         self._until[client] = asyncio.get_running_loop().time() + self._keep_s
         self._wake.set()
         if self._task is None:
-            self._task = asyncio.create_task(self._run(), name="clients that left")
+            self._task = Supervised(self._run, "clients that left").start()
 
     async def advertised(self, topic: str) -> None:
         """Withdraw a topic that somebody publishes again: nothing of those who left need linger on it."""

@@ -16,6 +16,7 @@ from ropeway.link.http import Request, Response, reply
 from ropeway.server.access import Access
 from ropeway.server.store_watcher import Watcher, entry_json
 from ropeway.store import Entry, Store, as_json
+from ropeway.tasks import background
 from ropeway.types import TypeRegistry
 
 __all__ = ["StorePages"]
@@ -126,7 +127,7 @@ class _Later(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Begin."""
-        self._task = asyncio.create_task(self._answer(cast(asyncio.Transport, transport)))
+        self._task = background(self._answer(cast(asyncio.Transport, transport)), "answer of the store")
 
     def data_received(self, data: bytes) -> None:
         """The head again, and whatever else: ignored."""

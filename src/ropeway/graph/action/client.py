@@ -6,8 +6,8 @@ import asyncio
 import contextlib
 import logging
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
-from typing import Any, Final
+from collections.abc import AsyncIterator, Callable, Sequence
+from typing import Final
 
 from ropeway.errors import (
     CallError,
@@ -30,7 +30,7 @@ from ropeway.graph.action.parts import (
 )
 from ropeway.graph.base import NO_HINTS, Delivery, Graph, GraphEvent, Sample, Subscription, Undelivered, look_up
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Client, Goal, GoalStatus, Outcome, Request
-from ropeway.tasks import Supervised, describe, end
+from ropeway.tasks import Chores, Supervised, background, describe, end, tell_failure
 from ropeway.types import TypeRegistry
 
 __all__ = ["ComposedActionClient", "ComposedGoal"]
@@ -103,6 +103,7 @@ class ComposedActionClient:
         self._graph = graph
         self._goals: dict[bytes, ComposedGoal] = {}
         self._sending: set[asyncio.Task[None]] = set()
+        self._late = Chores()  # the ends of goals whose sender has left
         self._watch: Supervised | None = None
         self._subscriptions: list[Subscription] = []
         self._clients: list[Client] = []
@@ -143,6 +144,7 @@ class ComposedActionClient:
         goals = list(self._goals.values())
         self._abort(goals, "the action client was closed")
         await end(self._watch, *self._sending, *(goal.follower for goal in goals))
+        await self._late.close()
         self._goals.clear()
         for client in self._clients:
             await client.close()
@@ -187,17 +189,20 @@ class ComposedActionClient:
                 raise NotServed(self.action, "action")
             self._check()
             left_s = max(deadline - loop.time(), 0.001)
-            sending = self._start(self._negotiate(goal, sent, left_s))
+            sending = asyncio.create_task(self._negotiate(goal, sent, left_s), name=f"goal for {self.action}")
+            self._sending.add(sending)
+            sending.add_done_callback(self._sending.discard)
             await asyncio.wait({sending}, timeout=left_s)
         except asyncio.CancelledError:
             if sending is not None and sent.follower is not None:
-                self._start(self._give_up(sent))
+                self._late.start(self._give_up(sent), f"end of a goal of {self.action}")
             raise
         finally:
             if sending is None:
                 self._goals.pop(goal.id, None)
             elif not sending.done():
                 sent.abandoned = True
+                sending.add_done_callback(tell_failure)
         if not sending.done():
             raise CallTimeout(self.action, timeout_s, "action")
         if sending.cancelled():
@@ -220,7 +225,7 @@ class ComposedActionClient:
                 return
             raise self._named(error, timeout_s) from None
         if not sent.abandoned:
-            sent.follower = asyncio.create_task(self._follow(sent), name=f"result of {self.action}")
+            sent.follower = background(self._follow(sent), f"result of {self.action}")
             return
         await self._give_up(sent)
 
@@ -231,12 +236,6 @@ class ComposedActionClient:
         log.warning("%s: a goal was accepted after its sender had left; it is cancelled", self.action)
         with contextlib.suppress(CallError):
             await self.cancel(sent.id, DEFAULT_TIMEOUT_S)
-
-    def _start(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        task = asyncio.create_task(work, name=f"goal for {self.action}")
-        self._sending.add(task)
-        task.add_done_callback(self._sending.discard)
-        return task
 
     async def _follow(self, sent: ComposedGoal) -> None:
         """Ask for the result, once, and wait for it."""

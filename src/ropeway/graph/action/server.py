@@ -25,7 +25,7 @@ from ropeway.graph.action.parts import (
 )
 from ropeway.graph.base import NO_HINTS, SEQ_NONE, Delivery, Graph, Publisher, Sample, Undelivered
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, Request, ServerGoal, Service
-from ropeway.tasks import end
+from ropeway.tasks import background, end
 from ropeway.types import TypeRegistry
 
 __all__ = ["ComposedActionServer"]
@@ -160,7 +160,7 @@ class ComposedActionServer:
         goal.feedback = lambda feedback: self._send_feedback(id, feedback)
         for feedback in early:
             goal.feedback(feedback)
-        tracked.work = asyncio.create_task(self._carry_out(tracked), name=f"goal of {self.action}")
+        tracked.work = background(self._carry_out(tracked), f"goal of {self.action}")
         return self._parts.accepted(True, stamp_ns)
 
     async def _accepts(self, goal: ServerGoal) -> bool:

@@ -18,7 +18,7 @@ from ropeway.graph.dds.rpc import MAX_SEQ, Header, join, split
 from ropeway.graph.dds.vendors import speaks_header, vendor_name
 from ropeway.graph.dds.window import Window
 from ropeway.logs import failed
-from ropeway.tasks import end
+from ropeway.tasks import background, end
 
 if TYPE_CHECKING:
     from ropeway.graph.dds.graph import DdsGraph
@@ -246,7 +246,7 @@ class DdsClient(Ends):
         if mine:
             self._window.resize(min(peer.depth for peer in mine.values()))
         if self._lost and self._losing is None:
-            self._losing = self._loop.create_task(self._lose(), name=f"lost servers of {self.service}")
+            self._losing = background(self._lose(), f"lost servers of {self.service}")
 
     async def _lose(self) -> None:
         """Fail the calls that nobody is left to answer, after what has arrived."""

@@ -18,7 +18,7 @@ from ropeway.graph.dds.records import Peer
 from ropeway.graph.dds.rpc import Header, join, split
 from ropeway.graph.dds.vendors import speaks_header, vendor_name
 from ropeway.logs import failed
-from ropeway.tasks import end
+from ropeway.tasks import Chores
 
 if TYPE_CHECKING:
     from ropeway.graph.dds.graph import DdsGraph
@@ -50,7 +50,7 @@ class DdsService(Ends):
         self.ignored = 0  # requests of another mapping, which the graph's helper serves where there is one
         self._handler = handler
         self._helped: Service | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._serving = Chores()
         self._seen: dict[tuple[bytes, Header], None] = {}
         self._callers: dict[bytes, Peer] = {}
         self._paces: dict[bytes, Pace] = {}
@@ -112,7 +112,7 @@ class DdsService(Ends):
         if key in self._seen:
             log.debug("%s: %s: request %d came twice", self._graph.name, self.service, header.seq)
             return
-        if len(self._tasks) >= _RUNNING_LIMIT:
+        if len(self._serving) >= _RUNNING_LIMIT:
             self._graph.drops[self.service, Undelivered.BACKLOG] += 1
             self._warn("%s requests are under way; more are dropped", _RUNNING_LIMIT)
             return
@@ -123,9 +123,7 @@ class DdsService(Ends):
         if pace is None:
             pace = self._paces[writer] = Pace()
         pace.came()
-        task = self._loop.create_task(self._serve(writer, header, payload, pace), name=f"serve {self.service}")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._serving.start(self._serve(writer, header, payload, pace), f"serve {self.service}")
 
     def _warn(self, text: str, value: object) -> None:
         """Say so in the log, each kind of trouble once a minute; the counts are in ``drops``."""
@@ -223,7 +221,7 @@ class DdsService(Ends):
             return
         self.closed = True
         await self.end_help()
-        await end(*self._tasks)
+        await self._serving.close()
         await self._graph.remove(self)
 
 

@@ -28,7 +28,7 @@ from ropeway.graph.ros1.action_wire import (
     statuses_message,
 )
 from ropeway.graph.ros1.writer import RawPublisher
-from ropeway.tasks import Supervised, end
+from ropeway.tasks import Chores, Supervised, end
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.keeper import Keeper
@@ -72,7 +72,7 @@ class Ros1ActionServer:
         self._cancelled_ns = 0
         self._publishers: dict[str, RawPublisher] = {}
         self._subscriptions: list[RawSubscription] = []
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Chores()
         self._ticker: Supervised | None = None
 
     async def open(self) -> None:
@@ -104,8 +104,8 @@ class Ros1ActionServer:
         for tracked in list(self._goals.values()):
             if not tracked.code.final:
                 self._finish(tracked, Code.ABORTED, None, "the action server was closed")
-        current = asyncio.current_task()
-        await end(self._ticker, *(task for task in self._tasks if task is not current))
+        await end(self._ticker)
+        await self._tasks.close()
         for subscription in self._subscriptions:
             await subscription.close()
         for publisher in self._publishers.values():
@@ -158,10 +158,7 @@ class Ros1ActionServer:
         tracked.work = self._start(self._carry_out(tracked))
 
     def _start(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        task = asyncio.create_task(work, name=f"goal of {self.action}")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task
+        return self._tasks.start(work, f"goal of {self.action}")
 
     async def _carry_out(self, tracked: _Tracked) -> None:
         if not await self._accepts(tracked):

@@ -23,7 +23,7 @@ from ropeway.graph.ros1.reader import TopicReader
 from ropeway.graph.ros1.service import ServiceDoor
 from ropeway.graph.ros1.writer import TopicWriter
 from ropeway.qos import LATCHED, QoS
-from ropeway.tasks import describe, end
+from ropeway.tasks import Supervised, background, describe, end
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.node import Ros1Node
@@ -49,7 +49,7 @@ class Keeper:
         self.picture = Picture(node.graph, lambda: node.name, self._profile)
         self._changes = changes
         self._poll_s = poll_s
-        self._task: asyncio.Task[None] | None = None
+        self._task: Supervised | None = None
         self._wake = asyncio.Event()
         self._pulse = asyncio.Event()
         self._service_types: dict[tuple[str, tuple[str, ...]], str] = {}
@@ -66,7 +66,7 @@ class Keeper:
         await self._look()
         self.node.on_update = self._wake.set
         self.node.on_shutdown = self._asked_to_leave
-        self._task = asyncio.create_task(self._run(), name=f"master of {self.node.graph}")
+        self._task = Supervised(self._run, f"master of {self.node.graph}").start()
 
     async def stop(self) -> None:
         """Ask no more."""
@@ -255,7 +255,7 @@ class Keeper:
         self._unknown[key] = _ASK_AGAIN
         if len(self._unknown) > 4096:
             self._unknown.clear()
-        self._asking[key] = asyncio.create_task(self._asked(key, ask), name=f"{' '.join(key)} of {self.node.graph}")
+        self._asking[key] = background(self._asked(key, ask), f"{' '.join(key)} of {self.node.graph}")
 
     async def _asked(self, key: tuple[str, ...], ask: Callable[[], Any]) -> None:
         try:

@@ -12,7 +12,7 @@ from ropeway.errors import ConnectFailed, InvalidFrame, TypeConflict, TypesError
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.ros1.master import Refused, slave_call
 from ropeway.graph.ros1.tcpros import TRACE, TRACE_BYTES, Connection
-from ropeway.tasks import describe, end
+from ropeway.tasks import background, describe, end
 from ropeway.types.definition import canonical_name, short_name
 from ropeway.types.ros1_convert import Converter
 from ropeway.types.ros1_types import ANY, Ros1Type
@@ -75,7 +75,7 @@ class Publication:
         self._said = ""
         self._retry_s = _RETRY_S
         self._connection: Connection | None = None
-        self._task = asyncio.create_task(self._run(), name=f"publisher of {reader.topic}")
+        self._task = background(self._run(), f"publisher of {reader.topic}")
 
     async def close(self) -> None:
         """Read no more from it."""

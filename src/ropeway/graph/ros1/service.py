@@ -14,7 +14,7 @@ from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Request, ServiceHandler
 from ropeway.graph.ros1.tcpros import Connection
 from ropeway.logs import failed
-from ropeway.tasks import describe, end
+from ropeway.tasks import background, describe, end
 from ropeway.types.ros1_convert import Converter
 from ropeway.types.ros1_types import ANY
 
@@ -55,7 +55,7 @@ class _Caller:
         if len(self._waiting) > _AHEAD_LIMIT:
             connection.abort(f"more than {_AHEAD_LIMIT} requests wait")
         elif self._work is None:
-            self._work = asyncio.create_task(self._answer_all(), name=f"calls of {self.service.service}")
+            self._work = background(self._answer_all(), f"calls of {self.service.service}")
 
     def lost(self, connection: Connection) -> None:
         """Part of ``tcpros.Receiver``: nobody waits for the answers any more."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ropeway.errors import CallError
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Request, ServiceHandler
-from ropeway.tasks import end
+from ropeway.tasks import Chores
 
 if TYPE_CHECKING:
     from ropeway.graph.ros2.graph import Ros2Graph
@@ -43,7 +43,7 @@ class Ros2Service:
         self._participant = graph.participant
         self._lane = self._participant.senders.lane(2 * _RUNNING_LIMIT, _WAITING_BYTES, self._on_backlog)
         self._loop = asyncio.get_running_loop()
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._serving = Chores()
         self._overloaded = False
 
     # In threads -------------------------------------------------------------------------------------------------
@@ -98,12 +98,10 @@ class Ros2Service:
         for payload, header in batch:
             if self.closed:
                 return
-            if len(self._tasks) >= _RUNNING_LIMIT:
+            if len(self._serving) >= _RUNNING_LIMIT:
                 self._refuse(header)
                 continue
-            task = self._loop.create_task(self._serve(payload, header), name=f"serve {self.service}")
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._serving.start(self._serve(payload, header), f"serve {self.service}")
 
     def _refuse(self, header: Any) -> None:
         text = f"{_RUNNING_LIMIT} requests of {self.service} are under way, which is the limit"
@@ -144,5 +142,5 @@ class Ros2Service:
         if self.closed:
             return
         self.closed = True
-        await end(*(task for task in self._tasks if task is not asyncio.current_task()))
+        await self._serving.close()
         await self._graph.remove(self, self.raw, self._lane)

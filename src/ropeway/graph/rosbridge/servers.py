@@ -14,7 +14,7 @@ from ropeway.graph.rosbridge.calls import announced, answer_encoding, lane, trav
 from ropeway.graph.rosbridge.notes import failure, read_note
 from ropeway.graph.rosbridge.services import CALLS_LIMIT, Held
 from ropeway.logs import failed
-from ropeway.tasks import end
+from ropeway.tasks import Chores
 from ropeway.wire import ops
 from ropeway.wire.codec import decode_value
 from ropeway.wire.dialect import ROPEWAY, ROSGW
@@ -54,7 +54,7 @@ class RemoteActionServer:
         self._peer: Peer | None = None
         self._asked: str | None = None  # the encoding that the last goal asked for
         self._goals: dict[str, _Goal] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Chores()
 
     @property
     def encoding(self) -> str:
@@ -96,8 +96,7 @@ class RemoteActionServer:
         self._peer = None
         for goal in self._goals.values():
             goal.ended = True
-        for task in self._tasks:
-            task.cancel()
+        self._tasks.cancel()
 
     # ── what the peer asks for ─────────────────────────────────────────────────────────────────────────────────
 
@@ -110,17 +109,12 @@ class RemoteActionServer:
             self._fail(goal, CallFailed(self.action, f"{self.action} {reason}"))
             return
         self._goals[goal.key] = goal
-        task = asyncio.create_task(self._carry_out(goal), name=f"goal of {self.action}")
-        self._keep(task)
+        task = self._tasks.start(self._carry_out(goal), f"goal of {self.action}")
         task.add_done_callback(lambda _: self._goals.pop(goal.key, None))
 
     def cancel_asked(self, op: ops.CancelActionGoal, peer: Peer) -> None:
         """The end of a goal is asked for."""
-        self._keep(asyncio.create_task(self._cancel(op, peer), name=f"cancel goal of {self.action}"))
-
-    def _keep(self, task: asyncio.Task[None]) -> None:
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._tasks.start(self._cancel(op, peer), f"cancel goal of {self.action}")
 
     async def _carry_out(self, goal: _Goal) -> None:
         try:
@@ -251,4 +245,4 @@ class RemoteActionServer:
                 if not goal.ended:
                     self._fail(goal, ProviderLost(self.action, _WITHDRAWN))
             peer.send(ops.UnadvertiseAction(id=self.id, action=self.action))
-        await end(*(task for task in self._tasks if task is not asyncio.current_task()))
+        await self._tasks.close()

@@ -25,7 +25,7 @@ from ropeway.graph.direct import Running
 from ropeway.graph.rosbridge.calls import announced, answer_encoding, lane, travelling
 from ropeway.graph.rosbridge.notes import call_note, failure, read_note, received
 from ropeway.logs import failed
-from ropeway.tasks import end
+from ropeway.tasks import Chores
 from ropeway.wire import ops
 from ropeway.wire.codec import decode_value
 from ropeway.wire.dialect import ROPEWAY, ROSGW
@@ -190,7 +190,7 @@ class RemoteService:
         self._calls, self._handler = calls, handler
         self._peer: Peer | None = None
         self._asked: str | None = None  # the encoding that the last call asked for
-        self._answering: set[asyncio.Task[None]] = set()
+        self._answering = Chores()
         self._known: OrderedDict[bytes, asyncio.Future[bytes]] = OrderedDict()
 
     @property
@@ -229,8 +229,7 @@ class RemoteService:
     def disconnected(self) -> None:
         """The connection is gone: nobody waits for the answers."""
         self._peer = None
-        for task in self._answering:
-            task.cancel()
+        self._answering.cancel()
 
     def called(self, op: ops.CallService, peer: Peer) -> None:
         """A call came."""
@@ -238,9 +237,7 @@ class RemoteService:
         if len(self._answering) >= CALLS_LIMIT:
             self._fail(op, peer, CallFailed(self.service, f"{self.service} is busy with {CALLS_LIMIT} calls"))
             return
-        task = asyncio.create_task(self._answer(op, peer), name=f"answer {self.service}")
-        self._answering.add(task)
-        task.add_done_callback(self._answering.discard)
+        self._answering.start(self._answer(op, peer), f"answer {self.service}")
 
     async def _answer(self, op: ops.CallService, peer: Peer) -> None:
         note = read_note(op.ropeway)
@@ -318,7 +315,7 @@ class RemoteService:
         peer, self._peer = self._peer, None
         if peer is not None:
             peer.send(ops.UnadvertiseService(id=self.id, service=self.service))
-        await end(*(task for task in self._answering if task is not asyncio.current_task()))
+        await self._answering.close()
 
 
 def _retrieved(future: asyncio.Future[bytes]) -> None:

@@ -19,7 +19,7 @@ from ropeway.graph.dds.raw import DdsError
 from ropeway.graph.dds.records import Discovered, Joined
 from ropeway.graph.dds.vendors import HELPER_MARK
 from ropeway.qos import QoS
-from ropeway.tasks import end
+from ropeway.tasks import background, end
 
 __all__ = ["FastHelper", "PendingService"]
 
@@ -47,7 +47,7 @@ class FastHelper:
     def wake(self) -> None:
         """Somebody will have to be called soon."""
         if self._starting is None:
-            self._starting = asyncio.create_task(self._start(), name=f"{self._rpc.graph}: start of Fast DDS")
+            self._starting = background(self._start(), f"{self._rpc.graph}: start of Fast DDS")
 
     async def _start(self) -> bool:
         started = await self._rpc.start()

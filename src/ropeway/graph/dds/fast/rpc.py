@@ -28,7 +28,7 @@ from ropeway.graph.dds.pace import Pace
 from ropeway.graph.dds.profile import Profile
 from ropeway.graph.dds.window import Window
 from ropeway.logs import failed
-from ropeway.tasks import end
+from ropeway.tasks import Chores
 
 __all__ = ["FastClient", "FastRpc", "FastService", "Surroundings"]
 
@@ -325,22 +325,20 @@ class FastService:
         self.clients = 0
         self._rpc = rpc
         self._handler = handler
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._serving = Chores()
         self._paces: dict[bytes, Pace] = {}
 
     def on_frame(self, frame: Frame) -> None:
         """What the helper says about us."""
         if frame.op == Op.MATCHED:
             self.clients = frame.number
-        elif frame.op == Op.REQUEST and len(self._tasks) >= _RUNNING_LIMIT:
+        elif frame.op == Op.REQUEST and len(self._serving) >= _RUNNING_LIMIT:
             self._leave_out(frame.number, Undelivered.BACKLOG)
         elif frame.op == Op.REQUEST:
             guid, _ = _request_head.unpack_from(frame.body)
             head, payload = frame.body[: _request_head.size], frame.body[_request_head.size :]
             request = Request(payload, id=_call_id(head), caller=self._rpc.around.node_of(guid))
-            task = asyncio.create_task(self._serve(frame.number, request, guid), name=f"serve {self.service}")
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._serving.start(self._serve(frame.number, request, guid), f"serve {self.service}")
 
     async def _serve(self, number: int, request: Request, caller: bytes) -> None:
         pace = self._paces.setdefault(caller, Pace())
@@ -377,8 +375,7 @@ class FastService:
     def on_down(self) -> None:
         """The helper has ended: nobody hears the answers to what was asked through it."""
         self.clients = 0
-        for task in self._tasks:
-            task.cancel()
+        self._serving.cancel()
 
     async def close(self) -> None:
         """See ``Service``; requests under way are left without an answer."""
@@ -386,7 +383,7 @@ class FastService:
             return
         self.closed = True
         self._rpc.remove(self)
-        await end(*self._tasks)
+        await self._serving.close()
 
 
 def _call_id(identity: bytes) -> bytes:
