@@ -152,6 +152,11 @@ UNREAD_S: Final = 10.0
 UNREAD_STATUS_BYTES: Final = 1 << 20
 """What a peer has not read, above which it is sent no more notices and no more feedback."""
 
+# ── ROS 1 ──────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+ROS1_PUBLISHERS_PER_TOPIC: Final = 256
+"""Publishers of one topic that are read, each over a connection of its own. Whoever reaches a node can tell it more."""
+
 # ── The overlay ────────────────────────────────────────────────────────────────────────────────────────────────────
 
 OVERLAY_MESSAGE_BYTES: Final = 64 << 20

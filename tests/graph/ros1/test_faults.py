@@ -14,6 +14,7 @@ from ropeway.graph.calls import Request
 from ropeway.graph.ros1 import Ros1Graph
 from ropeway.graph.ros1.tcpros import encode_header
 from ropeway.graph.ros1.xmlrpc import split_uri
+from ropeway.limits import ROS1_PUBLISHERS_PER_TOPIC
 from ropeway.qos import LATCHED, QoS
 from tests.support.ports import free_port
 from tests.support.services import ADD
@@ -168,6 +169,24 @@ async def test_hostile_publisher(master: RosMaster, join: Join) -> None:
     await until(lambda: publisher.subscribers == 1 and publisher.writer.links[0].connection is not connection)
     publisher.publish(sample(text("sound")))
     await until(lambda: box.texts == ["sound"])
+
+
+async def test_more_publishers_than_are_read(master: RosMaster, join: Join) -> None:
+    """Told of thousands of publishers that are none, a node tries a bounded number, and those it reads stay."""
+    near, far = await join("near"), await join("far")
+    box = Box()
+    subscription = await near.create_subscription("/chatter", STRING, QoS(), box)
+    publisher = await far.create_publisher("/chatter", STRING)
+    await until(lambda: publisher.subscribers == 1)
+    reader = subscription._reader
+    (real,) = reader.uris
+    reader.update([*(f"http://127.0.0.1:{port}/" for port in range(1, 5000)), real])
+    assert len(reader.uris) == ROS1_PUBLISHERS_PER_TOPIC
+    assert real in reader.uris
+    publisher.publish(sample(text("still here")))
+    await until(lambda: box.texts == ["still here"])
+    reader.update([real])
+    assert reader.uris == {real}
 
 
 async def test_same_name(master: RosMaster, join: Join) -> None:

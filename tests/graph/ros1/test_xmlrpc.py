@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import tracemalloc
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack
 from typing import Any
-from xmlrpc.client import ServerProxy
+from xmlrpc.client import ServerProxy, dumps, loads
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
@@ -144,6 +145,47 @@ async def test_bad_answers(client: XmlRpcClient, answer: bytes) -> None:
     with pytest.raises(ConnectFailed, match=r"127\.0\.0\.1"):
         await client.call(uri, "x")
     server.close()
+
+
+@pytest.mark.parametrize(
+    ("body", "text"),
+    [
+        ("<methodResponse><fault><value><int>1</int></value></fault></methodResponse>", "not XML-RPC"),
+        (dumps(Fault(1, "x"), methodresponse=True), "a fault is no call"),
+        ("<methodResponse><params/></methodResponse>", "no method is named"),
+        (f"<methodCall>{'<value><array><data>' * 50_000}", "stand in each other"),
+        (f"<methodCall>{'<value>' * 100_000}", "stand in each other"),
+        (f"<methodCall>{''.join(f'<a{i}/>' for i in range(100_000))}", "has no element 'a0'"),
+        (f"<methodCall {' '.join(f'a{i}=' + chr(34) * 2 for i in range(90_000))}>", "so much in their tags"),
+        (f"<!-- x --><methodCall {'a' * 100}=''>", "so much in their tags"),
+    ],
+)
+async def test_bad_calls(serve: Serve, body: str, text: str, caplog: pytest.LogCaptureFixture) -> None:
+    """A call that is none is answered with what is wrong with it, costs next to nothing, and is no failure of ours."""
+    host, port = split_uri(await serve(echo))
+    reader, writer = await asyncio.open_connection(host, port)
+    tracemalloc.start()
+    writer.write(f"POST / HTTP/1.1\r\nContent-Length: {len(body)}\r\n\r\n{body}".encode())
+    answer = (await reader.read()).decode()
+    held_most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    writer.close()
+    assert answer.startswith("HTTP/1.1 400 ")
+    assert text in answer
+    assert held_most < 8 << 20
+    assert not caplog.records
+
+
+async def test_texts_that_look_like_elements(serve: Serve) -> None:
+    """In a text that says so, anything may stand, however long the elements in it are."""
+    text = f"<link name={'x' * 100!r}/>"
+    body = dumps(("x",), "a").replace("<string>x</string>", f"<![CDATA[{text}]]>")
+    host, port = split_uri(await serve(echo))
+    reader, writer = await asyncio.open_connection(host, port)
+    writer.write(f"POST / HTTP/1.0\r\nContent-Length: {len(body)}\r\n\r\n{body}".encode())
+    answer = await reader.read()
+    writer.close()
+    assert loads(answer.partition(b"\r\n\r\n")[2])[0] == (["a", text],)
 
 
 async def test_answer_without_length(client: XmlRpcClient) -> None:

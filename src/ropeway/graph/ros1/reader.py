@@ -6,12 +6,14 @@ import asyncio
 import logging
 import time
 from collections.abc import Sequence
+from itertools import islice
 from typing import TYPE_CHECKING, Final, Protocol
 
 from ropeway.errors import ConnectFailed, InvalidFrame, TypeConflict, TypesError
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.ros1.master import Refused, slave_call
 from ropeway.graph.ros1.tcpros import TRACE, TRACE_BYTES, Connection
+from ropeway.limits import ROS1_PUBLISHERS_PER_TOPIC
 from ropeway.tasks import background, describe, end
 from ropeway.types.definition import canonical_name, short_name
 from ropeway.types.ros1_convert import Converter
@@ -297,6 +299,10 @@ class TopicReader:
         A connection made before the master forgot everything lives on, for nobody has told its publisher to stop.
         """
         wanted = dict.fromkeys(uri for uri in uris if uri != self.node.uri)
+        if len(wanted) > ROS1_PUBLISHERS_PER_TOPIC:
+            kept_first = dict.fromkeys((*(uri for uri in wanted if uri in self._links), *wanted))
+            wanted = dict.fromkeys(islice(kept_first, ROS1_PUBLISHERS_PER_TOPIC))
+            log.warning("%s: %s has more publishers than are read", self.node.graph, self.topic)
         for uri, link in list(self._links.items()):
             if uri in wanted:
                 link.orphan, link.epoch = False, self.node.epoch

@@ -8,12 +8,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import xmlrpc.client  # bodies are bounded, and refused if they declare entities (see ``_loads``)
+import re
+import xmlrpc.client  # bodies are bounded, and read by ``_Reader``
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any, Final
 from urllib.parse import urlsplit
 
 from ropeway.errors import ConnectFailed
+from ropeway.limits import NESTED_CONTAINERS
 from ropeway.tasks import describe, end
 
 __all__ = ["Fault", "XmlRpcClient", "XmlRpcServer", "close_streams", "split_uri"]
@@ -36,6 +38,14 @@ _HEADERS_LIMIT: Final = 64
 _IDLE_LIMIT: Final = 4  # connections kept per peer
 _PEERS_LIMIT: Final = 256
 _CONNECTIONS_LIMIT: Final = 256  # of a server; more are turned away
+_STRUCTURE: Final = ("methodCall", "methodName", "methodResponse", "params", "param", "fault", "value")
+_CONTAINERS: Final = ("array", "data", "struct", "member", "name")
+_NUMBERS: Final = ("boolean", "int", "i1", "i2", "i4", "i8", "biginteger", "double", "float", "bigdecimal")
+_OTHERS: Final = ("nil", "string", "base64", "dateTime.iso8601")
+_ELEMENTS: Final = frozenset((*_STRUCTURE, *_CONTAINERS, *_NUMBERS, *_OTHERS))
+_LONG_TAG: Final = re.compile(rb"<[^!?>][^>]{64}")  # attributes, or a name, that XML-RPC does not have
+_ASIDE: Final = re.compile(rb"<!\[CDATA\[.*?\]\]>|<!--.*?-->", re.DOTALL)  # what may have a "<" that is no tag
+_DEPTH_LIMIT: Final = 3 * NESTED_CONTAINERS + 8  # a list in a list is a value, an array and its data
 
 
 class _Malformed(Exception):
@@ -205,7 +215,10 @@ class XmlRpcServer:
             if headers.get("expect", "").lower() == "100-continue":
                 writer.write(b"HTTP/1.1 100 Continue\r\n\r\n")
             request = await _read_body(reader, headers, _REQUEST_LIMIT_BYTES, whole=False)
-        params, method = _loads(request)
+        try:
+            params, method = _loads(request)
+        except Fault:
+            raise _Malformed("a fault is no call") from None
         if method is None:
             raise _Malformed("no method is named")
         try:
@@ -267,15 +280,43 @@ def _keeps_alive(version: str, headers: dict[str, str]) -> bool:
     return "keep-alive" in connection if version == "HTTP/1.0" else "close" not in connection
 
 
+class _Reader(xmlrpc.client.Unmarshaller):
+    """Refuses elements that XML-RPC does not have and what is nested too deeply, before they cost anything."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._depth = 0
+
+    def start(self, tag: str, attrs: dict[str, str]) -> None:
+        """Part of ``Unmarshaller``: an element begins."""
+        self._depth += 1
+        if self._depth > _DEPTH_LIMIT:
+            raise _Malformed(f"elements stand in each other {_DEPTH_LIMIT} deep")
+        if tag.removeprefix("ex:") not in _ELEMENTS:
+            raise _Malformed(f"XML-RPC has no element {tag!r:.40}")
+        super().start(tag, attrs)
+
+    def end(self, tag: str) -> None:
+        """Part of ``Unmarshaller``: an element ends."""
+        self._depth -= 1
+        super().end(tag)
+
+
 def _loads(body: bytes) -> tuple[tuple[Any, ...], str | None]:
     """Parameters and method of an XML-RPC body. Raises ``_Malformed``; ``Fault`` where the body is one."""
     if b"\0" in body:  # UTF-16, in which what follows could not be found
         raise _Malformed("XML-RPC is written in UTF-8")
     if b"<!DOCTYPE" in body or b"<!ENTITY" in body:
         raise _Malformed("XML-RPC has no document types")
+    if _LONG_TAG.search(_ASIDE.sub(b"", body) if b"<!" in body else body):
+        raise _Malformed("XML-RPC has no elements with so much in their tags")
+    reader = _Reader()
+    parser = xmlrpc.client.ExpatParser(reader)
     try:
-        return xmlrpc.client.loads(body)
-    except Fault:
+        parser.feed(body)
+        parser.close()
+        return reader.close(), reader.getmethodname()
+    except (Fault, _Malformed):
         raise
     except Exception as error:  # the parser fails in many ways on what is no XML-RPC
         raise _Malformed(f"not XML-RPC: {error or type(error).__name__}") from None
