@@ -12,6 +12,8 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, Final
 
+from tests.support.until import PATIENCE_S
+
 __all__ = ["CHROMIUM", "Pages", "browser", "pages"]
 
 CHROMIUM: Final = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -31,7 +33,7 @@ class Pages:
         self._scripts, self._behind = scripts, behind
         self._news = asyncio.Event()
 
-    async def wait(self, name: str, timeout_s: float = 40.0) -> Any:
+    async def wait(self, name: str, timeout_s: float = PATIENCE_S) -> Any:
         """Return what the page told under a name."""
         async with asyncio.timeout(timeout_s):
             while name not in self.told:

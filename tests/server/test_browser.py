@@ -13,9 +13,9 @@ from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.qos import LATCHED, QoS
 from ropeway.server.door import Door
 from ropeway.server.hosts import Hosts, own_names
-from tests.contract.conftest import Inbox
 from tests.server.browser import CHROMIUM, browser, pages
 from tests.server.conftest import Place
+from tests.support.inbox import Inbox
 
 if CHROMIUM is None:
     pytest.skip("needs Chromium", allow_module_level=True)
