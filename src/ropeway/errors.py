@@ -35,6 +35,7 @@
     ├── StoreError                last values
     │   ├── StoreUnavailable      a database or a file that cannot be read or written now
     │   └── ValueRefused          a value that is not kept: too big, too many, or older than what is there
+    ├── WaitTimeout               what a program waits for has not come in time; also a TimeoutError
     ├── AccessDenied              a role, a glob or a limit of the server does not allow it
     └── BagUnreadable             a recording that is missing, damaged or of an unknown kind
 
@@ -83,6 +84,7 @@ __all__ = [
     "UnknownType",
     "ValueMismatch",
     "ValueRefused",
+    "WaitTimeout",
     "WireError",
 ]
 
@@ -336,6 +338,14 @@ class ValueRefused(StoreError):
     def __init__(self, system: str, topic: str, code: str, reason: str) -> None:
         self.system, self.topic, self.code, self.reason = system, topic, code, reason
         super().__init__(f"{system}/{topic}: {reason}")
+
+
+class WaitTimeout(RopewayError, TimeoutError):
+    """What a program waits for has not come in time: a message, a subscriber, the type of a topic."""
+
+    def __init__(self, waiting_for: str, timeout_s: float, hint: str = "") -> None:
+        self.waiting_for, self.timeout_s = waiting_for, timeout_s
+        super().__init__(f"no {waiting_for} within {timeout_s:g} s{f'; {hint}' if hint else ''}")
 
 
 class AccessDenied(RopewayError):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.cli.console import print_json
 from ropeway.errors import ConfigError, ConnectFailed
+from ropeway.gateway.making import make_gateway
 
 if TYPE_CHECKING:
     from ropeway.gateway.config import Config
@@ -90,20 +91,9 @@ def _reload(running: list[Any]) -> None:
             log.error("SIGHUP: nothing has changed: %s", error)
 
 
-def _gateway(config: Config, level: str) -> Gateway | Supervisor:
-    """One process, or a supervisor of workers, as the configuration says."""
-    if config.gateway.workers == 0:
-        from ropeway.gateway.gateway import Gateway
-
-        return Gateway(config)
-    from ropeway.gateway.supervisor import Supervisor
-
-    return Supervisor(config, log_level=level)
-
-
 async def _brought_up(serving: Serving) -> Gateway | Supervisor:
     while True:
-        gateway = _gateway(serving.config, serving.level)
+        gateway = make_gateway(serving.config, log_level=serving.level)
         try:
             return await gateway.__aenter__()
         except ConnectFailed as error:

@@ -105,6 +105,16 @@ class Hub:
             self.publishers.pop(topic, None)
             self.subscriptions.pop(topic, None)
 
+    def types_of(self, kind: str, name: str) -> tuple[str, ...]:
+        """Return the types that a ``topic``, ``service`` or ``action`` has now, at the views and on the graph."""
+        found = dict.fromkeys(types_of(self.graph, kind, name))
+        if kind == "topic":
+            found.update(dict.fromkeys(publisher.type for publisher in self.publishers.get(name, ())))
+        else:
+            holder = (self.calls.services if kind == "service" else self.calls.actions).holder(name)
+            found.update({} if holder is None else {holder.provider.type: None})
+        return tuple(found)
+
     def announce(self, view: View, kind: str, name: str, type: str, discovered: bool) -> None:
         """Tell the other views what one of them created or closed."""
         for other in self.views:

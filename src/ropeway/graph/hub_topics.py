@@ -54,6 +54,11 @@ class ViewPublisher:
         if inner_demand is not None:
             inner.on_demand(lambda _: self._tell())
 
+    @property
+    def inner(self) -> Publisher:
+        """Return the publisher on the graph itself."""
+        return self._inner
+
     def publish(self, sample: Sample) -> None:
         """Send to the network and to the other views."""
         if sample.seq == SEQ_NONE:
@@ -183,6 +188,11 @@ class ViewSubscription:
         """Call with the profile, now and when the adopted one changes."""
         self._qos_callbacks.append(callback)
         callback(self._qos)
+
+    @property
+    def inner(self) -> Subscription | None:
+        """Return the subscription on the graph itself, once there is one."""
+        return self._inner
 
     def attach(self, inner: Subscription) -> None:
         """Follow the subscription on the graph."""

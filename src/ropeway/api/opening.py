@@ -1,0 +1,38 @@
+"""What is opened when somebody waits for it, and closed at the end of a block."""
+
+from __future__ import annotations
+
+from collections.abc import Coroutine, Generator
+from typing import Any, Generic, Protocol, TypeVar
+
+__all__ = ["Opening"]
+
+
+class _Closable(Protocol):
+    async def close(self) -> None: ...
+
+
+T = TypeVar("T", bound=_Closable)
+
+
+class Opening(Generic[T]):
+    """An object that is about to be opened.
+
+    ``await`` it to get the object and close that yourself, or enter it with ``async with``, which closes the object at
+    the end of the block.
+    """
+
+    def __init__(self, work: Coroutine[Any, Any, T]) -> None:
+        self._work = work
+        self._opened: T | None = None
+
+    def __await__(self) -> Generator[Any, Any, T]:
+        return self._work.__await__()
+
+    async def __aenter__(self) -> T:
+        self._opened = await self._work
+        return self._opened
+
+    async def __aexit__(self, *_: object) -> None:
+        assert self._opened is not None
+        await self._opened.close()

@@ -1,0 +1,32 @@
+"""What every part that a program makes on a graph has in common: a view of its own, and an end."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from ropeway.graph.hub import View
+
+__all__ = ["Part"]
+
+
+class Part:
+    """A publisher, subscription, client, service or action of a program.
+
+    The view is its alone: so it hears all other parts of the same graph, and closing the view closes it.
+    """
+
+    def __init__(self, view: View) -> None:
+        self.closed = False
+        self._view = view
+
+    async def close(self) -> None:
+        """Take it back from the graph; once is enough, and more do no harm."""
+        self.closed = True
+        await self._view.close()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()

@@ -1,0 +1,26 @@
+"""Makes what runs a configuration: a gateway in this process, or workers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ropeway.gateway.config import Config
+    from ropeway.gateway.gateway import Gateway
+    from ropeway.gateway.supervisor import Supervisor
+
+__all__ = ["make_gateway"]
+
+
+def make_gateway(config: Config, *, log_level: str = "INFO") -> Gateway | Supervisor:
+    """Return a gateway that is not up yet, or a supervisor of workers, as the configuration says.
+
+    ``log_level`` is that of workers.
+    """
+    if config.gateway.workers == 0:
+        from ropeway.gateway.gateway import Gateway  # a supervisor loads no kind of network
+
+        return Gateway(config)
+    from ropeway.gateway.supervisor import Supervisor
+
+    return Supervisor(config, log_level=log_level)
