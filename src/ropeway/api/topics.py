@@ -136,8 +136,9 @@ class AsyncSubscription(Part):
     def attach(self, inner: ViewSubscription) -> None:
         """Follow the subscription on the graph."""
         self._inner = inner
-        if isinstance(inner.inner, Answering):
-            inner.inner.on_answer(self._answered)
+        network: object = inner.inner
+        if isinstance(network, Answering):
+            network.on_answer(self._answered)
 
     def _answered(self, reason: str) -> None:
         if reason:
