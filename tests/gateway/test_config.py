@@ -127,6 +127,54 @@ def test_graph_of_ros_domain_id(monkeypatch: pytest.MonkeyPatch) -> None:
     assert parse({"gateway": {"graphs": ["dds:3"]}}).gateway.graphs == ("dds:3",)
 
 
+def test_networks_with_types_of_their_own(tmp_path: Path) -> None:
+    """A graph may be an object with its distribution and files; a remote has both, too; both come back from JSON."""
+    (tmp_path / "old").mkdir()
+    document = {
+        "gateway": {"graphs": ["dds:0", {"address": "dds:1", "distro": "humble", "types": ["old"]}]},
+        "remotes": [{"address": "ws://h", "graph": "dds:1", "distro": "foxy", "publish": [topic()]}],
+    }
+    config = parse(document, directory=tmp_path)
+    assert config.gateway.graphs == ("dds:0", "dds:1")
+    first, second = config.gateway.networks
+    assert (first.distro, first.types) == (None, ())
+    assert (second.distro, second.types) == ("humble", (str(tmp_path / "old"),))
+    assert config.remotes[0].distro == "foxy"
+    assert config.routes()[0].graph == "dds:1"
+    assert config.to_json()["gateway"]["graphs"][0] == "dds:0"
+    assert parse(config.to_json()) == config
+
+
+def test_networks_that_cannot_have_types_of_their_own() -> None:
+    """A distribution stands only where it can count; one that is none is told with those that there are."""
+    said = faults(
+        {
+            "gateway": {
+                "graphs": [
+                    {"address": "ros2", "distro": "humble"},
+                    {"address": "dds:1", "distro": "hubmle"},
+                    {"address": "dds:2?distro=humble", "distro": "foxy"},
+                    {"address": "dds:1"},
+                    7,
+                ]
+            },
+            "remotes": [
+                {"address": "iort://h", "distro": "humble"},
+                {"address": "ws://h", "distro": "humble", "ros": 1},
+            ],
+        }
+    )
+    assert said["gateway.graphs[0].distro"] == (
+        "only dds graphs have this key; ros2 has the types of the ROS 2 that is sourced"
+    )
+    assert said["gateway.graphs[1].distro"].startswith("expected one of foxy, galactic, humble")
+    assert said["gateway.graphs[2].distro"] == "dds:2?distro=humble says it, too; keep one"
+    assert said["gateway.graphs[3]"] == "the same network as gateway.graphs[1]; keep one"
+    assert said["gateway.graphs[4]"] == "expected a graph such as dds:0, or an object with its address, got 7"
+    assert said["remotes[0].distro"] == "only ws:// and wss:// remotes have this key, and this is iort://h"
+    assert said["remotes[1].distro"] == 'a remote of ROS 1 has no layouts of ROS 2; leave this or "ros": 1 out'
+
+
 def test_rosgw_example_is_accepted(tmp_path: Path) -> None:
     """The example file of rosgw loads as it stands."""
     file = tmp_path / "example_cfg.json"

@@ -12,6 +12,7 @@ from ropeway.errors import DecodeError
 from ropeway.types import TypeRegistry
 from ropeway.types.distros import CHANGED
 from ropeway.types.stores import DISTROS, store_table
+from ropeway.types.told import Teller
 
 from .messages import random_message
 
@@ -61,15 +62,54 @@ def test_what_is_missing_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         for _ in range(3):
             assert registry.codec("sensor_msgs/Range").decode(raw)["variance"] == 0
-    assert caplog.messages == ["sensor_msgs/Range.variance is missing in Humble, filled with 0"]
+    assert caplog.messages == ["sensor_msgs/msg/Range.variance is missing in Humble, filled with 0"]
     caplog.clear()
     assert registry.others is not None
-    convert = registry.others.toward("sensor_msgs/msg/Range", "humble")
+    convert = registry.others.variant("humble").outward("sensor_msgs/msg/Range")
+    assert convert is not None
+    for _ in range(3):
+        theirs = convert(registry.codec("sensor_msgs/Range").encode({"range": 1.25}))
+    assert humble.codec("sensor_msgs/Range").decode(theirs)["range"] == 1.25
+    assert caplog.messages == ["sensor_msgs/msg/Range.variance of our definitions is not known in Humble and left out"]
+    assert registry.others.variant("jazzy").outward("sensor_msgs/msg/Range") is None
+    assert registry.others.variant("humble").outward("std_msgs/msg/String") is None
+
+
+def test_a_hash_tells_whose_definition_it_is() -> None:
+    """The hash of a type tells ours from a distribution's, also of types that are made of one that has changed."""
+    registry = TypeRegistry()
+    registry.add_text("my_msgs/msg/Scan", "sensor_msgs/Range[] ranges\n")
+    others = registry.others
+    assert others is not None
+    for name in ("sensor_msgs/msg/Range", "my_msgs/msg/Scan"):
+        assert others.by_hash(name, registry.hash(name)) is registry
+        assert others.by_hash(name, others.variant("humble").hash(name)) is not registry
+        assert others.by_hash(name, "RIHS01_nobody's") is None
+
+
+def test_definitions_of_a_sourced_humble_are_a_distributions() -> None:
+    """Where our own definition is that of another distribution, messages of the others are understood all the same."""
+    registry, kilted = TypeRegistry(), TypeRegistry("kilted", alone=True)
+    registry.add_text(
+        "sensor_msgs/msg/Range", TypeRegistry("humble", alone=True).text("sensor_msgs/Range"), replace=True
+    )
+    others = registry.others
+    assert others is not None
+    assert others.touches("sensor_msgs/msg/Range")
+    convert = others.variant("kilted").outward("sensor_msgs/msg/Range")
     assert convert is not None
     theirs = convert(registry.codec("sensor_msgs/Range").encode({"range": 1.25}))
-    assert humble.codec("sensor_msgs/Range").decode(theirs)["range"] == 1.25
-    assert registry.others.toward("sensor_msgs/msg/Range", "jazzy") is None
-    assert registry.others.toward("std_msgs/msg/String", "humble") is None
+    assert theirs == kilted.codec("sensor_msgs/Range").encode({"range": 1.25})
+
+
+def test_what_peers_tell_with_types_of_their_distribution() -> None:
+    """A peer of another distribution may tell a type of its own with the standard types as it has them."""
+    registry, humble = TypeRegistry(), TypeRegistry("humble", alone=True)
+    humble.add_text("my_msgs/msg/Scan", "sensor_msgs/Range[] ranges\n")
+    Teller(registry, graph=True).tell("my_msgs/msg/Scan", humble.full_text("my_msgs/msg/Scan"))
+    assert registry.hash("my_msgs/msg/Scan") != humble.hash("my_msgs/msg/Scan")
+    raw = humble.codec("my_msgs/msg/Scan").encode({"ranges": [{"range": 1.25}]})
+    assert registry.codec("my_msgs/msg/Scan").decode(raw)["ranges"][0]["range"] == 1.25
 
 
 def test_types_within_types() -> None:

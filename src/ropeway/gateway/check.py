@@ -46,6 +46,12 @@ _EXPECTED: Final = {
     "dict_type": "an object",
     "recursion_loop": "a value that does not contain itself",
 }
+_WHY_NOT: Final = {
+    "ros2": "ros2 has the types of the ROS 2 that is sourced",
+    "auto": "write dds:0 instead of auto, which may be ros2",
+    "ros1": "ROS 1 has its own types",
+    "memory": "a network in memory has the types of the gateway",
+}
 _BOUNDS: Final = {
     "greater_than": ("a number above", "gt"),
     "greater_than_equal": ("a number from", "ge"),
@@ -222,6 +228,8 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
             graphs = [default_graph()]
         except ValueError as error:
             problems.append(("gateway.graphs", str(error)))
+    graphs = [graph.get("address") if isinstance(graph, Mapping) else graph for graph in _list(graphs)]
+    problems += _graphs(gateway, graphs)
     first_seen: dict[str, str] = {}
     for index, remote in _objects(full.get("remotes")):
         path = f"remotes[{index}]"
@@ -236,6 +244,24 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
             else:
                 first_seen[key] = where
     return problems
+
+
+def _graphs(gateway: Mapping[str, Any], addresses: list[Any]) -> Iterable[Problem]:
+    for number, graph in _objects(gateway.get("graphs")):
+        where, address = f"gateway.graphs[{number}]", _attempt(parse_graph, graph.get("address"))
+        for key in ("distro", "types"):
+            if address is not None and graph.get(key) is not None and not address.startswith("dds:"):
+                yield f"{where}.{key}", f"only dds graphs have this key; {_WHY_NOT[address.partition(':')[0]]}"
+        if graph.get("distro") is not None and address is not None and "distro=" in address:
+            yield f"{where}.distro", f"{address} says it, too; keep one"
+    for number, address in enumerate(addresses):
+        first = addresses.index(address)
+        if first != number:
+            yield f"gateway.graphs[{number}]", f"the same network as gateway.graphs[{first}]; keep one"
+
+
+def _list(value: object) -> list[Any]:
+    return list(value) if isinstance(value, list | tuple) else []
 
 
 def _listeners(gateway: Mapping[str, Any]) -> Iterable[Problem]:
@@ -280,7 +306,7 @@ def _auth(gateway: Mapping[str, Any]) -> Iterable[Problem]:
         yield "gateway.auth.certificates", "needs gateway.tls with ca: only so are clients asked for certificates"
 
 
-def _remote(remote: Mapping[str, Any], path: str, graphs: object) -> Iterable[Problem]:
+def _remote(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable[Problem]:
     address = _attempt(parse_link, remote.get("address"))
     tls = remote.get("tls")
     if isinstance(tls, Mapping):
@@ -289,8 +315,16 @@ def _remote(remote: Mapping[str, Any], path: str, graphs: object) -> Iterable[Pr
         for one, other in (("certificate", "key"), ("key", "certificate")):
             if tls.get(one) is not None and tls.get(other) is None:
                 yield f"{path}.tls.{other}", f"this key is missing; {one} is of no use without it"
+    for key in ("distro", "types"):
+        if remote.get(key) is None:
+            continue
+        if not isinstance(address, str) or not address.startswith("ws"):
+            if address is not None or remote.get("address") == OVERLAY:
+                yield f"{path}.{key}", f"only ws:// and wss:// remotes have this key, and this is {remote['address']}"
+        elif remote.get("ros") == 1:
+            yield f"{path}.{key}", 'a remote of ROS 1 has no layouts of ROS 2; leave this or "ros": 1 out'
     graph = _attempt(parse_graph, remote.get("graph"))
-    if graph is not None and isinstance(graphs, list | tuple) and graph not in graphs:
+    if graph is not None and graphs and graph not in graphs:
         near = did_you_mean(graph, [g for g in graphs if isinstance(g, str)])
         yield f"{path}.graph", f"expected one of gateway.graphs ({', '.join(map(str, graphs))}), got {graph}{near}"
 
@@ -356,13 +390,13 @@ def _inactive(remote: Mapping[str, Any]) -> bool:
     return active is False or (isinstance(active, str) and active.lower() == "false")
 
 
-def _tasks(remote: Mapping[str, Any], path: str, graphs: object) -> Iterable[tuple[str, str, str]]:
+def _tasks(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable[tuple[str, str, str]]:
     """``(key, path, words)`` of every well-formed task of one remote."""
     frame = {k: remote[k] for k in ("address", "graph", "local_namespace", "remote_namespace") if k in remote}
     shell = _attempt(RemoteConfig.model_validate, frame)
     if shell is None:
         return
-    default = graphs[0] if isinstance(graphs, list | tuple) and graphs else ""
+    default = graphs[0] if graphs else ""
     for operation in OPERATIONS:
         info = RemoteConfig.model_fields[operation.replace("-", "_")]
         model = _inner_model(info.annotation)

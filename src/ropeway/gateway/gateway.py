@@ -19,6 +19,7 @@ from ropeway.gateway.bridges import make_bridge
 from ropeway.gateway.config import Config, Route
 from ropeway.gateway.counts import summed
 from ropeway.gateway.files import make_room
+from ropeway.gateway.graph_model import GraphConfig
 from ropeway.gateway.iort_model import StoreConfig
 from ropeway.gateway.keep import Keeper, key_of
 from ropeway.gateway.model import RemoteConfig
@@ -39,6 +40,7 @@ from ropeway.server.store import StorePages
 from ropeway.store import Store, default_path, make_backend, make_mirror
 from ropeway.tasks import Supervised, failing
 from ropeway.types import TypeRegistry
+from ropeway.types.variant import make_network
 
 if TYPE_CHECKING:
     from ropeway.graph.base import Graph
@@ -110,8 +112,8 @@ class Gateway:
             log.warning("%s: %s", path, hint)
         self._entrance.door = make_door(settings)
         self._tls, self._trusted = server_context(settings.tls), trusted_files(settings.tls)
-        for url in settings.graphs:
-            graph = await self._open_graph(url)
+        for network in settings.networks:
+            url, graph = network.address, await self._open_graph(network)
             stack.push_async_callback(graph.close)
             hub = self.hubs[url] = Hub(graph, gateway_id=self.gateway_id)
             await hub.open()
@@ -156,14 +158,21 @@ class Gateway:
         await self._bring_up_remotes(stack, limits)
         stack.push_async_callback(Supervised(self._update_meters, "gateway meters").start().close)
 
-    async def _open_graph(self, url: str) -> Graph:
+    async def _open_graph(self, network: GraphConfig) -> Graph:
         """A graph of ours; a ROS 1 master may come a little later than the gateway of its robot."""
-        loop = asyncio.get_running_loop()
+        loop, url = asyncio.get_running_loop(), network.address
         deadline = loop.time() + (_MASTER_S if url.partition(":")[0] == "ros1" else 0.0)
         waits = False
         while True:
             try:
-                return await open_graph(url, registry=self.registry, name=self._node, gateway_id=self.gateway_id)
+                return await open_graph(
+                    url,
+                    registry=self.registry,
+                    name=self._node,
+                    gateway_id=self.gateway_id,
+                    distro=network.distro,
+                    types=network.types,
+                )
             except GraphUnavailable as error:
                 if loop.time() >= deadline:
                     raise
@@ -271,6 +280,7 @@ class Gateway:
             watch=any(r.operation in _NEED_DISCOVERY for r in routes),
             ask_rosapi=False,
             ros1=None if config.ros is None else config.ros == 1,
+            network=make_network(self.registry, config.distro, config.types, label=without_token(config.address)),
         )
 
     def _overlay_graph(self, config: RemoteConfig) -> OverlayGraph:

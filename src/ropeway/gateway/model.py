@@ -24,6 +24,7 @@ from ropeway.errors import InvalidName, InvalidTypeName
 from ropeway.gateway.address import default_graph, parse_graph, parse_link, parse_listen
 from ropeway.gateway.auth_model import AuthConfig, GlobsConfig, Secret
 from ropeway.gateway.fields import ExistingPath, Many, Model
+from ropeway.gateway.graph_model import Distro, GraphConfig, GraphItem
 from ropeway.gateway.iort_model import IortConfig, MapList, StoreConfig
 from ropeway.gateway.overlay_model import METADATA, METADATUM, OVERLAY, AutomaticConfig, Metadatum, OverlayConfig
 from ropeway.gateway.suggest import one_of, show, unknown_key
@@ -164,11 +165,12 @@ def _not_empty(value: tuple[T, ...]) -> tuple[T, ...]:
     return value
 
 
-def _default_graphs() -> tuple[str, ...]:
+def _default_graphs() -> tuple[GraphConfig, ...]:
     try:
-        return (default_graph(),)
+        address = default_graph()
     except ValueError:
-        return ("dds:0",)  # ``check`` tells what is wrong
+        address = "dds:0"  # ``check`` tells what is wrong
+    return (GraphConfig.model_validate({"address": address}),)
 
 
 def _hostname() -> str:
@@ -351,6 +353,14 @@ class RemoteConfig(Model):
     ros: Literal[1, 2] | None = Field(
         None, description="ws, wss: which ROS a rosbridge server there belongs to; left out: it is found out"
     )
+    distro: Distro | None = Field(
+        None,
+        description="ws, wss: the distribution of ROS 2 whose layouts of types are used there; left out: that of here. "
+        "Gateways need none",
+    )
+    types: Many[ExistingPath] = Field(
+        (), description="ws, wss: files and directories with definitions that count for this remote alone"
+    )
     local_namespace: Namespace = Field("/", description="stands before every local name")
     remote_namespace: Namespace = Field("/", description="stands before every remote name")
     tls: RemoteTls | None = None
@@ -420,11 +430,12 @@ class GatewayConfig(Model):
     name: Annotated[str, AfterValidator(_node_part)] = Field(
         default_factory=_hostname, description="how others see it; left out: from the host name"
     )
-    graphs: Annotated[Many[Annotated[str, AfterValidator(parse_graph)]], AfterValidator(_not_empty)] = Field(
+    networks: Annotated[Many[GraphItem], AfterValidator(_not_empty)] = Field(
         default_factory=_default_graphs,
+        alias="graphs",
         description="the local networks: dds:<domain> (without ROS), ros2 or ros2:<domain> (through the sourced ROS 2, "
         "any RMW), auto (ros2 where ROS 2 is sourced, else dds), ros1 or ros1:http://host:11311 (a ROS 1 master); left "
-        "out: dds with ROS_DOMAIN_ID",
+        "out: dds with ROS_DOMAIN_ID. An object with address, distro and types says more of a network",
     )
     listen: Many[Annotated[str, AfterValidator(parse_listen)]] = Field(
         ("ws://127.0.0.1:9090",),
@@ -465,6 +476,11 @@ class GatewayConfig(Model):
         description="what all connections of a process may have it hold in memory (512 MiB, or eight times the longest "
         "message): then nobody else may connect, and who holds the most is closed",
     )
+
+    @property
+    def graphs(self) -> tuple[str, ...]:
+        """The addresses of the local networks."""
+        return tuple(network.address for network in self.networks)
 
     def budget(self) -> Budget:
         """Return the bounds on what connections may have a process hold."""

@@ -9,6 +9,7 @@ from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
 from ropeway.gateway import model as m
 from ropeway.gateway.auth_model import GlobsConfig, Patterns, RoleConfig
+from ropeway.gateway.graph_model import GraphConfig
 
 __all__ = ["build"]
 
@@ -43,7 +44,7 @@ class _Plain(GenerateJsonSchema):
 
 def build() -> dict[str, Any]:
     """The schema of all three forms: the full object, a list of remotes, one remote."""
-    models: tuple[type[BaseModel], ...] = (m.Document, *_ITEMS)
+    models: tuple[type[BaseModel], ...] = (m.Document, GraphConfig, *_ITEMS)
     _, made = models_json_schema([(model, "validation") for model in models], schema_generator=_Plain)
     definitions: dict[str, Any] = made["$defs"]
     for model in _ITEMS:

@@ -110,6 +110,12 @@ class Sample:
         made = frames[key] = make()
         return made
 
+    def carrying(self, payload: bytes) -> Sample:
+        """The same message with its ``payload`` in another layout; itself where that is the same object."""
+        if payload is self.payload:
+            return self
+        return Sample(payload, self.type, self.stamp_ns, self.origin, self.seq, self.relayed, self.sent_ns)
+
     def __repr__(self) -> str:
         return f"<Sample {self.type} {len(self.payload)} B origin={self.origin.hex()[:8]} seq={self.seq}>"
 

@@ -9,7 +9,8 @@ where rclpy can be imported, because ROS 2 is sourced, and else ``dds`` in the s
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl, urlsplit
 
 from ropeway.errors import GraphUnavailable
@@ -22,10 +23,18 @@ __all__ = ["make_graph", "open_graph"]
 
 
 def make_graph(
-    url: str, *, registry: TypeRegistry | None = None, name: str = "ropeway", gateway_id: str = "", **options: object
+    url: str,
+    *,
+    registry: TypeRegistry | None = None,
+    name: str = "ropeway",
+    gateway_id: str = "",
+    distro: str | None = None,
+    types: Sequence[str] = (),
+    **options: object,
 ) -> Graph:
     """A graph that is not open yet. Raises ``GraphUnavailable`` for a URL of no known kind.
 
+    ``distro`` and ``types`` are for DDS: whose layouts of types the network has, and files with its own definitions.
     ``options`` go to graphs of the ``ws`` kind (``ssl_context``, ``limits``, ``wait``, ``watch``, ``headers``).
     """
     if url == "auto":
@@ -41,14 +50,21 @@ def make_graph(
         domain = parts.path or parts.netloc or "0"
         if not domain.isdigit() or int(domain) > 232:
             raise GraphUnavailable(url, f"{domain!r} is not a DDS domain; write dds:0 to dds:232")
-        interface, distro = query.pop("interface", None), query.pop("distro", "")
+        interface, distro = query.pop("interface", None), query.pop("distro", distro)
         _no_more(url, query)
-        try:
-            return DdsGraph(
-                int(domain), name=name, interface=interface, gateway_id=gateway_id, registry=registry, distro=distro
-            )
-        except ValueError as error:
-            raise GraphUnavailable(url, str(error)) from None
+        network = None
+        if distro or types:
+            from ropeway.types import TypeRegistry
+            from ropeway.types.variant import make_network
+
+            registry = registry or TypeRegistry()
+            try:
+                network = make_network(registry, distro, types, label=url.partition("?")[0])
+            except ValueError as error:
+                raise GraphUnavailable(url, str(error)) from None
+        return DdsGraph(
+            int(domain), name=name, interface=interface, gateway_id=gateway_id, registry=registry, network=network
+        )
     if scheme == "ros2":
         from ropeway.graph.ros2 import Ros2Graph
 
@@ -108,7 +124,7 @@ def _overlay(url: str, bundle: str, query: dict[str, str], registry: TypeRegistr
 
 
 async def open_graph(
-    url: str, *, registry: TypeRegistry | None = None, name: str = "ropeway", gateway_id: str = "", **options: object
+    url: str, *, registry: TypeRegistry | None = None, name: str = "ropeway", gateway_id: str = "", **options: Any
 ) -> Graph:
     """Make a graph and open it; the caller closes it. Raises ``GraphUnavailable`` or ``ConnectFailed``."""
     graph = make_graph(url, registry=registry, name=name, gateway_id=gateway_id, **options)
@@ -133,7 +149,7 @@ def _domain(url: str) -> int:
 
 def _no_more(url: str, query: dict[str, str]) -> None:
     if query:
-        known = {"dds": "; known is interface", "overlay": "; known are router and unique"}.get(
+        known = {"dds": "; known are interface and distro", "overlay": "; known are router and unique"}.get(
             url.partition(":")[0], ""
         )
         raise GraphUnavailable(url, f"{next(iter(query))!r} is no option of this kind of graph{known}")

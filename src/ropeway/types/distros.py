@@ -1,4 +1,4 @@
-"""The same types in other distributions of ROS 2: messages of another layout are carried over by the names of fields.
+"""The same types in other distributions of ROS 2: messages of another layout are recognised and understood.
 
 A few standard messages have changed between distributions (Humble's ``Range`` has no ``variance``). Networks of both
 kinds meet in a gateway, and a message that does not fit our layout is then one of theirs.
@@ -6,24 +6,18 @@ kinds meet in a gateway, and a message that does not fit our layout is then one 
 
 from __future__ import annotations
 
-import logging
 import threading
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final
 
 from ropeway.errors import TypesError
-from ropeway.types.definition import Definition, short_name
-from ropeway.types.ros1_convert import names_between, renamed
-from ropeway.types.stores import DISTROS
+from ropeway.types.definition import Definition
+from ropeway.types.stores import DISTROS, from_rosbags, store_table
 
 if TYPE_CHECKING:
     from ropeway.types.registry import TypeRegistry
+    from ropeway.types.variant import Variant
 
 __all__ = ["CHANGED", "ROS2_DISTROS", "OtherDistros"]
-
-Convert: TypeAlias = Callable[[bytes], bytes]
-
-log = logging.getLogger("ropeway.types")
 
 ROS2_DISTROS: Final = tuple(distro for distro in DISTROS if distro != "noetic")
 """The distributions that a ROS 2 network can be of."""
@@ -48,29 +42,37 @@ _TRIED: Final = ("humble", "kilted", "iron", "galactic", "foxy", "lyrical")  # J
 
 
 class OtherDistros:
-    """What other distributions make of the types of ``registry``, as far as they are built in there."""
+    """What other distributions make of the types of ``registry``, where it has them as some distribution does."""
 
-    def __init__(self, registry: TypeRegistry, make: Callable[[str], TypeRegistry]) -> None:
-        self._registry, self._make = registry, make
-        self._made: dict[str, TypeRegistry] = {}
-        self._said: set[tuple[str, str]] = set()
-        self._converters: dict[tuple[str, str, bool], tuple[object, Convert | None]] = {}
+    def __init__(self, registry: TypeRegistry) -> None:
+        self._registry = registry
+        self._variants: dict[str, Variant] = {}
+        self._hashes: dict[str, tuple[int, dict[str, Variant]]] = {}  # by type, and the state of the registry
         self._lock = threading.Lock()
 
+    def have(self, definition: Definition) -> bool:
+        """Return whether some distribution defines a message so."""
+        name = definition.name
+        if name not in CHANGED:
+            return False
+        tables = map(store_table, ROS2_DISTROS)
+        return any(name in table and from_rosbags(name, table[name]).same_layout(definition) for table in tables)
+
     def touches(self, type: str) -> bool:
-        """True if the type, or one that it is made of, has another layout in some distribution."""
+        """Return whether the type, or one that it is made of, has another layout in some distribution."""
+        registry = self._registry
         try:
-            names = (type, *self._registry.dependencies(type))
+            names = (type, *registry.dependencies(type))
         except TypesError:
             return False
-        return any(name in CHANGED and self._registry.is_builtin(name) for name in names)
+        return any(name in CHANGED and registry.is_standard(name) for name in names)
 
     def adapted(self, type: str, raw: bytes) -> bytes | None:
-        """The CDR of a message that another distribution has written; ``None`` where none would write it."""
+        """Return the CDR of a message that another distribution has written; ``None`` where none would write it."""
         if not self.touches(type):
             return None
         for distro in _TRIED:
-            convert = self._converter(type, distro, back=False)
+            convert = self.variant(distro).inward(type)
             if convert is None:
                 continue
             try:
@@ -79,69 +81,21 @@ class OtherDistros:
                 continue
         return None
 
-    def toward(self, type: str, distro: str) -> Convert | None:
-        """What turns our CDR into that of ``distro``; ``None`` where both are the same."""
-        return self._converter(type, distro, back=True) if self.touches(type) else None
+    def variant(self, distro: str) -> Variant:
+        """Return the types of another distribution. Raises ``ValueError`` for one that is not known."""
+        from ropeway.types.variant import Variant
 
-    def registry(self, distro: str) -> TypeRegistry:
-        """The definitions of another distribution. Raises ``ValueError`` for one that is not known."""
         with self._lock:
-            if distro not in self._made:
-                self._made[distro] = self._make(distro)
-            return self._made[distro]
+            if distro not in self._variants:
+                self._variants[distro] = Variant(self._registry, distro)
+            return self._variants[distro]
 
-    def _converter(self, type: str, distro: str, *, back: bool) -> Convert | None:
-        """What turns their CDR into ours, or ``back``; kept until our definition changes."""
-        codec = self._registry.codec(type)
-        known = self._converters.get((type, distro, back))
-        if known is None or known[0] is not codec:
-            known = self._converters[type, distro, back] = (codec, self._make_converter(type, distro, back=back))
-        return known[1]
-
-    def _make_converter(self, type: str, distro: str, *, back: bool) -> Convert | None:
-        other, ours = self.registry(distro), self._registry
-        differences = list(_differences(type, other, ours))
-        if not differences:
-            return None
-        here, there = (ours, other) if back else (other, ours)
-        names = names_between(type, here.definition, type, there.definition)
-        read, write = here.codec(type).decode, there.codec(type).encode
-
-        def convert(raw: bytes) -> bytes:
-            made = write(renamed(read(raw), names))
-            self._report(type, distro, differences)
-            return made
-
-        return convert
-
-    def _report(self, type: str, distro: str, differences: list[str]) -> None:
-        if (type, distro) not in self._said:
-            self._said.add((type, distro))
-            for difference in differences:
-                log.warning("%s", difference.format(distro=distro.title()))
-
-
-def _differences(type: str, other: TypeRegistry, ours: TypeRegistry) -> Iterator[str]:
-    """How the layouts of a type differ, in sentences; nothing where they do not or ``other`` does not have it."""
-    try:
-        names = {type, *other.dependencies(type)} & {type, *ours.dependencies(type)}
-        for name in sorted(names & CHANGED):
-            theirs, mine = other.definition(name), ours.definition(name)
-            if not theirs.same_layout(mine):
-                yield from _fields(theirs, mine)
-    except TypesError:
-        return
-
-
-def _fields(theirs: Definition, mine: Definition) -> Iterator[str]:
-    short = short_name(mine.name)
-    there, here = {f.name for f in theirs.wire_fields}, {f.name for f in mine.wire_fields}
-    for field in mine.wire_fields:
-        if field.name not in there:
-            value = 0 if field.default is None else field.default
-            yield f"{short}.{field.name} is missing in {{distro}}, filled with {value}"
-    for field in theirs.wire_fields:
-        if field.name not in here:
-            yield f"{short}.{field.name} of {{distro}} is not known here and left out"
-    if there == here:
-        yield f"{short} has another layout in {{distro}}; its fields are carried over by name"
+    def by_hash(self, type: str, hash: str) -> TypeRegistry | None:
+        """Return whose definition of a type has this hash: ours, a distribution's, or ``None`` for neither."""
+        if hash == self._registry.hash(type):
+            return self._registry
+        state, known = self._hashes.get(type, (-1, {}))
+        if state != self._registry.changes:
+            known = {self.variant(distro).hash(type): self.variant(distro) for distro in _TRIED[::-1]}
+            self._hashes[type] = (self._registry.changes, known)
+        return known.get(hash)

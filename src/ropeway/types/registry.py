@@ -21,7 +21,8 @@ from ropeway.types.definition import Definition, FieldType, canonical_name, shor
 from ropeway.types.distros import OtherDistros
 from ropeway.types.files import find_interfaces, find_share, read_text
 from ropeway.types.hashes import definition_md5, interface_members, rihs01
-from ropeway.types.parser import PARTS, is_idl, parse_interface, parse_sections
+from ropeway.types.interfaces import owner_of, parse, parse_full, sources_of
+from ropeway.types.parser import PARTS, parse_interface
 from ropeway.types.standard import INTERFACES
 from ropeway.types.stores import NEWEST, from_rosbags, store_table
 from ropeway.types.told import Teller, Told, check_size
@@ -46,8 +47,10 @@ class TypeRegistry:
 
     def __init__(self, distro: str | None = None, *, alone: bool = False) -> None:
         self.distro = distro or NEWEST
-        self.others = None if alone else OtherDistros(self, lambda name: TypeRegistry(name, alone=True))
+        self.others = None if alone else OtherDistros(self)
+        self.changes = 0  # how often definitions were added, replaced or forgotten
         self._store = store_table(self.distro)
+        self._interfaces: Mapping[str, str] = INTERFACES
         self._lock = threading.RLock()
         self._definitions: dict[str, Definition] = {}
         self._builtin: set[str] = set()
@@ -83,13 +86,17 @@ class TypeRegistry:
         Services and actions stand here under their own names, not with their parts.
         """
         with self._lock:
-            found = {*self._store, *INTERFACES, *self._files, *self._sources}
+            found = {*self._store, *self._interfaces, *self._files, *self._sources}
             found.update(name for name in self._definitions if name.split("/")[1] == "msg")
         return sorted(name for name in found if kind is None or name.split("/")[1] == kind)
 
     def is_builtin(self, name: str) -> bool:
         """True for a message that is defined as the distribution has it."""
         return self._known(name) and (name in self._builtin or name not in self._definitions)
+
+    def is_standard(self, name: str) -> bool:
+        """True for a message that is defined as this distribution has it, or another one."""
+        return self.is_builtin(name) or (self.others is not None and self.others.have(self.definition(name)))
 
     def definition(self, name: str, *, needed_by: str = "") -> Definition:
         """The definition of a message or of one part of a service or action.
@@ -141,11 +148,11 @@ class TypeRegistry:
         while waiting:
             base, parent = waiting.pop()
             if base not in seen and base != full:
-                if not self._joins(base):
+                if not self.joins(base):
                     self.definition(base, needed_by=parent)
                 seen[base] = None
                 waiting.extend((inner, base) for inner in reversed(self._bases(base)))
-        return [base for base in seen if not self._joins(base)]
+        return [base for base in seen if not self.joins(base)]
 
     def hash(self, name: str) -> str:
         """The type hash ``RIHS01_…`` of a message, service or action, as ROS 2 announces it.
@@ -178,7 +185,7 @@ class TypeRegistry:
         found = self._full_texts.get(full)
         if found is None:
             pieces = [self.text(full)]
-            bases = dict.fromkeys(base for root in self._roots(full) for base in self.dependencies(root))
+            bases = dict.fromkeys(base for root in self.roots(full) for base in self.dependencies(root))
             for base in bases:
                 named = short_name(base) if base.split("/")[1] == "msg" else base
                 pieces.append(f"{_RULE}\nMSG: {named}\n{self.text(base)}")
@@ -200,24 +207,25 @@ class TypeRegistry:
         full = self.canonical(name)
         special = f"{full.split('/')[0]}/msg/Header"
         try:
-            definitions = _parsed(full, text, siblings={special} if self._known(special) else ())
+            definitions = parse(full, text, siblings={special} if self._known(special) else ())
         except InvalidDefinition as error:
             if not file:
                 raise
             raise InvalidDefinition(error.name, error.reason, file=file) from None
-        self._add(definitions, _source(full, text, definitions), replace=replace)
+        self._add(definitions, sources_of(full, text, definitions), replace=replace)
 
     def add_full_text(self, name: str, text: str, *, replace: bool = False) -> None:
         """Add a concatenated definition: the main text, then sections headed ``MSG: pkg/Name`` (or ``IDL:``).
 
         All or nothing is added. Errors as in ``add_text``.
         """
-        self._add(*_parse_full(self.canonical(name), text), replace=replace)
+        self._add(*parse_full(self.canonical(name), text), replace=replace)
 
     def add_told(self, name: str, text: str, teller: Teller) -> None:
         """Add a concatenated definition that a peer told; ``Teller.tell`` is the way to call it."""
         full = self.canonical(name)
-        definitions, sources = _parse_full(full, text)
+        definitions, sources = parse_full(full, text)
+        definitions = [each for each in definitions if not self._is_of_another(each)]
         teller.admit(full, definitions)
         with self._lock:
             names = [*(definition.name for definition in definitions), *sources]
@@ -234,6 +242,7 @@ class TypeRegistry:
         if not names:
             return
         with self._lock:
+            self.changes += 1
             for name in names:
                 self._definitions.pop(name, None)
                 self._sources.pop(name, None)
@@ -269,7 +278,7 @@ class TypeRegistry:
             if prefix and share.is_dir():
                 found = {**find_share(share), **found}
         with self._lock:
-            loaded = {_owner(name) for name in self._builtin}
+            loaded = {owner_of(name) for name in self._builtin}
             for name, file in found.items():
                 if name in loaded or (name not in self._definitions and name not in self._sources):
                     self._files.setdefault(name, file)
@@ -280,17 +289,17 @@ class TypeRegistry:
         return len(found)
 
     def _known(self, full: str) -> bool:
-        owner = _owner(full)
+        owner = owner_of(full)
         return any(
             name in table
             for name in (full, owner)
-            for table in (self._definitions, self._sources, self._files, INTERFACES, self._store)
+            for table in (self._definitions, self._sources, self._files, self._interfaces, self._store)
         )
 
     def _load(self, full: str) -> None:
         """Read the definition of ``full`` from where it waits, if it does."""
         with self._lock:
-            owner = _owner(full)
+            owner = owner_of(full)
             for name in (full, owner):
                 file = self._files.pop(name, None)
                 if file is not None:
@@ -304,15 +313,20 @@ class TypeRegistry:
                 return
             if full in self._store:
                 self._add_builtin([from_rosbags(full, self._store[full])])
-            elif owner in INTERFACES:
-                self._add_builtin(parse_interface(owner, INTERFACES[owner]))
+            elif owner in self._interfaces:
+                self._add_builtin(parse_interface(owner, self._interfaces[owner]))
                 if owner not in self._definitions:
-                    self._sources.setdefault(owner, INTERFACES[owner])
+                    self._sources.setdefault(owner, self._interfaces[owner])
 
     def _add_builtin(self, definitions: Iterable[Definition]) -> None:
         for definition in definitions:
             if self._definitions.setdefault(definition.name, definition) is definition:
                 self._builtin.add(definition.name)
+
+    def _is_of_another(self, definition: Definition) -> bool:
+        """True for a standard message as another distribution has it, which our own stands for."""
+        name, others = definition.name, self.others
+        return others is not None and self._known(name) and self.is_standard(name) and others.have(definition)
 
     def _try_to_read(self, name: str, file: Path) -> None:
         try:
@@ -359,6 +373,7 @@ class TypeRegistry:
                 fresh[name] = definition
             self._definitions.update(fresh)
             self._builtin.difference_update(fresh)
+            self.changes += bool(fresh)
             if fresh or not all(name in self._sources for name in sources):
                 self._sources.update(sources)
             if changed:
@@ -375,17 +390,17 @@ class TypeRegistry:
 
     def _members(self, full: str) -> list[tuple[str, FieldType]]:
         """Field names and types of a message, or of the structure that stands for a service or action."""
-        if self._joins(full):
+        if self.joins(full):
             return interface_members(full)
         return [(field.name, field.type) for field in self.definition(full).fields]
 
-    def _joins(self, full: str) -> bool:
-        """True for a service or action, also one that an action implies, which is no message but joins some."""
+    def joins(self, full: str) -> bool:
+        """Return whether ``full`` is no message but joins some: a service or action, or a service of an action."""
         self._load(full)
         return full in self._sources or (full not in self._definitions and full + "_Event" in self._definitions)
 
-    def _roots(self, full: str) -> list[str]:
-        """The messages whose fields stand in the text of ``full`` itself."""
+    def roots(self, full: str) -> list[str]:
+        """Return the messages whose fields stand in the text of ``full`` itself."""
         if full not in self._sources:
             return [full]
         return [full + end for end in PARTS[full.split("/")[1]]]
@@ -400,24 +415,6 @@ class TypeRegistry:
         return UnknownType(full, needed_by=needed_by, nearest=near[0] if near and near[0] != full else "")
 
 
-def _parsed(full: str, text: str, *, siblings: Collection[str]) -> list[Definition]:
-    if not is_idl(text):
-        return parse_interface(full, text, siblings=siblings)
-    from ropeway.types.idl import parse_idl  # seldom needed
-
-    return parse_idl(full, text)
-
-
-def _source(full: str, text: str, parsed: Iterable[Definition]) -> dict[str, str]:
-    """The text of the service or action ``full``, as a .srv or .action file; nothing for a message."""
-    parts = {definition.name: definition for definition in parsed}
-    if full in parts:
-        return {}
-    if is_idl(text):
-        text = "---\n".join(parts[full + end].text() for end in PARTS[full.split("/")[1]])
-    return {full: text}
-
-
 def _neighbours(names: Iterable[str]) -> dict[str, list[str]]:
     """Return the names that a misspelt one may mean: by package, and by the last part in lower case."""
     found: dict[str, list[str]] = {}
@@ -426,34 +423,6 @@ def _neighbours(names: Iterable[str]) -> dict[str, list[str]]:
         found.setdefault(package, []).append(name)
         found.setdefault(base.lower(), []).append(name)
     return found
-
-
-def _parse_full(full: str, text: str) -> tuple[list[Definition], dict[str, str]]:
-    """Return the definitions in a concatenated text, and the texts of its services and actions."""
-    sections = list(parse_sections(full, text))
-    siblings = {section for section, _ in sections}
-    definitions: list[Definition] = []
-    sources: dict[str, str] = {}
-    for section, body in sections:
-        parsed = _parsed(section, body, siblings=siblings)
-        definitions.extend(parsed)
-        sources.update(_source(section, body, parsed))
-    return definitions, sources
-
-
-def _owner(full: str) -> str:
-    """The service or action that the part ``full`` belongs to, or ``full`` itself."""
-    package, kind, name = full.split("/")
-    if kind == "srv":
-        name = name.removesuffix("_Request").removesuffix("_Response").removesuffix("_Event")
-    elif kind == "action":
-        for end in ("_Request", "_Response", "_Event"):
-            name = name.removesuffix(end)
-        for end in ("_SendGoal", "_GetResult", "_Goal", "_Result", "_Feedback", "_FeedbackMessage"):
-            if name.endswith(end):
-                name = name.removesuffix(end)
-                break
-    return f"{package}/{kind}/{name}"
 
 
 def _layout(definition: Definition) -> str:

@@ -6,9 +6,19 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from ropeway.errors import CallError, CallFailed, CallTimeout, GraphUnavailable, NotServed, ProviderLost, TypesError
+from ropeway.errors import (
+    CallError,
+    CallFailed,
+    CallTimeout,
+    GraphUnavailable,
+    NotServed,
+    ProviderLost,
+    TypesError,
+    ValueMismatch,
+)
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Client, Request
 from ropeway.graph.dds.ends import Ends
@@ -101,7 +111,13 @@ class DdsClient(Ends):
             raise CallFailed(self.service, f"{self._waiting} calls of {self.service} are under way, which is the limit")
         self._waiting += 1
         try:
-            return await self._call(request, self._loop.time() + timeout_s)
+            payload = self._graph.layouts.write("server", self.service, f"{self.type}_Request", request.payload)
+            if payload is not request.payload:
+                request = replace(request, payload=payload)
+            response = await self._call(request, self._loop.time() + timeout_s)
+            return self._graph.layouts.read("server", self.service, f"{self.type}_Response", response)
+        except ValueMismatch as error:
+            raise CallFailed(self.service, f"the server's layout cannot hold the request: {error}") from error
         except TimeoutError:
             raise CallTimeout(self.service, timeout_s) from None
         finally:

@@ -10,6 +10,7 @@ from typing import Final
 
 from ropeway.graph.base import EndpointInfo, GraphEvent, NodeInfo, TopicInfo
 from ropeway.graph.calls import ActionInfo, ProviderInfo, ServiceInfo
+from ropeway.graph.dds.layouts import OLD
 from ropeway.graph.dds.names import (
     Name,
     NameKind,
@@ -21,7 +22,7 @@ from ropeway.graph.dds.names import (
     is_hidden,
     is_of_action,
 )
-from ropeway.graph.dds.nodes import NodeEntities
+from ropeway.graph.dds.nodes import OLD_GID_BYTES, NodeEntities
 from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, Joined, NodesRecord
 from ropeway.qos import QoS
 
@@ -227,6 +228,23 @@ class Discovery:
         if known is None:
             return []
         return [e.record.qos for e in known.publishers.values() if e.name.type == type and not self._is_own(e.record)]
+
+    def signs(self, role: str, name: str, guid: bytes | None = None) -> set[str]:
+        """See ``layouts.Signs``. Other gateways do not count: they understand every layout."""
+        topic = (self._topics if role in ("publisher", "subscription") else self._services).get(name)
+        if topic is None:
+            return set()
+        endpoints = topic.publishers if role in ("publisher", "client") else topic.subscriptions
+        return {
+            sign
+            for record in (endpoint.record for endpoint in endpoints.values())
+            if guid in (None, record.guid) and not (record.local or record.gateway or record.helper)
+            if (sign := self._sign(record))
+        }
+
+    def _sign(self, record: EndpointRecord) -> str:
+        nodes = self._nodes.get(record.participant)
+        return OLD if nodes is not None and nodes.gid_bytes == OLD_GID_BYTES else record.type_hash
 
     def _topic_info(self, name: str, topic: _Topic) -> TopicInfo:
         publishers = tuple(self._endpoint_info(e) for e in topic.publishers.values())

@@ -23,8 +23,8 @@ from ropeway.graph.base import (
     Undelivered,
     resolve_name,
 )
+from ropeway.graph.border import Border
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ServiceHandler, ServiceInfo
-from ropeway.graph.dds.border import Border
 from ropeway.graph.dds.byteorder import ByteOrder, Codec
 from ropeway.graph.dds.client import DdsClient
 from ropeway.graph.dds.discovery import Discovery
@@ -33,6 +33,7 @@ from ropeway.graph.dds.endpoint_qos import user_data
 from ropeway.graph.dds.endpoints import RawWriter
 from ropeway.graph.dds.ends import Ends
 from ropeway.graph.dds.fast import FAST, FastHelper, FastRpc, Surroundings
+from ropeway.graph.dds.layouts import Layouts
 from ropeway.graph.dds.names import dds_topic, dds_type
 from ropeway.graph.dds.participant import Participant
 from ropeway.graph.dds.profile import make_profile
@@ -46,6 +47,7 @@ from ropeway.logs import failed
 from ropeway.qos import DEFAULT, QoS, common_qos
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
+from ropeway.types.variant import Variant
 
 __all__ = ["DdsGraph", "Types"]
 
@@ -80,7 +82,8 @@ class DdsGraph:
     gateways know them. ``registry`` gives type hashes, and finds big-endian messages, where it knows the type.
     ``foreign`` lists topics that are not of ROS, too. ``clock`` gives nanoseconds for ``Sample.stamp_ns``. Services are
     those of rmw_cyclonedds; those of other middlewares are left to a ``helper``: without one, ``fast`` says whether
-    Fast DDS nodes are served and called in a process of its own, which starts when it is needed.
+    Fast DDS nodes are served and called in a process of its own, which starts when it is needed. ``network`` has the
+    types of this network where they are known not to be those of ``registry``.
     """
 
     kind = "dds"
@@ -98,10 +101,15 @@ class DdsGraph:
         foreign: bool = False,
         helper: Helper | None = None,
         fast: bool = True,
-        distro: str = "",
+        network: Variant | None = None,
     ) -> None:
         self.name = f"dds:{domain}"
-        self._border = Border(registry, distro, lambda: self._participant is not None and self._participant.is_old)
+        self.layouts = Layouts(
+            self.name,
+            Border(registry, network),
+            lambda: self._discovery,
+            lambda: self._participant is not None and self._participant.is_old,
+        )
         if not 0 <= domain <= MAX_DOMAIN:
             raise GraphUnavailable(self.name, f"the domain must be a number from 0 to {MAX_DOMAIN}")
         if any(c in gateway_id for c in ";="):
@@ -196,7 +204,7 @@ class DdsGraph:
         participant = self._opened()
         topic, type = resolve_name(topic), canonical_name(type)
         profile = settled(qos or DEFAULT, DEFAULT)
-        publisher = DdsPublisher(self, topic, type, profile, self._border.outward(type))
+        publisher = DdsPublisher(self, topic, type, profile, self.layouts.writing(topic, type))
         mark = user_data(type_hash=self.type_hash(type), gateway_id=self.gateway_id)
         names = (dds_topic(topic), dds_type(type))
         publisher.bind(
@@ -217,7 +225,7 @@ class DdsGraph:
         """Read ``topic``; without a profile, with what all its publishers offer, also when they change."""
         self._opened()
         topic, type = resolve_name(topic), canonical_name(type)
-        subscription = DdsSubscription(self, topic, type, qos, self._border.inward(type, callback))
+        subscription = DdsSubscription(self, topic, type, qos, self.layouts.reading(topic, type, callback))
         subscription.follow(self._adopted(subscription))
         self._subscriptions[subscription] = None
         return subscription
@@ -374,7 +382,7 @@ class DdsGraph:
 
     def type_hash(self, type: str) -> str:
         """``RIHS01_…`` where the registry knows the type, or ``""``."""
-        registry = self._registry
+        registry = self.layouts.registry or self._registry
         return registry.hash(type) if registry is not None and registry.has(type) else ""
 
     def little_endian(self, type: str, payload: bytes) -> bytes:

@@ -403,6 +403,8 @@ class Participant:
         size = OLD_GID_BYTES if sizes == {OLD_GID_BYTES} else GID_BYTES
         if size != self._gid_bytes:
             self._gid_bytes = size
+            if self.is_old:
+                log.info("%s: all nodes are of ROS 2 Humble or older; messages get the layouts of Humble", self.graph)
             self._announce_soon()
 
     def _announce_soon(self) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from ropeway.errors import TypesError
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.dds.endpoints import RawWriter
 from ropeway.qos import QoS
+from ropeway.types.translation import Translate
 
 if TYPE_CHECKING:
     from ropeway.graph.dds.graph import DdsGraph
@@ -21,9 +23,7 @@ class DdsPublisher:
     With a lifespan the source timestamp is the time of now, because receivers count the lifespan from it.
     """
 
-    def __init__(
-        self, graph: DdsGraph, topic: str, type: str, qos: QoS, outward: Callable[[bytes], bytes] | None = None
-    ) -> None:
+    def __init__(self, graph: DdsGraph, topic: str, type: str, qos: QoS, outward: Translate | None = None) -> None:
         self.topic, self.type, self.qos = topic, type, qos
         self._graph = graph
         self._outward = outward  # brings messages into the layout of another distribution
@@ -35,12 +35,21 @@ class DdsPublisher:
     def bind(self, writer: RawWriter) -> None:
         """Write through ``writer`` from now on."""
         self._writer = writer
-        outward = self._outward
-        self._write = writer.write if outward is None else lambda payload, stamp: writer.write(outward(payload), stamp)
+        self._write = writer.write if self._outward is None else self._write_translated
 
     def publish(self, sample: Sample) -> None:
         """Send, without waiting; what DDS does not take is counted."""
         self._write(sample.payload, sample.seq if self._keep_stamp else 0)
+
+    def _write_translated(self, payload: bytes, stamp_ns: int) -> None:
+        assert self._writer is not None
+        assert self._outward is not None
+        try:
+            translated = self._outward(payload)
+        except TypesError:
+            self.on_refused(Undelivered.ENCODE)
+            return
+        self._writer.write(translated, stamp_ns)
 
     def on_refused(self, reason: Undelivered) -> None:
         """Count a message that was not sent."""

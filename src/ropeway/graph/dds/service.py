@@ -6,6 +6,7 @@ import asyncio
 import hashlib
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from ropeway.errors import CallError, GraphError, TypesError
@@ -153,7 +154,7 @@ class DdsService(Ends):
             return
         request = Request(payload, id=_call_id(writer, header), caller=self._graph.node_of(writer))
         try:
-            response = await self.answer(request)
+            response = await self.answer(request, writer)
         except TypesError as error:
             self._graph.drops[self.service, Undelivered.ENCODE] += 1
             self._warn("a request fails and cannot be answered: %s", error)
@@ -177,11 +178,19 @@ class DdsService(Ends):
             return False  # who has left needs none
         return True
 
-    async def answer(self, request: Request) -> bytes:
-        """What the handler says, or the default response with its error. Raises ``UnknownType`` where that is unknown.
+    async def answer(self, request: Request, writer: bytes | None = None) -> bytes:
+        """What the handler says, or the default response with its error, both in the layout of who asks.
 
-        The handler's failures are logged and counted here.
+        The handler's failures are logged and counted here. Raises ``UnknownType`` where the default is not known,
+        ``ValueMismatch`` where the other layout cannot hold the response.
         """
+        layouts, name = self._graph.layouts, self.service
+        payload = layouts.read("client", name, f"{self.type}_Request", request.payload, writer)
+        if payload is not request.payload:
+            request = replace(request, payload=payload)
+        return layouts.write("client", name, f"{self.type}_Response", await self._handled(request), writer)
+
+    async def _handled(self, request: Request) -> bytes:
         try:
             response = bytes(await self._handler(request))
             if len(response) >= 4:

@@ -26,7 +26,6 @@ from ropeway.graph.rosbridge.notes import call_note, received
 from ropeway.logs import failed
 from ropeway.tasks import end
 from ropeway.wire import ops
-from ropeway.wire.codec import decode_value
 from ropeway.wire.dialect import ROPEWAY
 
 if TYPE_CHECKING:
@@ -86,8 +85,7 @@ class RemoteGoal:
             return
         peer = self._peer
         try:
-            codec = client.calls.codec(f"{client.type}_Feedback")
-            payload = decode_value(op.values, op.compression, codec, limit_bytes=peer.limit_bytes)
+            payload = client.calls.read(f"{client.type}_Feedback", op.values, op.compression, peer)
         except (TypesError, WireError) as error:
             client.calls.graph.drops[client.action, Undelivered.DECODE] += 1
             peer.complaints.note("feedback", client.action, error)
@@ -113,8 +111,7 @@ class RemoteGoal:
             return
         self.accept()
         try:
-            codec = client.calls.codec(f"{client.type}_Result")
-            payload = decode_value(op.values, op.compression, codec, limit_bytes=self._peer.limit_bytes)
+            payload = client.calls.read(f"{client.type}_Result", op.values, op.compression, self._peer)
         except (TypesError, WireError) as error:
             self.finish(Outcome(GoalStatus.ABORTED, None, f"the result cannot be read: {error}"))
         else:
@@ -259,7 +256,7 @@ class RemoteActionClient:
                     feedback=on_feedback is not None,
                     ropeway=call_note(goal, calls.graph.gateway_id, self.delivery.encoding) if gateway else None,
                 ),
-                payload=goal.payload,
+                payload=calls.written(f"{self.type}_Goal", goal.payload),
                 field="args",
                 codec=calls.codec(f"{self.type}_Goal"),
                 encoding=self.encoding,

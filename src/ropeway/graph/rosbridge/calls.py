@@ -12,6 +12,7 @@ from ropeway.errors import GraphUnavailable, InvalidName, RopewayError, UnknownT
 from ropeway.graph.base import NO_HINTS, Delivery, Undelivered
 from ropeway.graph.rosbridge.notes import read_note
 from ropeway.wire import ops
+from ropeway.wire.codec import decode_value
 from ropeway.wire.dialect import ROPEWAY
 
 if TYPE_CHECKING:
@@ -70,6 +71,15 @@ class Calls:
             return self.graph.spelling.codec(type)
         except UnknownType:
             return None
+
+    def read(self, type: str, value: object, encoding: str | None, peer: Peer) -> bytes:
+        """The CDR of what came, in our layout. Raises ``TypesError``, ``WireError``."""
+        payload = decode_value(value, encoding, self.codec(type), limit_bytes=peer.limit_bytes)
+        return self.graph.border.incoming(type, payload)
+
+    def written(self, type: str, payload: bytes) -> bytes:
+        """CDR of ours in the layout of the far graph. Raises ``ValueMismatch``."""
+        return self.graph.border.outgoing(type, payload)
 
     async def link(self, deadline: float) -> Peer:
         """The peer, as soon as it can be called. Raises ``GraphUnavailable`` at the deadline (time of the loop)."""

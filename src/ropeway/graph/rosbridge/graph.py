@@ -25,6 +25,7 @@ from ropeway.graph.base import (
     Undelivered,
     resolve_name,
 )
+from ropeway.graph.border import Border
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
 from ropeway.graph.rosbridge.actions import RemoteActionClient
 from ropeway.graph.rosbridge.calls import Calls
@@ -47,6 +48,7 @@ from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import Supervised, end
 from ropeway.types import TypeRegistry
 from ropeway.types.told import Teller
+from ropeway.types.variant import Variant
 from ropeway.wire import ops
 from ropeway.wire.codec import unpack_png
 from ropeway.wire.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL
@@ -69,6 +71,7 @@ class RosbridgeGraph:
     publisher, subscription, service and action is announced again. ``watch`` asks the far side what it has: a
     gateway tells, a plain server is asked through rosapi (unless ``ask_rosapi`` is false). ``plain`` speaks
     rosbridge even to a gateway. ``ros1`` tells whether a plain server is one of ROS 1; left out, it is found out.
+    ``network`` has the types of the far side where they are known not to be those of ``registry``.
     """
 
     kind = "rosbridge"
@@ -88,10 +91,13 @@ class RosbridgeGraph:
         ask_rosapi: bool = True,
         plain: bool = False,
         ros1: bool | None = None,
+        network: Variant | None = None,
     ) -> None:
         self._url = url
         self.name = shown = without_token(url)
-        self.registry = registry or TypeRegistry()
+        ours = registry or TypeRegistry()
+        self.registry = network or ours
+        self.border = Border(ours, network)
         self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self.echoes: dict[str, EchoFilter] = {}
         self.peer: Peer | None = None

@@ -69,6 +69,7 @@ class RemotePublisher:
         self._count: int | None = 0  # None: connected to a server that cannot tell
         self._demand: list[Callable[[int], None]] = []
         self._history = History(qos)
+        self._translated = graph.border.touches(type)
         self.closed = False
 
     def publish(self, sample: Sample) -> None:
@@ -79,6 +80,12 @@ class RemotePublisher:
         if sample.seq == SEQ_NONE:
             self._seq = max(time.time_ns(), self._seq + 1)
             sample = Sample(sample.payload, self.type, sample.stamp_ns or self._seq, self._gid, self._seq)
+        if self._translated:
+            try:
+                sample = sample.carrying(self.graph.border.outgoing(self.type, sample.payload))
+            except TypesError:
+                self.graph.drops[self.topic, Undelivered.ENCODE] += 1
+                return
         if self.qos.transient_local:
             self._history.add(sample)
             if self.channel is None:
@@ -223,6 +230,7 @@ class RemoteSubscription:
         self._plain_origin = new_origin()
         self._plain_seq = 0
         self._peer: Peer | None = None
+        self._translated = graph.border.touches(type)
         self.used = "none"  # the encoding of the last message, or what is asked for
         self.closed = False
 
@@ -354,6 +362,8 @@ class RemoteSubscription:
     def _deliver(self, batch: list[Sample]) -> None:
         if not batch:
             return
+        if self._translated:
+            batch = [sample.carrying(self.graph.border.incoming(self.type, sample.payload)) for sample in batch]
         try:
             self._callback(batch)
         except Exception:  # a callback is somebody else's code; the connection must not suffer

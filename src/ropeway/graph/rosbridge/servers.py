@@ -16,7 +16,6 @@ from ropeway.graph.rosbridge.services import CALLS_LIMIT, Held
 from ropeway.logs import failed
 from ropeway.tasks import Chores
 from ropeway.wire import ops
-from ropeway.wire.codec import decode_value
 from ropeway.wire.dialect import ROPEWAY, ROSGW
 
 if TYPE_CHECKING:
@@ -141,8 +140,7 @@ class RemoteActionServer:
         if any(other.id == note.id for other in self._goals.values()):
             raise GoalRejected(self.action)  # the same goal, by another way
         goal.id = note.id
-        codec = self._calls.codec(f"{self.type}_Goal")
-        payload = decode_value(op.args, op.compression, codec, limit_bytes=goal.peer.limit_bytes)
+        payload = self._calls.read(f"{self.type}_Goal", op.args, op.compression, goal.peer)
         made = ServerGoal(payload, note.id, lambda data: self._feed(goal, data), note.via, note.caller)
         if self._handlers.accept is not None and not await self._handlers.accept(made):
             raise GoalRejected(self.action)
@@ -181,7 +179,7 @@ class RemoteActionServer:
         try:
             peer.send_op(
                 ops.ActionFeedback(id=goal.op.id, action=goal.op.action, values=None),
-                payload=payload,
+                payload=self._calls.written(f"{self.type}_Feedback", payload),
                 field="values",
                 codec=self._calls.codec(f"{self.type}_Feedback"),
                 encoding=answer_encoding(self.delivery, peer, goal.op),
@@ -202,7 +200,7 @@ class RemoteActionServer:
         try:
             goal.peer.send_op(
                 self._result(goal, status, None),
-                payload=outcome.payload,
+                payload=self._calls.written(f"{self.type}_Result", outcome.payload),
                 field="values",
                 codec=self._calls.codec(f"{self.type}_Result"),
                 encoding=answer_encoding(self.delivery, goal.peer, goal.op),

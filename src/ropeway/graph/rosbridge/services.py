@@ -27,7 +27,6 @@ from ropeway.graph.rosbridge.notes import call_note, failure, read_note, receive
 from ropeway.logs import failed
 from ropeway.tasks import Chores
 from ropeway.wire import ops
-from ropeway.wire.codec import decode_value
 from ropeway.wire.dialect import ROPEWAY, ROSGW
 
 if TYPE_CHECKING:
@@ -146,7 +145,7 @@ class RemoteClient:
                     timeout=round(max(left_s, 0.001), 3),
                     ropeway=call_note(request, calls.graph.gateway_id, self.delivery.encoding) if gateway else None,
                 ),
-                payload=request.payload,
+                payload=calls.written(f"{self.type}_Request", request.payload),
                 field="args",
                 codec=calls.codec(f"{self.type}_Request"),
                 encoding=self.encoding,
@@ -160,8 +159,7 @@ class RemoteClient:
                 expiry.cancel()
             if not response.result:
                 raise received(self.service, response.values, response.ropeway, kind="service", timeout_s=timeout_s)
-            codec = calls.codec(f"{self.type}_Response")
-            return decode_value(response.values, response.compression, codec, limit_bytes=peer.limit_bytes)
+            return calls.read(f"{self.type}_Response", response.values, response.compression, peer)
         except GraphUnavailable:
             raise ProviderLost(self.service, f"the link to {calls.graph.name} was lost") from None
         except (TypesError, WireError, LinkError) as error:
@@ -242,13 +240,12 @@ class RemoteService:
     async def _answer(self, op: ops.CallService, peer: Peer) -> None:
         note = read_note(op.ropeway)
         try:
-            codec = self._calls.codec(f"{self.type}_Request")
-            payload = decode_value(op.args, op.compression, codec, limit_bytes=peer.limit_bytes)
+            payload = self._calls.read(f"{self.type}_Request", op.args, op.compression, peer)
             timeout_s = op.timeout if op.timeout is not None and op.timeout > 0 else None
             response = await self._once(Request(payload, note.id, note.via, note.caller, timeout_s))
             peer.send_op(
                 ops.ServiceResponse(id=op.id, service=op.service, values=None, result=True),
-                payload=response,
+                payload=self._calls.written(f"{self.type}_Response", response),
                 field="values",
                 codec=self._calls.codec(f"{self.type}_Response"),
                 encoding=answer_encoding(self.delivery, peer, op),

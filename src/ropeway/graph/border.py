@@ -1,0 +1,77 @@
+"""The border of a network whose types may have other layouts than ours: another distribution, or other versions.
+
+On our side every message has our layout. What comes in is brought into it, what goes out gets the layout of those who
+read it; fields are carried over by name.
+"""
+
+from __future__ import annotations
+
+from ropeway.errors import DecodeError, TypesError
+from ropeway.types import TypeRegistry
+from ropeway.types.variant import Variant
+
+__all__ = ["Border"]
+
+
+class Border:
+    """The border between ``registry`` and a network; ``network`` has its types where they were given.
+
+    A graph without a registry of definitions passes everything as it is.
+    """
+
+    def __init__(self, registry: object, network: Variant | None = None) -> None:
+        self.ours = registry if isinstance(registry, TypeRegistry) else None
+        self.network = network
+        self._touched: dict[str, bool] = {}
+        self._state = 0  # of our definitions
+
+    def touches(self, type: str) -> bool:
+        """Return whether messages of ``type`` may have to be translated."""
+        ours = self.ours
+        if ours is None:
+            return False
+        if self._state != ours.changes:
+            self._state = ours.changes
+            self._touched.clear()
+        found = self._touched.get(type)
+        if found is None:
+            others, network = ours.others, self.network
+            differs = network is not None and network.differs(type)
+            found = self._touched[type] = differs or (others is not None and others.touches(type))
+        return found
+
+    def incoming(self, type: str, payload: bytes, writer: TypeRegistry | None = None) -> bytes:
+        """Return what came in, in our layout; ``writer`` has the types of who wrote it, where that is known.
+
+        What fits no layout is returned as it is.
+        """
+        ours = self.ours
+        if ours is None or writer is ours or not self.touches(type):
+            return payload
+        theirs = writer or self.network
+        translate = theirs.inward(type) if isinstance(theirs, Variant) else None
+        if translate is not None:
+            try:
+                return translate(payload)
+            except TypesError:  # another writer on this network, or no message at all
+                pass
+        try:
+            return ours.codec(type).fitting(payload)
+        except TypesError:
+            return payload
+
+    def outgoing(self, type: str, payload: bytes, reader: TypeRegistry | None = None) -> bytes:
+        """Return what goes out, in the layout of the network; ``reader`` has the types of who reads it.
+
+        The message may be in the layout of a third network, as those of recordings are. What fits no layout is
+        returned as it is. Raises ``ValueMismatch`` for values that the other layout cannot hold.
+        """
+        ours = self.ours
+        if ours is None or not self.touches(type):
+            return payload
+        theirs = self.network or reader
+        translate = theirs.outward(type) if isinstance(theirs, Variant) else None
+        try:
+            return ours.codec(type).fitting(payload) if translate is None else translate(payload)
+        except DecodeError:
+            return payload
