@@ -8,6 +8,7 @@ import pytest
 
 import ropeway
 from ropeway import CallFailed, CallTimeout, GraphUnavailable, NotServed, TypedMessage, ValueMismatch, WaitTimeout
+from tests.api.conftest import new_network
 
 ADD = "example_interfaces/srv/AddTwoInts"
 
@@ -114,3 +115,13 @@ async def test_name_that_is_taken(network: str) -> None:
             assert second.taken_by
             await first.close()
             assert (await graph.call("/add"))["sum"] == 99
+
+
+async def test_rosapi() -> None:
+    """The services of a gateway itself can be called, though it does not list them."""
+    config = {"gateway": {"graphs": [new_network()], "listen": ["ws://127.0.0.1:0"]}}
+    async with ropeway.open_gateway(config) as gateway, ropeway.open(f"ws://127.0.0.1:{gateway.ports[0]}") as graph:
+        answer = await graph.call("/rosapi/topics", type="rosapi_msgs/Topics", timeout_s=20)
+        assert "/rosout" in answer["topics"]
+        with pytest.raises(NotServed):
+            await graph.call("/rosapi/nothing", type="rosapi_msgs/Topics", timeout_s=20)

@@ -8,7 +8,7 @@ import logging
 import pytest
 
 import ropeway
-from ropeway import GraphUnavailable, InvalidName, QoS, TypeConflict, TypedMessage, UnknownType, WaitTimeout
+from ropeway import GraphUnavailable, InvalidName, QoS, Refused, TypeConflict, TypedMessage, UnknownType, WaitTimeout
 from tests.api.conftest import new_network
 from tests.support.until import until
 
@@ -215,3 +215,21 @@ async def test_mistakes(network: str) -> None:
             with pytest.raises(UnknownType):
                 await graph.subscribe("/a", "std_msgs/Nothing")
         assert graph.topics() == {}
+
+
+async def test_refusal(caplog: pytest.LogCaptureFixture) -> None:
+    """A topic that a server does not give or take is an error for whoever publishes or waits, else it is logged."""
+    auth = {"roles": {"viewer": {"subscribe": ["/open"]}}, "default_role": "viewer"}
+    config = {"gateway": {"graphs": [new_network()], "listen": ["ws://127.0.0.1:0"], "auth": auth}}
+    async with (
+        ropeway.open_gateway(config) as gateway,
+        ropeway.open(f"ws://127.0.0.1:{gateway.ports[0]}") as graph,
+        graph.subscribe("/secret", "std_msgs/String") as subscription,
+    ):
+        with pytest.raises(Refused, match="/secret was refused"):
+            await graph.publisher("/secret", "std_msgs/String")
+        with pytest.raises(Refused, match="/secret was refused"):
+            await subscription.receive(timeout_s=20)
+        caplog.clear()
+        async with graph.subscribe("/secret", "std_msgs/String", print):
+            await until(lambda: "/secret was refused" in caplog.text)

@@ -27,6 +27,7 @@ __all__ = ["Calls", "RemoteCaller", "announced", "answer_encoding", "lane", "tra
 
 _NOBODY_S: Final = 1.0  # where nobody can tell who serves what, a call that is not served is tried again for so long
 _RETRY_S: Final = 0.25
+_UNTOLD: Final = "/rosapi/"  # a gateway's own services: it answers them, and does not list them
 _OURS: Final = re.compile(r"(?:call_service|send_action_goal):\S+:\d+")
 
 
@@ -104,6 +105,8 @@ class Calls:
             return None
         mirror = self.graph.mirror
         info = mirror.services.get(name) if kind == "service" else mirror.actions.get(name)
+        if info is None and kind == "service" and name.startswith(_UNTOLD):
+            return None
         return info is not None and bool(info.servers)
 
     def _told(self, peer: Peer) -> bool:
