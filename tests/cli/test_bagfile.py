@@ -190,6 +190,35 @@ def test_recordings_of_another_distribution(tmp_path: Path) -> None:
         assert record.payload == registry.codec(name).encode({"range": 1.25})
 
 
+def test_recordings_of_another_version_of_a_package(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A type of the user's that has changed since it was recorded is played as it is now, by the names of fields."""
+    registry, then = TypeRegistry(), TypeRegistry()
+    registry.add_text("robot/msg/Mood", "float32 warmth 0.5\nuint8 level\n")
+    then.add_text("robot/msg/Mood", "uint8 level\nstring why\n")
+    raw = then.codec("robot/msg/Mood").encode({"level": 7, "why": "rain"})
+    text = then.full_text("robot/msg/Mood")
+    path = write_one(tmp_path / "a.mcap", "/x", "robot/msg/Mood", "cdr", "ros2msg", text, raw)
+    with Bag(path, registry) as bag:
+        (record,) = bag.records()
+    assert registry.codec("robot/msg/Mood").decode(record.payload) == {"warmth": 0.5, "level": 7}
+    assert caplog.messages == [
+        "robot/msg/Mood.warmth is missing in a.mcap, filled with 0.5",
+        "robot/msg/Mood.why of a.mcap is not known here and left out",
+    ]
+
+
+def test_types_of_a_recording_that_are_made_of_another_distributions(tmp_path: Path) -> None:
+    """A type that only the recording defines, with Humble's Range in it, is played in the layouts of here."""
+    humble, registry = TypeRegistry("humble", alone=True), TypeRegistry()
+    humble.add_text("robot/msg/Scan", "sensor_msgs/Range[] ranges\n")
+    raw = humble.codec("robot/msg/Scan").encode({"ranges": [{"range": 1.25}]})
+    text = humble.full_text("robot/msg/Scan")
+    path = write_one(tmp_path / "a.mcap", "/x", "robot/msg/Scan", "cdr", "ros2msg", text, raw)
+    with Bag(path, registry) as bag:
+        (record,) = bag.records()
+    assert record.payload == registry.codec("robot/msg/Scan").encode({"ranges": [{"range": 1.25}]})
+
+
 def test_ros1_types_that_changed_are_carried_over_by_name(tmp_path: Path) -> None:
     """CameraInfo of ROS 1 spells its matrices in capitals; their values arrive all the same."""
     registry = TypeRegistry()

@@ -56,7 +56,7 @@ def test_versions_are_translated_by_name(files: Path, caplog: pytest.LogCaptureF
         assert theirs.codec(f"{GOAL}_Result").decode(raw) == {"reached": True}
     assert caplog.messages == [
         f"{GOAL}_Goal.speed is missing in dds:1, filled with 0.5",
-        f"{GOAL}_Result.error_code of our definitions is not known in dds:1 and left out",
+        f"{GOAL}_Result.error_code is not known in dds:1 and left out",
     ]
 
 

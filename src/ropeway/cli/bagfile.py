@@ -20,6 +20,7 @@ from ropeway.errors import BagUnreadable, InvalidName, TypeConflict, TypesError
 from ropeway.graph.base import resolve_name
 from ropeway.qos import DEFAULT, QoS, common_qos
 from ropeway.types import TypeRegistry
+from ropeway.types.variant import Variant
 
 __all__ = ["Bag", "BagTopic", "Record"]
 
@@ -144,25 +145,26 @@ class Bag:
             topic = replace(topic, name=resolve_name(first.topic), type=full)
             if first.encoding == "ros1":
                 return replace(topic, convert=_from_ros1(self.registry, full, first.definition))
-            others = self.registry.others
-            if others is not None and others.touches(full):  # the network's layout counts, and it may be another
-                return replace(topic, convert=_fitting(self.registry, full))
-            self._add(full, first.definition)
+            return replace(topic, convert=self._from_ros2(full, first.definition))
         except (TypesError, InvalidName) as error:
             return replace(topic, problem=str(error))
-        return topic
 
-    def _add(self, type: str, definition: str | None) -> None:
-        """Take the recording's definition, which tells its bytes better than ours; without, the bytes still play.
+    def _from_ros2(self, type: str, definition: str | None) -> Callable[[bytes], bytes]:
+        """Return what brings messages from the layout that the recording defines into ours; without, the bytes play.
 
-        An empty one is that of a message without fields, unless the type is known to have some.
+        An empty definition is that of a message without fields, unless the type is known to have some.
         """
-        if definition is None or (not definition and self.registry.has(type)):
-            return
-        try:
-            self.registry.add_full_text(type, definition, replace=True)
-        except TypesError as error:
-            log.warning("%s: the definition of %s in it is not used: %s", self.path, type, error)
+        registry = self.registry
+        if definition or (definition is not None and not registry.has(type)):
+            recorded = Variant(registry, label=self.path.name)
+            try:
+                recorded.add_full_text(type, definition)
+                registry.add_unknown(type, definition)
+                return recorded.inward(type) or bytes
+            except TypesError as error:
+                log.warning("%s: the definition of %s in it is not used: %s", self.path, type, error)
+        others = registry.others
+        return _fitting(registry, type) if others is not None and others.touches(type) else bytes
 
 
 def _fitting(registry: TypeRegistry, type: str) -> Callable[[bytes], bytes]:

@@ -221,6 +221,13 @@ class TypeRegistry:
         """
         self._add(*parse_full(self.canonical(name), text), replace=replace)
 
+    def add_unknown(self, name: str, text: str) -> None:
+        """Add what is not known yet of a concatenated definition. Raises ``InvalidDefinition``."""
+        definitions, sources = parse_full(self.canonical(name), text)
+        with self._lock:
+            fresh = [definition for definition in definitions if not self._known(definition.name)]
+            self._add(fresh, {each: source for each, source in sources.items() if not self._known(each)})
+
     def add_told(self, name: str, text: str, teller: Teller) -> None:
         """Add a concatenated definition that a peer told; ``Teller.tell`` is the way to call it."""
         full = self.canonical(name)

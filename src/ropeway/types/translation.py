@@ -39,7 +39,7 @@ def make_translation(type: str, here: TypeRegistry, there: TypeRegistry, say: Ca
 
 
 def _differences(type: str, here: TypeRegistry, there: TypeRegistry) -> Iterator[str]:
-    """Return how the definitions differ, with ``{here}`` and ``{there}`` for whose they are."""
+    """Return how the definitions differ, with ``{here}``, ``{of}`` and ``{there}`` for whose they are."""
     shared = {type, *here.dependencies(type)} & {type, *there.dependencies(type)}
     for name in sorted(shared):
         mine, theirs = here.definition(name), there.definition(name)
@@ -48,11 +48,11 @@ def _differences(type: str, here: TypeRegistry, there: TypeRegistry) -> Iterator
         read, written = ({f.name: f for f in each.wire_fields} for each in (mine, theirs))
         for field in written.values():
             if field.name not in read:
-                yield f"{name}.{field.name} is missing in {{here}}, filled with {_default(field)}"
+                yield f"{name}.{field.name} is missing {{here}}, filled with {_default(field)}"
         for gone in (each for each in read if each not in written):
-            yield f"{name}.{gone} of {{here}} is not known in {{there}} and left out"
+            yield f"{name}.{gone}{{of}} is not known {{there}} and left out"
         if read.keys() == written.keys():
-            yield f"{name} has another layout in {{there}} than in {{here}}; its fields are carried over by name"
+            yield f"{name}{{of}} has another layout {{there}}; its fields are carried over by name"
 
 
 def _default(field: Field) -> object:

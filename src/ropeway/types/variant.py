@@ -45,7 +45,7 @@ class Variant(TypeRegistry):
         self.told = ours.told
         self._interfaces = {}
         self._store = {name: self._store[name] for name in CHANGED if distro and name in self._store}
-        self._seen = ours.changes
+        self._seen = (0, 0)  # states of ours and of this
         self._different: dict[str, bool] = {}
         self._translations: dict[tuple[str, bool], Translate] = {}
         self._said: set[str] = set()
@@ -126,10 +126,13 @@ class Variant(TypeRegistry):
         found = self._translations.get((type, inward))
         if found is None:
             here, there = (self, self.ours) if inward else (self.ours, self)
-            labels = (self.label, "here") if inward else ("our definitions", self.label)
-            found = make_translation(
-                type, here, there, lambda text: self._say(text.format(here=labels[0], there=labels[1]))
+            at = f"in {self.label}"
+            words = (
+                {"here": at, "of": f" of {self.label}", "there": "here"}
+                if inward
+                else {"here": "here", "of": "", "there": at}
             )
+            found = make_translation(type, here, there, lambda text: self._say(text.format(**words)))
             self._translations[type, inward] = found
         return found
 
@@ -159,9 +162,10 @@ class Variant(TypeRegistry):
         return super().roots(full) if self._is_own(full) else self.ours.roots(full)
 
     def _follow(self) -> None:
-        """Forget what was made of definitions of ours that have changed since."""
-        if self._seen != self.ours.changes:
-            self._seen = self.ours.changes
+        """Forget what was made of definitions, ours or of this network, that have changed since."""
+        state = (self.ours.changes, self.changes)
+        if self._seen != state:
+            self._seen = state
             self._forget()
             self._different.clear()
             self._translations.clear()
