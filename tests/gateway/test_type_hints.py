@@ -42,3 +42,36 @@ def test_known_and_foreign(tmp_path: Path) -> None:
     assert hints(tmp_path, publish=[{"name": "/x", "type": "std_msgs/msg/String"}]) == []
     ((_, hint),) = hints(tmp_path, publish=[{"name": "/x", "type": "my_robot/msg/Whatever"}])
     assert "is not known here" in hint
+
+
+def test_types_of_maps(tmp_path: Path) -> None:
+    """Maps of nodes name types, too, of the gateway's listeners and of remotes."""
+    maps = [{"system": "PEPPER", "topic": "cmd", "type": "geometry_msgs/Twistt"}]
+    other = [{**maps[0], "type": "std_msgs/Strin"}]
+    document = {
+        "gateway": {"name": "a", "listen": [], "iort": {"maps": maps}},
+        "remotes": [{"address": "iort://127.0.0.1:1", "maps": other}],
+    }
+    file = tmp_path / "a.json"
+    file.write_text(json.dumps(document))
+    config = load(file)
+    assert type_hints(config, known_types(config)) == [
+        (
+            "gateway.iort.maps[0].type",
+            'the type geometry_msgs/msg/Twistt is not known; did you mean "geometry_msgs/msg/Twist"?',
+        ),
+        ("remotes[0].maps[0].type", 'the type std_msgs/msg/Strin is not known; did you mean "std_msgs/msg/String"?'),
+    ]
+
+
+def test_types_that_one_network_defines(tmp_path: Path) -> None:
+    """What the files of a network define alone is known."""
+    file = tmp_path / "my_msgs" / "msg" / "Foo.msg"
+    file.parent.mkdir(parents=True)
+    file.write_text("int32 n\n")
+    graph = {"address": "dds:0", "types": ["my_msgs"]}
+    remote = {"address": "ws://127.0.0.1:1", "publish": [{"name": "/x", "type": "my_msgs/msg/Foo"}]}
+    document = tmp_path / "a.json"
+    document.write_text(json.dumps({"gateway": {"name": "a", "listen": [], "graphs": [graph]}, "remotes": [remote]}))
+    config = load(document)
+    assert type_hints(config, known_types(config)) == []

@@ -27,7 +27,7 @@ from ropeway.gateway.nodes import Nodes
 from ropeway.gateway.overlay_model import OVERLAY
 from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote
 from ropeway.gateway.tls import client_context, server_context, trusted_files
-from ropeway.gateway.type_hints import type_hints
+from ropeway.gateway.type_hints import learn_types, type_hints
 from ropeway.graph.factory import open_graph
 from ropeway.graph.hub import Hub, View
 from ropeway.graph.rosbridge import RosbridgeGraph
@@ -105,9 +105,7 @@ class Gateway:
     async def _bring_up(self, stack: AsyncExitStack) -> None:
         keep_freed_memory()
         settings = self.config.gateway
-        for path in settings.types:
-            self.registry.add_path(path)
-        self.registry.add_ament_prefix_path()
+        learn_types(self.config, self.registry)
         for path, hint in type_hints(self.config, self.registry):
             log.warning("%s: %s", path, hint)
         self._entrance.door = make_door(settings)

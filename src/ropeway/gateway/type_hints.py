@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from ropeway.errors import TypesError, UnknownType
@@ -10,7 +11,7 @@ if TYPE_CHECKING:
     from ropeway.gateway.config import Config
     from ropeway.types import TypeRegistry
 
-__all__ = ["known_types", "type_hints"]
+__all__ = ["known_types", "learn_types", "type_hints"]
 
 _KINDS: Final = {"service": "srv", "action": "action"}
 
@@ -20,10 +21,19 @@ def known_types(config: Config) -> TypeRegistry:
     from ropeway.types import TypeRegistry
 
     registry = TypeRegistry()
+    learn_types(config, registry)
+    return registry
+
+
+def learn_types(config: Config, registry: TypeRegistry) -> None:
+    """Add what the configuration names, and the sourced workspaces: first for everybody, then for one network alone."""
+    from ropeway.types.variant import make_network
+
     for path in config.gateway.types:
         registry.add_path(path)
     registry.add_ament_prefix_path()
-    return registry
+    for part in (*config.gateway.networks, *config.remotes):
+        make_network(registry, None, part.types, label=part.address)
 
 
 def type_hints(config: Config, registry: TypeRegistry) -> list[tuple[str, str]]:
@@ -32,12 +42,21 @@ def type_hints(config: Config, registry: TypeRegistry) -> list[tuple[str, str]]:
     Such a type may be right: between gateways messages cross as they are, and peers can tell definitions.
     """
     hints: dict[str, tuple[str, str]] = {}
-    for route in config.routes():
-        kind = _KINDS.get(route.operation.rpartition("-")[2], "msg")
-        if route.type in hints or registry.has(route.type, kind):
-            continue
-        hints[route.type] = (f"{route.path}.type", _hint(route.type, kind, registry))
+    for path, type, kind in _named(config):
+        if type not in hints and not registry.has(type, kind):
+            hints[type] = (f"{path}.type", _hint(type, kind, registry))
     return list(hints.values())
+
+
+def _named(config: Config) -> Iterator[tuple[str, str, str]]:
+    """Every place of the configuration where a type stands, with the type and its kind."""
+    for route in config.routes():
+        yield route.path, route.type, _KINDS.get(route.operation.rpartition("-")[2], "msg")
+    maps = [("gateway.iort", config.gateway.iort.maps)]
+    maps += [(f"remotes[{index}]", remote.maps) for index, remote in enumerate(config.remotes) if remote.active]
+    for path, items in maps:
+        for number, item in enumerate(items):
+            yield f"{path}.maps[{number}]", item.type, "msg"
 
 
 def _hint(type: str, kind: str, registry: TypeRegistry) -> str:
