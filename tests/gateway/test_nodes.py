@@ -88,6 +88,29 @@ async def test_node_drives_ros(world: World) -> None:
     await node.close()
 
 
+async def test_a_map_that_does_not_fit_fails_alone(world: World, caplog: pytest.LogCaptureFixture) -> None:
+    """A map of a type that is not known, or without the fields it names, is told and left out; the others work."""
+    bad = [
+        {"system": "TURTLESIM", "topic": "odd", "type": "geometry_msgs/msg/Twistt"},
+        {"system": "TURTLESIM", "topic": "off", "type": TWIST, "form": "floats", "fields": ["linear.q"]},
+    ]
+    gateway, robot = await with_nodes(world, [*bad, "turtlesim"])
+    inbox = Inbox()
+    await robot.create_subscription("/TURTLESIM/cmd_vel", TWIST, QoS(), inbox)
+    node = await Raw.connect(nodes_port(gateway))
+    assert gateway.nodes is not None
+    await until(lambda: all(b.state == "active" for b in gateway.nodes.bridges.values() if "TURTLE" in b.source_topic))
+    node.send(b"%01/TURTLESIM/cmd_vel/p/0.2,0.0,0.0,0.0,0.0,0.5%")
+    await inbox.wait(1)
+    await node.close()
+    faults = gateway.nodes.status()["faults"]
+    assert [fault.partition(":")[0] for fault in faults] == [
+        "the map of TURTLESIM/odd is left out",
+        "the map of TURTLESIM/off is left out",
+    ]
+    assert all(fault in caplog.text for fault in faults)
+
+
 async def test_no_echo(world: World) -> None:
     """What comes from a node does not come back to it, and what comes from ROS does not come back there."""
     gateway, robot = await with_nodes(world, ["turtlesim"])

@@ -6,6 +6,7 @@ import logging
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.bridge.topic import TopicBridge
+from ropeway.errors import TypesError
 from ropeway.graph.base import Graph, GraphEvent
 from ropeway.graph.iort import IortGraph, LocalLink, Maps, Space, TopicMap
 from ropeway.graph.iort.forms import default_form
@@ -16,7 +17,7 @@ from ropeway.tasks import Supervised, describe
 
 if TYPE_CHECKING:
     import ssl
-    from collections.abc import AsyncIterator
+    from collections.abc import AsyncIterator, Iterator
 
     from ropeway.gateway.iort_model import IortConfig
     from ropeway.server.entrance import Entrance
@@ -59,7 +60,8 @@ class Nodes:
             render=self._render,
             kinds=config.kinds,
         )
-        self.maps = Maps([item.as_map() for item in config.maps])
+        self.faults: list[str] = []  # of maps that cannot be used
+        self.maps = Maps(self._usable([item.as_map() for item in config.maps], registry))
         self.graph = IortGraph(LocalLink(self.space, name), name="iort", maps=self.maps, registry=registry)
         self.bridges: dict[tuple[str, str], TopicBridge] = {}
         self.unshared = 0  # topics that had no place among the bridges
@@ -68,9 +70,7 @@ class Nodes:
         self._watch = Supervised(lambda: self._look_out(self.graph.changes()), "topics of nodes")
 
     async def open(self) -> None:
-        """Join the topics that the maps name. Raises ``TypesError`` for a map that does not fit its type."""
-        for map in self.maps.maps:
-            map.make_form(self.graph.registry)
+        """Join the topics that the maps name."""
         await self.graph.open()
         for map in self.maps.maps:
             if not map.is_pattern:
@@ -99,6 +99,7 @@ class Nodes:
             **self.server.status(),
             "values": self.space.published,
             "unshared": self.unshared,
+            "faults": self.faults,
             "drops": {f"{topic}: {why.value}": n for (topic, why), n in self.graph.drops.items() if n},
             "bridges": [
                 {
@@ -113,6 +114,18 @@ class Nodes:
                 for (direction, name), bridge in sorted(self.bridges.items())
             ],
         }
+
+    def _usable(self, maps: list[TopicMap], registry: TypeRegistry) -> Iterator[TopicMap]:
+        """Return the maps that fit their types; each other one is told and fails alone."""
+        for map in maps:
+            try:
+                map.make_form(registry)
+            except TypesError as error:
+                text = f"the map of {map.system}/{map.topic} is left out: {error}"
+                log.warning("%s", text)
+                self.faults.append(text)
+            else:
+                yield map
 
     def _render(self, entry: Entry) -> bytes:
         """A message of ROS as text, by the map of its topic, or as JSON."""

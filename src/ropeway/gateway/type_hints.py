@@ -32,8 +32,10 @@ def learn_types(config: Config, registry: TypeRegistry) -> None:
     for path in config.gateway.types:
         registry.add_path(path)
     registry.add_ament_prefix_path()
-    for part in (*config.gateway.networks, *config.remotes):
-        make_network(registry, None, part.types, label=part.address)
+    networks = [(network.address, network.types) for network in config.gateway.networks]
+    networks += [(remote.address, remote.types) for remote in config.remotes]
+    for address, types in networks:
+        make_network(registry, None, types, label=address)
 
 
 def type_hints(config: Config, registry: TypeRegistry) -> list[tuple[str, str]]:
