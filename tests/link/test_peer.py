@@ -329,10 +329,7 @@ async def test_clock(setting: Setting) -> None:
         assert (await client.json())["t"] == odd
     assert off() < 20_000_000
     ahead_ns = -3_000_000_000
-    for _ in range(200):
-        await answer()
-        if off() < 20_000_000:
-            break
+    await answer()
     assert off() < 20_000_000
 
 

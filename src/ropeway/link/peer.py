@@ -51,6 +51,7 @@ CONTROL_OPS: Final = frozenset(
     }
 )
 _SECRET_CHARACTERS: Final = 64
+_DRIFT_NS: Final = 1_000_000  # what clocks may run apart between two pings; a larger difference means that one was set
 _CALLS: Final = 1  # calls and answers in records
 _REQUESTS: Final = ("call_service", "send_action_goal")  # answered with or without an id
 
@@ -413,7 +414,9 @@ class Peer:
         rtt = (now - sent) / 1e9
         self.rtt_s = rtt if self.rtt_s is None else self.rtt_s + 0.3 * (rtt - self.rtt_s)
         self._offset_rtt *= 1.02  # the best measurement ages, so that drifting clocks are followed
-        if rtt <= self._offset_rtt:
+        offset = self.clock_offset_ns
+        was_set = offset is not None and not remote - now - _DRIFT_NS <= offset <= remote - sent + _DRIFT_NS
+        if rtt <= self._offset_rtt or was_set:
             self._offset_rtt = rtt
             self.clock_offset_ns = remote - (sent + now) // 2
 
