@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 from ropeway.errors import TypesError
 from ropeway.types.definition import Definition
-from ropeway.types.stores import DISTROS, from_rosbags, store_table
+from ropeway.types.parser import parse_msg
+from ropeway.types.stores import DISTROS, store_table
 
 if TYPE_CHECKING:
     from ropeway.types.registry import TypeRegistry
@@ -56,7 +57,7 @@ class OtherDistros:
         if name not in CHANGED:
             return False
         tables = map(store_table, ROS2_DISTROS)
-        return any(name in table and from_rosbags(name, table[name]).same_layout(definition) for table in tables)
+        return any(name in table and parse_msg(name, table[name]).same_layout(definition) for table in tables)
 
     def touches(self, type: str) -> bool:
         """Return whether the type, or one that it is made of, has another layout in some distribution."""

@@ -1,6 +1,6 @@
 """Every message definition that Ropeway knows, by name, without a ROS installation.
 
-Definitions come from the type stores of ``rosbags`` (one ROS distribution), from a table of standard services and
+Definitions come from those that a ROS distribution ships, from a table of standard services and
 actions, from files the user names or a sourced workspace has, and from peers and bags. They are read when they are
 first asked for.
 """
@@ -22,9 +22,9 @@ from ropeway.types.distros import OtherDistros
 from ropeway.types.files import find_interfaces, find_share, read_text
 from ropeway.types.hashes import definition_md5, interface_members, rihs01
 from ropeway.types.interfaces import owner_of, parse, parse_full, sources_of
-from ropeway.types.parser import PARTS, parse_interface
+from ropeway.types.parser import PARTS, parse_interface, parse_msg
 from ropeway.types.standard import INTERFACES
-from ropeway.types.stores import NEWEST, from_rosbags, store_table
+from ropeway.types.stores import NEWEST, store_table
 from ropeway.types.told import Teller, Told, check_size
 from ropeway.types.typedef import typedefs
 
@@ -319,7 +319,7 @@ class TypeRegistry:
             if full in self._definitions or full in self._sources:
                 return
             if full in self._store:
-                self._add_builtin([from_rosbags(full, self._store[full])])
+                self._add_builtin([parse_msg(full, self._store[full])])
             elif owner in self._interfaces:
                 self._add_builtin(parse_interface(owner, self._interfaces[owner]))
                 if owner not in self._definitions:

@@ -18,9 +18,9 @@ from ropeway.limits import DEFINITION_CHARACTERS, DEFINITIONS_PER_GATEWAY
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import HEADER, TIMES, Definition, Field, FieldType, canonical_name, short_name
 from ropeway.types.hashes import definition_md5
-from ropeway.types.parser import parse_interface, parse_sections
+from ropeway.types.parser import parse_interface, parse_msg, parse_sections
 from ropeway.types.ros1_convert import Converter
-from ropeway.types.stores import from_rosbags, store_table
+from ropeway.types.stores import store_table
 from ropeway.types.told import Teller
 
 __all__ = ["ANY", "Ros1Type", "Ros1Types"]
@@ -70,7 +70,7 @@ class Ros1Types:
 
     def _make(self, full: str, needed_by: str) -> Definition:
         if full in self._store:
-            return from_rosbags(full, self._store[full])
+            return parse_msg(full, self._store[full])
         for source in (full, self._part_of_action(full)):
             if source and self.registry.has(source):
                 return _as_ros1(full, self.registry.definition(source, needed_by=needed_by))

@@ -1,4 +1,4 @@
-"""Interfaces that every ROS 2 has and the type stores of ``rosbags`` leave out: services, actions, examples.
+"""Interfaces that every ROS 2 has and the definitions of the distributions leave out: services, actions, examples.
 
 ``INTERFACES`` maps a full name to its definition text, written here from the documented fields.
 """
@@ -9,13 +9,7 @@ from typing import Final
 
 from ropeway.types.rosbridge import ROSBRIDGE_INTERFACES
 
-__all__ = ["DEFAULTS", "INTERFACES"]
-
-DEFAULTS: Final[dict[str, dict[str, object]]] = {
-    "geometry_msgs/msg/Quaternion": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
-    "sensor_msgs/msg/NavSatStatus": {"status": -2},
-}
-"""Default values in messages of the stores, which the stores do not tell (those that equal zero left out)."""
+__all__ = ["INTERFACES"]
 
 _SET_BOOL: Final = "bool data\n---\nbool success\nstring message\n"
 _TRIGGER: Final = "---\nbool success\nstring message\n"
