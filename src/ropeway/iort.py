@@ -45,6 +45,7 @@ import hashlib
 import hmac
 import json
 import os
+import re
 import socket
 import ssl
 import struct
@@ -59,6 +60,7 @@ from urllib.parse import quote, urlsplit
 __all__ = [
     "DEFAULT_PORT",
     "KINDS",
+    "NOT_HTTP",
     "AsyncNode",
     "Fault",
     "LocalServer",
@@ -69,6 +71,7 @@ __all__ = [
     "Value",
     "escape",
     "identifier_of",
+    "is_http",
     "kind_of",
     "origin_of",
     "pack",
@@ -297,6 +300,19 @@ def _parse_upgrade(parts: List[bytes], count: int) -> Union[Packet, Fault]:
         if b"~" in data:
             data = data.replace(b"~2", _PERCENT).replace(b"~1", b"/").replace(b"~0", b"~")
     return Packet(id, system, topic, parts[3].decode(), head, data)
+
+
+_HTTP = re.compile(rb"(?:GET|HEAD|POST|PUT|DELETE|CONNECT|OPTIONS|TRACE|PATCH) ")
+
+NOT_HTTP = (
+    b"HTTP/1.1 400 Bad Request\r\nContent-Type: text/plain\r\nConnection: close\r\n\r\nthis port speaks iort://\n"
+)
+"""The answer to a browser. A page could put packets into the body of a request, and so speak as a node."""
+
+
+def is_http(first: bytes) -> bool:
+    """Return whether a connection begins with these bytes as a browser's does."""
+    return _HTTP.match(first) is not None
 
 
 class Parser:
@@ -1476,6 +1492,7 @@ class _Served(asyncio.Protocol):
         self.waiting: "OrderedDict[Tuple[str, str], bytes]" = OrderedDict()  # the newest value of each topic
         self.items: Deque[Union[Packet, Fault]] = deque()
         self.busy = self.paused = False
+        self.heard = False
         self.login: Optional[asyncio.TimerHandle] = None  # who has not said who it is by then has to leave
 
     def connection_made(self, transport: Any) -> None:
@@ -1511,6 +1528,12 @@ class _Served(asyncio.Protocol):
         self.go_on()
 
     def data_received(self, data: bytes) -> None:
+        if not self.heard and is_http(data):
+            self.server.faults += 1
+            self.transport.write(NOT_HTTP)
+            self.transport.close()
+            return
+        self.heard = True
         self.items += self.parser.feed(data)
         self.go_on()
 

@@ -207,6 +207,18 @@ async def test_token(local: Served) -> None:
     await plain.close()
 
 
+async def test_a_web_page(local: Served) -> None:
+    """A packet in the body of a browser's request is no packet of a node."""
+    local.start()
+    page = await Raw.connect(local.port)
+    page.send(b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 12\r\n\r\n%01/A/b/p/1%")
+    assert (await page.reader.read()).startswith(b"HTTP/1.1 400 ")
+    node = await Raw.connect(local.port)
+    assert (await node.ask(b"%01/A/b/s%")).op == "e"
+    await page.close()
+    await node.close()
+
+
 async def test_beyond_loopback() -> None:
     """Beyond loopback a server needs a token, or to be told that it needs none."""
     server = LocalServer("one")

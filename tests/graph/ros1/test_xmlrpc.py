@@ -176,6 +176,26 @@ async def test_bad_calls(serve: Serve, body: str, text: str, caplog: pytest.LogC
     assert not caplog.records
 
 
+async def test_a_web_page(serve: Serve) -> None:
+    """A call of a page in a browser, which says where the page is from, is refused."""
+    called: list[str] = []
+
+    async def note(method: str, _: object) -> int:
+        called.append(method)
+        return 1
+
+    host, port = split_uri(await serve(note))
+    body = dumps(("/page",), "shutdown")
+    reader, writer = await asyncio.open_connection(host, port)
+    head = f"POST / HTTP/1.1\r\nOrigin: http://evil.example\r\nContent-Length: {len(body)}\r\n\r\n"
+    writer.write((head + body).encode())
+    answer = await reader.read()
+    writer.close()
+    assert answer.startswith(b"HTTP/1.1 400 ")
+    assert b"web pages may not call nodes" in answer
+    assert called == []
+
+
 async def test_texts_that_look_like_elements(serve: Serve) -> None:
     """In a text that says so, anything may stand, however long the elements in it are."""
     text = f"<link name={'x' * 100!r}/>"

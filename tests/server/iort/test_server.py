@@ -146,6 +146,21 @@ async def test_cut_and_joined() -> None:
         await node.close()
 
 
+@pytest.mark.parametrize("path", ["/", "/%01/EVIL/cmd_vel/p/1%", "/" + "x" * 100_000 + "%01/EVIL/cmd_vel/p/1%"])
+@pytest.mark.parametrize("method", ["GET", "POST", "PUT", "OPTIONS"])
+async def test_a_web_page(method: str, path: str) -> None:
+    """Packets in a request of a browser, wherever they stand in it, are no packets of a node."""
+    async with serving() as served:
+        node = await Raw.connect(served.port)
+        body = "%01/EVIL/cmd_vel/p/1%"
+        node.send(f"{method} {path} HTTP/1.1\r\nHost: {body}\r\nContent-Length: {len(body)}\r\n\r\n{body}".encode())
+        with contextlib.suppress(ConnectionResetError):  # what it sent last was not read
+            assert (await node.reader.read()).startswith(b"HTTP/1.1 400 ")
+        assert served.server.counts["http"] == 1
+        assert not list(served.store.entries())
+        await node.close()
+
+
 async def test_silence_and_replies() -> None:
     """Bad packets are counted; a node of the paper hears nothing of them, one of the upgrade is told each."""
     bad = [b"01/A/b/s%", b"%01/A%", b"%01/A/b/x/1%", b"%\xff/A/b/s%", b"%01/A/b/p/" + b"x" * 3000 + b"%"]

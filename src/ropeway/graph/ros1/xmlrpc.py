@@ -212,6 +212,8 @@ class XmlRpcServer:
             return False
         async with asyncio.timeout(_CALL_S):
             headers = await _read_headers(reader)
+            if "origin" in headers:  # a browser sends for whatever page is open in it
+                raise _Malformed("web pages may not call nodes")
             if headers.get("expect", "").lower() == "100-continue":
                 writer.write(b"HTTP/1.1 100 Continue\r\n\r\n")
             request = await _read_body(reader, headers, _REQUEST_LIMIT_BYTES, whole=False)

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 from ropeway.errors import ConnectFailed
 from ropeway.graph.iort.space import Space
-from ropeway.iort import DEFAULT_PORT, MAX_PACKET_BYTES, NodeError
+from ropeway.iort import DEFAULT_PORT, MAX_PACKET_BYTES, NOT_HTTP, NodeError
 from ropeway.limits import LOGIN_S
 from ropeway.link.complaints import Complaints
 from ropeway.link.connection import peer_address
@@ -189,6 +189,14 @@ class IortServer:
         self.counts["no login"] += 1
         self._complaints.note("login", "", f"{session.peer} did not say who it is within {self.login_s:g} s")
         session.close("login", f"say who you are within {self.login_s:g} s")
+
+    def browser_came(self, session: Session) -> None:
+        """Send a browser away."""
+        assert session.transport is not None
+        self.counts["http"] += 1
+        self._complaints.note("http", "", f"{session.peer} speaks HTTP; to a browser this port is closed")
+        session.transport.write(NOT_HTTP)
+        session.transport.close()
 
     def _let_in(self, session: Session, role: Role) -> None:
         """Give a node its role, and a part in the space. Raises ``NodeError`` where there is no place for it."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from ropeway.errors import AccessDenied, StoreUnavailable, TypesError, ValueRefused
 from ropeway.graph.iort.space import Endpoint, is_pattern
-from ropeway.iort import KINDS, Fault, NodeError, Packet, Parser, identifier_of, origin_of, pack
+from ropeway.iort import KINDS, Fault, NodeError, Packet, Parser, identifier_of, is_http, origin_of, pack
 from ropeway.limits import HTTP_HEAD_BYTES, WRONG_TOKENS_PER_CONNECTION
 from ropeway.link.flow import Flow
 from ropeway.link.lobby import Visit
@@ -57,7 +57,7 @@ class Session(asyncio.Protocol):
         self._out: list[bytes] = []
         self._out_bytes = 0
         self._scheduled = False
-        self._paused = False
+        self._heard = self._paused = False
         self._looking = False  # a value is looked up elsewhere; what came after its request waits
         self._flow = Flow(self._catch_up)
         self._pushes = Pushes(self._superseded)
@@ -119,6 +119,10 @@ class Session(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Take what came; of a stranger packet by packet: one may let it in, and with it bigger ones."""
+        if not self._heard and is_http(data):
+            self.server.browser_came(self)
+            return
+        self._heard = True
         while self.access is None and data:
             cut = data.find(b"%") + 1 or len(data)
             self._take(data[:cut])
