@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import sys
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from types import TracebackType
@@ -16,11 +15,6 @@ from mcap.exceptions import McapError
 from rosbags.rosbag1 import ReaderError as Rosbag1Error
 
 from ropeway.qos import DEFAULT, LATCHED, QoS, common_qos
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd  # what rosbags takes before it is in the standard library
 
 __all__ = ["DAMAGED", "DEFINITIONS", "Channel", "Source", "profiles_in", "reason_of", "recorded_qos"]
 
@@ -40,7 +34,6 @@ DAMAGED: Final = (
     struct.error,
     yaml.YAMLError,
     zstandard.ZstdError,
-    zstd.ZstdError,
 )
 """What the readers raise for a damaged file: they check little, so a wrong length shows as any of these."""
 
