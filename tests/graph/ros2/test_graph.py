@@ -23,7 +23,7 @@ from tests.support.messages import STRING, sample, text
 from tests.support.services import ADD, add, addends, total
 from tests.support.until import until
 
-from .conftest import World
+from .conftest import World, matched
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
@@ -166,9 +166,10 @@ async def test_hears_others_beside_itself(world: World) -> None:
     near, far = await world.graph("near"), await world.graph("far")
     ours, theirs = await near.create_publisher("/t", STRING), await far.create_publisher("/t", STRING)
     inbox = Inbox()
-    await near.create_subscription("/t", STRING, QoS(depth=100), inbox)
+    subscription = await near.create_subscription("/t", STRING, QoS(depth=100), inbox)
     await far.create_subscription("/t", STRING, QoS(depth=100), lambda _: None)
-    await until(lambda: ours.subscribers == theirs.subscribers == 1)
+    await until(lambda: ours.subscribers == 1)
+    await matched(theirs, subscription)
     for number in range(5):
         ours.publish(sample(f"ours {number}"))
         theirs.publish(sample(f"theirs {number}"))
@@ -246,9 +247,9 @@ async def test_publish_and_close(world: World) -> None:
     """What was published right before the end arrives."""
     near, far = await world.graph("near"), await world.graph("far")
     inbox = Inbox()
-    await far.create_subscription("/t", STRING, QoS(depth=100), inbox)
+    subscription = await far.create_subscription("/t", STRING, QoS(depth=100), inbox)
     publisher = await near.create_publisher("/t", STRING, QoS(depth=100))
-    await until(lambda: publisher.subscribers == 1)
+    await matched(publisher, subscription)
     publisher.publish(sample("last"))
     await publisher.close()
     await inbox.wait(1)
@@ -258,9 +259,9 @@ async def test_big_endian(world: World) -> None:
     """A message of a big-endian machine arrives little-endian."""
     near, far = await world.graph("near"), await world.graph("far")
     inbox = Inbox()
-    await far.create_subscription("/t", STRING, QoS(), inbox)
+    subscription = await far.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await near.create_publisher("/t", STRING)
-    await until(lambda: publisher.subscribers == 1)
+    await matched(publisher, subscription)
     publisher.publish(Sample(b"\0\0\0\0" + struct.pack(">I", 4) + b"big\0", STRING, 0, bytes(16), 0))
     await inbox.wait(1)
     assert inbox.payloads == [text("big")]
@@ -270,9 +271,9 @@ async def test_behind(world: World) -> None:
     """A loop that is busy for a while gets the newest messages afterwards, and goes on."""
     near, far = await world.graph("near"), await world.graph("far")
     inbox = Inbox()
-    await far.create_subscription("/t", STRING, QoS(depth=20), inbox)
+    subscription = await far.create_subscription("/t", STRING, QoS(depth=20), inbox)
     publisher = await near.create_publisher("/t", STRING, QoS(depth=20))
-    await until(lambda: publisher.subscribers == 1)
+    await matched(publisher, subscription)
     for number in range(200):
         publisher.publish(sample(str(number)))
     time.sleep(0.3)  # noqa: ASYNC251 - the loop is busy
@@ -289,9 +290,9 @@ async def test_reopened(world: World) -> None:
     await graph.open()
     await graph.open()
     inbox = Inbox()
-    await graph.create_subscription("/t", STRING, QoS(), inbox)
+    subscription = await graph.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await far.create_publisher("/t", STRING)
-    await until(lambda: publisher.subscribers == 1)
+    await matched(publisher, subscription)
     publisher.publish(sample("again"))
     await inbox.wait(1)
 
