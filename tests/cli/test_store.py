@@ -7,11 +7,15 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
 
+from ropeway.cli.store.source import find_source
+from ropeway.errors import ConnectFailed
 from ropeway.iort import Node
 from tests.cli.conftest import Ropeway
 from tests.support.ports import free_port
@@ -86,6 +90,34 @@ def test_mistakes(place: Place) -> None:
     assert "no parameter but token" in place.run("store", "list", "--at", f"{place.http}/?tokn=abc", code=1)
     assert place.run("store", "list", "--at", f"{place.http}?token=abc") == ""
     assert "is watched at a gateway" in place.run("store", "watch", "--at", place.store, code=1)
+
+
+@pytest.mark.parametrize("status", [301, 302, 303, 307, 308])
+def test_a_gateway_that_points_elsewhere(status: int) -> None:
+    """Where a gateway points to another address, the token does not go there, and nothing is asked there."""
+    asked: list[str] = []
+
+    class Pointing(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            self.send_response(status)
+            self.send_header("Location", f"http://localhost:{self.server.server_address[1]}/elsewhere")
+            self.end_headers()
+
+        do_DELETE = do_GET  # noqa: N815 - the name that the server looks for
+
+        def log_message(self, *_: object) -> None:
+            """Say nothing."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Pointing) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        source = find_source(f"http://127.0.0.1:{server.server_address[1]}", "secret", "")
+        with pytest.raises(ConnectFailed, match=f"answered {status}; that is not followed"):
+            source.values("*", "*")
+        with pytest.raises(ConnectFailed, match="not followed"):
+            source.remove("A", "b")
+        server.shutdown()
+    assert asked == ["/store", "/store/A/b"]
 
 
 def test_topics_of_nodes(place: Place) -> None:

@@ -12,7 +12,7 @@ from queue import SimpleQueue
 from typing import Annotated, Any, Final, Protocol, TypeVar
 from urllib.error import HTTPError, URLError
 from urllib.parse import parse_qs, quote, urlsplit
-from urllib.request import Request, urlopen
+from urllib.request import HTTPRedirectHandler, HTTPSHandler, Request, build_opener
 
 import typer
 
@@ -26,6 +26,7 @@ __all__ = ["AtOption", "CaOption", "Source", "TokenOption", "find_source", "key_
 T = TypeVar("T")
 
 _TIMEOUT_S: Final = 10.0
+_ERROR_BYTES: Final = 64 << 10  # of an answer that says what went wrong
 
 AtOption = Annotated[
     str,
@@ -101,25 +102,35 @@ def shown(value: dict[str, Any], limit: int = 80) -> str:
     return text if len(text) <= limit else f"{text[: limit - 1]}…"
 
 
+class _NoRedirects(HTTPRedirectHandler):
+    """Leaves an answer that points elsewhere as it is: a token is for the host that was named."""
+
+    def redirect_request(self, *_: Any) -> None:
+        """Part of ``HTTPRedirectHandler``: do not follow."""
+
+
 class _Gateway:
     """Over HTTP."""
 
     def __init__(self, url: str, token: str, ca: str) -> None:
         self._url, self._token = url, token
-        self._context = ssl.create_default_context(cafile=ca or None) if url.startswith("https") else None
+        context = ssl.create_default_context(cafile=ca or None) if url.startswith("https") else None
+        self._opener = build_opener(_NoRedirects, HTTPSHandler(context=context))
 
     def _ask(self, path: str, method: str = "GET", timeout_s: float | None = _TIMEOUT_S) -> Any:
         headers = {"Authorization": f"Bearer {self._token}"} if self._token else {}
         request = Request(f"{self._url}{path}", method=method, headers=headers)  # noqa: S310 - http or https, see above
         try:
-            return urlopen(request, timeout=timeout_s, context=self._context)  # noqa: S310
+            return self._opener.open(request, timeout=timeout_s)
         except HTTPError as error:
             with error:
-                raw = error.read()
+                raw = error.read(_ERROR_BYTES)
             try:
                 text = str(json.loads(raw)["error"])
             except (ValueError, KeyError, TypeError):
                 text = f"answered {error.code}"
+                if 300 <= error.code < 400:
+                    text += "; that is not followed: write the address that is meant"
             if error.code == 404 and text.startswith("no value"):
                 return None
             hint = '; it keeps no values: it needs an iort:// listener, a store, or a topic with "store": true'
