@@ -28,6 +28,7 @@ lint: $(VENV)/dev.stamp ## style, spelling, types, and the direction of imports
 	@$(BIN)/ruff format --check .
 	@$(BIN)/codespell
 	@$(BIN)/mypy
+	@$(BIN)/mypy examples
 	@$(BIN)/lint-imports
 
 bench: $(VENV)/dev.stamp ## the figures of the README; BENCH="loopback" for one

@@ -78,7 +78,7 @@ async def test_cancelled_while_it_opens() -> None:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
         before = asyncio.all_tasks()
-        opening = asyncio.ensure_future(ropeway.open(f"ws://127.0.0.1:{silent.getsockname()[1]}")._work)
+        opening = asyncio.ensure_future(ropeway.open(f"ws://127.0.0.1:{silent.getsockname()[1]}"))
         await asyncio.sleep(0.05)
         opening.cancel()
         with pytest.raises(asyncio.CancelledError):

@@ -182,7 +182,7 @@ async def test_waits_end(network: str) -> None:
 async def test_type_comes_later(network: str) -> None:
     """A subscription without a type waits for the first publisher."""
     async with ropeway.open(network) as graph, ropeway.open(network) as other:
-        waiting = asyncio.ensure_future(graph.subscribe("/a")._work)
+        waiting = asyncio.ensure_future(graph.subscribe("/a"))
         await asyncio.sleep(0)
         async with other.publisher("/a", "std_msgs/Bool") as publisher, await waiting as subscription:
             publisher.publish({"data": True})

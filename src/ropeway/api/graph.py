@@ -291,6 +291,8 @@ class AsyncGraph:
             return
         self._closed = True
         await self._parts.close()
+        for view in list(self._hub.views):  # of those that are being made
+            await view.close()
         await self._hub.close()
         await self._graph.close()
 

@@ -125,8 +125,7 @@ class Calls:
     async def may_try_again(self, caller: RemoteCaller, began: float, deadline: float) -> bool:
         """After a call that was not served: wait until another is worth it. False when it is not, within the time."""
         loop = asyncio.get_running_loop()
-        peer = self.peer
-        if peer is not None and not self._told(peer):
+        if caller.available is None:
             deadline = min(deadline, began + _NOBODY_S)
         left = deadline - loop.time()
         if left <= 0:
