@@ -23,13 +23,14 @@ test: $(VENV)/dev.stamp ## all tests but the slow ones; TEST="-k outbox" for som
 test-all: $(VENV)/dev.stamp ## all tests, with a short run of the fuzzer and of everything that must not grow
 	@$(BIN)/python -m pytest -q $(TEST)
 
-lint: $(VENV)/dev.stamp ## style, spelling, types, and the direction of imports
+lint: $(VENV)/dev.stamp ## style, spelling, types, the direction of imports, and no circles of them
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/codespell
 	@$(BIN)/mypy
 	@$(BIN)/mypy examples
 	@$(BIN)/lint-imports
+	@$(BIN)/python -m tests.circles
 
 bench: $(VENV)/dev.stamp ## the figures of the README; BENCH="loopback" for one
 	@for name in $(or $(BENCH),$(BENCHES)); do $(BIN)/python -m bench.$$name || exit 1; done

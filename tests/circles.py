@@ -1,0 +1,114 @@
+"""Looks for files that import each other in a circle: ``python -m tests.circles``, as ``make lint`` does.
+
+Imports for type checkers count: who needs a type of a file needs the file to be understood. What still stands is in
+``STANDING``; the list may only become shorter.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+import grimp
+
+__all__ = ["STANDING", "circles", "complaints"]
+
+STANDING: Final[Mapping[str, str]] = {
+    "graph.dds.client": "graph.dds.graph",
+    "graph.dds.endpoints": "graph.dds.matching graph.dds.participant",
+    "graph.dds.ends": "graph.dds.graph",
+    "graph.dds.fast.ends": "graph.dds.fast.node",
+    "graph.dds.publisher": "graph.dds.graph",
+    "graph.dds.service": "graph.dds.graph",
+    "graph.hub_calls": "graph.hub_actions",
+    "graph.hub_topics": "graph.hub",
+    "graph.iort.parts": "graph.iort.graph",
+    "graph.memory_calls": "graph.memory",
+    "graph.memory_topics": "graph.memory",
+    "graph.overlay.calls": "graph.overlay.graph",
+    "graph.overlay.publisher": "graph.overlay.graph",
+    "graph.overlay.sender": "graph.overlay.graph graph.overlay.publisher",
+    "graph.overlay.subscription": "graph.overlay.graph",
+    "graph.ros1.client": "graph.ros1.keeper",
+    "graph.ros2.client": "graph.ros2.graph",
+    "graph.ros2.publisher": "graph.ros2.graph",
+    "graph.ros2.readers": "graph.ros2.graph",
+    "graph.ros2.service": "graph.ros2.graph",
+    "graph.rosbridge.calls": (
+        "graph.rosbridge.actions graph.rosbridge.graph graph.rosbridge.servers graph.rosbridge.services"
+    ),
+    "graph.rosbridge.parts": "graph.rosbridge.graph",
+    "graph.rosbridge.refusals": "graph.rosbridge.calls",
+    "graph.rosbridge.spelling": "graph.rosbridge.graph",
+    "link.calls": "link.sender",
+    "link.channel": "link.express link.sender",
+    "link.express": "link.channel link.peer",
+    "server.action_offers": "server.session",
+    "server.action_ops": "server.session",
+    "server.bodies": "server.session",
+    "server.iort.session": "server.iort.server",
+    "server.service_ops": "server.session",
+    "server.topic_ops": "server.session",
+    "server.topics": "server.session",
+    "store.mirror": "store.store",
+    "types.codec": "types.registry",
+    "types.distros": "types.registry",
+    "types.told": "types.registry",
+}
+"""Which files still import what imports them, each name without ``ropeway.``; all of it for type checkers alone."""
+
+
+def circles(imports: Mapping[str, Iterable[str]]) -> list[list[str]]:
+    """Return the groups of files of which each reaches every other one by its imports."""
+    reached = {name: _reached(imports, name) for name in imports}
+    groups = {
+        tuple(sorted(other for other in reached[name] if name in reached.get(other, ())))
+        for name in imports
+        if name in reached[name]
+    }
+    return sorted(map(list, groups))
+
+
+def _reached(imports: Mapping[str, Iterable[str]], start: str) -> set[str]:
+    found: set[str] = set()
+    waiting = list(imports[start])
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting += imports.get(name, ())
+    return found
+
+
+def complaints(imports: Mapping[str, set[str]], standing: Mapping[str, str]) -> list[str]:
+    """Return what is wrong: circles beyond those that stand, and names on the list that are not needed any more."""
+    known = {name: set(targets.split()) for name, targets in standing.items()}
+    left = {name: targets - known.get(name, set()) for name, targets in imports.items()}
+    told = [f"these files import each other in a circle: {', '.join(circle)}" for circle in circles(left)]
+    standing_circles = [set(circle) for circle in circles(imports)]
+    for name, targets in known.items():
+        for target in sorted(targets):
+            if target not in imports.get(name, ()) or not any({name, target} <= each for each in standing_circles):
+                told.append(f"{name} and {target} are in no circle any more: shorten STANDING in tests/circles.py")
+    return told
+
+
+def _imports(*, for_types: bool) -> dict[str, set[str]]:
+    graph = grimp.build_graph("ropeway", exclude_type_checking_imports=not for_types, cache_dir=None)
+
+    def short(name: str) -> str:
+        return name.removeprefix("ropeway.")
+
+    return {short(name): {short(n) for n in graph.find_modules_directly_imported_by(name)} for name in graph.modules}
+
+
+def main() -> int:
+    """Print what is wrong, and return whether something is."""
+    told = complaints(_imports(for_types=False), {}) + complaints(_imports(for_types=True), STANDING)
+    print("\n".join(told) or "no new circles of imports", file=sys.stderr if told else sys.stdout)
+    return bool(told)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
