@@ -1,11 +1,40 @@
-"""Fixtures of all tests."""
+"""Fixtures of all tests, and the event loops that they run on."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+import asyncio
+import os
+from collections.abc import AsyncIterator, Callable, Generator, Iterator
 from contextlib import AsyncExitStack
 
 import pytest
+
+from tests.support.clock import JumpingLoop
+from tests.support.isolation import isolated_dds
+
+
+def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:
+    """Tests that are marked ``jumping`` run on a loop that does not wait, all others on asyncio's own."""
+    return {
+        "asyncio": JumpingLoop
+        if (item.get_closest_marker("jumping") or os.environ.get("JUMP"))
+        else asyncio.new_event_loop
+    }
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Write half characters out, which tests log and no process of pytest could hand to another."""
+    report = yield
+    report.sections = [(title, text.encode(errors="backslashreplace").decode()) for title, text in report.sections]
+    return report
+
+
+@pytest.fixture(scope="session", autouse=True)
+def dds_isolation() -> Iterator[None]:
+    """Participants of this process, and of those it starts, discover each other and no other test run."""
+    with isolated_dds():
+        yield
 
 
 @pytest.fixture

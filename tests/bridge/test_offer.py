@@ -16,7 +16,9 @@ from ropeway.errors import CallFailed, CallTimeout, GoalRejected, NotServed
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.graph.memory import MemoryGraph
 from tests.support.actions import FIBONACCI
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
+
+pytestmark = pytest.mark.jumping
 
 _numbers = itertools.count()
 TRIGGER = "std_srvs/srv/Trigger"
@@ -81,7 +83,7 @@ async def test_calls_pass(sides: Sides) -> None:
     await sides.server.create_service("/s", TRIGGER, echo)
     bridge = await sides.service()
     client = await sides.caller.create_client("/t", TRIGGER)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     answers = await asyncio.gather(*(client.call(Request(EMPTY + bytes([i]))) for i in range(20)))
     assert answers == [EMPTY + b"echo " + bytes([i]) for i in range(20)]
     assert bridge.counts == {"answered": 20}
@@ -128,7 +130,7 @@ async def test_errors_pass(sides: Sides) -> None:
     await sides.server.create_service("/s", TRIGGER, refuse)
     bridge = await sides.service()
     client = await sides.caller.create_client("/t", TRIGGER)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     with pytest.raises(CallFailed, match="the gripper is hot"):
         await client.call(Request(EMPTY))
     assert bridge.counts == {"CallFailed": 1}
@@ -144,7 +146,7 @@ async def test_time_of_a_route(sides: Sides) -> None:
     await sides.server.create_service("/s", TRIGGER, never)
     bridge = await sides.service(timeout_s=0.05)
     client = await sides.caller.create_client("/t", TRIGGER)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     with pytest.raises(CallTimeout):
         await client.call(Request(EMPTY), 30)
     assert bridge.counts == {"CallTimeout": 1}
@@ -162,7 +164,7 @@ async def test_provider_vanishes(sides: Sides) -> None:
     service = await sides.server.create_service("/s", TRIGGER, never)
     await sides.service()
     client = await sides.caller.create_client("/t", TRIGGER)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     async with asyncio.TaskGroup() as group:
         call = group.create_task(_failure(client.call(Request(EMPTY), 30)))
         await started.wait()
@@ -191,10 +193,10 @@ async def test_goals_pass(sides: Sides) -> None:
     await sides.server.create_action_server("/s", FIBONACCI, ActionHandlers(execute))
     bridge = await sides.action()
     client = await sides.caller.create_action_client("/t", FIBONACCI)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     feedback: list[bytes] = []
     goal = await client.send_goal(Goal(ORDER), on_feedback=feedback.append)
-    assert await goal.result(5) == Outcome(GoalStatus.SUCCEEDED, SEQUENCE)
+    assert await goal.result(PATIENCE_S) == Outcome(GoalStatus.SUCCEEDED, SEQUENCE)
     await until(lambda: feedback)
     assert feedback == [SEQUENCE]
     assert bridge.counts == {"succeeded": 1}
@@ -212,7 +214,7 @@ async def test_goal_is_rejected(sides: Sides) -> None:
     await sides.server.create_action_server("/s", FIBONACCI, ActionHandlers(execute, accept))
     await sides.action()
     client = await sides.caller.create_action_client("/t", FIBONACCI)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     with pytest.raises(GoalRejected):
         await client.send_goal(Goal(ORDER))
 
@@ -227,10 +229,10 @@ async def test_goal_is_cancelled(sides: Sides) -> None:
     await sides.server.create_action_server("/s", FIBONACCI, ActionHandlers(_until_cancelled))
     await sides.action()
     client = await sides.caller.create_action_client("/t", FIBONACCI)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     goal = await client.send_goal(Goal(ORDER))
     assert await goal.cancel()
-    assert await goal.result(5) == Outcome(GoalStatus.CANCELED, SEQUENCE)
+    assert await goal.result(PATIENCE_S) == Outcome(GoalStatus.CANCELED, SEQUENCE)
 
 
 async def test_goal_takes_too_long(sides: Sides) -> None:
@@ -245,9 +247,9 @@ async def test_goal_takes_too_long(sides: Sides) -> None:
     await sides.server.create_action_server("/s", FIBONACCI, ActionHandlers(execute))
     await sides.action(timeout_s=0.05)
     client = await sides.caller.create_action_client("/t", FIBONACCI)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     goal = await client.send_goal(Goal(ORDER))
-    assert (await goal.result(5)).status is GoalStatus.ABORTED
+    assert (await goal.result(PATIENCE_S)).status is GoalStatus.ABORTED
     await asyncio.wait_for(cancelled.wait(), 5)
 
 
@@ -263,8 +265,8 @@ async def test_bridge_closes_in_mid_goal(sides: Sides) -> None:
     await sides.server.create_action_server("/s", FIBONACCI, ActionHandlers(execute))
     bridge = await sides.action()
     client = await sides.caller.create_action_client("/t", FIBONACCI)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     goal = await client.send_goal(Goal(ORDER))
     await bridge.close()
-    assert (await goal.result(5)).status is GoalStatus.ABORTED
+    assert (await goal.result(PATIENCE_S)).status is GoalStatus.ABORTED
     await asyncio.wait_for(cancelled.wait(), 5)

@@ -13,6 +13,7 @@ import pytest
 from ropeway.cli.session import Session
 from ropeway.graph.memory import MemoryGraph
 from ropeway.types import TypeRegistry
+from tests.support.until import PATIENCE_S
 
 Ropeway = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -37,11 +38,9 @@ async def pair(registry: TypeRegistry, request: pytest.FixtureRequest) -> AsyncI
 
 @pytest.fixture(scope="session")
 def environment() -> dict[str, str]:
-    """The environment of subprocesses: DDS stays on this machine, in a domain of this process."""
+    """The environment of subprocesses: DDS stays on this machine, and among the processes of this test run."""
     source = str(Path(__file__).parents[2] / "src")
-    kept = {
-        key: value for key, value in os.environ.items() if not key.startswith(("ROS_", "ROPEWAY_", "AMENT_", "CYCLONE"))
-    }
+    kept = {key: value for key, value in os.environ.items() if not key.startswith(("ROS_", "ROPEWAY_", "AMENT_"))}
     path = os.pathsep.join(filter(None, (source, kept.get("PYTHONPATH"))))
     domain = str(110 + os.getpid() % 100)
     return {**kept, "PYTHONPATH": path, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": domain}
@@ -51,7 +50,7 @@ def environment() -> dict[str, str]:
 def ropeway(environment: dict[str, str]) -> Ropeway:
     """Runs the command to its end."""
 
-    def run(*arguments: str, timeout_s: float = 30.0, **more: str) -> subprocess.CompletedProcess[str]:
+    def run(*arguments: str, timeout_s: float = PATIENCE_S, **more: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [sys.executable, "-m", "ropeway", *arguments],
             capture_output=True,
@@ -84,4 +83,4 @@ def background(environment: dict[str, str]) -> Iterator[Callable[..., subprocess
     for process in started:
         if process.poll() is None:
             process.terminate()
-        process.communicate(timeout=20)
+        process.communicate(timeout=PATIENCE_S)

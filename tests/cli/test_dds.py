@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.writer import Writer as McapWriter
@@ -16,6 +18,7 @@ from typer.testing import CliRunner
 from ropeway.cli import app
 from ropeway.types import TypeRegistry
 from tests.cli.conftest import Ropeway
+from tests.support.until import PATIENCE_S
 
 Start = Callable[..., subprocess.Popen[str]]
 POINT = "geometry_msgs/msg/PointStamped"
@@ -46,19 +49,28 @@ def test_looking_at_a_topic(ropeway: Ropeway, talker: subprocess.Popen[str]) -> 
 
 def test_meters(background: Start, talker: subprocess.Popen[str]) -> None:
     """Rate, bandwidth and delay are printed each second until Ctrl-C, which ends them quietly with 130."""
-    meters = {verb: background("topic", verb, "/points", "--json") for verb in ("hz", "bw", "delay")}
-    told = {}
+    wanted: dict[str, Callable[[dict[str, float]], bool]] = {
+        "hz": lambda told: told["rate_hz"] == pytest.approx(50, rel=0.2),
+        "bw": lambda told: told["bandwidth_Bps"] == pytest.approx(2400, rel=0.3),
+        "delay": lambda told: 0 < told["mean_s"] < 0.1,
+    }
+    meters = {verb: background("topic", verb, "/points", "--json") for verb in wanted}
+    told: list[dict[str, Any]] = []
     for verb, meter in meters.items():
         assert meter.stdout is not None
-        told[verb] = json.loads(meter.stdout.readline())
+        for line in itertools.islice(meter.stdout, 30):  # the machine may have no time for 50 Hz in the first seconds
+            told.append(json.loads(line))
+            if wanted[verb](told[-1]):
+                break
+        else:
+            pytest.fail(f"{verb} told {told}")
         meter.send_signal(signal.SIGINT)
-        _, err = meter.communicate(timeout=10)
+        _, err = meter.communicate(timeout=PATIENCE_S)
         assert (meter.returncode, err) == (130, "")
-        assert told[verb]["topic"] == "/points"
-    assert told["hz"]["rate_hz"] == pytest.approx(50, rel=0.2)
-    assert told["bw"]["mean_bytes"] == pytest.approx(48, abs=4)
-    assert told["bw"]["bandwidth_Bps"] == pytest.approx(2400, rel=0.3)
-    assert 0 < told["delay"]["mean_s"] < 0.1
+    assert {line["topic"] for line in told} == {"/points"}
+    sizes = [line["mean_bytes"] for line in told if "mean_bytes" in line]
+    assert sizes
+    assert sizes == [pytest.approx(48, abs=4)] * len(sizes)
     assert talker.poll() is None
 
 
@@ -68,7 +80,7 @@ def test_publishing_once_waits_for_a_reader(background: Start, ropeway: Ropeway)
     sent = ropeway("topic", "pub", "--once", "/chatter", "std_msgs/String", "{data: hi}")
     assert sent.returncode == 0
     assert "publishing #1: std_msgs.msg.String(data='hi')\n" in sent.stdout
-    out, _ = reader.communicate(timeout=10)
+    out, _ = reader.communicate(timeout=PATIENCE_S)
     assert (out, reader.returncode) == ("data: hi\n---\n", 0)
 
 
@@ -117,7 +129,7 @@ def test_a_closed_pipe_ends_quietly(environment: dict[str, str], talker: subproc
     """``ropeway topic echo … | head`` ends without a word when head has enough."""
     command = f"{sys.executable} -m ropeway topic echo /points | head -n 1"
     result = subprocess.run(
-        ["sh", "-c", command], capture_output=True, text=True, timeout=20, env=environment, check=False
+        ["sh", "-c", command], capture_output=True, text=True, timeout=PATIENCE_S, env=environment, check=False
     )
     assert (result.stdout, result.stderr) == ("header:\n", "")
 

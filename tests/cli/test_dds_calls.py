@@ -20,6 +20,7 @@ from ropeway.graph.dds import DdsGraph
 from tests.graph.parameter_node import ParameterNode
 from tests.support.actions import FIBONACCI, sequence
 from tests.support.services import ADD
+from tests.support.until import PATIENCE_S
 
 NODE = "/robot"
 
@@ -49,7 +50,6 @@ async def unless_seven(goal: ServerGoal) -> bool:
 @pytest.fixture
 async def robot(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[ParameterNode]:
     """A node with a service, an action and parameters on the network of the processes."""
-    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", environment["ROS_AUTOMATIC_DISCOVERY_RANGE"])
     graph = DdsGraph(int(environment["ROS_DOMAIN_ID"]), name="robot")
     await graph.open()
@@ -79,7 +79,7 @@ def run(start: Callable[..., Awaitable[asyncio.subprocess.Process]]) -> Run:
 
     async def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         process = await start(*arguments)
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(PATIENCE_S):
             out, err = await process.communicate()
         assert process.returncode is not None
         return subprocess.CompletedProcess(arguments, process.returncode, out.decode(), err.decode())
@@ -143,7 +143,7 @@ async def test_interrupted_goal(
     """Ctrl-C cancels the goal, prints how it ends, and ends with 130."""
     process = await start("action", "send_goal", "/count", FIBONACCI, "{order: -5}", "--json")
     assert process.stdout is not None
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(PATIENCE_S):
         assert json.loads(await process.stdout.readline())["accepted"]
         process.send_signal(signal.SIGINT)
         out, err = await process.communicate()

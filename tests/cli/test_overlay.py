@@ -14,6 +14,7 @@ import pytest
 
 from tests.cli.conftest import Ropeway
 from tests.support.ports import free_endpoint
+from tests.support.until import PATIENCE_S
 
 
 class Place:
@@ -55,7 +56,7 @@ def place(tmp_path: Path, ropeway: Ropeway, environment: dict[str, str]) -> Iter
     assert "listens" in json.loads(router.stdout.readline())["event"]
     yield place
     router.send_signal(signal.SIGTERM)
-    _, errors = router.communicate(timeout=20)
+    _, errors = router.communicate(timeout=PATIENCE_S)
     assert router.returncode == 0
     assert "router1 has ended" in errors
 
@@ -84,7 +85,7 @@ def test_as_a_user(place: Place) -> None:
             place.run("overlay", "capture", "/chatter", "-i", identity, "-o", capture, "-n", "3", "--timeout", "20")
         finally:
             reader.terminate()
-            reader.communicate(timeout=20)
+            reader.communicate(timeout=PATIENCE_S)
         said = place.run("overlay", "verify", capture, "--ca", place.file("acme/ca.pem"))
         assert said.count("signed by robot") == 3
         status = json.loads(place.run("overlay", "status", "-i", identity, "--json", *spin))
@@ -92,7 +93,7 @@ def test_as_a_user(place: Place) -> None:
         assert len(status["routers"]) == 1
     finally:
         robot.terminate()
-        robot.communicate(timeout=20)
+        robot.communicate(timeout=PATIENCE_S)
 
 
 def test_mistakes(place: Place, ropeway: Ropeway) -> None:

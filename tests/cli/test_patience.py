@@ -12,6 +12,9 @@ from ropeway.cli.patience import Patience, patiently, why_silent
 from ropeway.cli.session import Session
 from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA
 from tests.support.messages import STRING
+from tests.support.until import PATIENCE_S
+
+pytestmark = pytest.mark.jumping
 
 
 @pytest.fixture
@@ -23,7 +26,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
 async def said_until(said: Callable[[], str], text: str) -> str:
     """Everything that was said, once ``text`` is in it."""
     all_said = ""
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         while text not in all_said:
             await asyncio.sleep(0.001)
             all_said += said()

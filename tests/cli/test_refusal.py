@@ -23,6 +23,8 @@ from ropeway.types import TypeRegistry
 from tests.support.messages import STRING
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 
 async def serve(stack: AsyncExitStack, registry: TypeRegistry, door: Door) -> RosbridgeServer:
     """A server with a network of its own."""

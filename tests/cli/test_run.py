@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from tests.cli.conftest import Ropeway
+from tests.support.until import PATIENCE_S
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -49,7 +50,7 @@ def test_signals_end_it_in_order(background: Start, config: Callable[..., str], 
     assert process.stdout is not None
     process.stdout.readline()
     process.send_signal(number)
-    _, err = process.communicate(timeout=10)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     assert err.rstrip().endswith("here has ended")
 
@@ -93,9 +94,9 @@ def test_workers_are_supervised(background: Start, config: Callable[..., str]) -
     assert [worker["name"] for worker in status["workers"]] == ["worker0", "worker1"]
     pids = [worker["pid"] for worker in status["workers"]]
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=15)
+    process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
-    deadline = time.monotonic() + 5
+    deadline = time.monotonic() + PATIENCE_S
     while any(Path(f"/proc/{pid}").exists() for pid in pids):
         assert time.monotonic() < deadline, "a worker outlived its supervisor"
         time.sleep(0.05)

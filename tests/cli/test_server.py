@@ -23,6 +23,7 @@ from ropeway.gateway.config import Config
 from tests.cli.conftest import Ropeway
 from tests.gateway.test_tls import Authority
 from tests.server.client import Client, fetch
+from tests.support.until import PATIENCE_S
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -280,7 +281,7 @@ def test_retries_a_taken_port(background: Start, ropeway: Ropeway) -> None:
     while "trying again in 0.2 s" not in waiting.stderr.readline():
         pass
     holder.terminate()
-    holder.communicate(timeout=10)
+    holder.communicate(timeout=PATIENCE_S)
     assert first(waiting)["listen"][0]["port"] == port
 
 

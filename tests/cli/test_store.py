@@ -19,6 +19,7 @@ from ropeway.errors import ConnectFailed
 from ropeway.iort import Node
 from tests.cli.conftest import Ropeway
 from tests.support.ports import free_port
+from tests.support.until import PATIENCE_S
 
 
 class Place:
@@ -55,7 +56,7 @@ def place(tmp_path: Path, ropeway: Ropeway, environment: dict[str, str]) -> Iter
     yield Place(ropeway, ws, nodes, store)
     process.send_signal(signal.SIGTERM)
     process.stdout.close()
-    assert process.wait(10) == 0
+    assert process.wait(PATIENCE_S) == 0
 
 
 def test_store(place: Place) -> None:

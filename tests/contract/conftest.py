@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,6 @@ from ropeway.types import TypeRegistry
 from tests.graph.ros1.network import HAS_MASTER, RosMaster
 from tests.graph.ros2.network import isolated_ros2
 from tests.overlay.fleet import member
-from tests.support.isolation import isolated_dds
 from tests.support.ports import free_endpoint
 from tests.support.until import until
 
@@ -134,7 +133,7 @@ async def open_overlay(stack: AsyncExitStack) -> Pair:
     graphs.append(OverlayGraph(far))
     await graphs[1].open()
     stack.push_async_callback(graphs[1].close)
-    await until(lambda: near.membership.gateways() and far.membership.gateways(), 30)
+    await until(lambda: near.membership.gateways() and far.membership.gateways())
     return Pair(*graphs, stack)
 
 
@@ -229,13 +228,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if len(kept) < len(items):
         config.hook.pytest_deselected(items=[item for item in items if not fits(item)])
         items[:] = kept
-
-
-@pytest.fixture(scope="session", autouse=True)
-def dds_isolation() -> Iterator[None]:
-    """Participants of this test run discover each other only."""
-    with isolated_dds():
-        yield
 
 
 @pytest.fixture(params=sorted(KINDS))

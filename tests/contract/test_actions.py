@@ -20,7 +20,7 @@ from ropeway.graph.calls import (
     ServerGoal,
 )
 from tests.support.actions import FIBONACCI, Worker, count, order, ordered, sequence
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .conftest import Pair
 
@@ -36,13 +36,13 @@ async def using(
     """A client of ``near`` for an action of ``far`` that is there."""
     await pair.far.create_action_server(name, FIBONACCI, ActionHandlers(execute, accept, cancel))
     client = await pair.near.create_action_client(name, FIBONACCI)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     return client
 
 
 async def ended(goal: ClientGoal) -> Outcome:
     """How a goal ends, soon."""
-    return await goal.result(15)
+    return await goal.result(PATIENCE_S)
 
 
 async def test_protocols(pair: Pair) -> None:
@@ -52,7 +52,7 @@ async def test_protocols(pair: Pair) -> None:
     assert isinstance(server, ActionServer)
     assert isinstance(client, ActionClient)
     assert (server.action, server.type, client.action, client.type) == ("/fibonacci", FIBONACCI) * 2
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     assert isinstance(await client.send_goal(Goal(order(1))), ClientGoal)
 
 
@@ -150,7 +150,7 @@ async def test_two_clients(pair: Pair) -> None:
 
     first = await using(pair, work)
     second = await pair.near.create_action_client("/fibonacci", FIBONACCI)
-    assert await second.wait_available(10)
+    assert await second.wait_available(PATIENCE_S)
     got: tuple[list[bytes], list[bytes]] = ([], [])
     sent = [
         await client.send_goal(Goal(order(number)), on_feedback=inbox.append)
@@ -287,7 +287,7 @@ async def test_server_closes(pair: Pair) -> None:
     worker = Worker()
     server = await pair.far.create_action_server("/fibonacci", FIBONACCI, ActionHandlers(worker))
     client = await pair.near.create_action_client("/fibonacci", FIBONACCI)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     sent = [await client.send_goal(Goal(order(number))) for number in range(3)]
     await until(lambda: len(worker.goals) == 3)
     await server.close()

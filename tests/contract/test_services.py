@@ -24,7 +24,7 @@ from ropeway.graph.base import GraphEvent
 from ropeway.graph.calls import Client, Request, Service
 from tests.support.messages import text
 from tests.support.services import ADD, TEXT, Gate, add, addends, answer, total
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .conftest import Pair
 
@@ -33,7 +33,7 @@ async def calling(pair: Pair, name: str, handler: Callable[[Request], object], t
     """A client of ``near`` for a service of ``far`` that is there."""
     await pair.far.create_service(name, type, handler)  # type: ignore[arg-type]
     client = await pair.near.create_client(name, type)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     return client
 
 
@@ -66,7 +66,7 @@ async def test_both_ways(pair: Pair) -> None:
     there = await calling(pair, "/there", add)
     await pair.near.create_service("/back", ADD, add)
     back = await pair.far.create_client("/back", ADD)
-    assert await back.wait_available(10)
+    assert await back.wait_available(PATIENCE_S)
     answers = await asyncio.gather(there.call(Request(addends(1))), back.call(Request(addends(2))))
     assert answers == [total(1), total(2)]
 
@@ -119,7 +119,7 @@ async def test_two_clients(pair: Pair) -> None:
     """Two clients of one service get each their own responses."""
     first = await calling(pair, "/add", add)
     second = await pair.near.create_client("/add", ADD)
-    assert await second.wait_available(10)
+    assert await second.wait_available(PATIENCE_S)
     answers = await asyncio.gather(
         *(client.call(Request(addends(i, which))) for i in range(20) for which, client in ((100, first), (200, second)))
     )
@@ -190,11 +190,11 @@ async def test_provider_closes(pair: Pair) -> None:
     gate = Gate()
     service = await pair.far.create_service("/add", ADD, gate)
     client = await pair.near.create_client("/add", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     calls = [asyncio.create_task(client.call(Request(addends(i)), 50)) for i in range(3)]
     await until(lambda: len(gate.seen) == 3)
     await service.close()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE_S):
         failures = await asyncio.gather(*calls, return_exceptions=True)
     assert [type(failure) for failure in failures] == [ProviderLost] * 3, failures
     await service.close()
@@ -207,7 +207,7 @@ async def test_client_closes(pair: Pair) -> None:
     call = asyncio.create_task(client.call(Request(addends(1)), 50))
     await until(lambda: gate.seen)
     await client.close()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE_S):
         with pytest.raises(GraphUnavailable):
             await call
     with pytest.raises(GraphUnavailable):
@@ -232,7 +232,7 @@ async def test_returning_provider(pair: Pair) -> None:
     client = await pair.near.create_client("/add", ADD)
     for number in range(3):
         service = await pair.far.create_service("/add", ADD, add)
-        assert await client.wait_available(10)
+        assert await client.wait_available(PATIENCE_S)
         assert await client.call(Request(addends(number))) == total(number)
         await service.close()
         await until(lambda: not client.available)
@@ -243,11 +243,11 @@ async def test_graph_closes(pair: Pair) -> None:
     gate = Gate()
     await pair.far.create_service("/add", ADD, gate)
     client = await pair.near.create_client("/add", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     call = asyncio.create_task(client.call(Request(addends(1)), 50))
     await until(lambda: gate.seen)
     await pair.near.close()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE_S):
         with pytest.raises(GraphError):
             await call
 

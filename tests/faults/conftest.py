@@ -17,6 +17,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.until import PATIENCE_S
+
 ROOT = Path(__file__).parents[2]
 _subnets = itertools.cycle(range(81, 90))
 
@@ -72,14 +74,14 @@ class Machine:
             asyncio.create_task(self._read(self.process.stdout, lambda line: self.events.append(json.loads(line)))),
             asyncio.create_task(self._read(self.process.stderr, lambda line: self.log.append(line.decode()))),
         ]
-        await self.until(lambda: any("status" in e for e in self.events), 20)  # told right after ``ready``
+        await self.until(lambda: any("status" in e for e in self.events))  # told right after ``ready``
 
     @staticmethod
     async def _read(stream: asyncio.StreamReader, keep: Callable[[bytes], None]) -> None:
         async for line in stream:
             keep(line)
 
-    async def until(self, condition: Callable[[], object], timeout_s: float) -> None:
+    async def until(self, condition: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:
         """Wait for a condition on what was told."""
         try:
             async with asyncio.timeout(timeout_s):
@@ -116,6 +118,11 @@ class Machine:
         """When something was told first after ``since``."""
         return next((e["t"] for e in self.events if e.get(key, ...) == value and e["t"] >= since), None)
 
+    def queued_s(self, since: float, until: float) -> float:
+        """How long it waited for a processor in this time, as others of this computer had them."""
+        before = max((e["queued"] for e in self.events if e["t"] <= since), default=0.0)
+        return max((e["queued"] for e in self.events if e["t"] <= until), default=before) - before
+
     @property
     def status(self) -> dict[str, Any]:
         return next(e["status"] for e in reversed(self.events) if "status" in e)
@@ -123,6 +130,11 @@ class Machine:
     @property
     def memory_bytes(self) -> int:
         return int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def took_s(since: float, until: float, *machines: Machine) -> float:
+    """How long something took with these machines, had each had a processor whenever it could use one."""
+    return until - since - sum(machine.queued_s(since, until) for machine in machines)
 
 
 class Pair:

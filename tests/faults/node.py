@@ -4,7 +4,7 @@ The only argument is a JSON object: ``name``, ``graph`` (of memory unless told),
 configuration, ``publish`` (topic to rate in Hz) and ``read`` (topics) of the robot, ``ahead_s`` by which the clock is
 wrong, ``size`` of the messages; ``serve`` makes the robot serve ``/slow`` (a service that never answers) and ``/move``
 (an action that ends when it is cancelled), ``use`` makes it call the one and send a goal to the other, over and over.
-Prints what happens as JSON lines: ``{"t": <time.monotonic()>, ...}``.
+Prints what happens as JSON lines: ``{"t": <time.monotonic()>, "queued": <seconds without a processor>, ...}``.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Reque
 from ropeway.graph.factory import open_graph  # noqa: E402
 from ropeway.qos import QoS  # noqa: E402
 from tests.faults.node_types import ACTION, SERVICE  # noqa: E402
+from tests.support.clock import queued_s  # noqa: E402
 from tests.support.messages import STRING, text  # noqa: E402
 
 
 def tell(**event: Any) -> None:
-    print(json.dumps({"t": time.monotonic(), **event}), flush=True)
+    print(json.dumps({"t": time.monotonic(), "queued": queued_s(), **event}), flush=True)
 
 
 async def talk(robot: Graph, topic: str, hz: float) -> None:

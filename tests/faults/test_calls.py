@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from tests.faults.conftest import Machine, Pair
+from tests.faults.conftest import Machine, Pair, took_s
 
 from .node_types import ACTION, SERVICE
 
 pytestmark = [pytest.mark.netns, pytest.mark.timeout(90)]
 
 MakePair = Callable[[], Awaitable[Pair]]
-NOTICED_S = 7.0  # 5 s where the machine has nothing else to do
+NOTICED_S = 7.0  # what is promised is 5 s
 
 
 def routes(prefix: str) -> dict[str, Any]:
@@ -40,7 +40,7 @@ async def under_way(pair: Pair, prefix: str) -> tuple[Machine, Machine]:
 
 async def began(robot: Machine, since: float) -> None:
     """Wait until a call and a goal are with the provider."""
-    await robot.until(lambda: robot.first("call", "began", since) and robot.first("goal", "began", since), 20)
+    await robot.until(lambda: robot.first("call", "began", since) and robot.first("goal", "began", since))
 
 
 async def ended(machine: Machine, since: float) -> float:
@@ -48,10 +48,18 @@ async def ended(machine: Machine, since: float) -> float:
     await machine.until(
         lambda: (
             any("failed" in e and e["t"] >= since for e in machine.events) and machine.first("ended", "ABORTED", since)
-        ),
-        NOTICED_S + 10,
+        )
     )
-    return max(e["t"] for e in machine.events if ("failed" in e or "ended" in e) and e["t"] >= since) - since
+    when = max(e["t"] for e in machine.events if ("failed" in e or "ended" in e) and e["t"] >= since)
+    return took_s(since, when, machine)
+
+
+async def cancelled(machine: Machine, since: float) -> float:
+    """Wait until the provider was told to cancel its goal; gives how long that took."""
+    await machine.until(lambda: machine.first("goal", "cancelled", since))
+    when = machine.first("goal", "cancelled", since)
+    assert when is not None
+    return took_s(since, when, machine)
 
 
 @pytest.mark.parametrize("prefix", ["expose", "reserve"])
@@ -63,7 +71,7 @@ async def test_link_is_cut(pair: MakePair, prefix: str, silently: bool) -> None:
     since = time.monotonic()
     (net.swallow if silently else net.pull)()
     assert await ended(cloud, since) < NOTICED_S
-    await robot.until(lambda: robot.first("goal", "cancelled", since), NOTICED_S)
+    assert await cancelled(robot, since) < NOTICED_S
     back = time.monotonic()
     (net.swallow if silently else net.pull)(back=True)
     await began(robot, back)
@@ -86,4 +94,4 @@ async def test_caller_is_killed(pair: MakePair, prefix: str) -> None:
     robot, cloud = await under_way(net, prefix)
     since = time.monotonic()
     cloud.kill()
-    await robot.until(lambda: robot.first("goal", "cancelled", since), 3)
+    assert await cancelled(robot, since) < 3

@@ -12,14 +12,14 @@ from typing import Any
 
 import pytest
 
-from tests.faults.conftest import ROOT, Machine, Pair
+from tests.faults.conftest import ROOT, Machine, Pair, took_s
 from tests.support.messages import STRING
 
 pytestmark = [pytest.mark.netns, pytest.mark.timeout(90)]
 
 MakePair = Callable[[], Awaitable[Pair]]
-NOTICED_S = 7.0  # 5 s where the machine has nothing else to do
-BACK_S = 6.0  # 2 s where the machine has nothing else to do
+NOTICED_S = 7.0  # what is promised is 5 s
+BACK_S = 6.0  # what is promised is 2 s
 HZ = 20.0
 STALLED_S = 5.0
 
@@ -35,15 +35,23 @@ async def two_gateways(pair: Pair, **robot: Any) -> tuple[Machine, Machine]:
     )
     remote = {"address": f"ws://{pair.address_b}:9090", "publish": [item("/up")], "subscribe": [item("/down")]}
     machine = await pair.machine("a", name="robot", remotes=[remote], publish={"/up": HZ}, read=["/down"], **robot)
-    await flows(machine, cloud, time.monotonic(), 10)
+    await flows(machine, cloud, time.monotonic())
     return machine, cloud
 
 
-async def flows(robot: Machine, cloud: Machine, since: float, timeout_s: float) -> float:
+async def flows(robot: Machine, cloud: Machine, since: float) -> float:
     """Wait until something came both ways; gives how long that took."""
-    await robot.until(lambda: robot.heard("/down", since), timeout_s)
-    await cloud.until(lambda: cloud.heard("/up", since), timeout_s)
-    return max(robot.heard("/down", since)[0][0], cloud.heard("/up", since)[0][0]) - since
+    await robot.until(lambda: robot.heard("/down", since))
+    await cloud.until(lambda: cloud.heard("/up", since))
+    return took_s(since, max(robot.heard("/down", since)[0][0], cloud.heard("/up", since)[0][0]), robot, cloud)
+
+
+async def noticed(machine: Machine, key: str, value: object, since: float) -> float:
+    """Wait until something was told; gives how long that took."""
+    await machine.until(lambda: machine.first(key, value, since))
+    when = machine.first(key, value, since)
+    assert when is not None
+    return took_s(since, when, machine)
 
 
 def once_and_in_order(machine: Machine, topic: str) -> None:
@@ -60,18 +68,19 @@ async def cut(net: Pair, robot: Machine, cloud: Machine, seconds: float, silentl
     await asyncio.sleep(seconds)
     act(back=True)
     back = time.monotonic()
-    took = await flows(robot, cloud, back, 15)
+    took = await flows(robot, cloud, back)
     if seconds > NOTICED_S + 1:
-        for noticed in (robot.first("state", "waiting to retry", began), cloud.first("sessions", 0, began)):
-            assert noticed is not None
-            assert noticed - began < NOTICED_S, f"{what} was noticed after {noticed - began:.2f} s"
+        for machine, key, value in ((robot, "state", "waiting to retry"), (cloud, "sessions", 0)):
+            when = await noticed(machine, key, value, began)
+            assert when < NOTICED_S, f"{what} was noticed after {when:.2f} s"
     assert took < BACK_S, f"data after {took:.2f} s: {what}"
     for machine, topic in ((robot, "/down"), (cloud, "/up")):
-        await machine.until(lambda m=machine, t=topic: len(m.heard(t, back)) > HZ, 5)
+        await machine.until(lambda m=machine, t=topic: len(m.heard(t, back)) > HZ)
         once_and_in_order(machine, topic)
-    await robot.until(lambda: [r["state"] for r in robot.status["routes"]] == ["active", "active"], 3)
+    await robot.until(lambda: [r["state"] for r in robot.status["routes"]] == ["active", "active"])
 
 
+@pytest.mark.slow
 async def test_cut_links(pair: MakePair) -> None:
     """A cut is noticed within 5 s on both sides, and data flows both ways within 2 s of the end of any cut."""
 
@@ -93,16 +102,16 @@ async def test_killed_peer(pair: MakePair) -> None:
     robot, cloud = await two_gateways(net)
     began = time.monotonic()
     cloud.kill()
-    await robot.until(lambda: robot.first("state", "waiting to retry", began), 1)  # the kernel tells at once
+    assert await noticed(robot, "state", "waiting to retry", began) < 1  # the kernel tells at once
     await cloud.stop()
     cloud = await net.machine("b", **cloud.order)
-    await flows(robot, cloud, time.monotonic(), BACK_S)
+    assert await flows(robot, cloud, time.monotonic()) < BACK_S
     robot.kill()
     began = time.monotonic()
-    await cloud.until(lambda: cloud.first("sessions", 0, began), 1)
+    assert await noticed(cloud, "sessions", 0, began) < 1
     await robot.stop()
     robot = await net.machine("a", **robot.order)
-    await flows(robot, cloud, time.monotonic(), BACK_S)
+    assert await flows(robot, cloud, time.monotonic()) < BACK_S
 
 
 async def test_wrong_clock(pair: MakePair) -> None:
@@ -116,7 +125,7 @@ async def test_wrong_clock(pair: MakePair) -> None:
             *(t["delay_ms"] for s in cloud.status["sessions"] for t in s["topics"] if t["direction"] == "in"),
         ]
 
-    await robot.until(lambda: len(delays()) == 3 and all(d is not None for d in delays()), 10)
+    await robot.until(lambda: len(delays()) == 3 and all(d is not None for d in delays()))
     assert all(d is not None and -5 < d < 100 for d in delays()), delays()
 
 
@@ -130,17 +139,18 @@ async def test_stopped_peer(pair: MakePair) -> None:
     robot = await net.machine("a", name="robot", remotes=remotes, publish={"/up": 30.0}, size=300_000)
     hung, well = clouds
     for cloud in clouds:
-        await cloud.until(lambda c=cloud: len(c.heard("/up")) > 30, 10)
+        await cloud.until(lambda c=cloud: len(c.heard("/up")) > 30)
     before = robot.memory_bytes
     began = time.monotonic()
     hung.process.send_signal(signal.SIGSTOP)
-    await robot.until(lambda: robot.first("state", "waiting to retry", began), NOTICED_S + 0.5)
+    assert await noticed(robot, "state", "waiting to retry", began) < NOTICED_S + 0.5
     await asyncio.sleep(2)
-    assert len(well.heard("/up", began)) > 0.9 * 30 * (time.monotonic() - began)
+    numbers = [n for _, n in well.heard("/up", began)]
+    assert len(numbers) > 0.9 * (numbers[-1] - numbers[0])
     assert robot.memory_bytes - before < 10 << 20
     hung.process.send_signal(signal.SIGCONT)
     back = time.monotonic()
-    await hung.until(lambda: len(hung.heard("/up", back + 1)) > 30, 5)
+    await hung.until(lambda: len(hung.heard("/up", back + 1)) > 30)
     assert [r["connections"] for r in robot.status["remotes"]] == [2, 1]
 
 
@@ -152,6 +162,10 @@ async def test_stalled_reader(pair: MakePair) -> None:
 import asyncio, json, sys, time
 from tests.server.client import Client
 from tests.server.test_session import listen
+from tests.support.clock import queued_s
+
+def elapsed():  # without the time in which this process or the server waited for a processor
+    return time.monotonic() - queued_s() - queued_s({cloud.process.pid})
 
 async def main():
     async with Client(9090) as good, Client(9090, receive_bytes=65536) as stalled, Client(9090) as control:
@@ -159,17 +173,15 @@ async def main():
             client.send(listen("/image"))
         await control.done()
         print("ready", flush=True)
-        began, number, slowest, asked = time.monotonic(), 0, 0.0, 0.0
+        began, numbers, slowest, asked = time.monotonic(), [], 0.0, 0.0
         while time.monotonic() - began < {STALLED_S}:
-            await good.json()
-            number += 1
+            numbers.append(int((await good.json())["msg"]["data"].split()[0]))
             if time.monotonic() - asked > 0.2:
-                asked = time.monotonic()
+                asked, at = time.monotonic(), elapsed()
                 await control.done()
-                slowest = max(slowest, time.monotonic() - asked)
-        seconds = time.monotonic() - began
+                slowest = max(slowest, elapsed() - at)
         got = [int((await stalled.json())["msg"]["data"].split()[0]) for _ in range(30)]
-        print(json.dumps(dict(rate=number / seconds, slowest=slowest, got=got)), flush=True)
+        print(json.dumps(dict(numbers=numbers, slowest=slowest, got=got)), flush=True)
 
 asyncio.run(main())
 """
@@ -181,8 +193,9 @@ asyncio.run(main())
     await asyncio.sleep(2)
     before = cloud.memory_bytes
     told = json.loads((await process.communicate())[0])
-    assert told["rate"] > 28
+    numbers = told["numbers"]
+    assert len(numbers) > 28 / 30 * (numbers[-1] - numbers[0])
     assert told["slowest"] < 0.25
     assert cloud.memory_bytes - before < 10 << 20
     assert told["got"] == sorted(set(told["got"]))
-    assert told["got"][-1] > 30 * (STALLED_S - 2), "what was sent after the pause is fresh"
+    assert told["got"][-1] >= numbers[-1] - 2 * 30, "what was sent after the pause is fresh"

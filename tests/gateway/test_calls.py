@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import struct
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -15,7 +14,7 @@ from ropeway.gateway.gateway import Gateway
 from ropeway.graph.base import Graph
 from ropeway.graph.calls import ActionHandlers, Client, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.types import TypeRegistry
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .test_gateway import World, url
 from .test_gateway import world as world  # the fixture
@@ -68,7 +67,7 @@ async def joined(world: World, operation: str, item: dict[str, Any], **settings:
 
 async def there(graph: Graph, name: str, type: str) -> Client:
     client = await graph.create_client(name, type)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     return client
 
 
@@ -99,10 +98,10 @@ async def test_goals_cross(world: World, operation: str, compression: str) -> No
     server, user, _ = await joined(world, operation, action(compression=compression))
     await server.create_action_server("/fibonacci", FIBONACCI, ActionHandlers(execute))
     client = await user.create_action_client("/fibonacci", FIBONACCI)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     feedback: list[bytes] = []
     goal = await client.send_goal(Goal(HEAD + struct.pack("<i", 3)), on_feedback=feedback.append)
-    assert await goal.result(10) == Outcome(GoalStatus.SUCCEEDED, sequence(0, 1, 2))
+    assert await goal.result(PATIENCE_S) == Outcome(GoalStatus.SUCCEEDED, sequence(0, 1, 2))
     await until(lambda: len(feedback) == 3)
     assert feedback == [sequence(0), sequence(0, 1), sequence(0, 1, 2)]
 
@@ -175,7 +174,7 @@ async def test_rejected_goal(world: World) -> None:
     server, user, _ = await joined(world, "expose-action", action())
     await server.create_action_server("/fibonacci", FIBONACCI, ActionHandlers(execute, accept))
     client = await user.create_action_client("/fibonacci", FIBONACCI)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     with pytest.raises(GoalRejected):
         await client.send_goal(Goal(HEAD + struct.pack("<i", 3)))
 
@@ -201,11 +200,11 @@ async def test_cancel_crosses(world: World, operation: str) -> None:
     server, user, _ = await joined(world, operation, action())
     await server.create_action_server("/fibonacci", FIBONACCI, ActionHandlers(holds(started, ended)))
     client = await user.create_action_client("/fibonacci", FIBONACCI)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     goal = await client.send_goal(Goal(HEAD + struct.pack("<i", 3)))
     await started.wait()
     assert await goal.cancel()
-    assert await goal.result(10) == Outcome(GoalStatus.CANCELED, sequence(7))
+    assert await goal.result(PATIENCE_S) == Outcome(GoalStatus.CANCELED, sequence(7))
 
 
 @pytest.mark.parametrize("operation", ["expose-action", "reserve-action"])
@@ -215,12 +214,12 @@ async def test_gateway_stops_in_mid_goal(world: World, operation: str) -> None:
     server, user, dials = await joined(world, operation, action())
     await server.create_action_server("/fibonacci", FIBONACCI, ActionHandlers(holds(started, ended)))
     client = await user.create_action_client("/fibonacci", FIBONACCI)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     goal = await client.send_goal(Goal(HEAD + struct.pack("<i", 3)))
     await started.wait()
     await dials.__aexit__(None, None, None)
-    assert (await goal.result(5)).status is GoalStatus.ABORTED
-    async with asyncio.timeout(5):
+    assert (await goal.result(PATIENCE_S)).status is GoalStatus.ABORTED
+    async with asyncio.timeout(PATIENCE_S):
         await ended.wait()
 
 
@@ -238,17 +237,14 @@ async def test_gateway_stops_in_mid_call(world: World, operation: str) -> None:
     await server.create_service("/add", ADD, never)
     client = await there(caller, "/add", ADD)
 
-    async def call() -> float:
-        began = time.monotonic()
+    async def call() -> None:
         with pytest.raises(CallError):
-            await client.call(Request(pair(1, 2)), 60)
-        return time.monotonic() - began
+            await client.call(Request(pair(1, 2)), 3600)
 
-    async with asyncio.TaskGroup() as group:
-        took = group.create_task(call())
+    async with asyncio.timeout(PATIENCE_S), asyncio.TaskGroup() as group:
+        group.create_task(call())
         await started.wait()
         await dials.__aexit__(None, None, None)
-    assert took.result() < 20
 
 
 async def test_first_gateway_holds_the_name(world: World) -> None:
@@ -277,7 +273,7 @@ async def test_first_gateway_holds_the_name(world: World) -> None:
     assert await who() == "first"
     await clients["first"].__aexit__(None, None, None)
     await until(lambda: clients["second"].status()["routes"][0]["state"] == "active")
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     assert await who() == "second"
 
 

@@ -327,7 +327,7 @@ async def test_the_remote_comes_late_and_returns(world: World) -> None:
             again = World(stack)
             again.number = world.number
             await again.gateway("cloud", [], port=port)
-            await until(lambda: robot.status()["routes"][0]["state"] == "active", 5)
+            await until(lambda: robot.status()["routes"][0]["state"] == "active")
             publisher.publish(sample("hello"))
             await inbox.wait(1)
         await subscription.close()
@@ -381,7 +381,7 @@ async def test_big_messages(world: World) -> None:
         await inbox.wait(number, 20)
         assert inbox.samples[-1].payload == big.payload
     publisher.publish(Sample(text("x" * 70_000_000), STRING, 1, bytes(16), 0))
-    await until(lambda: cloud.status()["sessions"][0]["complaints"], 20)
+    await until(lambda: cloud.status()["sessions"][0]["complaints"])
     publisher.publish(sample("small"))
     await inbox.wait(3)
     assert inbox.payloads[-1] == text("small")

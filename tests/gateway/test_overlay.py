@@ -19,7 +19,7 @@ from tests.overlay.conftest import site as site
 from tests.overlay.fleet import member
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .test_calls import ADD, FIBONACCI, add, pair, sequence, total
 from .test_gateway import World
@@ -66,11 +66,11 @@ async def test_topics_both_ways(overlay: Overlay) -> None:
     await until(lambda: [p.qos.transient_local for p in cloud.topics()["/robot/map"].publishers] == [True])
     await robot.create_subscription("/cmd", STRING, QoS(), commands)
     order = await cloud.create_publisher("/cmd", STRING)
-    await until(lambda: order.subscribers, 30)
+    await until(lambda: order.subscribers)
     row = overlay.gateways[0].status()
     assert row["remotes"][0]["state"] == "connected"
     assert [g["name"] for g in row["remotes"][0]["overlay"]["gateways"]] != []
-    await until(lambda: overlay.gateways[1].status()["routes"][0]["state"] == "active", 30)
+    await until(lambda: overlay.gateways[1].status()["routes"][0]["state"] == "active")
     order.publish(sample("go"))
     await commands.wait(1, 30)
 
@@ -88,13 +88,13 @@ async def test_services_and_actions(overlay: Overlay) -> None:
 
     await robot.create_action_server("/fib", FIBONACCI, ActionHandlers(execute))
     client = await cloud.create_client("/add", ADD)
-    assert await client.wait_available(30)
+    assert await client.wait_available(PATIENCE_S)
     assert total(await client.call(Request(pair(40, 2)), 10)) == 42
     user = await cloud.create_action_client("/fib", FIBONACCI)
-    assert await user.wait_available(30)
+    assert await user.wait_available(PATIENCE_S)
     heard: list[bytes] = []
     goal = await user.send_goal(Goal(b"\0\1\0\0\3\0\0\0"), on_feedback=heard.append, timeout_s=10)
-    outcome = await goal.result(10)
+    outcome = await goal.result(PATIENCE_S)
     assert (outcome.status, outcome.payload) == (GoalStatus.SUCCEEDED, sequence(1, 1, 2))
     await until(lambda: heard == [sequence(1)])
 
@@ -110,18 +110,18 @@ async def test_automatic(overlay: Overlay) -> None:
     await robot.create_publisher("/both", STRING)
     await robot.create_subscription("/both", STRING, QoS(), lambda _: None)
     reader = await cloud.create_subscription("/shared/a", STRING, QoS(), inbox)
-    await until(lambda: publisher.subscribers, 30)
+    await until(lambda: publisher.subscribers)
     publisher.publish(sample("hello"))
     await inbox.wait(1, 30)
     offered = {row["name"]: row["operation"] for row in overlay.gateways[0].status()["routes"]}
     fetched = {row["name"]: row["operation"] for row in overlay.gateways[1].status()["routes"]}
     assert (offered, fetched) == ({"/shared/a": "publish"}, {"/shared/a": "subscribe"})
     await reader.close()
-    await until(lambda: not overlay.gateways[1].status()["routes"], 30)
+    await until(lambda: not overlay.gateways[1].status()["routes"])
     await robot.create_subscription("/shared/a", STRING, QoS(), lambda _: None)
-    await until(lambda: not overlay.gateways[0].status()["routes"], 30)
+    await until(lambda: not overlay.gateways[0].status()["routes"])
     await publisher.close()
-    await until(lambda: [r["operation"] for r in overlay.gateways[0].status()["routes"]] == ["subscribe"], 30)
+    await until(lambda: [r["operation"] for r in overlay.gateways[0].status()["routes"]] == ["subscribe"])
 
 
 async def test_nothing_is_allowed(overlay: Overlay) -> None:
@@ -130,7 +130,7 @@ async def test_nothing_is_allowed(overlay: Overlay) -> None:
     watcher = await overlay.join("cloud", automatic={"allow": ["*"]})
     await robot.create_publisher("/a", STRING)
     publisher = await watcher.create_publisher("/b", STRING)
-    await until(lambda: overlay.gateways[1].status()["routes"], 30)
+    await until(lambda: overlay.gateways[1].status()["routes"])
     assert overlay.gateways[0].status()["routes"] == []
     assert publisher.subscribers == 0
 
@@ -147,7 +147,7 @@ async def test_metadata_of_one_item(overlay: Overlay) -> None:
     await cloud.create_subscription("/map", STRING, QoS(), inbox)
     await plain.create_subscription("/map", STRING, QoS(), none)
     publisher = await robot.create_publisher("/map", STRING)
-    await until(lambda: publisher.subscribers, 30)
+    await until(lambda: publisher.subscribers)
     publisher.publish(sample("here"))
     await inbox.wait(1, 30)
     assert none.samples == []
@@ -157,14 +157,14 @@ async def test_metadata_of_one_item(overlay: Overlay) -> None:
     assert (advert.metadata.author, advert.metadata.unique, advert.node) == ("ann", "cell 7", "robot")
     await robot.create_service("/add", ADD, add)
     client = await cloud.create_client("/add", ADD)
-    assert await client.wait_available(30)
+    assert await client.wait_available(PATIENCE_S)
 
     async def execute(goal: ServerGoal) -> Outcome:
         return Outcome(GoalStatus.SUCCEEDED, sequence(1, 1, 2))
 
     await robot.create_action_server("/fib", FIBONACCI, ActionHandlers(execute))
     user = await cloud.create_action_client("/fib", FIBONACCI)
-    assert await user.wait_available(30)
+    assert await user.wait_available(PATIENCE_S)
 
 
 @pytest.mark.parametrize(

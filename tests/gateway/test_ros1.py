@@ -15,7 +15,7 @@ from ropeway.types import TypeRegistry
 from tests.graph.ros1.network import HAS_ROSPY, RosMaster, rospy
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, joined, sample, text
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 pytestmark = pytest.mark.skipif(not HAS_ROSPY, reason="Debian's python3-rospy is not installed")
 
@@ -50,20 +50,20 @@ async def test_across(tmp_path: Path) -> None:
             await asyncio.sleep(0.2)
             assert not entering.done()
             await asyncio.to_thread(master.start)
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(PATIENCE_S):
                 await entering
             async with rospy(master, ECHO):
                 inbox = Inbox()
                 await far.create_subscription("/answer", STRING, QoS(), inbox)
                 question = await far.create_publisher("/question", STRING)
                 await joined(question)
-                await until(lambda: [row["state"] for row in gateway.status()["routes"]] == ["active", "active"], 20)
+                await until(lambda: [row["state"] for row in gateway.status()["routes"]] == ["active", "active"])
 
                 def answered() -> bool:
                     question.publish(sample("hello"))
                     return bool(inbox.samples)
 
-                await until(answered, 20)
+                await until(answered)
                 assert inbox.payloads[0] == text("HELLO")
             await gateway.__aexit__()
         finally:

@@ -105,7 +105,7 @@ async def test_two_pairs(stack: AsyncExitStack) -> None:
         await heard_once(b, range(1, a.sent + 1))
         if index == 0:  # the dead half of the first pair returns, before the other pair dies
             near[0] = await gateway(stack, "a1", a, near[0].order["remotes"])
-            await near[0].until(lambda: near[0].status["routes"][0]["state"] == "active", 10)
+            await near[0].until(lambda: near[0].status["routes"][0]["state"] == "active")
             await asyncio.sleep(1)
             await a.say(25)
             await heard_once(b, range(1, a.sent + 1))

@@ -24,7 +24,7 @@ from ropeway.graph.holders import Entry, Holders
 from ropeway.graph.hub import Hub
 from ropeway.graph.memory import MemoryGraph
 from tests.support.actions import FIBONACCI
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .test_hub import Place
 
@@ -48,7 +48,7 @@ def says(text: bytes) -> object:
     return handler
 
 
-async def call(graph: object, name: str, *, timeout_s: float = 5.0, request: Request | None = None) -> bytes:
+async def call(graph: object, name: str, *, timeout_s: float = PATIENCE_S, request: Request | None = None) -> bytes:
     client = await graph.create_client(name, TRIGGER)  # type: ignore[attr-defined]
     try:
         return bytes(await client.call(request or Request(EMPTY), timeout_s))
@@ -216,7 +216,7 @@ async def test_goal_between_views(place: Place) -> None:
     goal = await client.send_goal(Goal(EMPTY), on_feedback=feedback.append)
     await until(lambda: feedback)
     assert await goal.cancel()
-    assert await goal.result(5) == Outcome(GoalStatus.CANCELED, EMPTY + b"so far")
+    assert await goal.result(PATIENCE_S) == Outcome(GoalStatus.CANCELED, EMPTY + b"so far")
     assert feedback == [EMPTY + b"half"]
     assert not await goal.cancel()
 

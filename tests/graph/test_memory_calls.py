@@ -14,6 +14,7 @@ from ropeway.graph.calls import ActionHandlers, Goal, Outcome, Request, ServerGo
 from ropeway.graph.memory import MemoryGraph
 from tests.support.actions import FIBONACCI
 from tests.support.services import ADD
+from tests.support.until import PATIENCE_S
 
 _numbers = itertools.count()
 
@@ -112,7 +113,7 @@ async def test_caller_leaves(graphs: list[MemoryGraph]) -> None:
     call = asyncio.create_task(client.call(Request(number(0)), 50))
     await began.wait()
     call.cancel()
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         await ended.wait()
 
 
@@ -122,7 +123,7 @@ async def test_waiter_hears_of_close(graphs: list[MemoryGraph]) -> None:
     waiting = asyncio.create_task(client.wait_available(50))
     await asyncio.sleep(0)
     await client.close()
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         assert not await waiting
 
 

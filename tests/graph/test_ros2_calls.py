@@ -23,7 +23,7 @@ from ropeway.graph.dds import DdsGraph
 from ropeway.types import TypeRegistry
 from tests.graph.dds.calls import TRIGGER, Adder, add, called
 from tests.support.services import ADD
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rclpy") is None:
@@ -59,7 +59,7 @@ class Peer:
             if line.startswith(b"{"):
                 self.said.update(json.loads(line))
 
-    async def wait(self, what: Callable[[], object], timeout_s: float = 30.0) -> None:
+    async def wait(self, what: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:
         """Wait until something holds of what the peer said."""
         await until(what, timeout_s)
 
@@ -109,6 +109,7 @@ class World:
 async def world(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[World]:
     """Nodes that stay on this machine; all are ended."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)  # genuine nodes have no tag
     async with AsyncExitStack() as stack:
         yield World(stack)
 
@@ -139,7 +140,7 @@ async def test_first_call_of_a_new_client(world: World) -> None:
     """The very first call of a client that was made a moment ago is answered, time after time."""
     graph = await world.graph()
     await world.node("serve", "/add")
-    await until(lambda: "/add" in graph.services(), 20)
+    await until(lambda: "/add" in graph.services())
     for number in range(10):
         client = await graph.create_client("/add", ADD)
         assert await add(client, number) == number
@@ -210,13 +211,13 @@ async def test_fast_dds(world: World) -> None:
     graph = await world.graph(fast=False)
     peer = await world.node("serve", "/theirs", rmw=FAST)
     client = await graph.create_client("/theirs", ADD)
-    await until(lambda: "/theirs" in graph.services() and client._others, 20)
+    await until(lambda: "/theirs" in graph.services() and client._others)
     with pytest.raises(CallFailed, match="over Fast DDS only"):
         await add(client, 1)
     adder = Adder()
     service = await graph.create_service("/ours", ADD, adder)
     await world.node("call", "/ours", "--patience", 2, rmw=FAST)
-    await until(lambda: service.ignored, 20)
+    await until(lambda: service.ignored)
     assert not adder.requests
     assert "served" not in peer.said
 
@@ -260,16 +261,16 @@ async def test_uses_an_action(world: World) -> None:
     graph = await world.graph()
     await world.node("act", "/fibonacci", "--delay", 0.05)
     client = await graph.create_action_client("/fibonacci", FIBONACCI)
-    assert await client.wait_available(20)
+    assert await client.wait_available(PATIENCE_S)
     heard: list[int] = []
     goal = await client.send_goal(Goal(order(6)), on_feedback=lambda payload: heard.append(len(numbers(payload))))
-    outcome = await goal.result(20)
+    outcome = await goal.result(PATIENCE_S)
     assert (outcome.status, numbers(outcome.payload)) == (GoalStatus.SUCCEEDED, [0, 1, 1, 2, 3, 5])
     assert heard == [3, 4, 5, 6]
     with pytest.raises(GoalRejected):
         await client.send_goal(Goal(order(-1)))
     goal = await client.send_goal(Goal(order(41)))
-    assert (await goal.result(20)).status is GoalStatus.ABORTED
+    assert (await goal.result(PATIENCE_S)).status is GoalStatus.ABORTED
     info = graph.actions()["/fibonacci"]
     assert (info.type, [server.node for server in info.servers]) == (FIBONACCI, ["/peer"])
 
@@ -279,11 +280,11 @@ async def test_cancels_an_action(world: World) -> None:
     graph = await world.graph()
     await world.node("act", "/fibonacci", "--delay", 0.1)
     client = await graph.create_action_client("/fibonacci", FIBONACCI)
-    assert await client.wait_available(20)
+    assert await client.wait_available(PATIENCE_S)
     goal = await client.send_goal(Goal(order(40)))
     await asyncio.sleep(0.3)
     assert await goal.cancel()
-    outcome = await goal.result(20)
+    outcome = await goal.result(PATIENCE_S)
     assert outcome.status is GoalStatus.CANCELED
     assert 2 < len(numbers(outcome.payload)) < 40
 
@@ -305,11 +306,11 @@ async def test_many_goals(world: World) -> None:
     graph = await world.graph()
     await world.node("act", "/fibonacci")
     client = await graph.create_action_client("/fibonacci", FIBONACCI)
-    assert await client.wait_available(20)
+    assert await client.wait_available(PATIENCE_S)
 
     async def one(number: int) -> list[int]:
         goal = await client.send_goal(Goal(order(number)), timeout_s=30)
-        return numbers((await goal.result(30)).payload)
+        return numbers((await goal.result(PATIENCE_S)).payload)
 
     try:
         sequences = await asyncio.gather(*(one(3 + i % 20) for i in range(50)))

@@ -24,7 +24,7 @@ from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rclpy") is None:
@@ -60,7 +60,7 @@ class Peer:
     def heard(self) -> list[str]:
         return [s["text"] for s in self.said if "text" in s]
 
-    async def wait(self, condition: Callable[[], object], timeout_s: float = 20.0) -> None:
+    async def wait(self, condition: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:
         """Wait until something holds of what the peer said."""
         await until(condition, timeout_s)
 
@@ -100,6 +100,7 @@ async def world(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch)
     if not has(request.param):
         pytest.skip(f"{request.param} is not installed")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)  # genuine nodes have no tag
     async with AsyncExitStack() as stack:
         yield World(request.param, stack)
 
@@ -120,7 +121,7 @@ async def test_hears_a_genuine_publisher(world: World) -> None:
     heard = texts(inbox)
     first = int(heard[0].split()[1])
     assert heard[:10] == [f"hello {i}" for i in range(first, first + 10)]
-    await until(lambda: "/talker" in graph.nodes() and graph.settled, 20)
+    await until(lambda: "/talker" in graph.nodes() and graph.settled)
     (end,) = graph.topics()["/chatter"].publishers
     assert (end.node, end.type, end.qos.reliable) == ("/talker", STRING, True)
     assert end.type_hash == TypeRegistry().hash(STRING)
@@ -150,7 +151,7 @@ async def test_is_heard_by_a_genuine_reader(world: World) -> None:
     listener = await world.node("sub", "/cmd", STRING, "--depth", "100")
     graph = await world.graph()
     publisher = await graph.create_publisher("/cmd", STRING, QoS(depth=100))
-    await until(lambda: publisher.subscribers == 1, 20)
+    await until(lambda: publisher.subscribers == 1)
     await reached(publisher, listener)
     before = len(listener.heard)
     for i in range(50):
@@ -181,7 +182,7 @@ async def test_latched(world: World) -> None:
     publisher.publish(sample("ours"))
     listener = await world.node("sub", "/our_map", STRING, "--latched")
     inbox = Inbox()
-    await until(lambda: "/map" in graph.topics(), 20)
+    await until(lambda: "/map" in graph.topics())
     await graph.create_subscription("/map", STRING, None, inbox)
     await inbox.wait(3, 20)
     assert texts(inbox) == [f"hello {i}" for i in range(3)]
@@ -197,7 +198,7 @@ async def test_best_effort(world: World) -> None:
     await graph.create_subscription("/scan", STRING, None, inbox)
     await inbox.wait(3, 20)
     publisher = await graph.create_publisher("/our_scan", STRING, SENSOR_DATA)
-    await until(lambda: publisher.subscribers == 1, 20)
+    await until(lambda: publisher.subscribers == 1)
     await reached(publisher, listener)
 
 
@@ -220,7 +221,7 @@ async def test_images_at_60_hz(world: World) -> None:
     registry = TypeRegistry()
     codec = registry.codec(IMAGE)
     publisher = await graph.create_publisher("/image", IMAGE)
-    await until(lambda: publisher.subscribers == 1, 20)
+    await until(lambda: publisher.subscribers == 1)
     began = time.monotonic()
     for number in range(1, 241):
         sec, nanosec = divmod(time.time_ns(), 10**9)

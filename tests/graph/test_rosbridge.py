@@ -93,7 +93,7 @@ async def test_waits_for_its_server(stack: AsyncExitStack, fake: FakeServer, cap
     assert len([m for m in caplog.messages if "trying again until it answers" in m]) == 1
     fake.connections.clear()
     await fake.start()
-    await until(lambda: fake.ops("subscribe") and fake.ops("advertise"), 3)
+    await until(lambda: fake.ops("subscribe") and fake.ops("advertise"))
     assert states[-1] is LinkState.CONNECTED
     assert graph.last_error == ""
     assert publisher.lost == {Lost.UNSENT: 1}
@@ -159,7 +159,7 @@ async def test_silent_server(stack: AsyncExitStack, fake: FakeServer) -> None:
     await fake.start(limits=Limits(ping_interval_s=None))
     graph = await client(stack, fake.url, limits=FAST, watch=False)
     fake.connections[0].pause_reading()
-    await until(lambda: graph.connections == 2, 3)
+    await until(lambda: graph.connections == 2)
     assert len(fake.connections) == 2
 
 
@@ -288,7 +288,7 @@ async def test_unknown_type_towards_a_plain_server(stack: AsyncExitStack, fake: 
     await graph.create_subscription("/own_in", OWN, None, inbox)
     fake.connections.clear()
     await fake.start()
-    await until(lambda: fake.ops("advertise") and fake.ops("subscribe"), 3)
+    await until(lambda: fake.ops("advertise") and fake.ops("subscribe"))
     assert [op["topic"] for op in fake.ops("advertise")] == ["/good"]
     assert OWN in own.refused
     own.publish(sample("x"))

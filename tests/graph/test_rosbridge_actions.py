@@ -20,11 +20,11 @@ from tests.graph.gateways import ScriptedGateway
 from tests.graph.test_rosbridge_services import connect, heard, played
 from tests.support.actions import FIBONACCI, Worker, order, sequence
 from tests.support.rosbridge import Cloud, FakeServer
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 
 async def ended(goal: ClientGoal) -> Outcome:
-    return await goal.result(10)
+    return await goal.result(PATIENCE_S)
 
 
 def say_result(fake: FakeServer, id: object, values: object, status: int | None, *, result: bool = True) -> None:
@@ -533,7 +533,7 @@ async def test_through_a_server(stack: AsyncExitStack, cloud: Cloud, encoding: s
     delivery = Delivery(encoding=encoding)
     await serve(far, execute, delivery)
     client = await near.create_action_client("/fib", FIBONACCI, delivery=delivery)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     fed: list[bytes] = []
     goal = await client.send_goal(Goal(order(5)), on_feedback=fed.append)
     assert await ended(goal) == Outcome(GoalStatus.SUCCEEDED, sequence(8))

@@ -30,7 +30,7 @@ from tests.graph.gateways import ScriptedGateway
 from tests.support.messages import text
 from tests.support.rosbridge import REGISTRY, Cloud, FakeServer
 from tests.support.services import ADD, TEXT, Gate, add, addends, answer, total
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 REQUEST, RESPONSE = REGISTRY.codec(f"{ADD}_Request"), REGISTRY.codec(f"{ADD}_Response")
 
@@ -48,7 +48,7 @@ async def played(stack: AsyncExitStack, far: ScriptedGateway, **options: Any) ->
     return await connect(stack, far.url, watch=options.pop("watch", False), **options)
 
 
-def start(client: RemoteClient, a: int = 1, timeout_s: float = 10, **options: Any) -> asyncio.Task[bytes]:
+def start(client: RemoteClient, a: int = 1, timeout_s: float = PATIENCE_S, **options: Any) -> asyncio.Task[bytes]:
     return asyncio.create_task(client.call(Request(addends(a), **options), timeout_s))
 
 
@@ -556,7 +556,7 @@ async def test_mirrors_services(stack: AsyncExitStack, far: ScriptedGateway) -> 
     note = {"error": "not_served"}
     far.peer.send_op(ops.ServiceResponse(id=failing.id, service="/add", values="", result=False, ropeway=note))
     far.show(services={"/add": {"types": [ADD], "servers": [{"node": "/n", "since_ns": 5, "gid": "zz"}]}})
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     assert client.available is True
     again = (await far.hear("call_service", 3))[-1]
     answer = ops.ServiceResponse(id=again.id, service="/add", values=None, result=True)
@@ -621,7 +621,7 @@ async def test_through_a_server(stack: AsyncExitStack, cloud: Cloud, encoding: s
     delivery = Delivery(encoding=encoding)
     await far.create_service("/x", TEXT, echo, delivery=delivery)
     client = await near.create_client("/x", TEXT, delivery=delivery)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     got = await client.call(Request(text("x" * 1_200_000)), 20)
     assert got.endswith(b"y" * 100 + b"\0")
     assert len(got) > 1_500_000
@@ -633,7 +633,7 @@ async def test_a_thousand_calls(stack: AsyncExitStack, cloud: Cloud) -> None:
     near, far = await connect(stack, url), await connect(stack, url, gateway_id="them")
     await far.create_service("/add", ADD, add)
     client = await near.create_client("/add", ADD)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     answers = await asyncio.gather(*(client.call(Request(addends(i)), 30) for i in range(1000)))
     assert answers == [total(i) for i in range(1000)]
 

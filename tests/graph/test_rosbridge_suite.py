@@ -22,7 +22,7 @@ from ropeway.qos import LATCHED, QoS
 from ropeway.types import TypeRegistry
 from tests.support.inbox import Inbox
 from tests.support.ports import free_port
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rosbridge_library") is None:
@@ -115,6 +115,7 @@ class Suite:
 async def suite(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Suite]:
     """A running server; everything is ended."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)  # genuine nodes have no tag
     async with AsyncExitStack() as stack:
         suite = Suite(stack)
         stack.push_async_callback(suite.stop)
@@ -131,7 +132,7 @@ async def test_publish(suite: Suite) -> None:
             inbox = Inbox()
             await network.create_subscription(topic, type, QoS(depth=10), inbox)
             publisher = await client.create_publisher(topic, type, delivery=Delivery(encoding=encoding))
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(PATIENCE_S):
                 while not inbox.samples:  # the server needs a moment to match the reader
                     publisher.publish(suite.sample(type))
                     await asyncio.sleep(0.05)
@@ -149,8 +150,8 @@ async def test_subscribe(suite: Suite, encoding: str) -> None:
         publisher = await network.create_publisher(topic, type, QoS(depth=10))
         inbox = Inbox()
         await client.create_subscription(topic, type, None, inbox, delivery=Delivery(encoding=encoding))
-        await until(lambda publisher=publisher: publisher.subscribers, 20)
-        async with asyncio.timeout(20):
+        await until(lambda publisher=publisher: publisher.subscribers)
+        async with asyncio.timeout(PATIENCE_S):
             while not inbox.samples:
                 publisher.publish(suite.sample(type))
                 await asyncio.sleep(0.05)
@@ -182,7 +183,7 @@ async def test_restart(suite: Suite) -> None:
     async def flows() -> None:
         out.samples.clear()
         back.samples.clear()
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(PATIENCE_S):
             while not (out.samples and back.samples):
                 near.publish(suite.sample(STRING))
                 far.publish(suite.sample(STRING))

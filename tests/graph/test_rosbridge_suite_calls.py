@@ -19,6 +19,7 @@ from tests.graph.test_ros2_calls import CYCLONE, PROGRAM, Peer
 from tests.graph.test_rosbridge_suite import DOMAIN, Suite
 from tests.support.actions import FIBONACCI, order, sequence
 from tests.support.services import ADD, Gate, add, addends, total
+from tests.support.until import PATIENCE_S
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 
@@ -40,6 +41,7 @@ class Calls(Suite):
 async def suite(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Calls]:
     """A running server; everything is ended."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)  # genuine nodes have no tag
     monkeypatch.setenv("RMW_IMPLEMENTATION", CYCLONE)
     async with AsyncExitStack() as stack:
         suite = Calls(stack)
@@ -119,14 +121,14 @@ async def test_uses_an_action(suite: Calls) -> None:
     fed: list[bytes] = []
     while outcome.status is not GoalStatus.SUCCEEDED and time.monotonic() < end:  # the server has to discover it
         goal = await client.send_goal(Goal(order(6)), on_feedback=fed.append)
-        outcome = await goal.result(20)
+        outcome = await goal.result(PATIENCE_S)
     assert outcome == Outcome(GoalStatus.SUCCEEDED, sequence(0, 1, 1, 2, 3, 5))
     assert fed == [sequence(*(0, 1, 1, 2, 3, 5)[:size]) for size in (3, 4, 5, 6)]
     long = await client.send_goal(Goal(order(40)), on_feedback=fed.append)
     while len(fed) < 6:
         await asyncio.sleep(0.01)
     assert await long.cancel()
-    outcome = await long.result(20)
+    outcome = await long.result(PATIENCE_S)
     assert outcome.status.final  # 2.1.0 hears of the cancel when the goal has ended
 
 

@@ -20,6 +20,7 @@ from ropeway.server.door import Door
 from ropeway.server.entrance import Entrance
 from ropeway.server.iort import IortServer
 from ropeway.store import Store, StoreLimits, make_backend, make_mirror
+from tests.support.until import PATIENCE_S
 
 __all__ = ["Raw", "ServerProcess", "old_python", "serving"]
 
@@ -68,7 +69,7 @@ class Raw:
     def send(self, raw: bytes) -> None:
         self.writer.write(raw)
 
-    async def packet(self, timeout_s: float = 5.0) -> Packet:
+    async def packet(self, timeout_s: float = PATIENCE_S) -> Packet:
         async with asyncio.timeout(timeout_s):
             while not self._ready:
                 data = await self.reader.read(65536)
@@ -107,6 +108,7 @@ import asyncio, sys
 from ropeway.graph.iort import Space
 from ropeway.server.iort import IortServer
 from ropeway.store import Store, make_backend
+from tests.support.until import PATIENCE_S
 
 async def main(path, port):
     store = Store(make_backend(path))

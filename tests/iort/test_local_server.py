@@ -18,7 +18,7 @@ from ropeway import iort
 from ropeway.iort import AsyncNode, LocalServer, NodeError, Value
 from tests.iort.servers import Raw, ServerProcess, old_python, serving
 from tests.support.ports import free_port, free_udp_port
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 
 class Served:
@@ -130,7 +130,7 @@ async def test_brings_all_to_the_cloud(local: Served, tmp_path: Path, stack: Exi
         async def held() -> dict[str, Any]:
             return {f"{v['system']}/{v['topic']}": v for v in await desk.list()}
 
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(PATIENCE_S):
             while len(found := await held()) < 2:
                 await asyncio.sleep(0.05)
         assert {name: value["data"] for name, value in found.items()} == {"TURTLE/pose": "1,2", "PEPPER/battery": "80"}
@@ -140,7 +140,7 @@ async def test_brings_all_to_the_cloud(local: Served, tmp_path: Path, stack: Exi
         robot = await Raw.connect(local.port)
         assert (await robot.ask(b"%01/PEPPER/goal/s%")).data == b"kitchen"  # read through
         robot.send(b"%01/PEPPER/battery/p/70%")
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(PATIENCE_S):
             while (await desk.read("battery", system="PEPPER")).text != "70":
                 await asyncio.sleep(0.05)
         await robot.close()

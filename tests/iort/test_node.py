@@ -24,7 +24,7 @@ from ropeway.store import StoreLimits
 from tests.gateway.test_tls import Authority
 from tests.iort.servers import ServerProcess, old_python, serving
 from tests.support.ports import free_port
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 
 async def test_publish_and_read() -> None:
@@ -380,7 +380,7 @@ def test_sync(tmp_path: Path) -> None:
             came = threading.Event()
             end = other.subscribe("x", lambda value: came.set(), system="A")
             assert one.publish("x", "1").mode == "remote"
-            assert came.wait(5)
+            assert came.wait(PATIENCE_S)
             end()
             one.publish("x", "2", wait=False)
             assert one.read("x").text == "2"
@@ -407,7 +407,7 @@ def test_shell(tmp_path: Path) -> None:
 
     def run(*words: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, str(copy), server.url, *words]
-        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=30)
+        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
 
     try:
         assert run("publish", "PEPPER/cmd_vel", "0,0,0,0,0,0").returncode == 0
@@ -433,7 +433,7 @@ def test_documented(tmp_path: Path) -> None:
     try:
         code = code.replace("iort://127.0.0.1:7410", server.url)
         command = [sys.executable, "-c", code]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30, cwd=tmp_path)
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S, cwd=tmp_path)
         assert done.stdout == "80 remote\n", done.stderr
         assert (tmp_path / "values" / "PEPPER" / "battery.json").exists()
     finally:
@@ -453,7 +453,7 @@ def test_old_python(tmp_path: Path) -> None:
     )
     try:
         command = [old, "-W", "error", "-c", code]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30, cwd=tmp_path)
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S, cwd=tmp_path)
         assert done.stdout == "(3, 8) [1.0, 2.0] remote\n", done.stderr
     finally:
         server.kill()

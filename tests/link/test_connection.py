@@ -18,7 +18,7 @@ from ropeway.link.connection import Connection, Limits
 from ropeway.link.listener import Listener
 from ropeway.link.websocket import connect, listen
 from tests.server.client import BINARY, CLOSE, CONTINUATION, PING, PONG, TEXT, Client, ClosedByServer, frame
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 QUIET = Limits(ping_interval_s=None, max_message_bytes=100_000, open_timeout_s=1.0)
 
@@ -150,7 +150,7 @@ async def test_pings(place: Place) -> None:
     await place.listen()
     client, far = await place.client()
     client.raw(frame(TEXT, b"one ", fin=False) + frame(PING, b"are you there?") + frame(CONTINUATION, b"text"))
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         assert await client._frame() == (PONG, True, b"are you there?")
     await until(lambda: far.got == [("text", b"one text")])
 
@@ -345,7 +345,7 @@ async def test_tiny_pieces(place: Place) -> None:
             client.raw(empty * 1000 + one * 500)
             await client.writer.drain()
         client.raw(frame(CONTINUATION, b"", fin=True))
-        await until(lambda: far.got, 40)
+        await until(lambda: far.got)
         assert tracemalloc.get_traced_memory()[1] < 2_000_000
     finally:
         tracemalloc.stop()
@@ -436,7 +436,7 @@ async def test_unread_answers_to_pings(place: Place) -> None:
     last = frame(PING, b"last")
     client.raw(last)
     await client.writer.drain()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE_S):
         while (await client._frame())[2] != b"last":
             pass
 
@@ -446,7 +446,7 @@ async def test_no_closing_handshake(place: Place) -> None:
     await place.listen()
     client, far = await place.client()
     far.connection.close(1001, "ünd so weiter " + "x" * 500)
-    async with asyncio.timeout(3):
+    async with asyncio.timeout(PATIENCE_S):
         code, _ = await far.connection.wait_closed()
     assert code == 1001
     opcode, _, payload = await client._frame()
@@ -460,7 +460,7 @@ async def test_stalled_peer_at_the_close(place: Place) -> None:
     while far.connection.writable:
         far.connection.send_binary(bytes(1 << 20))
     far.connection.close(1000)
-    async with asyncio.timeout(3):
+    async with asyncio.timeout(PATIENCE_S):
         await far.connection.wait_closed()
 
 
@@ -473,7 +473,7 @@ async def test_endless_request(place: Place) -> None:
         assert len(await reader.read()) < 10_000
     writer.transport.abort()
     reader, writer = await asyncio.open_connection("127.0.0.1", place.server.port)
-    async with asyncio.timeout(3):
+    async with asyncio.timeout(PATIENCE_S):
         await reader.read()
     writer.close()
     assert place.ends == []

@@ -21,7 +21,7 @@ from ropeway.link.lobby import Lobby
 from ropeway.link.websocket import listen
 from tests.gateway.test_tls import Authority
 from tests.server.client import CLOSE, Client
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 UPGRADE = (
     "GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: {connection}\r\n"
@@ -79,7 +79,7 @@ class Place:
         """Send ``text``; the status of the answer, and its body."""
         reader, writer = await self.open()
         writer.write(text if isinstance(text, bytes) else text.encode("latin-1"))
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             data = await reader.read(-1)
         head, _, body = data.partition(b"\r\n\r\n")
         return int(head.split(b" ")[1]), body
@@ -125,14 +125,14 @@ async def test_another_protocol(both: Place) -> None:
     """``http`` may give the connection away: the other protocol gets the request, and all that follows."""
     reader, writer = await both.open()
     writer.write(b"POST /echo HTTP/1.1\r\nHost: x\r\n\r\nmore")
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         await reader.readuntil(b"MORE")
         for word in (b"and", b"further"):
             writer.write(word)
             assert await reader.readexactly(len(word)) == word.upper()
     await asyncio.sleep(0.6)  # longer than a request may take
     writer.write(b"on")
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         assert await reader.readexactly(2) == b"ON"
 
 
@@ -179,7 +179,7 @@ async def test_a_body_that_nobody_wants(place: Place) -> None:
     await place.listen()
     reader, writer = await place.open()
     writer.write(b"POST / HTTP/1.1\r\nContent-Length: 100000000\r\n\r\n" + b"x" * 100_000)
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         assert (await reader.readline()).startswith(b"HTTP/1.1 200")
         with contextlib.suppress(ConnectionError):
             while True:

@@ -26,7 +26,7 @@ from ropeway.wire.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL
 from ropeway.wire.records import HEADER_BYTES, Arrival
 from tests.server.client import Client, frame
 from tests.support.messages import STRING, text
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 LIMITS = Limits(ping_interval_s=None, max_message_bytes=8 << 20)
 ORIGIN = b"o" * 16
@@ -82,7 +82,7 @@ class Link:
         topic, type = settings.pop("topic"), settings.pop("type")
         return self.near.open_channel(number, topic, type, encoding=encoding, priority=priority, **settings)
 
-    async def arrived(self, count: int, timeout_s: float = 10) -> list[Arrival]:
+    async def arrived(self, count: int, timeout_s: float = PATIENCE_S) -> list[Arrival]:
         await until(lambda: len(self.far_handler.arrivals) >= count, timeout_s)
         return self.far_handler.arrivals
 
@@ -340,7 +340,7 @@ async def test_answers_that_are_not_read(setting: Setting) -> None:
     for _ in range(200):
         peer.send(answer)
     assert peer.connection.unsent_bytes < 64 << 20
-    await until(lambda: handler.ends, 5)
+    await until(lambda: handler.ends)
     assert handler.ends == [(1008, "answers are not read")]
     assert (await client.closed())[0] in (1006, 1008)
 

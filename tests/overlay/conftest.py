@@ -42,7 +42,7 @@ class Site:
         self.stack.push_async_callback(graph.close)
         if not alone:
             self.graphs.append(graph)
-            await until(lambda: all(len(g.node.membership.gateways()) >= len(self.graphs) - 1 for g in self.graphs), 30)
+            await until(lambda: all(len(g.node.membership.gateways()) >= len(self.graphs) - 1 for g in self.graphs))
         return graph
 
 

@@ -29,7 +29,7 @@ from tests.support.inbox import Inbox
 from tests.support.messages import STRING
 from tests.support.messages import sample as text
 from tests.support.services import ADD
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 
 def refusals(graph: OverlayGraph) -> set[Refusal]:
@@ -60,7 +60,7 @@ async def attacker(site: Site) -> AsyncIterator[Attacker]:
     end = fabric.hear("rw/**", lambda key, raw: made.seen.append((key, raw)))
     try:
         assert await fabric.linked(10)
-        await until(lambda: made.of("rw/h/"), 30)
+        await until(lambda: made.of("rw/h/"))
         yield made
     finally:
         end()
@@ -171,7 +171,7 @@ async def test_strangers_by_the_hundred(site: Site) -> None:
         assert len(near.node.membership._known) <= 64
         far = await site.join(alone=True)
         await far.create_publisher("/late", STRING)
-        await until(lambda: "/late" in near.topics(), 30)
+        await until(lambda: "/late" in near.topics())
 
 
 async def test_requests_of_an_attacker(site: Site) -> None:
@@ -185,7 +185,7 @@ async def test_requests_of_an_attacker(site: Site) -> None:
 
     await far.create_service("/add", ADD, add)
     client = await near.create_client("/add", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     payload = b"\0\1\0\0" + struct.pack("<qq", 1, 2)
     await client.call(Request(payload))
     channel = near.node.rpc._channels[far.node.gateway]
@@ -277,7 +277,7 @@ async def test_rights_of_a_publisher(site: Site) -> None:
     payload = b"\0\1\0\0" + bytes(16)
     for graph in (friend, other):
         client = await graph.create_client("/add", ADD)
-        assert await client.wait_available(10)
+        assert await client.wait_available(PATIENCE_S)
         if graph is friend:
             await client.call(Request(payload))
         else:
@@ -307,9 +307,9 @@ async def test_losing_the_right(site: Site) -> None:
     epoch = publisher.source.grant(keeps.node.identity.certificate)["g"]
     fleet().revoke(loses.node.identity.name)
     near.node._take_crl(fleet().crl_der())
-    await until(lambda: publisher.subscribers == 1, 20)
+    await until(lambda: publisher.subscribers == 1)
     assert publisher.source.grant(keeps.node.identity.certificate)["g"] != epoch
     publisher.publish(text("2"))
     await boxes[0].wait(2, 20)
     assert len(boxes[1].samples) == 1
-    await until(lambda: not keeps.node._good(loses.node.identity.certificate), 60)
+    await until(lambda: not keeps.node._good(loses.node.identity.certificate))

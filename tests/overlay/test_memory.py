@@ -24,7 +24,7 @@ from tests.overlay.fleet import member
 from tests.overlay.hostile import bomb
 from tests.overlay.test_attacks import STRING, refusals, text
 from tests.support.inbox import Inbox
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 MIB = 1 << 20
 
@@ -36,7 +36,7 @@ async def pair(site: Site) -> AsyncIterator[tuple[OverlayGraph, OverlayGraph]]:
 
 async def put_until(graph: OverlayGraph, key: str, make: Callable[[], bytes], condition: Callable[[], bool]) -> None:
     """Put packet after packet: the way to a reader, and its key, may be there a moment after the reader."""
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(PATIENCE_S):
         while not condition():
             await asyncio.to_thread(graph.node.fabric.put, 4, key, make())
             await asyncio.sleep(0.05)
@@ -48,7 +48,7 @@ async def test_a_packet_of_bombs(pair: tuple[OverlayGraph, OverlayGraph]) -> Non
     inbox = Inbox()
     await far.create_subscription("/x", STRING, QoS(), inbox)
     publisher = await near.create_publisher("/x", STRING)
-    await until(lambda: publisher.subscribers, 30)
+    await until(lambda: publisher.subscribers)
     items = [Item(n, 0, 1, b"o" * 16, 0, ZSTD, bomb(1024 * MIB)) for n in range(1, 5)]
     tracemalloc.start()
     try:
@@ -68,7 +68,7 @@ async def test_many_messages_in_one_packet(pair: tuple[OverlayGraph, OverlayGrap
     near, far = pair
     await far.create_subscription("/x", STRING, QoS(), lambda _: None)
     publisher = await near.create_publisher("/x", STRING)
-    await until(lambda: publisher.subscribers, 30)
+    await until(lambda: publisher.subscribers)
     items = [Item(n, 0, 1, b"o" * 16, 0, RAW, b"") for n in range(1, 60_000)]
     await put_until(
         near, publisher.key, partial(publisher.source.seal, items), lambda: Refusal.TOO_BIG in refusals(far)
@@ -81,13 +81,13 @@ async def test_packets_without_a_key(pair: tuple[OverlayGraph, OverlayGraph]) ->
     far.node.held.limit_bytes = 3 * MIB
     await far.create_subscription("/x", STRING, QoS(), lambda _: None)
     publisher = await near.create_publisher("/x", STRING)
-    await until(lambda: publisher.subscribers, 30)
+    await until(lambda: publisher.subscribers)
     junk = bytearray(publisher.source.seal([Item(1, 0, 1, b"o" * 16, 0, RAW, bytes(MIB - 1000))]))
     junk[4:8] = b"\xff\xff\xff\xff"  # an epoch that was never granted
     await put_until(near, publisher.key, lambda: bytes(junk), lambda: Refusal.NO_KEY in refusals(far))
     assert far.node.held.bytes <= 3 * MIB
     await publisher.close()
-    await until(lambda: far.node.held.bytes == 0, 30)
+    await until(lambda: far.node.held.bytes == 0)
 
 
 def test_messages_behind_a_gap() -> None:
@@ -120,7 +120,7 @@ async def test_everybody_has_left(site: Site) -> None:
             publisher.publish(text("hello"))
         for guest in guests:
             await guest.close()
-        await until(lambda: not graph.node.membership.gateways(), 30)
+        await until(lambda: not graph.node.membership.gateways())
 
     def census() -> dict[str, int]:
         gc.collect()

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 import cbor2
 
+from tests.support.until import PATIENCE_S
+
 __all__ = [
     "BINARY",
     "CLOSE",
@@ -141,7 +143,7 @@ class Client:
 
     # ── receiving ──────────────────────────────────────────────────────────────────────────────────────────────
 
-    async def receive(self, timeout_s: float = 10.0) -> Frame:
+    async def receive(self, timeout_s: float = PATIENCE_S) -> Frame:
         """The next message. Raises ``ClosedByServer``."""
         if self._waiting:
             return self._waiting.pop(0)
@@ -178,7 +180,7 @@ class Client:
             (size,) = _LONG.unpack(await self.reader.readexactly(8))
         return first & 0x0F, bool(first & 0x80), await self.reader.readexactly(size)
 
-    async def json(self, timeout_s: float = 10.0) -> Any:
+    async def json(self, timeout_s: float = PATIENCE_S) -> Any:
         """The next message, which must be a text frame."""
         got = await self.receive(timeout_s)
         assert got.text, got.data[:100]
@@ -189,7 +191,7 @@ class Client:
         id = f"done {next(self._numbers)}"
         self.send({"op": "call_service", "service": "/nowhere", "id": id})
         kept: list[Frame] = []
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             while True:
                 got = await self._receive()
                 if got.text and f'"{id}"'.encode() in got.data:
@@ -203,7 +205,7 @@ class Client:
             await self.done()
         assert not self._waiting, self._waiting[0]
 
-    async def closed(self, timeout_s: float = 10.0) -> tuple[int, str]:
+    async def closed(self, timeout_s: float = PATIENCE_S) -> tuple[int, str]:
         """Wait for the server to close; gives its code and reason."""
         try:
             async with asyncio.timeout(timeout_s):
@@ -229,7 +231,7 @@ async def fetch(
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     lines = [f"{method} {path} HTTP/1.1", f"Host: {named}", *(f"{n}: {v}" for n, v in (headers or {}).items())]
     writer.write("\r\n".join([*lines, "", ""]).encode())
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE_S):
         data = await reader.read(-1)
     writer.close()
     head, _, body = data.partition(b"\r\n\r\n")

@@ -10,6 +10,8 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
+from tests.support.until import PATIENCE_S
+
 __all__ = ["Peers", "peers"]
 
 
@@ -29,7 +31,7 @@ class Peers:
                 self.said.append(json.loads(line))
                 self._news.set()
 
-    async def wait(self, condition: Callable[[], object], timeout_s: float = 20.0) -> None:
+    async def wait(self, condition: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:
         """Wait until something holds of what was said."""
         async with asyncio.timeout(timeout_s):
             while not condition():

@@ -15,7 +15,7 @@ from ropeway.graph.calls import ActionHandlers, ClientGoal, Goal, GoalStatus, Ou
 from tests.server.client import Client
 from tests.server.conftest import Place
 from tests.support.actions import FIBONACCI, Worker, count, order, ordered, sequence
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 GOAL = '{"op":"send_action_goal","id":"send_action_goal:/fib:1","action":"/fib",'
 TYPE = '"action_type":"example_interfaces/Fibonacci",'
@@ -217,7 +217,7 @@ async def test_client_leaves(place: Place) -> None:
     client.send(goal())
     await until(lambda: worker.goals)
     client.abort()
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         await worker.goals[0].cancelled.wait()
     await until(lambda: not place.server.sessions)
 
@@ -287,7 +287,7 @@ class Feedback:
 async def send(place: Place, number: int = 3, feedback: Feedback | None = None) -> ClientGoal:
     """The robot sends a goal to the server's client."""
     client = await place.robot.create_action_client("/fib", FIBONACCI)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     return await client.send_goal(Goal(order(number)), on_feedback=feedback)
 
 
@@ -320,7 +320,7 @@ async def test_carries_out(place: Place, type: str) -> None:
         for values in ([0], [0, 1]):
             provider.send({"op": "action_feedback", "action": "/fib", "id": id, "values": {"sequence": values}})
         provider.send(done({"action": "/fib", "id": id}))
-        outcome = await (await sent).result(5)
+        outcome = await (await sent).result(PATIENCE_S)
         assert outcome == Outcome(GoalStatus.SUCCEEDED, sequence(0, 1))
         assert feedback.payloads == [sequence(0), sequence(0, 1)]
     await provider.nothing()
@@ -406,7 +406,7 @@ async def test_provider_leaves(place: Place) -> None:
     assert [(await provider.json())["op"] for _ in range(2)] == ["send_action_goal"] * 2
     provider.abort()
     assert await caller.json(3) == result(6)
-    assert (await sent.result(3)).status == GoalStatus.ABORTED
+    assert (await sent.result(PATIENCE_S)).status == GoalStatus.ABORTED
     caller.send(goal("again"))
     assert (await caller.json())["values"] == "No action server available"
     other = await offer(place)

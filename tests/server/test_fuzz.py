@@ -23,6 +23,7 @@ from ropeway.wire.records import RecordWriter
 from tests.server.client import BINARY, TEXT, Client, ClosedByServer, frame
 from tests.server.test_session import CHATTER, heard, listen, said
 from tests.support.messages import STRING, text
+from tests.support.until import PATIENCE_S
 
 FRAMES: Final = 100_000
 CONNECTIONS: Final = 6
@@ -270,7 +271,7 @@ async def attack(port: int, seed: int, count: int, subprotocol: str, sent: list[
                 await client.writer.drain()
             client.send({"op": "call_service", "service": "/nowhere", "id": "the end"})
             await client.writer.drain()
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(PATIENCE_S):
                 assert await reading, "the server has closed the connection"
             client.raw(hostile.last())
             await client.writer.drain()

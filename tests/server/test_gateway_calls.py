@@ -14,7 +14,7 @@ from tests.server.client import Client
 from tests.server.conftest import Place
 from tests.support.actions import FIBONACCI, Worker, count, order, sequence
 from tests.support.services import ADD, add, addends, total
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 CALL = "0123456789abcdef" * 2
 
@@ -210,7 +210,7 @@ async def test_carries_out(place: Place) -> None:
     provider.send({"op": "advertise_action", "action": "/fib", "type": FIBONACCI, "id": "a"})
     await until(lambda: "/fib" in place.robot.actions())
     client = await place.robot.create_action_client("/fib", FIBONACCI)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     sending = asyncio.ensure_future(client.send_goal(Goal(order(1))))
     asked = await next_op(provider)
     assert (asked["id"], asked["action_type"], asked["args"]) == ("action_goal:/fib:1", FIBONACCI, {"order": 1})
@@ -232,7 +232,7 @@ async def test_carries_out(place: Place) -> None:
     provider.send(
         {"op": "action_result", "action": "/fib", "id": asked["id"], "values": values, "status": 5, "result": True}
     )
-    assert await running.result(5) == Outcome(GoalStatus.CANCELED, sequence(5))
+    assert await running.result(PATIENCE_S) == Outcome(GoalStatus.CANCELED, sequence(5))
 
 
 async def test_provider_leaves_before_it_accepts(place: Place) -> None:

@@ -26,7 +26,7 @@ from tests.server.peers import Peers, peers
 from tests.support.actions import FIBONACCI, Worker, count, order, ordered, sequence
 from tests.support.inbox import Inbox
 from tests.support.services import ADD, add, addends, total
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 PROGRAM = Path(__file__).parents[1] / "js" / "client.mjs"
 NODE = shutil.which("node")
@@ -187,7 +187,7 @@ async def test_serves(run: Run, place: Place) -> None:
     serve = [{"name": "/add", "type": "example_interfaces/AddTwoInts", "values": {"sum": 5}, "client": 0}]
     async with run({"clients": 2, "serve": serve}) as program:
         client = await place.robot.create_client("/add", ADD)
-        assert await client.wait_available(5)
+        assert await client.wait_available(PATIENCE_S)
         assert await client.call(Request(addends(2, 3))) == total(5)
         assert (await program.told(asked="/add"))[0]["args"] == {"a": 2, "b": 3}
         program.do(call="/add", type=ADD, args={"a": 1}, client=1)
@@ -280,17 +280,17 @@ async def test_carries_out(run: Run, place: Place) -> None:
     plan = {"clients": 2, "act": [{"name": "/fib", "type": "example_interfaces/Fibonacci", "client": 0}]}
     async with run(plan) as program:
         client = await place.robot.create_action_client("/fib", FIBONACCI)
-        assert await client.wait_available(5)
+        assert await client.wait_available(PATIENCE_S)
         feedback: list[bytes] = []
         goal = await client.send_goal(Goal(order(2)), on_feedback=feedback.append)
-        assert await goal.result(5) == Outcome(GoalStatus.SUCCEEDED, sequence(0, 1))
+        assert await goal.result(PATIENCE_S) == Outcome(GoalStatus.SUCCEEDED, sequence(0, 1))
         assert feedback == [sequence(0), sequence(0, 1)]
         goal = await client.send_goal(Goal(order(-1)))
-        assert (await goal.result(5)).status == GoalStatus.ABORTED
+        assert (await goal.result(PATIENCE_S)).status == GoalStatus.ABORTED
         goal = await client.send_goal(Goal(order(101)))
         await program.told(3, asked="/fib")
         assert await goal.cancel()
-        assert await goal.result(5) == Outcome(GoalStatus.CANCELED, sequence(5))
+        assert await goal.result(PATIENCE_S) == Outcome(GoalStatus.CANCELED, sequence(5))
         program.do(goal="/fib", type=FIBONACCI, args={"order": 1}, client=1)
         assert (await program.told(result="/fib", client=1))[0]["values"] == {"sequence": [0]}
 

@@ -22,7 +22,7 @@ from tests.server.peers import Peers, peers
 from tests.support.actions import FIBONACCI, Worker, count, ordered
 from tests.support.inbox import Inbox
 from tests.support.services import ADD, add, addends, total
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 if importlib.util.find_spec("roslibpy") is None:
     pytest.skip("needs roslibpy", allow_module_level=True)
@@ -143,7 +143,7 @@ async def test_thirty_clients(run: Run, place: Place) -> None:
         "publish": [{"name": "/from#", "type": STRING, "message": {"data": "here"}}],
     }
     async with run(plan) as program:
-        await until(lambda: sum(len(s.outputs) for s in place.server.sessions) == 30 and publisher.subscribers, 30)
+        await until(lambda: sum(len(s.outputs) for s in place.server.sessions) == 30 and publisher.subscribers)
         for number in range(10):
             publisher.publish(sample(place, STRING, {"data": str(number)}))
         program.publish()
@@ -170,10 +170,10 @@ async def test_reconnect(run: Run, place: Place) -> None:
         await place.server.close()
         await program.wait(lambda: any("closed" in s for s in program.said))
         await place.server.listen(f"ws://127.0.0.1:{place.port}")
-        await until(lambda: publisher.subscribers == 1, 20)
+        await until(lambda: publisher.subscribers == 1)
         publisher.publish(sample(place, STRING, {"data": "again"}))
         await program.wait(lambda: program.heard("/down"))
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             while not inbox.samples:
                 program.publish()
                 await asyncio.sleep(0.1)
@@ -201,7 +201,7 @@ async def test_serves(run: Run, place: Place) -> None:
     ]
     async with run({"clients": 2, "serve": serve}) as program:
         client = await place.robot.create_client("/add", ADD)
-        assert await client.wait_available(5)
+        assert await client.wait_available(PATIENCE_S)
         assert await client.call(Request(addends(2, 3))) == total(5)
         assert (await program.told(asked="/add"))[0]["args"] == {"a": 2, "b": 3}
         for name, sum in (("/add", 5), ("/fail", 7)):

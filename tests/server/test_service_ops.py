@@ -17,7 +17,7 @@ from ropeway.wire.codec import decode_value
 from tests.server.client import BINARY, Client
 from tests.server.conftest import Place
 from tests.support.services import ADD, add, addends, total
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 SET, TRIGGER, EMPTY = "std_srvs/srv/SetBool", "std_srvs/srv/Trigger", "std_srvs/srv/Empty"
 CALL = '{"op":"call_service","id":"call_service:/add:1","service":"/add","type":"example_interfaces/AddTwoInts",'
@@ -33,7 +33,7 @@ async def serve(
 async def calling(place: Place, name: str = "/add", type: str = ADD) -> GraphClient:
     """A client of the robot for a service of the server's client, once it is there."""
     client = await place.robot.create_client(name, type)
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     return client
 
 

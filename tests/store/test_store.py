@@ -14,7 +14,7 @@ import pytest
 from ropeway.errors import StoreUnavailable, ValueRefused
 from ropeway.store import Change, Entry, Key, Store, StoreLimits, Versions, default_path, make_backend, make_mirror
 from tests.store.mongo import MongoServer
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 
 class Flaky:
@@ -40,7 +40,7 @@ class Flaky:
         return list(self.rows.values())
 
     def write(self, entries: list[Entry], depth: int) -> dict[Key, str]:
-        self.gate.wait(10)
+        self.gate.wait(PATIENCE_S)
         self._check()
         self.writes.append(len(entries))
         for entry in entries:
@@ -247,17 +247,17 @@ async def test_real_mirror(tmp_path: Path) -> None:
     await store.open()
     try:
         store.put(entry(b"1", 1))
-        await until(lambda: "does not answer" in fault_of(store), 20)
+        await until(lambda: "does not answer" in fault_of(store))
         await asyncio.to_thread(server.start)
-        await until(lambda: not fault_of(store) and not store.status()["mirror"]["waiting"], 30)
+        await until(lambda: not fault_of(store) and not store.status()["mirror"]["waiting"])
         other = make_mirror(server.url)
         await asyncio.to_thread(other.open)
         assert [e.data for e in await asyncio.to_thread(other.load)] == [b"1"]
         await asyncio.to_thread(server.stop)
         store.put(entry(b"2", 2))
-        await until(lambda: fault_of(store), 30)
+        await until(lambda: fault_of(store))
         await asyncio.to_thread(server.start)
-        await until(lambda: not fault_of(store) and not store.status()["mirror"]["waiting"], 30)
+        await until(lambda: not fault_of(store) and not store.status()["mirror"]["waiting"])
         assert [e.data for e in await asyncio.to_thread(other.load)] == [b"2"]
         other.close()
     finally:
@@ -337,10 +337,10 @@ async def test_documents_of_others(tmp_path: Path) -> None:
     await store.open()
 
     async def served(topic: str, data: bytes) -> None:
-        await until(lambda: (e := store.get("PEPPER", topic)) is not None and e.data == data, 20)
+        await until(lambda: (e := store.get("PEPPER", topic)) is not None and e.data == data)
 
     try:
-        await until(lambda: not fault_of(store), 20)
+        await until(lambda: not fault_of(store))
         inserted = [{"_id": "a", "data": "1"}, {"_id": "b", "data": "2", "version": 3}, {"_id": "c", "data": {"x": 1}}]
         await asyncio.to_thread(pepper.insert_many, [*inserted, {"_id": "none"}])
         assert await store.find("PEPPER", "a")
@@ -351,7 +351,7 @@ async def test_documents_of_others(tmp_path: Path) -> None:
         await asyncio.to_thread(pepper.update_one, {"_id": "a"}, {"$set": {"data": "10"}})
         await asyncio.to_thread(pepper.delete_one, {"_id": "c"})
         await served("a", b"10")
-        await until(lambda: store.get("PEPPER", "c") is None, 20)
+        await until(lambda: store.get("PEPPER", "c") is None)
         known = store.get("PEPPER", "a")
         assert known is not None
         store.put(entry(b"node", store.versions.next(known.version), topic="a"))
@@ -359,7 +359,7 @@ async def test_documents_of_others(tmp_path: Path) -> None:
         async def there(topic: str) -> Any:
             return ((await asyncio.to_thread(pepper.find_one, {"_id": topic})) or {}).get("data")
 
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(PATIENCE_S):
             while await there("a") != "node":
                 await asyncio.sleep(0.05)
         await asyncio.to_thread(pepper.update_one, {"_id": "a"}, {"$set": {"data": "program"}})

@@ -27,7 +27,7 @@ log = logging.getLogger("ropeway.gateway")
 
 _START_S: Final = 20.0  # for the next worker: many that start at the same time slow each other
 _STOP_S: Final = 3.0
-_STEADY_S: Final = 5.0  # a worker that lived so long is started again at once
+_STEADY_S: Final = 5.0  # several times what a worker takes to start and to fail for a reason of its own
 _PAUSE_S: Final = 1.0
 _LONGEST_PAUSE_S: Final = 10.0
 
@@ -51,6 +51,11 @@ class Spare:
     def __init__(self) -> None:
         self._process: asyncio.subprocess.Process | None = None
         self._lock = asyncio.Lock()
+
+    @property
+    def pid(self) -> int | None:
+        """The process that waits; None where there is none yet."""
+        return None if self._process is None else self._process.pid
 
     async def take(self) -> asyncio.subprocess.Process:
         """The spare, or a new process."""
@@ -85,7 +90,7 @@ class Spare:
 class Worker:
     """One process and its slice."""
 
-    def __init__(self, name: str, order: dict[str, Any], spare: Spare) -> None:
+    def __init__(self, name: str, order: dict[str, Any], spare: Spare, *, steady_s: float) -> None:
         self.name = name
         self.status: dict[str, Any] = {}
         self.starts = 0
@@ -94,6 +99,7 @@ class Worker:
         self.error = ""
         self._order = order
         self._spare = spare
+        self._steady_s = steady_s
 
     async def run(self) -> None:
         """Keep the process up for ever."""
@@ -106,10 +112,13 @@ class Worker:
                 self.ready.set()
                 return
             self.status = {}
-            log.warning("worker %s ended%s; it is started again", self.name, f" ({self.error})" if self.error else "")
-            short_lives = short_lives + 1 if time.monotonic() - began < _STEADY_S else 0
-            if short_lives > 1:  # one accident soon after the start is none of its own fault
-                await asyncio.sleep(min(_PAUSE_S * 2 ** (short_lives - 2), _LONGEST_PAUSE_S))
+            short_lives = short_lives + 1 if time.monotonic() - began < self._steady_s else 0
+            # One accident soon after the start is none of its own fault.
+            pause_s = min(_PAUSE_S * 2 ** (short_lives - 2), _LONGEST_PAUSE_S) if short_lives > 1 else 0.0
+            why = f" ({self.error})" if self.error else ""
+            when = f" in {pause_s:g} s" if pause_s else ""
+            log.warning("worker %s ended%s; it is started again%s", self.name, why, when)
+            await asyncio.sleep(pause_s)
 
     async def _once(self) -> None:
         process = self.process = await self._spare.take()
@@ -156,13 +165,17 @@ async def _end(process: asyncio.subprocess.Process) -> None:
 
 
 class Supervisor:
-    """Runs a configuration in workers; used like ``Gateway``."""
+    """Runs a configuration in workers; used like ``Gateway``.
 
-    def __init__(self, config: Config, *, log_level: str = "INFO") -> None:
+    A worker that lived for ``steady_s`` is started again at once, one that falls sooner again and again at growing
+    intervals.
+    """
+
+    def __init__(self, config: Config, *, log_level: str = "INFO", steady_s: float = _STEADY_S) -> None:
         self.config = config
         self.gateway_id = os.urandom(8).hex()
         parts = slices(config)
-        self._spare = Spare()
+        self.spare = Spare()
         self.workers = [
             Worker(
                 name,
@@ -174,7 +187,8 @@ class Supervisor:
                     "reuse_port": len(parts) > 1,
                     "log_level": log_level,
                 },
-                self._spare,
+                self.spare,
+                steady_s=steady_s,
             )
             for name, part in parts
         ]
@@ -207,7 +221,7 @@ class Supervisor:
     async def __aexit__(self, *_: object) -> None:
         """Stop all workers."""
         await end(*self._tasks)
-        await self._spare.close()
+        await self.spare.close()
 
     async def wait(self) -> None:
         """Run until cancelled."""

@@ -17,6 +17,8 @@ from ropeway.types import TypeRegistry
 from tests.support.actions import FIBONACCI, sequence
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 ID = bytes(range(16))
 
 

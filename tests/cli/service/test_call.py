@@ -12,6 +12,9 @@ from ropeway.cli.session import Session
 from ropeway.errors import CallFailed, NotServed, UnknownType, ValueMismatch
 from ropeway.graph.calls import Request
 from tests.support.services import ADD
+from tests.support.until import PATIENCE_S
+
+pytestmark = pytest.mark.jumping
 
 
 async def add(request: Request) -> bytes:
@@ -56,7 +59,7 @@ async def test_rate(pair: tuple[Session, Session]) -> None:
             enough.set()
 
     calling = asyncio.create_task(call(here, "/add", ADD, {"a": 1}, timeout_s=5, rate_hz=100, told=tell))
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         await enough.wait()
     calling.cancel()
     with pytest.raises(asyncio.CancelledError):

@@ -14,9 +14,11 @@ from ropeway.graph.base import SEQ_NONE, Sample, Undelivered
 from ropeway.graph.calls import Goal, GoalStatus, Outcome, Request, ServerGoal, new_id
 from ropeway.graph.memory_calls import MemoryClient
 from tests.support.actions import order, sequence
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .conftest import Scene
+
+pytestmark = pytest.mark.jumping
 
 
 class ByHand:
@@ -158,7 +160,7 @@ async def test_no_result(scene: Scene, by_hand: ByHand, result: object, words: s
     """A result that cannot be had aborts the goal, with the reason."""
     by_hand.result = result
     client = await scene.use()
-    outcome = await (await client.send_goal(Goal(order(1)))).result(5)
+    outcome = await (await client.send_goal(Goal(order(1)))).result(PATIENCE_S)
     assert outcome.status is GoalStatus.ABORTED
     assert outcome.payload is None
     assert words in outcome.text
@@ -168,7 +170,7 @@ async def test_forgotten_goal(scene: Scene, by_hand: ByHand) -> None:
     """A goal that its server has forgotten is aborted."""
     by_hand.result = scene.parts.result(GoalStatus.UNKNOWN, None)
     client = await scene.use()
-    outcome = await (await client.send_goal(Goal(order(1)))).result(5)
+    outcome = await (await client.send_goal(Goal(order(1)))).result(PATIENCE_S)
     assert outcome.status is GoalStatus.ABORTED
     assert "does not know this goal" in outcome.text
 
@@ -277,7 +279,7 @@ async def test_server_vanishes(scene: Scene, by_hand: ByHand, monkeypatch: pytes
     """A server that is seen no more aborts its goals, also where calls do not notice."""
     call = MemoryClient.call
 
-    async def deaf(client: MemoryClient, request: Request, timeout_s: float = 5.0) -> bytes:
+    async def deaf(client: MemoryClient, request: Request, timeout_s: float = 10) -> bytes:
         if client.service == scene.parts.get_result:
             await asyncio.Event().wait()
         return await call(client, request, timeout_s)
@@ -286,7 +288,7 @@ async def test_server_vanishes(scene: Scene, by_hand: ByHand, monkeypatch: pytes
     client = await scene.use()
     sent = await client.send_goal(Goal(order(1)))
     await by_hand.front.close()
-    assert await sent.result(5) == Outcome(GoalStatus.ABORTED, None, "the action server has gone")
+    assert await sent.result(PATIENCE_S) == Outcome(GoalStatus.ABORTED, None, "the action server has gone")
     assert not client._goals
 
 
@@ -307,7 +309,7 @@ async def test_graph_closes(scene: Scene, by_hand: ByHand) -> None:
     client = await scene.use()
     sent = await client.send_goal(Goal(order(1)))
     await scene.near.close()
-    assert (await sent.result(5)).status is GoalStatus.ABORTED
+    assert (await sent.result(PATIENCE_S)).status is GoalStatus.ABORTED
 
 
 async def test_failed_open(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

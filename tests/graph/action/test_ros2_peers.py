@@ -20,7 +20,7 @@ from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Serve
 from ropeway.graph.dds import DdsGraph
 from ropeway.types import TypeRegistry
 from tests.support.actions import FIBONACCI, order, sequence
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rclpy") is None:
@@ -99,18 +99,18 @@ async def test_uses_a_genuine_server(graph: DdsGraph, start: Start) -> None:
     """Goals at a genuine server are accepted, followed, cancelled and rejected."""
     said = await start("serve", "/genuine")
     client = await graph.create_action_client("/genuine", FIBONACCI)
-    await until(lambda: said, 20)
-    assert await client.wait_available(20)
+    await until(lambda: said)
+    assert await client.wait_available(PATIENCE_S)
     assert graph.actions()["/genuine"].type == FIBONACCI
     got: list[bytes] = []
     sent = await client.send_goal(Goal(order(4)), on_feedback=got.append, timeout_s=20)
-    assert await sent.result(20) == Outcome(GoalStatus.SUCCEEDED, sequence(4))
+    assert await sent.result(PATIENCE_S) == Outcome(GoalStatus.SUCCEEDED, sequence(4))
     await until(lambda: len(got) == 4)
     assert got == [sequence(*range(step + 1)) for step in range(4)]
     assert not await sent.cancel()
     sent = await client.send_goal(Goal(order(-2)), timeout_s=20)
     assert await sent.cancel()
-    assert await sent.result(20) == Outcome(GoalStatus.CANCELED, sequence(-2))
+    assert await sent.result(PATIENCE_S) == Outcome(GoalStatus.CANCELED, sequence(-2))
     with pytest.raises(GoalRejected):
         await client.send_goal(Goal(order(7)), timeout_s=20)
 
@@ -119,9 +119,9 @@ async def test_many_goals_at_a_genuine_server(graph: DdsGraph, start: Start) -> 
     """Many goals at a time at a genuine server get each their own result."""
     await start("serve", "/genuine")
     client = await graph.create_action_client("/genuine", FIBONACCI)
-    assert await client.wait_available(20)
+    assert await client.wait_available(PATIENCE_S)
     sent = await asyncio.gather(*(client.send_goal(Goal(order(n)), timeout_s=20) for n in range(8, 28)))
-    outcomes = await asyncio.gather(*(goal.result(20) for goal in sent))
+    outcomes = await asyncio.gather(*(goal.result(PATIENCE_S) for goal in sent))
     assert [outcome.payload for outcome in outcomes] == [sequence(n) for n in range(8, 28)]
 
 
@@ -137,7 +137,7 @@ async def test_serves_a_genuine_client(graph: DdsGraph, start: Start, words: tup
     """A genuine client has its goals accepted, cancelled and rejected by our server, and hears feedback."""
     await graph.create_action_server("/ours", FIBONACCI, ActionHandlers(count, unless_seven))
     said = await start("use", "/ours", *words)
-    await until(lambda: said[-1:] == [last], 30)
+    await until(lambda: said[-1:] == [last])
     if "--cancel" in words:
         assert {"cancelling": 1, "code": 0} in said
 
@@ -146,6 +146,6 @@ async def test_leaves_a_genuine_client(graph: DdsGraph, start: Start) -> None:
     """A genuine client gets ABORTED when our server closes."""
     server = await graph.create_action_server("/ours", FIBONACCI, ActionHandlers(count))
     said = await start("use", "/ours", "-1")
-    await until(lambda: {"accepted": True} in said, 30)
+    await until(lambda: {"accepted": True} in said)
     await server.close()
-    await until(lambda: said[-1].get("status") == 6, 20)
+    await until(lambda: said[-1].get("status") == 6)

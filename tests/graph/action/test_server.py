@@ -19,6 +19,8 @@ from tests.support.until import until
 
 from .conftest import REGISTRY, Scene
 
+pytestmark = pytest.mark.jumping
+
 NONE, REJECTED, UNKNOWN, TERMINATED = range(4)
 
 

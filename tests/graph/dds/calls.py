@@ -9,6 +9,7 @@ from ropeway.graph.calls import Request
 from ropeway.graph.dds import DdsGraph
 from ropeway.graph.dds.client import DdsClient
 from tests.support.services import ADD, addends, total
+from tests.support.until import PATIENCE_S
 
 TRIGGER = "std_srvs/srv/Trigger"
 
@@ -37,11 +38,11 @@ class Adder:
 async def called(graph: DdsGraph, service: str, type: str = ADD) -> DdsClient:
     """A client whose server is matched."""
     client = await graph.create_client(service, type)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     return client
 
 
-async def add(client: DdsClient, a: int, b: int = 0, timeout_s: float = 10.0) -> int:
+async def add(client: DdsClient, a: int, b: int = 0, timeout_s: float = PATIENCE_S) -> int:
     """One call."""
     response = await client.call(Request(addends(a, b)), timeout_s)
     return int(struct.unpack("<q", response[4:])[0])

@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
 
 from ropeway.graph.dds import DdsGraph
-from tests.support.isolation import isolated_dds
 
 _domains = itertools.cycle(range(40, 56))
-
-
-@pytest.fixture(scope="session", autouse=True)
-def dds_isolation() -> Iterator[None]:
-    """Participants of this test run discover each other only."""
-    with isolated_dds():
-        yield
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from ropeway.graph.dds.rpc import Header
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
 from tests.support.services import ADD, addends, total
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .calls import Adder, add, called
 from .conftest import Join
@@ -123,7 +123,7 @@ async def test_server_is_replaced(join: Join) -> None:
     client = await near.create_client("/add", ADD)
     for number in range(10):
         service = await far.create_service("/add", ADD, Adder())
-        assert await client.wait_available(10)
+        assert await client.wait_available(PATIENCE_S)
         assert await add(client, number) == number
         await service.close()
         await until(lambda: not client.available)

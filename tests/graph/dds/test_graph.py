@@ -649,10 +649,8 @@ async def test_other_configuration_of_one_domain(join: Join, domain: int) -> Non
 async def test_bad_interface(domain: int) -> None:
     """A bad interface is refused at once, with those there are."""
     graph = DdsGraph(domain, interface="nosuch0")
-    start = time.monotonic()
     with pytest.raises(GraphUnavailable, match="lo"):
-        await graph.open()
-    assert time.monotonic() - start < 1
+        graph.open().send(None)  # before it waits for anything
     assert graph.topics() == {}
     await graph.close()
 

@@ -15,7 +15,7 @@ from ropeway.graph.dds import service as module
 from ropeway.graph.dds.rpc import Header
 from ropeway.types import TypeRegistry
 from tests.support.services import ADD, addends, total
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .calls import TRIGGER, Adder, add, called
 from .conftest import Join
@@ -318,7 +318,7 @@ async def test_listed(join: Join) -> None:
     assert far.nodes()["/near"].clients == (("/add", ADD),)
     await service.close()
     told: list[str] = []
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE_S):
         async for event in changes:
             told.append(str(event).partition(": ")[2])
             if "no longer" in told[-1]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections import Counter
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
@@ -28,7 +27,7 @@ from tests.support.messages import STRING
 from tests.support.messages import sample as text
 from tests.support.ports import free_endpoint
 from tests.support.services import ADD
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 
 def numbers(inbox: Inbox) -> list[int]:
@@ -98,7 +97,7 @@ async def wired() -> AsyncIterator[tuple[OverlayGraph, OverlayGraph, Wire]]:
         far = OverlayGraph(OverlayNode(member("far"), routers=(wire.endpoint,), listen=()))
         await far.open()
         stack.push_async_callback(far.close)
-        await until(lambda: near.node.membership.gateways() and far.node.membership.gateways(), 30)
+        await until(lambda: near.node.membership.gateways() and far.node.membership.gateways())
         yield near, far, wire
 
 
@@ -134,7 +133,7 @@ async def test_beyond_the_depth(wired: tuple[OverlayGraph, OverlayGraph, Wire]) 
         publisher.publish(text(str(number)))
         await asyncio.sleep(0.005)
     await wire.mend()
-    await until(lambda: inbox.samples[-1].payload[8:-1] == b"59", 30)
+    await until(lambda: inbox.samples[-1].payload[8:-1] == b"59")
     got = numbers(inbox)
     assert got == sorted(set(got))
     assert got[-5:] == [55, 56, 57, 58, 59]
@@ -148,19 +147,18 @@ async def test_call_over_a_cut(wired: tuple[OverlayGraph, OverlayGraph, Wire]) -
     async def slow(request: Request) -> bytes:
         called.set()
         if request.payload[4]:
-            await asyncio.sleep(60)
+            await asyncio.sleep(3600)
         return b"\0\1\0\0" + bytes(8)
 
     await near.create_service("/slow", ADD, slow)
     client = await far.create_client("/slow", ADD)
-    assert await client.wait_available(10)
-    call = asyncio.create_task(client.call(Request(b"\0\1\0\0\1" + bytes(15)), 50))
+    assert await client.wait_available(PATIENCE_S)
+    call = asyncio.create_task(client.call(Request(b"\0\1\0\0\1" + bytes(15)), 3600))
     await called.wait()
-    began = time.monotonic()
     await wire.cut()
-    with pytest.raises((ProviderLost, CallFailed)):
-        await call
-    assert time.monotonic() - began < 15
+    async with asyncio.timeout(PATIENCE_S):
+        with pytest.raises((ProviderLost, CallFailed)):
+            await call
     await wire.mend()
 
     async def works() -> bool:
@@ -169,7 +167,7 @@ async def test_call_over_a_cut(wired: tuple[OverlayGraph, OverlayGraph, Wire]) -
         except CallError:
             return False
 
-    async with asyncio.timeout(40):
+    async with asyncio.timeout(PATIENCE_S):
         while not await works():
             pass
 
@@ -185,7 +183,7 @@ async def test_call_over_a_short_cut(wired: tuple[OverlayGraph, OverlayGraph, Wi
 
     await near.create_service("/add", ADD, add)
     client = await far.create_client("/add", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     await client.call(Request(b"\0\1\0\0" + bytes(16)))
     await wire.cut()
     call = asyncio.create_task(client.call(Request(b"\0\1\0\0" + bytes(16)), 30))
@@ -212,7 +210,7 @@ async def test_another_router() -> None:
         inbox = Inbox()
         await far.create_subscription("/a", STRING, QoS(depth=1000), inbox)
         publisher = await near.create_publisher("/a", STRING, QoS(depth=1000))
-        await until(lambda: publisher.subscribers, 30)
+        await until(lambda: publisher.subscribers)
         for number in range(300):
             publisher.publish(text(str(number)))
             if number == 100:
@@ -374,7 +372,7 @@ async def test_a_call_runs_once(site: Site) -> None:
 
     await far.create_service("/add", ADD, add)
     client = await near.create_client("/add", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     request = Request(b"\0\1\0\0" + bytes(16))
     assert await client.call(request) == await client.call(request)
     assert len(seen) == 1

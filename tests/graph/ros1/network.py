@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.ports import free_port
+from tests.support.until import PATIENCE_S
 
 PYTHON = "/usr/bin/python3"
 MASTER = "/usr/bin/rosmaster"
@@ -21,7 +22,7 @@ MASTER = "/usr/bin/rosmaster"
 
 def _has(module: str) -> bool:
     try:
-        found = subprocess.run([PYTHON, "-c", f"import {module}"], capture_output=True, timeout=30, check=False)
+        found = subprocess.run([PYTHON, "-c", f"import {module}"], capture_output=True, timeout=PATIENCE_S, check=False)
     except OSError:
         return False
     return found.returncode == 0
@@ -91,7 +92,7 @@ class Peer:
         assert self.process.stdin is not None
         self.process.stdin.write(line.encode() + b"\n")
 
-    async def wait_for(self, text: str, timeout_s: float = 20.0) -> str:
+    async def wait_for(self, text: str, timeout_s: float = PATIENCE_S) -> str:
         """The first line printed that has ``text`` in it."""
         try:
             async with asyncio.timeout(timeout_s):

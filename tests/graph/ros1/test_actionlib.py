@@ -10,7 +10,7 @@ import pytest
 from ropeway.errors import GoalRejected
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
 from ropeway.types import TypeRegistry
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .conftest import Join
 from .network import HAS_ROSPY, RosMaster, rospy
@@ -87,16 +87,16 @@ async def test_client(master: RosMaster, join: Join, registry: TypeRegistry) -> 
     graph = await join(registry=registry)
     async with rospy(master, SIMPLE_SERVER) as server:
         client = await graph.create_action_client("/work", TEST)
-        assert await client.wait_available(20), server.errors
+        assert await client.wait_available(PATIENCE_S), server.errors
         feedback: list[bytes] = []
         sent = await client.send_goal(Goal(number(1)), on_feedback=feedback.append)
-        assert await sent.result(10) == Outcome(GoalStatus.SUCCEEDED, number(10))
+        assert await sent.result(PATIENCE_S) == Outcome(GoalStatus.SUCCEEDED, number(10))
         await until(lambda: feedback == [number(2)])
         sent = await client.send_goal(Goal(number(2)))
-        assert await sent.result(10) == Outcome(GoalStatus.ABORTED, number(22), "two is too much")
+        assert await sent.result(PATIENCE_S) == Outcome(GoalStatus.ABORTED, number(22), "two is too much")
         sent = await client.send_goal(Goal(number(3)))
         assert await sent.cancel()
-        outcome = await sent.result(10)
+        outcome = await sent.result(PATIENCE_S)
         assert (outcome.status, outcome.payload) == (GoalStatus.CANCELED, number(33))
         await until(lambda: graph.actions()["/work"].type == TEST)
         assert [provider.node for provider in graph.actions()["/work"].servers] == ["/server"]
@@ -108,10 +108,10 @@ async def test_killed_server(master: RosMaster, join: Join, registry: TypeRegist
     graph = await join(registry=registry)
     async with rospy(master, SIMPLE_SERVER) as server:
         client = await graph.create_action_client("/work", TEST)
-        assert await client.wait_available(20), server.errors
+        assert await client.wait_available(PATIENCE_S), server.errors
         sent = await client.send_goal(Goal(number(3)))
         await server.kill()
-        outcome = await sent.result(10)
+        outcome = await sent.result(PATIENCE_S)
     assert (outcome.status, outcome.text) == (GoalStatus.ABORTED, "the action server has gone")
 
 
@@ -120,7 +120,7 @@ async def test_rejected(master: RosMaster, join: Join, registry: TypeRegistry) -
     graph = await join(registry=registry)
     async with rospy(master, REJECTING_SERVER):
         client = await graph.create_action_client("/work", TEST)
-        assert await client.wait_available(20)
+        assert await client.wait_available(PATIENCE_S)
         with pytest.raises(GoalRejected):
             await client.send_goal(Goal(number(1)))
 

@@ -18,7 +18,7 @@ from ropeway.limits import ROS1_PUBLISHERS_PER_TOPIC
 from ropeway.qos import LATCHED, QoS
 from tests.support.ports import free_port
 from tests.support.services import ADD
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .conftest import Join
 from .messages import STRING, Box, sample, text
@@ -68,7 +68,7 @@ async def test_closes_without_master(master: RosMaster, join: Join) -> None:
     for number in range(3):
         await graph.create_publisher(f"/t{number}", STRING)
     master.kill()
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(PATIENCE_S):
         await graph.close()
 
 
@@ -128,7 +128,7 @@ async def attack(port: int, data: bytes) -> bytes:
     with contextlib.suppress(ConnectionError):
         writer.write(data)
         writer.write_eof()
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             answer = await reader.read()
     writer.close()
     return answer
@@ -223,7 +223,7 @@ async def test_silent_newcomer(master: RosMaster, join: Join, monkeypatch: pytes
     node = graph._node
     assert node is not None
     reader, writer = await asyncio.open_connection("127.0.0.1", node.port)
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(PATIENCE_S):
         with contextlib.suppress(ConnectionError):
             assert await reader.read() == b""
     writer.close()

@@ -10,7 +10,7 @@ import pytest
 
 from ropeway.errors import CallFailed
 from ropeway.graph.calls import Request
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .conftest import Join
 from .messages import STRING, Box, sample, text
@@ -27,7 +27,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> str:
     if not Path("/usr/include/std_srvs/SetBool.h").exists():
         pytest.skip("Debian's libroscpp-dev, libstd-msgs-dev and libstd-srvs-dev are not installed")
     flags = subprocess.run(
-        ["pkg-config", "--cflags", "--libs", "roscpp"], capture_output=True, text=True, timeout=30, check=True
+        ["pkg-config", "--cflags", "--libs", "roscpp"], capture_output=True, text=True, timeout=PATIENCE_S, check=True
     )
     out = str(tmp_path_factory.mktemp("peer") / "peer")
     subprocess.run(["g++", "-O0", "-o", out, str(SOURCE), *flags.stdout.split()], timeout=300, check=True)

@@ -11,7 +11,7 @@ from ropeway.errors import CallFailed, ProviderLost
 from ropeway.graph.calls import Request
 from ropeway.qos import LATCHED
 from ropeway.types import TypeRegistry
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .conftest import Join
 from .messages import STRING, Box, sample, text
@@ -142,7 +142,7 @@ async def test_publisher(master: RosMaster, join: Join) -> None:
     graph = await join()
     publisher = await graph.create_publisher("/chatter", STRING)
     async with rospy(master, ECHO) as listener:
-        await until(lambda: publisher.subscribers == 1, 20)
+        await until(lambda: publisher.subscribers == 1)
         publisher.publish(sample(text("grüße")))
         await listener.wait_for("heard grüße")
     await until(lambda: publisher.subscribers == 0)
@@ -167,7 +167,7 @@ async def test_types_that_differ(master: RosMaster, join: Join) -> None:
     stamp = {"sec": 5, "nanosec": 6}
     sent = {"header": {"stamp": stamp, "frame_id": "lens"}, "height": 480, "d": [0.5, 0.25], "k": [2.0] * 9}
     async with rospy(master, CAMERA) as camera:
-        await until(lambda: publisher.subscribers == 1, 20)
+        await until(lambda: publisher.subscribers == 1)
         publisher.publish(sample(codec.encode(sent), type))
         assert "5000000006 lens 480 [0.5, 0.25] 2.0" in await camera.wait_for("seen")
         await until(lambda: box.samples)
@@ -195,7 +195,7 @@ async def test_learns_while_reading(master: RosMaster, join: Join) -> None:
     graph, box = await join(registry=registry), Box()
     await graph.create_subscription("/things", "my_robot/msg/Thing", None, box)
     async with rospy(master, THING):
-        await until(lambda: box.samples, 20)
+        await until(lambda: box.samples)
     assert registry.codec("my_robot/msg/Thing").decode(box.payloads[0])["header"]["frame_id"] == "shop"
 
 
@@ -205,7 +205,7 @@ async def test_client(master: RosMaster, join: Join) -> None:
     async with rospy(master, SERVE) as server:
         await server.wait_for("ready")
         client = await graph.create_client("/switch", "std_srvs/srv/SetBool")
-        assert await client.wait_available(10)
+        assert await client.wait_available(PATIENCE_S)
         for _ in range(3):
             assert await client.call(Request(b"\0\1\0\0\1")) == b"\0\1\0\0\1\0\0\0\4\0\0\0yes\0"
         with pytest.raises(CallFailed, match="no no no"):
@@ -294,7 +294,7 @@ async def test_publisher_is_killed(master: RosMaster, join: Join) -> None:
     for word in ("first", "second"):
         async with rospy(master, PUBLISH.format(latch=True)) as talker:
             talker.tell(word)
-            await until(lambda word=word: word in box.texts, 20)
+            await until(lambda word=word: word in box.texts)
             await talker.kill()
         await until(lambda: not subscription._reader.links)
     assert box.texts == ["first", "second"]

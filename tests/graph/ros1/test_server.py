@@ -12,7 +12,7 @@ from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.qos import QoS
 from ropeway.server import RosbridgeServer
 from ropeway.server.rosapi import Globs, Rosapi
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .conftest import Join
 from .messages import STRING, Box, sample, text
@@ -44,11 +44,11 @@ async def test_rosbridge(master: RosMaster, join: Join) -> None:
         async with rospy(master, PEER):
             publisher = await client.create_publisher("/there", STRING)
             await client.create_subscription("/back", STRING, QoS(), box)
-            await until(lambda: publisher.subscribers, 20)
+            await until(lambda: publisher.subscribers)
             publisher.publish(sample(text("abc")))
             await until(lambda: box.texts == ["cba"])
             switch = await client.create_client("/switch", "std_srvs/srv/SetBool")
-            assert await switch.wait_available(10)
+            assert await switch.wait_available(PATIENCE_S)
             assert (await switch.call(Request(b"\0\1\0\0\1")))[4] == 1
             await until(lambda: client.topics()["/back"].type == STRING and "/peer" in client.nodes())
     finally:

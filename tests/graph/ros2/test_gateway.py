@@ -42,7 +42,7 @@ async def test_topics(world: World) -> None:
     await world.node("pub", "/latched", STRING, "--latched", "--count", "1", "--node", "l", "--text", "map")
     live = await world.node("sub", "/live", STRING, domain=far)
     late = await world.node("sub", "/latched", STRING, "--latched", "--node", "l", domain=far)
-    await until(lambda: len(live.heard) >= 10 and late.heard, 30)
+    await until(lambda: len(live.heard) >= 10 and late.heard)
     first = int(live.heard[0].split()[1])
     assert live.heard[:10] == [f"hello {i}" for i in range(first, first + 10)]
     assert late.heard == ["map 0"]
@@ -58,8 +58,8 @@ async def test_services_and_actions(world: World) -> None:
     await world.node("serve", "/sum", program=CALLS)
     await world.node("act", "/fibonacci", program=CALLS)
     caller = await world.node("call", "/sum", "--count", "20", program=CALLS, domain=far)
-    await until(lambda: any("right" in said for said in caller.said), 40)
+    await until(lambda: any("right" in said for said in caller.said))
     assert caller.said[-1]["right"] == 20
     user = await world.node("goal", "/fibonacci", program=CALLS, domain=far)
-    await until(lambda: any("status" in said for said in user.said), 40)
+    await until(lambda: any("status" in said for said in user.said))
     assert [said["status"] for said in user.said if "status" in said] == [4]

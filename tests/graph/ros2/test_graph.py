@@ -21,7 +21,7 @@ from tests.support.actions import FIBONACCI, order, sequence
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
 from tests.support.services import ADD, add, addends, total
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .conftest import World, matched
 
@@ -62,7 +62,7 @@ async def test_is_heard_by_a_genuine_reader(world: World) -> None:
     listener = await world.node("sub", "/cmd", STRING, "--depth", "100")
     graph = await world.graph()
     publisher = await graph.create_publisher("/cmd", STRING, QoS(depth=100))
-    await until(lambda: publisher.subscribers == 1, 20)
+    await until(lambda: publisher.subscribers == 1)
     while not listener.heard:
         publisher.publish(sample("are you there"))
         await asyncio.sleep(0.05)
@@ -81,7 +81,7 @@ async def test_latched_by_several(world: World) -> None:
             "pub", "/map", STRING, "--latched", "--count", "1", "--depth", "1", "--node", name, "--text", name
         )
     graph = await world.graph()
-    await until(lambda: len(graph.topics().get("/map", EMPTY).publishers) == 2, 20)
+    await until(lambda: len(graph.topics().get("/map", EMPTY).publishers) == 2)
     inbox = Inbox()
     await graph.create_subscription("/map", STRING, None, inbox)
     await inbox.wait(2)
@@ -94,10 +94,10 @@ async def test_calls_a_genuine_server(world: World) -> None:
     server = await world.node("serve", "/sum", program=CALLS)
     graph = await world.graph()
     client = await graph.create_client("/sum", ADD)
-    assert await client.wait_available(20)
+    assert await client.wait_available(PATIENCE_S)
     answers = await asyncio.gather(*(client.call(Request(addends(i, 1)), 30) for i in range(100)))
     assert answers == [total(i + 1) for i in range(100)]
-    await until(lambda: [s.node for s in graph.services()["/sum"].servers] != [], 20)
+    await until(lambda: [s.node for s in graph.services()["/sum"].servers] != [])
     assert graph.services()["/sum"].type == ADD
     await server.end()
 
@@ -107,7 +107,7 @@ async def test_serves_a_genuine_client(world: World) -> None:
     graph = await world.graph()
     await graph.create_service("/sum", ADD, add)
     caller = await world.node("call", "/sum", "--count", "50", program=CALLS)
-    await until(lambda: any("right" in said for said in caller.said), 40)
+    await until(lambda: any("right" in said for said in caller.said))
     assert caller.said[-1]["right"] == 50
 
 
@@ -116,10 +116,10 @@ async def test_genuine_action_server(world: World) -> None:
     await world.node("act", "/fibonacci", program=CALLS)
     graph = await world.graph()
     client = await graph.create_action_client("/fibonacci", FIBONACCI)
-    assert await client.wait_available(20)
+    assert await client.wait_available(PATIENCE_S)
     feedback: list[bytes] = []
     goal = await client.send_goal(Goal(order(6)), on_feedback=feedback.append)
-    outcome = await goal.result(20)
+    outcome = await goal.result(PATIENCE_S)
     assert outcome.status is GoalStatus.SUCCEEDED
     assert outcome.payload == sequence(0, 1, 1, 2, 3, 5)
     assert feedback
@@ -137,7 +137,7 @@ async def test_genuine_action_client(world: World) -> None:
     graph = await world.graph()
     await graph.create_action_server("/fibonacci", FIBONACCI, ActionHandlers(count))
     user = await world.node("goal", "/fibonacci", program=CALLS)
-    await until(lambda: any("status" in said for said in user.said), 40)
+    await until(lambda: any("status" in said for said in user.said))
     assert [said["status"] for said in user.said if "status" in said] == [int(GoalStatus.SUCCEEDED)]
 
 

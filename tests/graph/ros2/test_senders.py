@@ -6,7 +6,7 @@ import threading
 from functools import partial
 
 from ropeway.graph.ros2.senders import Senders
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 
 def senders() -> Senders:
@@ -28,7 +28,7 @@ async def test_slow_lane() -> None:
     """A part whose reader is slow does not hold up another."""
     threads, gate, done = senders(), threading.Event(), []
     slow, quick = (threads.lane(10, 1 << 20, lambda _: None) for _ in range(2))
-    slow.put(lambda: gate.wait(30) and None)
+    slow.put(lambda: gate.wait(2 * PATIENCE_S) and None)
     quick.put(lambda: done.append(1))
     await until(lambda: done)
     gate.set()
@@ -43,7 +43,7 @@ async def test_bounds() -> None:
 
     def hold() -> None:
         entered.set()
-        gate.wait(30)
+        gate.wait(PATIENCE_S)
 
     lane.put(hold)
     await until(entered.is_set)

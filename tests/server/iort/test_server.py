@@ -61,7 +61,7 @@ async def test_reads_go_through_to_the_database(tmp_path: Path) -> None:
     with mongo_database(tmp_path) as url:
         client: pymongo.MongoClient[dict[str, Any]] = pymongo.MongoClient(url)
         async with serving(mirror=url) as served:
-            await until(lambda: not served.store.status()["mirror"]["fault"], 20)
+            await until(lambda: not served.store.status()["mirror"]["fault"])
             robots = client.get_default_database()["ROBOT"]
             await asyncio.to_thread(robots.insert_one, {"_id": "pose", "data": "1,2,3"})
             robot = await Raw.connect(served.port)

@@ -15,7 +15,7 @@ from ropeway.graph.dds.profile import make_profile
 from ropeway.graph.dds.records import Joined, Peer
 from tests.graph.dds.conftest import Join
 from tests.support.services import ADD
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 FAST = Peer(b"\x01\x0f" + bytes(14), "", 0)
 NODE = Joined(b"\x01\x0f" + bytes(14))
@@ -55,10 +55,10 @@ async def test_serves(join: Join, domain: int) -> None:
     assert await other.start()
     for name in ("/early", "/late"):
         client = await other.create_client(name, ADD)
-        assert await client.wait_available(10)
+        assert await client.wait_available(PATIENCE_S)
         assert await client.call(Request(b"\0\1\0\0" + name.encode())) == b"\0\1\0\0" + name.encode()
     client = await other.create_client("/early", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     await early.close()
     await until(lambda: not client.available)
     await other.close()
@@ -78,7 +78,7 @@ async def test_unseen(join: Join, domain: int) -> None:
     far._fast.on_discovered([NODE])
     await until(lambda: rpc_of(far, everyone=False).available)
     client = await near.create_client("/add", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     assert await client.call(Request(b"\0\1\0\0" + bytes(16))) == b"\0\1\0\0" + bytes(16)
     await asyncio.sleep(1.5)  # the endpoints for Fast DDS are there by now
     assert await client.call(Request(b"\0\1\0\0" + bytes(16))) == b"\0\1\0\0" + bytes(16)
@@ -119,7 +119,7 @@ async def test_unfit(join: Join, monkeypatch: pytest.MonkeyPatch) -> None:
         with pytest.raises(CallFailed, match=r"over Fast DDS only.*its process ended at once.*use the ros2 graph"):
             await client.call(Request(bytes(8)))
     mine = await other.create_client("/mine", ADD)
-    assert await mine.wait_available(10)
+    assert await mine.wait_available(PATIENCE_S)
     assert await mine.call(Request(b"\0\1\0\0\7")) == b"\0\1\0\0\7"
 
 
@@ -137,6 +137,6 @@ async def test_expects(join: Join, domain: int, monkeypatch: pytest.MonkeyPatch)
     other = FastRpc("other", domain, make_profile("other", "lo"), everyone=True)
     assert await other.start()
     client = await other.create_client("/add", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     assert asyncio.get_running_loop().time() - began > module._LEAST_S
     await other.close()

@@ -24,7 +24,7 @@ from ropeway.graph.hub import Hub
 from ropeway.server import RosbridgeServer
 from ropeway.types import TypeRegistry
 from tests.server.client import Client
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rclpy") is None:
@@ -82,7 +82,7 @@ class World:
         process = await asyncio.create_subprocess_exec(sys.executable, str(PROGRAM), *words, stdout=PIPE, env=env)
         node = Node(process)
         self.stack.push_async_callback(node.end)
-        await until(lambda: node.said, 20)
+        await until(lambda: node.said)
         assert node.said[0]["ready"] == rmw
         return node
 
@@ -144,7 +144,7 @@ async def test_called_as_soon_as_it_is_seen(world: World) -> None:
     client = await world.stack.enter_async_context(Client(port))
     starting = asyncio.create_task(world.node("serve", "/add"))
     answers: list[Any] = []
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(PATIENCE_S):
         while not answers or not answers[-1]["result"]:
             listed = bool((seen := graph.services().get("/add")) and seen.servers)
             operation = {"op": "call_service", "service": "/add", "type": ADD, "args": {"a": 1, "b": 2}, "timeout": 0.1}
@@ -162,7 +162,7 @@ async def test_called(world: World) -> None:
     clients = [await (await world.graph(name)).create_client("/add", ADD) for name in ("one", "two")]
 
     async def call(client: Any, first: int) -> None:
-        assert await client.wait_available(10)
+        assert await client.wait_available(PATIENCE_S)
         for a in range(first, first + 200):
             assert total(await client.call(Request(addends(a)), 8)) == a + 7
 
@@ -185,7 +185,7 @@ async def test_big(world: World) -> None:
     assert (await node.done()).items() >= {"answered": 3, "wrong": 0}.items()
     await world.node("serve", "/theirs", "--big", "1")
     client = await graph.create_client("/theirs", CAMERA)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     text = "".join(f"{n:08}" for n in range(125_000))
     asked = request.default()
     asked["camera_info"]["distortion_model"] = text
@@ -218,18 +218,18 @@ async def test_action_used(world: World) -> None:
     await world.node("act", "/fibonacci", "--delay", "0.1")
     graph = await world.graph()
     client = await graph.create_action_client("/fibonacci", FIBONACCI)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     goal_codec, result_codec = REGISTRY.codec(f"{FIBONACCI}_Goal"), REGISTRY.codec(f"{FIBONACCI}_Result")
     feedback: list[bytes] = []
     goal = await client.send_goal(Goal(goal_codec.encode({"order": 6})), on_feedback=feedback.append, timeout_s=10)
-    outcome = await goal.result(20)
+    outcome = await goal.result(PATIENCE_S)
     assert outcome.status == GoalStatus.SUCCEEDED
     assert outcome.payload is not None
     assert list(result_codec.decode(outcome.payload)["sequence"]) == NUMBERS
     assert feedback
     goal = await client.send_goal(Goal(goal_codec.encode({"order": 600})), timeout_s=10)
     await goal.cancel()
-    assert (await goal.result(20)).status == GoalStatus.CANCELED
+    assert (await goal.result(PATIENCE_S)).status == GoalStatus.CANCELED
 
 
 async def test_action_served(world: World) -> None:
@@ -258,7 +258,7 @@ async def test_helper_killed(world: World) -> None:
     graph = await world.graph()
     await graph.create_service("/ours", ADD, add)
     client = await graph.create_client("/theirs", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     assert total(await client.call(Request(addends(1)), 10)) == 8
     assert graph._fast is not None
     helper = graph._fast._rpc.helper

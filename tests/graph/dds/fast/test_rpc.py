@@ -17,7 +17,7 @@ from ropeway.graph.dds.fast import FastRpc, Surroundings, rpc
 from ropeway.graph.dds.fast.frames import Frame, Op
 from ropeway.graph.dds.profile import make_profile
 from tests.support.services import ADD
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 CDR = b"\0\1\0\0"
 
@@ -73,7 +73,7 @@ async def test_calls(make: Make) -> None:
     assert isinstance(service, Service)
     assert isinstance(client, Client)
     assert not client.available
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     for payload in (CDR + b"\1", number(1), CDR + os.urandom(1002), CDR + os.urandom(1_000_001)):
         assert await client.call(Request(payload)) == payload
     asked = [number(n) for n in range(1000)]
@@ -90,7 +90,7 @@ async def test_two_clients(make: Make) -> None:
     clients = [await one.create_client("/echo", ADD) for one in near]
 
     async def ask(client: Client, first: int) -> None:
-        assert await client.wait_available(10)
+        assert await client.wait_available(PATIENCE_S)
         for n in range(first, first + 200):
             assert await client.call(Request(number(n))) == number(n)
 
@@ -125,8 +125,8 @@ async def test_no_answer(make: Make) -> None:
     await far.create_service("/slow", ADD, echo)
     await far.create_service("/broken", ADD, fail)
     slow, broken = await near.create_client("/slow", ADD), await near.create_client("/broken", ADD)
-    assert await slow.wait_available(10)
-    assert await broken.wait_available(10)
+    assert await slow.wait_available(PATIENCE_S)
+    assert await broken.wait_available(PATIENCE_S)
     for client in (slow, broken):
         with pytest.raises(CallTimeout):
             await client.call(Request(number(1)), 0.3)
@@ -143,7 +143,7 @@ async def test_closed(make: Make) -> None:
     echo = Echo(open=False)
     service = await far.create_service("/echo", ADD, echo)
     client = await near.create_client("/echo", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     call = asyncio.create_task(client.call(Request(number(1))))
     await until(lambda: echo.requests)
     await service.close()
@@ -151,7 +151,7 @@ async def test_closed(make: Make) -> None:
         await call
     await until(lambda: not client.available)
     await far.create_service("/echo", ADD, echo)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     call = asyncio.create_task(client.call(Request(number(2))))
     await until(lambda: len(echo.requests) == 2)
     await client.close()
@@ -170,7 +170,7 @@ async def test_helper_killed(make: Make) -> None:
     echo = Echo(open=False)
     await far.create_service("/echo", ADD, echo)
     client = await near.create_client("/echo", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     calls = [asyncio.create_task(client.call(Request(number(n)), 30)) for n in range(3)]
     await until(lambda: len(echo.requests) == 3)
     os.kill(near.helper.pid, signal.SIGKILL)
@@ -178,7 +178,7 @@ async def test_helper_killed(make: Make) -> None:
         lost = await asyncio.gather(*calls, return_exceptions=True)
     assert all(isinstance(error, ProviderLost) for error in lost)
     echo.gate.set()
-    assert await client.wait_available(5)
+    assert await client.wait_available(PATIENCE_S)
     assert await client.call(Request(number(7))) == number(7)
     assert [request.payload for request in echo.requests] == [number(n) for n in (0, 1, 2, 7)]
 
@@ -189,7 +189,7 @@ async def test_server_killed(make: Make) -> None:
     echo = Echo(open=False)
     service = await far.create_service("/echo", ADD, echo)
     client = await near.create_client("/echo", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     call = asyncio.create_task(client.call(Request(number(1)), 30))
     await until(lambda: echo.requests)
     os.kill(far.helper.pid, signal.SIGKILL)
@@ -197,7 +197,7 @@ async def test_server_killed(make: Make) -> None:
     echo.gate.set()
     with pytest.raises(ProviderLost):  # when the network has forgotten the one that was killed
         await call
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     assert await client.call(Request(number(2))) == number(2)
 
 
@@ -213,12 +213,12 @@ async def test_big_endian(make: Make) -> None:
     echo = Echo()
     await far.create_service("/echo", ADD, echo)
     client = await near.create_client("/echo", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     with pytest.raises(CallFailed, match="the answer cannot be read"):
         await client.call(Request(number(13)))
     await near.create_service("/back", ADD, echo)
     back = await far.create_client("/back", ADD)
-    assert await back.wait_available(10)
+    assert await back.wait_available(PATIENCE_S)
     with pytest.raises(CallTimeout):
         await back.call(Request(number(13)), 0.3)
     assert await back.call(Request(number(12))) == number(12)
@@ -230,7 +230,7 @@ async def test_limits(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     echo = Echo(open=False)
     await far.create_service("/echo", ADD, echo)
     client = await near.create_client("/echo", ADD)
-    assert await client.wait_available(10)
+    assert await client.wait_available(PATIENCE_S)
     monkeypatch.setattr(rpc, "_CALLS_LIMIT", 1)
     monkeypatch.setattr(rpc, "MAX_BODY_BYTES", 100)
     with pytest.raises(CallFailed, match="51 bytes is too long"):

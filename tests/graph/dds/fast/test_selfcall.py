@@ -8,6 +8,8 @@ import textwrap
 
 import pytest
 
+from tests.support.until import PATIENCE_S
+
 PRELUDE = """
 import ctypes, sys
 from ropeway.graph.dds import raw
@@ -19,7 +21,7 @@ raw.load("test")
 def run(code: str) -> str:
     """What Python code prints."""
     done = subprocess.run(
-        [sys.executable, "-c", PRELUDE + textwrap.dedent(code)], capture_output=True, text=True, timeout=30
+        [sys.executable, "-c", PRELUDE + textwrap.dedent(code)], capture_output=True, text=True, timeout=PATIENCE_S
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
