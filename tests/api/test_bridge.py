@@ -64,6 +64,33 @@ async def test_both_ways(graphs: tuple[AsyncGraph, AsyncGraph]) -> None:
                 await near.receive(timeout_s=0.1)
 
 
+async def test_two_bridges() -> None:
+    """Two bridges that join the same networks both ways bring each message once, and it does not go in circles."""
+    urls = "dds:58?interface=lo", "dds:59?interface=lo"
+    async with (
+        ropeway.open(urls[0], name="left") as left,
+        ropeway.open(urls[1], name="right") as right,
+        ropeway.open_bridge(*urls, name="one") as one,
+        ropeway.open_bridge(*urls, name="two") as two,
+        left.publisher("/chat", "std_msgs/String") as publisher,
+        left.subscribe("/chat") as near,
+        right.subscribe("/chat", "std_msgs/String") as far,
+    ):
+        for bridge in (one, two):
+            await bridge.topic("/chat", "std_msgs/String")
+            await bridge.topic("/chat", "std_msgs/String", reverse=True)
+        await publisher.wait_for_subscribers(3, timeout_s=20)
+        there = [bridge._right.hub.publishers for bridge in (one, two)]
+        await until(lambda: sum(publishers["/chat"][0].standby.defers for publishers in there) == 1, 20)
+        for number in range(5):
+            publisher.publish({"data": str(number)})
+        assert [(await far.receive(timeout_s=20))["data"] for _ in range(5)] == list("01234")
+        assert [(await near.receive())["data"] for _ in range(5)] == list("01234")
+        for subscription in (near, far):
+            with pytest.raises(WaitTimeout):
+                await subscription.receive(timeout_s=0.5)
+
+
 async def test_calls(graphs: tuple[AsyncGraph, AsyncGraph]) -> None:
     """A service and an action of the left graph are offered on the right, with the types that they have."""
     left, right = graphs

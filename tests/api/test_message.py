@@ -125,6 +125,16 @@ def test_header_gets_the_time() -> None:
     assert made(IMAGE, {"header": {"stamp": {"sec": 0, "nanosec": 0}}})["header"]["stamp"]["sec"] == 0
 
 
+def test_equality() -> None:
+    """Messages are equal if their types and bytes are, also as keys, and equal to a dict of the same values."""
+    one, same, other = made(STRING, {"data": "a"}), made(STRING, {"data": "a"}), made(STRING, {"data": "b"})
+    assert one == same
+    assert len({one, same, other}) == 2
+    assert one == {"data": "a"}
+    scan = made(MessageType(REGISTRY, "sensor_msgs/msg/LaserScan"), {"ranges": [1.0, 2.0]})
+    assert scan == MessageType(REGISTRY, scan.type).message(scan.raw)
+
+
 def looped() -> dict[str, Any]:
     value: dict[str, Any] = {}
     value["linear"] = value

@@ -112,8 +112,11 @@ def test_goal_that_is_given_up(network: str, how: str) -> None:
         seen.set()
         return goal.canceled({"sequence": [1]})
 
+    def accept(request: TypedMessage) -> bool:
+        return "/wait" in graph.actions()  # which waits for the thread of the event loop
+
     with blocking.open(network) as graph:
-        server = graph.serve_action("/wait", FIBONACCI, execute, accept=lambda request: True)
+        server = graph.serve_action("/wait", FIBONACCI, execute, accept=accept)
         with graph.action_client("/wait") as client:
             goal = client.send_goal()
             assert began.wait(10)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import asyncio
 import json
 import re
 from pathlib import Path
@@ -9,12 +11,14 @@ from pathlib import Path
 import pytest
 import yaml
 
+import ropeway
 from ropeway.gateway import config
 from ropeway.wire.codec import ENCODINGS
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [ROOT / "README.md", ROOT / "examples" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"^```(json|yaml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\((?!http)([^)#]+)")
 
 
@@ -27,6 +31,32 @@ def test_configurations(name: str, kind: str, text: str, tmp_path: Path) -> None
     """Every configuration in the documents is accepted, where the files are that it names."""
     (tmp_path / "robot1.ropeway").touch()
     config.parse(json.loads(text) if kind == "json" else yaml.safe_load(text), name, directory=tmp_path)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)
+def test_programs(document: Path) -> None:
+    """Every program in the documents can be compiled, and uses names that the package exports."""
+    for text in PYTHON.findall(document.read_text()):
+        compile(text, document.name, "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
+        for name in re.findall(r"\bropeway\.(\w+)", text):
+            assert name == "iort" or name in ropeway.__all__, name
+
+
+async def test_services_and_actions_of_the_library() -> None:
+    """The program that shows services and actions runs as it is printed."""
+    page = (ROOT / "docs" / "library.md").read_text()
+    (text,) = [text for text in PYTHON.findall(page) if "serve_action" in text]
+    text = text.replace("asyncio.sleep(1)", "asyncio.sleep(0)")
+    printed: list[str] = []
+    async with ropeway.open("memory:docs") as graph:
+        names = {
+            "graph": graph,
+            "asyncio": asyncio,
+            "print": lambda *values: printed.append(" ".join(map(str, values))),
+        }
+        await eval(compile(text, "library.md", "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT), names)
+    assert printed[0] == "3"
+    assert printed[-1].startswith("SUCCEEDED <example_interfaces/action/Fibonacci_Result")
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)

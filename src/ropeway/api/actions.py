@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -195,8 +196,8 @@ class ExecutingGoal:
 ExecuteGoal = Callable[[ExecutingGoal], Awaitable[object]]
 """Carries a goal out: returns an outcome that the goal made, or the result of a goal that was reached."""
 
-AcceptGoal = Callable[[TypedMessage], bool]
-"""Says whether a goal is taken."""
+AcceptGoal = Callable[[TypedMessage], bool | Awaitable[bool]]
+"""Returns whether a goal is taken; may be a coroutine function."""
 
 
 class AsyncActionServer(Part):
@@ -226,7 +227,8 @@ class AsyncActionServer(Part):
 
     async def _is_accepted(self, inner: ServerGoal) -> bool:
         assert self._accept is not None
-        return self._accept(self._messages.goal.message(inner.payload))
+        accepted = self._accept(self._messages.goal.message(inner.payload))
+        return await accepted if inspect.isawaitable(accepted) else accepted
 
     @property
     def action(self) -> str:

@@ -251,8 +251,8 @@ class AsyncGraph:
     ) -> Opening[AsyncActionServer]:
         """Offer ``action``: the coroutine function ``execute`` gets each goal and returns its result.
 
-        ``accept`` says whether a goal is taken; left out, every one is. Requests to cancel are always agreed to;
-        ``execute`` sees them in ``ExecutingGoal.cancel_requested``.
+        ``accept`` (a function, or a coroutine function) says whether a goal is taken; left out, every one is. Requests
+        to cancel are always agreed to; ``execute`` sees them in ``ExecutingGoal.cancel_requested``.
         """
         return Opening(self._serve_action(action, type, execute, accept))
 

@@ -59,7 +59,7 @@ class TypedMessage(Mapping[str, Any]):
     are no such message.
 
     Nested messages are dicts, arrays of ``uint8``, ``char`` and ``byte`` are ``bytes``, other arrays of numbers are
-    read-only numpy arrays, arrays of texts and truth values are lists.
+    read-only numpy arrays, arrays of texts and truth values are lists. Two messages are equal if type and bytes are.
     """
 
     __slots__ = ("_codec", "_fields", "raw", "sample", "topic")
@@ -99,6 +99,14 @@ class TypedMessage(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._codec.fields)
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, TypedMessage):
+            return self.type == other.type and self.raw == other.raw
+        return super().__eq__(other)
+
+    def __hash__(self) -> int:
+        return hash((self.type, self.raw))
 
     def __repr__(self) -> str:
         try:

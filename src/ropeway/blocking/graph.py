@@ -133,12 +133,10 @@ class BlockingGraph(BlockingRoot[AsyncGraph]):
         *,
         accept: Callable[[TypedMessage], bool] | None = None,
     ) -> BlockingActionServer:
-        """Offer ``action``; see ``AsyncGraph.serve_action``. ``execute`` runs in a thread for each goal.
-
-        ``accept`` must return soon: it runs in the thread of the event loop.
-        """
+        """Offer ``action``; see ``AsyncGraph.serve_action``. ``execute`` and ``accept`` run in threads."""
         carry_out = executed_in_thread(execute)
-        return BlockingActionServer(_made(lambda: self._inner.serve_action(action, type, carry_out, accept=accept)))
+        decide = None if accept is None else portal.in_thread(accept)
+        return BlockingActionServer(_made(lambda: self._inner.serve_action(action, type, carry_out, accept=decide)))
 
     def topics(self) -> dict[str, tuple[str, ...]]:
         """Return the topics that are discovered now, each with its types. Just opened, a graph knows few of them."""
