@@ -95,7 +95,7 @@ def complaints(imports: Mapping[str, set[str]], standing: Mapping[str, str]) -> 
 
 
 def imports_of(package: str) -> dict[str, set[str]]:
-    """Return which file of a package imports which; what the package itself exports is imported when it is first used."""
+    """Return which file of a package imports which; what the package itself exports is imported at its first use."""
     graph = grimp.build_graph(package, cache_dir=None)
 
     def short(name: str) -> str:
