@@ -8,11 +8,14 @@ from collections.abc import Callable
 import pytest
 
 from ropeway.cli import patience
-from ropeway.cli.patience import Patience, patiently, why_silent
+from ropeway.cli.patience import Patience, patiently, served_within, why_silent
 from ropeway.cli.session import Session
+from ropeway.graph.calls import Request
+from ropeway.graph.memory import MemoryGraph
 from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA
 from tests.support.messages import STRING
-from tests.support.until import PATIENCE_S
+from tests.support.services import ADD, add, addends, total
+from tests.support.until import PATIENCE_S, until
 
 pytestmark = pytest.mark.jumping
 
@@ -67,3 +70,21 @@ async def test_why_nothing_comes(pair: tuple[Session, Session]) -> None:
     assert why("/odom") == f"1 publisher on {here.graph.name}, none of which has sent anything"
     await there.graph.create_publisher("/odom", STRING, DEFAULT)
     assert why("/odom", qos=DEFAULT) == f"2 publishers on {here.graph.name}, none of which has sent anything"
+
+
+async def test_a_server_that_comes_late_is_waited_for() -> None:
+    """A call waits for its server within its time, and has the rest of it; with nobody there it has next to none."""
+    near, far = MemoryGraph("late", node="/near"), MemoryGraph("late", node="/far")
+    await near.open()
+    await far.open()
+    client = await near.create_client("/sum", ADD)
+    waiting = asyncio.create_task(served_within(client, 60))
+    await until(lambda: not waiting.done() and bool(near.network.clients))
+    await far.create_service("/sum", ADD, add)
+    left_s = await waiting
+    assert 0 < left_s <= 60
+    assert await client.call(Request(addends(1, 2)), left_s) == total(3)
+    nobody = await near.create_client("/nobody", ADD)
+    assert await served_within(nobody, 0.05) == 0.001
+    await near.close()
+    await far.close()

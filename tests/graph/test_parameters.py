@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import math
 from collections.abc import AsyncIterator
@@ -28,6 +29,7 @@ from ropeway.graph.parameters import (
 )
 from ropeway.types import TypeRegistry
 from tests.graph.parameter_node import REGISTRY, ParameterNode
+from tests.support.until import until
 
 _numbers = itertools.count()
 
@@ -130,6 +132,17 @@ async def test_no_such_node(graph: MemoryGraph) -> None:
         await list_parameters(graph, REGISTRY, "/nobody", timeout_s=0.05)
     with pytest.raises(InvalidName):
         await list_parameters(graph, REGISTRY, "/no body", timeout_s=0.05)
+
+
+async def test_a_node_that_comes_late(graph: MemoryGraph) -> None:
+    """A node that is not discovered yet is waited for, within the time."""
+    asking = asyncio.create_task(get_parameters(graph, REGISTRY, "/late", ["rate"], timeout_s=30))
+    await until(lambda: bool(graph.network.clients))
+    late = MemoryGraph(graph.name.removeprefix("memory:"), node="/late")
+    await late.open()
+    await ParameterNode({"rate": 1.5}).serve(late, "/late")
+    assert await asking == {"rate": 1.5}
+    await late.close()
 
 
 async def test_other_distribution(graph: MemoryGraph) -> None:

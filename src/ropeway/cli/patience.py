@@ -10,11 +10,13 @@ from typing import Final
 from ropeway.cli.console import complain
 from ropeway.gateway.suggest import did_you_mean
 from ropeway.graph.base import EndpointInfo, Graph, TopicInfo
+from ropeway.graph.calls import ActionClient, Client
 from ropeway.qos import QoS, unmet
 from ropeway.tasks import end
 
-__all__ = ["Patience", "patiently", "why_silent"]
+__all__ = ["Patience", "patiently", "served_within", "why_silent"]
 
+_LEAST_S: Final = 0.001  # of a call whose time is over: it says why
 _PATIENCE_S: Final = 2.0  # what is there has answered by then, also over a slow link
 
 
@@ -53,6 +55,14 @@ async def patiently(waiting_for: Callable[[], str]) -> AsyncIterator[Patience]:
         yield patience
     finally:
         await end(watching)
+
+
+async def served_within(client: Client | ActionClient, timeout_s: float) -> float:
+    """Wait until somebody serves what ``client`` uses; return what is left of the time for the call itself."""
+    loop = asyncio.get_running_loop()
+    deadline = loop.time() + timeout_s
+    await client.wait_available(timeout_s)
+    return max(deadline - loop.time(), _LEAST_S)
 
 
 def why_silent(graph: Graph, topic: str, type: str, qos: QoS | None) -> str:

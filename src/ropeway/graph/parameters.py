@@ -297,6 +297,7 @@ class _Node:
         client = await self._graph.create_client(f"{self._node}/{service}", full)
         self._clients.push_async_callback(client.close)
         loop = asyncio.get_running_loop()
+        await client.wait_available(max(self._deadline - loop.time(), 0.0))  # a node may not be discovered yet
         answers = []
         for request in requests:
             left_s = max(self._deadline - loop.time(), 0.001)

@@ -13,7 +13,7 @@ import typer
 from ropeway.cli.action.info import ActionArgument
 from ropeway.cli.console import answer, complain, fail, print_json
 from ropeway.cli.loop import run
-from ropeway.cli.patience import patiently
+from ropeway.cli.patience import patiently, served_within
 from ropeway.cli.session import GraphOption, JsonOption, Session, TypesOption, full_name, open_session
 from ropeway.cli.topic.render import Style, as_yaml, pick, shown
 from ropeway.cli.values import fitted, typed_values
@@ -163,7 +163,8 @@ class _Feedback:
 async def _send(
     client: ActionClient, goal: Goal, on_feedback: Callable[[bytes], None] | None, timeout_s: float
 ) -> ClientGoal:
-    return await client.send_goal(goal, on_feedback=on_feedback, timeout_s=timeout_s)
+    left_s = await served_within(client, timeout_s)
+    return await client.send_goal(goal, on_feedback=on_feedback, timeout_s=left_s)
 
 
 async def _give_up(sending: asyncio.Task[ClientGoal], teller: Teller) -> None:

@@ -11,7 +11,7 @@ import typer
 
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.loop import run
-from ropeway.cli.patience import patiently
+from ropeway.cli.patience import patiently, served_within
 from ropeway.cli.service.info import ServiceArgument
 from ropeway.cli.session import GraphOption, JsonOption, Session, TypesOption, full_name, open_session
 from ropeway.cli.topic.render import Style, as_python
@@ -69,7 +69,8 @@ async def _call_once(
         return f"waiting for {client.service} to become available ({timeout_s:g} s at most)"
 
     async with patiently(waiting_for):
-        response = await client.call(Request(payload, caller="ropeway service call"), timeout_s)
+        left_s = await served_within(client, timeout_s)
+        response = await client.call(Request(payload, caller="ropeway service call"), left_s)
     told(response)
 
 
