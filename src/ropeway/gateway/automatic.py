@@ -134,7 +134,7 @@ class Automatic:
 
     async def _begin(self, name: str, type: str, operation: str) -> None:
         config = self._config
-        remote_name = resolve_name(name.lstrip("/"), config.remote_namespace)
+        remote_name = resolve_name(resolve_name(name)[1:], config.remote_namespace)
         route = Route(
             remote=config,
             operation=operation,

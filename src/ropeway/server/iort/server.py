@@ -86,8 +86,9 @@ class IortServer:
         if parts.scheme == "iorts" and ssl_context is None:
             raise ConnectFailed(url, "iorts needs a certificate and a key", retryable=False)
         host, port = parts.hostname or "127.0.0.1", DEFAULT_PORT if parts.port is None else parts.port
+        named = f"{parts.scheme}://[{host}]" if ":" in host else f"{parts.scheme}://{host}"
         listener = await open_listener(
-            f"{parts.scheme}://{host}",
+            f"{named}:{port}",
             host,
             port,
             lambda visit: Session(self, visit),
@@ -99,7 +100,7 @@ class IortServer:
         self.listeners.append(listener)
         if self._ticker is None:
             self._ticker = Supervised(self._tick, "iort server ticks").start()
-        log.info("listening on %s://%s:%d", parts.scheme, host, listener.port)
+        log.info("listening on %s:%d", named, listener.port)
         return listener.port
 
     async def close(self) -> None:
