@@ -792,6 +792,12 @@ class AsyncNode:
             await self.wait_mode("remote", wait_s)
         return self
 
+    def renew(self, token: Optional[str], tls: Any, anew: bool = False) -> None:
+        """Show another token, and use other TLS, from the next connection on; with ``anew`` that is made at once."""
+        self._token, self._tls = token, tls
+        if anew and self._connection is not None:
+            self._connection.close()
+
     async def wait_mode(self, mode: str, timeout_s: float) -> bool:
         """Wait for a mode; false when the time is over."""
         deadline = time.monotonic() + timeout_s

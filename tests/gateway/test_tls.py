@@ -33,6 +33,7 @@ from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
+from tests.support.ports import free_port
 from tests.support.until import until
 
 _numbers = itertools.count()
@@ -344,6 +345,58 @@ async def test_an_authority_that_is_gone(
     assert await comes_in(made, ours, mine)
     standing.abort("the test is over")
     await standing.wait_closed()
+
+
+@pytest.mark.parametrize("kind", ["wss", "iorts"])
+async def test_a_remote_whose_authority_is_gone(
+    stack: AsyncExitStack, ours: Authority, strangers: Authority, tmp_path: Path, kind: str
+) -> None:
+    """After SIGHUP a remote whose authority is trusted no longer is not spoken to, until it is trusted again."""
+    trusted = tmp_path / "trusted.pem"
+    join((ours.file, strangers.file), trusted)
+    network, port = f"tls-there{next(_numbers)}", free_port()
+    settings = {"name": "there", "graphs": [f"memory:{network}"], "listen": [f"{kind}://127.0.0.1:{port}"]}
+    theirs = {"tls": strangers.sign("there"), "store": {"path": "memory:"}}
+    await stack.enter_async_context(Gateway(config.parse({"gateway": {**settings, **theirs}})))
+    item = {"name": "/A/x", "type": STRING}
+    made, _ = await gateway(
+        stack,
+        "here",
+        [{"address": f"{kind}://127.0.0.1:{port}", "tls": {"ca": str(trusted)}, "publish": [item]}],
+    )
+    (remote,) = made.remotes
+    await until(lambda: remote.state == "connected")
+    made.reload()
+    assert remote.state == "connected"  # nothing has changed
+    shutil.copy(ours.file, trusted)
+    made.reload()
+    await until(lambda: "certificate" in str(remote.status()["error"]))
+    assert remote.state != "connected"
+    trusted.write_text("junk")
+    with pytest.raises(ConfigError, match="holds no certificates"):
+        made.reload()
+    join((ours.file, strangers.file), trusted)
+    made.reload()
+    await until(lambda: remote.state == "connected")
+
+
+async def test_a_remote_is_shown_the_new_token(stack: AsyncExitStack, tmp_path: Path) -> None:
+    """After SIGHUP the token that a file has now is what the next connection to a remote shows."""
+    token = tmp_path / "token"
+    token.write_text("old")
+    network = f"token-{next(_numbers)}"
+    auth = {"tokens": [{"token": {"file": str(token)}}]}
+    settings = {"name": "there", "graphs": [f"memory:{network}"], "listen": ["ws://127.0.0.1:0"], "auth": auth}
+    there = await stack.enter_async_context(Gateway(config.parse({"gateway": settings})))
+    address = f"ws://127.0.0.1:{there.servers[0].listeners[0].port}"
+    item = {"name": "/x", "type": STRING}
+    here, _ = await gateway(stack, "here", [{"address": address, "token": {"file": str(token)}, "publish": [item]}])
+    (remote,) = here.remotes
+    await until(lambda: remote.state == "connected")
+    token.write_text("new")
+    here.reload()
+    there.reload()  # which closes whoever showed the old one
+    await until(lambda: remote.status()["connections"] == 2 and remote.state == "connected")
 
 
 async def test_a_revoked_certificate(stack: AsyncExitStack, ours: Authority, tmp_path: Path) -> None:

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any, Final
 from ropeway.errors import GraphUnavailable
 from ropeway.gateway.address import is_iort, is_loopback, is_secure
 from ropeway.gateway.allocator import keep_freed_memory
-from ropeway.gateway.auth import make_door, read_secret
+from ropeway.gateway.auth import make_door
 from ropeway.gateway.automatic import Automatic
 from ropeway.gateway.bridges import make_bridge
 from ropeway.gateway.config import Config, Route
 from ropeway.gateway.counts import summed
+from ropeway.gateway.credentials import read_credentials
 from ropeway.gateway.files import make_room
 from ropeway.gateway.graph_model import GraphConfig
 from ropeway.gateway.iort_model import StoreConfig
@@ -26,7 +27,7 @@ from ropeway.gateway.model import RemoteConfig
 from ropeway.gateway.nodes import Nodes
 from ropeway.gateway.overlay_model import OVERLAY
 from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote
-from ropeway.gateway.tls import client_context, server_context, trusted_files
+from ropeway.gateway.tls import server_context, trusted_files
 from ropeway.gateway.type_hints import learn_types, type_hints
 from ropeway.graph.factory import open_graph
 from ropeway.graph.hub import Hub, View
@@ -223,7 +224,7 @@ class Gateway:
             elif is_iort(config.address):
                 remote = self._iort_remote(config, index)
             else:
-                remote = LinkRemote(config, self._link(config, index, mine, limits))
+                remote = self._link(config, index, mine, limits)
             await remote.graph.open()
             stack.push_async_callback(remote.graph.close)
             self.remotes.append(remote)
@@ -257,21 +258,20 @@ class Gateway:
     def _iort_remote(self, config: RemoteConfig, index: int) -> IortRemote:
         from ropeway.graph.iort import IortGraph, Maps, RemoteLink
 
-        token = None if config.token is None else read_secret(config.token, f"remotes[{index}].token")
-        if token is not None and not is_secure(config.address) and not is_loopback(config.address):
-            log.warning("%s: the token travels in clear; iorts:// would hide it", config.address)
-        secure = client_context(config.tls, f"remotes[{index}].tls") if is_secure(config.address) else None
-        link = RemoteLink(config.address, self.config.gateway.name, token=token, ssl_context=secure, wait_s=0.0)
+        shown = read_credentials(config, index)
+        name = self.config.gateway.name
+        link = RemoteLink(config.address, name, token=shown.token, ssl_context=shown.context, wait_s=0.0)
         maps = Maps([item.as_map() for item in config.maps])
-        return IortRemote(config, IortGraph(link, name=config.address, maps=maps, registry=self.registry), link)
+        return IortRemote(config, IortGraph(link, name=config.address, maps=maps, registry=self.registry), link, shown)
 
-    def _link(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> RosbridgeGraph:
-        return RosbridgeGraph(
+    def _link(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> LinkRemote:
+        shown = read_credentials(config, index)
+        graph = RosbridgeGraph(
             config.address,
             registry=self.registry,
             limits=limits,
-            ssl_context=client_context(config.tls, f"remotes[{index}].tls"),
-            headers=_credentials(config, f"remotes[{index}].token"),
+            ssl_context=shown.context,
+            headers=shown.headers,
             gateway_id=self.gateway_id,
             name=self.config.gateway.name,
             wait=False,
@@ -280,6 +280,7 @@ class Gateway:
             ros1=None if config.ros is None else config.ros == 1,
             network=make_network(self.registry, config.distro, config.types, label=without_token(config.address)),
         )
+        return LinkRemote(config, graph, shown)
 
     def _overlay_graph(self, config: RemoteConfig) -> OverlayGraph:
         from ropeway.graph.overlay import OverlayGraph  # loads Zenoh, which others do not need
@@ -331,12 +332,13 @@ class Gateway:
         return reasons
 
     def reload(self) -> None:
-        """Read certificates and tokens again, for clients to come; who has a token that is gone is closed.
+        """Read certificates and tokens again, for connections to come; who has a token that is gone is closed.
 
-        So is who showed a certificate, if other authorities are trusted now. Raises ``ConfigError`` if the files are no
-        good; everything then stays as it was.
+        So is who showed a certificate, if other authorities are trusted now, and a link to a remote, if others are
+        trusted there. Raises ``ConfigError`` if the files are no good; everything then stays as it was.
         """
         settings = self.config.gateway
+        shown = [read_credentials(remote.config, index) for index, remote in enumerate(self.remotes)]
         door, context, trusted = make_door(settings), server_context(settings.tls), trusted_files(settings.tls)
         certificates = trusted != self._trusted
         self._entrance.door, self._tls, self._trusted = door, context, trusted
@@ -346,6 +348,8 @@ class Gateway:
         if self.nodes is not None:
             _renew(self.nodes.server.listeners, context)
             self.nodes.server.recheck()
+        for remote, credentials in zip(self.remotes, shown, strict=True):
+            remote.renew(credentials)
         log.info("%s has read its certificates and tokens again", settings.name)
 
     def status(self) -> dict[str, Any]:
@@ -386,12 +390,3 @@ def _renew(listeners: Iterable[Listener], context: ssl.SSLContext | None) -> Non
     for listener in listeners:
         if listener.context is not None:
             listener.context = context
-
-
-def _credentials(remote: RemoteConfig, path: str) -> dict[str, str]:
-    """The headers that show our token to a remote."""
-    if remote.token is None:
-        return {}
-    if not is_secure(remote.address) and not is_loopback(remote.address):
-        log.warning("%s: the token travels in clear; wss:// would hide it", without_token(remote.address))
-    return {"Authorization": f"Bearer {read_secret(remote.token, path)}"}

@@ -9,6 +9,7 @@ from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
 from ropeway.gateway.automatic import Automatic
 from ropeway.gateway.config import Route
+from ropeway.gateway.credentials import Credentials
 from ropeway.gateway.model import RemoteConfig
 from ropeway.graph.base import Graph
 from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
@@ -28,8 +29,8 @@ class Remote:
 
     graph: Graph
 
-    def __init__(self, config: RemoteConfig) -> None:
-        self.config = config
+    def __init__(self, config: RemoteConfig, credentials: Credentials = Credentials()) -> None:  # noqa: B008 - frozen
+        self.config, self.credentials = config, credentials
         self.bridges: list[tuple[Route, Bridge]] = []
 
     @property
@@ -40,6 +41,14 @@ class Remote:
     def status(self) -> dict[str, Any]:
         """The remote, for people and programs."""
         raise NotImplementedError
+
+    def renew(self, credentials: Credentials) -> None:
+        """Show and trust other credentials from the next connection on; at once, if others are trusted now."""
+        anew, self.credentials = credentials.trusted != self.credentials.trusted, credentials
+        self._renew(credentials, anew)
+
+    def _renew(self, credentials: Credentials, anew: bool) -> None:
+        """Hand new credentials on; with ``anew``, a connection that stands is made again."""
 
     def routes(self) -> list[dict[str, Any]]:
         """One row per bridge."""
@@ -53,9 +62,12 @@ class Remote:
 class LinkRemote(Remote):
     """A gateway or a rosbridge server at an address."""
 
-    def __init__(self, config: RemoteConfig, graph: RosbridgeGraph) -> None:
-        super().__init__(config)
+    def __init__(self, config: RemoteConfig, graph: RosbridgeGraph, credentials: Credentials) -> None:
+        super().__init__(config, credentials)
         self.graph: RosbridgeGraph = graph
+
+    def _renew(self, credentials: Credentials, anew: bool) -> None:
+        self.graph.renew(credentials.context, credentials.headers, anew=anew)
 
     @property
     def state(self) -> str:
@@ -87,10 +99,13 @@ class LinkRemote(Remote):
 class IortRemote(Remote):
     """A server of IoRT nodes at an address."""
 
-    def __init__(self, config: RemoteConfig, graph: IortGraph, link: RemoteLink) -> None:
-        super().__init__(config)
+    def __init__(self, config: RemoteConfig, graph: IortGraph, link: RemoteLink, credentials: Credentials) -> None:
+        super().__init__(config, credentials)
         self.graph: IortGraph = graph
         self.link = link
+
+    def _renew(self, credentials: Credentials, anew: bool) -> None:
+        self.link.node.renew(credentials.token, credentials.context, anew=anew)
 
     @property
     def state(self) -> str:

@@ -183,6 +183,12 @@ class RosbridgeGraph:
         self._changes.close()
         self.teller.leave()
 
+    def renew(self, ssl_context: ssl.SSLContext | None, headers: Mapping[str, str], *, anew: bool) -> None:
+        """Show and trust other credentials from the next connection on; with ``anew`` that is made at once."""
+        self._ssl, self._headers = ssl_context, dict(headers)
+        if anew and self.peer is not None:
+            self.peer.connection.close(1000, "certificates were read again")
+
     async def _connect(self, limits: Limits) -> Callable[[], Awaitable[None]]:
         peers: list[Peer] = []
         connection = await connect(

@@ -1,0 +1,42 @@
+"""What a gateway shows its remotes, and whom it trusts there; both are read again at SIGHUP."""
+
+from __future__ import annotations
+
+import logging
+import ssl
+from dataclasses import dataclass
+
+from ropeway.gateway.address import is_loopback, is_secure
+from ropeway.gateway.auth import read_secret
+from ropeway.gateway.model import RemoteConfig
+from ropeway.gateway.tls import client_context, trusted_files
+from ropeway.link.http import without_token
+
+__all__ = ["Credentials", "read_credentials"]
+
+log = logging.getLogger("ropeway.gateway")
+
+
+@dataclass(frozen=True)
+class Credentials:
+    """Of one remote. ``trusted`` is a digest of the authorities whose certificates it may show."""
+
+    context: ssl.SSLContext | None = None
+    token: str | None = None
+    trusted: bytes = b""
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """Return what a handshake shows."""
+        return {} if self.token is None else {"Authorization": f"Bearer {self.token}"}
+
+
+def read_credentials(remote: RemoteConfig, index: int) -> Credentials:
+    """Read the files and variables that the configuration names. Raises ``ConfigError``."""
+    path, secure = f"remotes[{index}]", is_secure(remote.address)
+    token = None if remote.token is None else read_secret(remote.token, f"{path}.token")
+    if token is not None and not secure and not is_loopback(remote.address):
+        shown = without_token(remote.address)
+        log.warning("%s: the token travels in clear; %s:// would hide it", shown, f"{shown.partition(':')[0]}s")
+    context = client_context(remote.tls, f"{path}.tls") if secure else None
+    return Credentials(context, token, trusted_files(remote.tls))
