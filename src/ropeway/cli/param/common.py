@@ -11,7 +11,7 @@ from ropeway.cli.console import fail
 from ropeway.cli.loop import run
 from ropeway.cli.patience import patiently
 from ropeway.cli.session import Session, open_session
-from ropeway.errors import CallTimeout, NotServed
+from ropeway.errors import CallTimeout, NotServed, ValueMismatch
 from ropeway.graph.parameters import ParameterType, ParameterValue, type_of
 
 __all__ = ["NameArgument", "NodeArgument", "TimeoutOption", "ask", "plain", "value_text"]
@@ -66,4 +66,8 @@ def value_text(value: ParameterValue, *, hide_type: bool = False) -> str:
     """The value as ``ros2 param get`` shows it."""
     if value is None:
         return "Parameter not set."
-    return str(plain(value)) if hide_type else f"{_TITLES[type_of(value)]} {plain(value)}"
+    try:
+        title = _TITLES[type_of(value)]
+    except ValueMismatch:  # of a master of ROS 1
+        title = "Values are:"
+    return str(plain(value)) if hide_type else f"{title} {plain(value)}"

@@ -6,8 +6,8 @@ import typer
 
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.param.common import NameArgument, NodeArgument, TimeoutOption, ask
-from ropeway.cli.session import GraphOption, JsonOption, Session, full_name
-from ropeway.graph.parameters import delete_parameters
+from ropeway.cli.param.source import parameters_of, place_name
+from ropeway.cli.session import GraphOption, JsonOption, Session
 
 __all__ = ["app"]
 
@@ -23,10 +23,10 @@ def delete(
     as_json: JsonOption = False,
 ) -> None:
     """Delete the parameter NAME of NODE."""
-    full = full_name(node)
+    full = place_name(node)
 
     async def work(session: Session) -> str | None:
-        return (await delete_parameters(session.graph, session.registry, full, [name], timeout_s=timeout))[name]
+        return (await parameters_of(session, full, timeout).delete([name]))[name]
 
     refused = ask(graph, full, timeout, work)
     if as_json:

@@ -8,8 +8,9 @@ import typer
 
 from ropeway.cli.console import answer, complain, print_json
 from ropeway.cli.param.common import NodeArgument, TimeoutOption, ask
-from ropeway.cli.session import GraphOption, JsonOption, Session, full_name
-from ropeway.graph.parameters import ParameterDescription, describe_parameters
+from ropeway.cli.param.source import parameters_of, place_name
+from ropeway.cli.session import GraphOption, JsonOption, Session
+from ropeway.graph.parameters import ParameterDescription
 
 __all__ = ["app", "description_text"]
 
@@ -43,10 +44,10 @@ def describe(
     as_json: JsonOption = False,
 ) -> None:
     """Show type, meaning and limits of the parameters NAMES of NODE."""
-    full = full_name(node)
+    full = place_name(node)
 
     async def look(session: Session) -> dict[str, ParameterDescription | None]:
-        return await describe_parameters(session.graph, session.registry, full, names, timeout_s=timeout)
+        return await parameters_of(session, full, timeout).describe(names)
 
     found = ask(graph, full, timeout, look)
     for one in found.values():

@@ -10,8 +10,9 @@ import yaml
 
 from ropeway.cli.console import answer, print_json
 from ropeway.cli.param.common import NodeArgument, TimeoutOption, ask, plain
-from ropeway.cli.session import GraphOption, JsonOption, Session, full_name
-from ropeway.graph.parameters import ParameterValue, get_parameters, list_parameters
+from ropeway.cli.param.source import AtMaster, parameters_of, place_name
+from ropeway.cli.session import GraphOption, JsonOption, Session
+from ropeway.graph.parameters import ParameterValue
 
 __all__ = ["app", "nested"]
 
@@ -39,16 +40,20 @@ def nested(values: Mapping[str, ParameterValue]) -> dict[str, Any]:
 def dump(
     node: NodeArgument, graph: GraphOption = "", timeout: TimeoutOption = 5.0, as_json: JsonOption = False
 ) -> None:
-    """Print all parameters of NODE as YAML, as ``ros2 run ... --ros-args --params-file`` takes it."""
-    full = full_name(node)
+    """Print all parameters of NODE as YAML, for ``--ros-args --params-file``, or ``rosparam load`` on ROS 1."""
+    full = place_name(node)
 
-    async def look(session: Session) -> dict[str, ParameterValue]:
-        names = await list_parameters(session.graph, session.registry, full, timeout_s=timeout)
-        return await get_parameters(session.graph, session.registry, full, names, timeout_s=timeout)
+    ros1 = False
+
+    async def look(session: Session) -> dict[str, Any]:
+        nonlocal ros1
+        found = parameters_of(session, full, timeout)
+        ros1 = isinstance(found, AtMaster)
+        return await found.dump()
 
     values = {name: value for name, value in ask(graph, full, timeout, look).items() if value is not None}
     if as_json:
         print_json({"node": full, "parameters": {name: plain(value) for name, value in values.items()}})
     else:
-        document = {full: {"ros__parameters": nested(values)}}
+        document = values if ros1 else {full: {"ros__parameters": nested(values)}}
         answer(yaml.safe_dump(document, sort_keys=True, default_flow_style=False, allow_unicode=True).rstrip("\n"))

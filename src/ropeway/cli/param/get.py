@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.param.common import NameArgument, NodeArgument, TimeoutOption, ask, plain, value_text
-from ropeway.cli.session import GraphOption, JsonOption, Session, full_name
-from ropeway.graph.parameters import ParameterValue, get_parameters, type_of
+from ropeway.cli.param.source import label_of, parameters_of, place_name
+from ropeway.cli.session import GraphOption, JsonOption, Session
 
 __all__ = ["app"]
 
@@ -26,14 +26,14 @@ def get(
     as_json: JsonOption = False,
 ) -> None:
     """Show the value of the parameter NAME of NODE."""
-    full = full_name(node)
+    full = place_name(node)
 
-    async def look(session: Session) -> ParameterValue:
-        return (await get_parameters(session.graph, session.registry, full, [name], timeout_s=timeout))[name]
+    async def look(session: Session) -> Any:
+        return (await parameters_of(session, full, timeout).get([name]))[name]
 
     value = ask(graph, full, timeout, look)
     if as_json:
-        print_json({"node": full, "name": name, "type": type_of(value).label, "value": plain(value)})
+        print_json({"node": full, "name": name, "type": label_of(value), "value": plain(value)})
     elif value is not None:
         answer(value_text(value, hide_type=hide_type))
     if value is None:

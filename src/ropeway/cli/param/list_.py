@@ -9,16 +9,16 @@ import typer
 
 from ropeway.cli.console import answer, complain, fail, print_json
 from ropeway.cli.param.common import TimeoutOption, ask
+from ropeway.cli.param.source import AtMaster, parameters_of, place_name
 from ropeway.cli.session import (
     GraphOption,
     JsonOption,
     Session,
     SpinOption,
-    full_name,
     settle_services,
 )
 from ropeway.errors import CallError
-from ropeway.graph.parameters import describe_parameters, list_parameters, nodes_with_parameters
+from ropeway.graph.parameters import nodes_with_parameters
 from ropeway.server.rosapi.master_params import ParameterServer
 
 __all__ = ["app", "list_all"]
@@ -34,21 +34,12 @@ async def list_one(
     session: Session, node: str, prefixes: list[str], timeout_s: float, *, types: bool
 ) -> dict[str, str]:
     """The names of a node's parameters with their types, which are ``""`` unless ``types``. Raises ``CallError``."""
-    graph, registry = session.graph, session.registry
-    if isinstance(graph, ParameterServer):
-        return await _at_master(graph, node, prefixes)
-    names = await list_parameters(graph, registry, node, prefixes=prefixes, timeout_s=timeout_s)
-    if not types:
+    asked = parameters_of(session, node, timeout_s)
+    names = await asked.list(prefixes)
+    if not types or isinstance(asked, AtMaster):  # which tells no types
         return dict.fromkeys(names, "")
-    found = await describe_parameters(graph, registry, node, names, timeout_s=timeout_s)
+    found = await asked.describe(names)
     return {name: one.type.label if one is not None else "" for name, one in found.items()}
-
-
-async def _at_master(server: ParameterServer, namespace: str, prefixes: list[str]) -> dict[str, str]:
-    """The parameters that a master of ROS 1 has below ``namespace``; it tells no types."""
-    below = [f"{namespace.rstrip('/')}/{prefix.strip('/')}".rstrip("/") for prefix in prefixes or [""]]
-    names = await server.list_params()
-    return {name: "" for name in names if any(name == start or name.startswith(f"{start}/") for start in below)}
 
 
 async def list_all(
@@ -56,7 +47,7 @@ async def list_all(
 ) -> tuple[Listed, dict[str, str]]:
     """The parameters of all nodes, and why some nodes did not tell theirs."""
     if isinstance(session.graph, ParameterServer):
-        return {"/": await _at_master(session.graph, "/", prefixes)}, {}
+        return {"/": await list_one(session, "/", prefixes, timeout_s, types=False)}, {}
     nodes = nodes_with_parameters(await settle_services(session.graph, spin_time_s))
     turn = asyncio.Semaphore(_AT_A_TIME)
     listed: Listed = {}
@@ -88,7 +79,7 @@ def list_command(
     as_json: JsonOption = False,
 ) -> None:
     """List the parameters of NODE, or of all nodes."""
-    name = full_name(node) if node else ""
+    name = place_name(node) if node else ""
 
     async def look(session: Session) -> tuple[Listed, dict[str, str]]:
         if name:

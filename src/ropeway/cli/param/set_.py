@@ -8,8 +8,9 @@ import typer
 
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.param.common import NameArgument, NodeArgument, TimeoutOption, ask, plain
-from ropeway.cli.session import GraphOption, JsonOption, Session, full_name
-from ropeway.graph.parameters import parse_value, set_parameters, type_of
+from ropeway.cli.param.source import parameters_of, place_name
+from ropeway.cli.session import GraphOption, JsonOption, Session
+from ropeway.graph.parameters import parse_value, type_of
 
 __all__ = ["app"]
 
@@ -26,12 +27,11 @@ def set_command(
     as_json: JsonOption = False,
 ) -> None:
     """Set the parameter NAME of NODE. The type follows from VALUE: 1 is an integer, 1.0 a double, "'1'" a text."""
-    full = full_name(node)
+    full = place_name(node)
     parsed = parse_value(value)
 
     async def work(session: Session) -> str | None:
-        done = await set_parameters(session.graph, session.registry, full, {name: parsed}, timeout_s=timeout)
-        return done[name]
+        return (await parameters_of(session, full, timeout).set({name: parsed}))[name]
 
     refused = ask(graph, full, timeout, work)
     if as_json:
