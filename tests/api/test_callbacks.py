@@ -7,7 +7,7 @@ import functools
 
 import pytest
 
-from ropeway import Refused, TypedMessage
+from ropeway import TypedMessage
 from ropeway.api.callbacks import Callbacks
 from ropeway.api.inbox import Inbox
 from ropeway.api.message import MessageType
@@ -73,15 +73,6 @@ async def test_failures_are_told(caplog: pytest.LogCaptureFixture) -> None:
     await callbacks.finish()
     assert len(failures) == 2
     assert caplog.text.count("the callback for /a failed") == 2
-
-
-async def test_refusal_ends_it(caplog: pytest.LogCaptureFixture) -> None:
-    """Once the topic is refused nothing more comes, and the work ends."""
-    inbox = Inbox(10, 1000)
-    callbacks = Callbacks(Listener(), inbox, "/a")
-    inbox.fail(Refused("ws://a", "/a", "no"))
-    await callbacks.finish()
-    assert caplog.records == []
 
 
 async def test_close_ends_a_callback() -> None:

@@ -47,13 +47,16 @@ async def test_whoever_waits_is_told_of_the_end() -> None:
 
 
 async def test_what_came_before_a_failure_is_given() -> None:
-    """A failure is raised after the messages that came before it."""
+    """A failure is raised after the messages that came before it, until it is taken back."""
     inbox = Inbox(2, 1 << 20)
     inbox.put(message("a"))
     inbox.fail(ValueError("over"))
     assert await inbox.get() is not None
     with pytest.raises(ValueError, match="over"):
         await inbox.get()
+    inbox.fail(None)
+    inbox.put(message("b"))
+    assert await inbox.get() is not None
 
 
 async def test_finish_gives_the_rest() -> None:

@@ -179,6 +179,22 @@ async def test_waits_end(network: str) -> None:
             await graph.subscribe("/b", timeout_s=0.01)
 
 
+async def test_close_ends_waits(network: str) -> None:
+    """Whoever waits for subscribers or messages is told when the graph is closed."""
+    graph = await ropeway.open(network)
+    publisher = await graph.publisher("/a", "std_msgs/String")
+    subscription = await graph.subscribe("/b", "std_msgs/String")
+    waiting = [
+        asyncio.ensure_future(publisher.wait_for_subscribers(timeout_s=None)),
+        asyncio.ensure_future(subscription.receive(timeout_s=None)),
+    ]
+    await asyncio.sleep(0)
+    await graph.close()
+    for wait in waiting:
+        with pytest.raises(GraphUnavailable):
+            await wait
+
+
 async def test_type_comes_later(network: str) -> None:
     """A subscription without a type waits for the first publisher."""
     async with ropeway.open(network) as graph, ropeway.open(network) as other:

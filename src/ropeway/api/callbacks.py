@@ -9,7 +9,6 @@ from collections.abc import Awaitable, Callable
 
 from ropeway.api.inbox import Inbox
 from ropeway.api.message import TypedMessage
-from ropeway.errors import Refused
 from ropeway.logs import failed
 from ropeway.tasks import Supervised
 
@@ -49,19 +48,13 @@ class Callbacks:
 
     async def _run(self) -> None:
         self._task = asyncio.current_task()
-        while (message := await self._next()) is not None:
+        while (message := await self._inbox.get()) is not None:
             try:
                 work = self._callback(message)
                 assert work is not None
                 await work
             except Exception:
                 self._failed()
-
-    async def _next(self) -> TypedMessage | None:
-        try:
-            return await self._inbox.get()
-        except Refused:  # was logged, and no message will come
-            return None
 
     def _failed(self) -> None:
         failed(log, "the callback for %s failed", self._label)

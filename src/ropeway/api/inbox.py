@@ -48,8 +48,8 @@ class Inbox:
         self._bytes -= len(message.raw)
         return message
 
-    def fail(self, error: Exception) -> None:
-        """Raise ``error`` to whoever waits, once everything that came before was taken."""
+    def fail(self, error: Exception | None) -> None:
+        """Raise ``error`` to whoever waits, once everything that came before was taken; ``None`` takes it back."""
         self._error = error
         self._news.set()
 

@@ -52,6 +52,7 @@ class AsyncPublisher(Part):
     def _take_answer(self, reason: str) -> None:
         self._refused = reason
         self._answered.set()
+        self._demand.set()
 
     async def wait_taken(self) -> None:
         """Wait until the peer takes the topic, where there is a peer to say so. Raises ``Refused``."""
@@ -92,11 +93,12 @@ class AsyncPublisher(Part):
     async def wait_for_subscribers(self, count: int = 1, *, timeout_s: float | None = DEFAULT_TIMEOUT_S) -> None:
         """Wait until ``count`` subscriptions read the topic; return at once where the network cannot tell.
 
-        Raises ``WaitTimeout``; ``timeout_s=None`` waits for ever.
+        Raises ``WaitTimeout``, ``Refused`` or ``GraphUnavailable``; ``timeout_s=None`` waits for ever.
         """
         try:
             async with asyncio.timeout(timeout_s):
                 while (found := self.subscribers) is not None and found < count:
+                    self._check()
                     self._demand.clear()
                     await self._demand.wait()
         except TimeoutError:
@@ -109,6 +111,7 @@ class AsyncPublisher(Part):
         if self.closed:
             return
         self.closed = True
+        self._demand.set()
         try:
             if self._last:
                 await asyncio.sleep(max(self._last + _LINGER_S - time.monotonic(), 0.0))
@@ -141,11 +144,11 @@ class AsyncSubscription(Part):
             network.on_answer(self._answered)
 
     def _answered(self, reason: str) -> None:
-        if reason:
-            error = Refused(self._view.name, self.topic, reason)
+        error = Refused(self._view.name, self.topic, reason) if reason else None
+        if self._callbacks is None:
             self._inbox.fail(error)
-            if self._callbacks is not None:
-                log.error("%s", error)
+        elif error is not None:
+            log.error("%s", error)
 
     def arrived(self, batch: Sequence[Sample]) -> None:
         """Take what came from the graph."""

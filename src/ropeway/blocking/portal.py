@@ -18,6 +18,7 @@ T = TypeVar("T")
 A = TypeVar("A")
 
 STEP_S: Final = 10.0  # what opening or closing one part may take; on a loaded machine it takes a tenth of a second
+_LOOK_S: Final = 1.0  # after which Ctrl-C counts, should it have come in the very moment in which a wait began
 _CALLBACK_THREADS: Final = 32  # callbacks that run at the same time; others wait for their turn
 _CLOSED: Final = "everything that was opened in this process is closed"
 
@@ -100,7 +101,7 @@ class Portal:
             coroutine.close()
             raise GraphUnavailable("ropeway.blocking", _CLOSED) from None
         try:
-            return future.result()
+            return _result(future)
         except concurrent.futures.CancelledError:
             raise GraphUnavailable("ropeway.blocking", _CLOSED) from None
         except BaseException:
@@ -116,6 +117,16 @@ class Portal:
             return await asyncio.get_running_loop().run_in_executor(self._pool, function, argument)
 
         return call
+
+
+def _result(future: concurrent.futures.Future[T]) -> T:
+    """Wait for a result: in slices, since a signal that comes just before a wait does not end it."""
+    while True:
+        try:
+            return future.result(_LOOK_S)
+        except TimeoutError:
+            if future.done():
+                return future.result()
 
 
 async def _limited(work: Callable[[], Awaitable[T]], limit_s: float | None) -> T:
