@@ -7,6 +7,8 @@ from collections.abc import Callable
 from contextlib import AsyncExitStack
 from typing import Any
 
+import cbor2
+import lz4.frame
 import pytest
 
 from ropeway.errors import CallFailed, CallTimeout, GoalRejected, GraphUnavailable, NotServed, ProviderLost, UnknownType
@@ -15,12 +17,15 @@ from ropeway.graph.calls import ActionHandlers, ClientGoal, Goal, GoalStatus, Ou
 from ropeway.graph.rosbridge import RosbridgeGraph, servers
 from ropeway.graph.rosbridge.actions import RemoteActionClient
 from ropeway.wire import ops
+from ropeway.wire.codec import decode_value
 from ropeway.wire.dialect import ROSGW
 from tests.graph.gateways import ScriptedGateway
 from tests.graph.test_rosbridge_services import connect, heard, played
 from tests.support.actions import FIBONACCI, Worker, order, sequence
-from tests.support.rosbridge import Cloud, FakeServer
+from tests.support.rosbridge import REGISTRY, Cloud, FakeServer
 from tests.support.until import PATIENCE_S, until
+
+CODEC = REGISTRY.codec(f"{FIBONACCI}_Feedback")  # the result has the same field
 
 
 async def ended(goal: ClientGoal) -> Outcome:
@@ -95,6 +100,56 @@ async def test_results_of_a_plain_server(
     goal, message = await sent(await graph.create_action_client("/fib", FIBONACCI), fake)
     say_result(fake, message["id"], values, status, result=result)
     assert await ended(goal) == outcome
+
+
+async def test_goal_of_rosgw(stack: AsyncExitStack, fake: FakeServer) -> None:
+    """A rosgw server has named no encoding, so it gets goals as text; what it names in its answers is understood."""
+    graph = await connect(stack, fake.url)
+    assert graph.peer is not None
+    graph.peer.speak(ROSGW)
+    client = await graph.create_action_client("/fib", FIBONACCI, delivery=Delivery(encoding="zip"))
+    assert client.encoding == "none"
+    fed: list[bytes] = []
+    goal, message = await sent(client, fake, fed.append)
+    assert (message["args"], message.get("compression")) == ({"order": 5}, None)
+    common = {"action": "/fib", "id": message["id"], "result": True, "compression": "zip"}
+    for op, numbers in (("action_feedback", (1,)), ("action_result", (1, 2))):
+        values = lz4.frame.compress(cbor2.dumps(CODEC.rosgw(sequence(*numbers))))
+        fake.connections[-1].send_binary(cbor2.dumps({"op": op, **common, "values": values}))
+    assert await ended(goal) == Outcome(GoalStatus.SUCCEEDED, sequence(1, 2))
+    assert fed == [sequence(1)]
+
+
+async def test_serves_on_rosgw(stack: AsyncExitStack, fake: FakeServer) -> None:
+    """A rosgw server is told the configured encoding, gets feedback unasked, and all in the encoding of its goal."""
+    graph = await connect(stack, fake.url)
+    assert graph.peer is not None
+    graph.peer.speak(ROSGW)
+
+    async def execute(goal: ServerGoal) -> Outcome:
+        goal.feedback(sequence(1))
+        return Outcome(GoalStatus.SUCCEEDED, sequence(1, 2))
+
+    server = await graph.create_action_server(
+        "/fib", FIBONACCI, ActionHandlers(execute), delivery=Delivery(encoding="zip")
+    )
+    (told,) = await heard(fake, "advertise_action")
+    assert told["compression"] == "zip"
+    assert server.encoding == "none"  # nobody has asked for another yet
+    common = {"op": "send_action_goal", "action": "/fib", "action_type": FIBONACCI, "args": {"order": 2}}
+    fake.say({**common, "id": f"act:{'a' * 32}"})
+    (feedback,) = await heard(fake, "action_feedback")
+    assert (feedback["id"], feedback["values"]) == (f"act:{'a' * 32}", {"sequence": [1]})
+    (result,) = await heard(fake, "action_result")
+    assert (result["values"], result["result"]) == ({"sequence": [1, 2]}, True)
+    args = lz4.frame.compress(cbor2.dumps({"order": 2}))
+    fake.connections[-1].send_binary(cbor2.dumps({**common, "id": "2", "args": args, "compression": "zip"}))
+    await until(lambda: len(fake.binaries) == 2)
+    for raw, numbers in zip(fake.binaries, ((1,), (1, 2)), strict=True):
+        answer = cbor2.loads(raw)
+        assert (answer["id"], answer["compression"]) == ("2", "zip")
+        assert decode_value(answer["values"], "zip", CODEC) == sequence(*numbers)
+    assert server.encoding == "zip"
 
 
 async def test_unreadable_feedback_and_result(stack: AsyncExitStack, fake: FakeServer) -> None:
