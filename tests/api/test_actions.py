@@ -100,7 +100,7 @@ async def test_ends(network: str) -> None:
             assert ends[0].text == "stuck"
             assert "lost" in ends[1].text
             with pytest.raises(GoalRejected):
-                await client.send_goal({"order": 10})
+                await client.send_goal({"order": 10}, on_feedback=print)
             with pytest.raises(ValueMismatch):
                 await client.send_goal({"order": "x"})
         async with graph.action_client("/do", FIBONACCI) as client:

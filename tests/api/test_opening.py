@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from ropeway.api.opening import Opening
+import pytest
+
+from ropeway.api.opening import Closing, Opening
 
 
-class Door:
+class Door(Closing):
     closed = False
 
     async def close(self) -> None:
@@ -21,8 +23,9 @@ async def test_await() -> None:
     assert not (await Opening(made())).closed
 
 
-async def test_block() -> None:
-    """What is entered is closed at the end of the block."""
-    async with Opening(made()) as door:
+@pytest.mark.parametrize("first", [False, True])
+async def test_block(first: bool) -> None:
+    """What is entered, before or after it was opened, is closed at the end of the block."""
+    async with await Opening(made()) if first else Opening(made()) as door:
         assert not door.closed
     assert door.closed

@@ -6,11 +6,11 @@ import os
 from collections.abc import Iterable
 from contextlib import AsyncExitStack
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from ropeway.api.discovery import type_of
 from ropeway.api.graph import OPEN_TIMEOUT_S, open_network, profile_of, registry_of
-from ropeway.api.opening import Opening
+from ropeway.api.opening import Closing, Opening
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
@@ -58,7 +58,7 @@ async def _open(urls: tuple[str, str], node: str, types: Iterable[str | Path], t
         return AsyncBridge(views[0], views[1], stack.pop_all())
 
 
-class AsyncBridge:
+class AsyncBridge(Closing):
     """Two graphs of a program, and the names that it joins on them.
 
     ``left`` is the source and ``right`` the target of what is joined, unless ``reverse`` is true: messages go from
@@ -144,12 +144,6 @@ class AsyncBridge:
         """Take everything back and leave both networks."""
         self._closed = True
         await self._stack.aclose()
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        await self.close()
 
     def _sides(self, reverse: bool) -> tuple[View, View]:
         if self._closed:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
-from ropeway.api.opening import Opening
+from ropeway.api.opening import Closing, Opening
 
 if TYPE_CHECKING:
     from ropeway.gateway.config import Config
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["AsyncGateway", "open_gateway"]
 
 
-class AsyncGateway:
+class AsyncGateway(Closing):
     """A gateway that a program runs; ``open_gateway`` brings it up."""
 
     def __init__(self, inner: Gateway | Supervisor) -> None:
@@ -46,12 +46,6 @@ class AsyncGateway:
         if not self._closed:
             self._closed = True
             await self._inner.__aexit__(None, None, None)
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        await self.close()
 
 
 def open_gateway(config: Mapping[str, Any] | Sequence[Any] | str | Path | Config) -> Opening[AsyncGateway]:

@@ -22,7 +22,7 @@ from ropeway.api.callbacks import MessageCallback
 from ropeway.api.discovery import type_of
 from ropeway.api.inbox import QUEUE_BYTES, QUEUE_MESSAGES, Inbox
 from ropeway.api.message import MessageType, TypedMessage
-from ropeway.api.opening import Opening
+from ropeway.api.opening import Closing, Opening
 from ropeway.api.part import Part
 from ropeway.api.services import AsyncClient, AsyncService, RequestHandler, service_messages
 from ropeway.api.topics import AsyncPublisher, AsyncSubscription
@@ -107,7 +107,7 @@ def registry_of(types: Iterable[str | Path]) -> TypeRegistry:
     return registry
 
 
-class AsyncGraph:
+class AsyncGraph(Closing):
     """A graph that a program has opened.
 
     Its parts hear each other and everybody else on the network. All belong to the event loop on which the graph was
@@ -295,12 +295,6 @@ class AsyncGraph:
             await view.close()
         await self._hub.close()
         await self._graph.close()
-
-    async def __aenter__(self) -> AsyncGraph:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        await self.close()
 
     def _keep(self, part: _Part) -> _Part:
         self._parts.add(part)

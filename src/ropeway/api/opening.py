@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Coroutine, Generator
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
-__all__ = ["Opening"]
-
-
-class _Closable(Protocol):
-    async def close(self) -> None: ...
+__all__ = ["Closing", "Opening"]
 
 
-T = TypeVar("T", bound=_Closable)
+class Closing:
+    """An open object, which ``async with`` closes at the end of the block."""
+
+    async def close(self) -> None:
+        """Close it; once is enough, and more do no harm."""
+        raise NotImplementedError
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+
+T = TypeVar("T", bound=Closing)
 
 
 class Opening(Generic[T]):
-    """An object that is about to be opened.
+    """A ``Closing`` object that is about to be opened.
 
     ``await`` it to get the object and close that yourself, or enter it with ``async with``, which closes the object at
     the end of the block.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
+
+from ropeway.api.opening import Closing
 
 if TYPE_CHECKING:
     from ropeway.graph.hub import View
@@ -10,7 +12,7 @@ if TYPE_CHECKING:
 __all__ = ["Part"]
 
 
-class Part:
+class Part(Closing):
     """A publisher, subscription, client, service or action of a program.
 
     The view is its alone: so it hears all other parts of the same graph, and closing the view closes it.
@@ -24,9 +26,3 @@ class Part:
         """Take it back from the graph; once is enough, and more do no harm."""
         self.closed = True
         await self._view.close()
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        await self.close()
