@@ -154,6 +154,12 @@ UNREAD_STATUS_BYTES: Final = 1 << 20
 
 # ── ROS 1 ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
+ROS1_CALLERS: Final = 64
+"""Connections of others that call a node by XML-RPC. Above, the one that has been silent longest is dropped."""
+
+ROS1_NEWCOMERS: Final = 256
+"""Connections to a node's topics and services that have not said yet what they want. Above, the oldest is dropped."""
+
 ROS1_PUBLISHERS_PER_TOPIC: Final = 256
 """Publishers of one topic that are read, each over a connection of its own. Whoever reaches a node can tell it more."""
 

@@ -14,7 +14,7 @@ from ropeway.graph.calls import Request
 from ropeway.graph.ros1 import Ros1Graph
 from ropeway.graph.ros1.tcpros import encode_header
 from ropeway.graph.ros1.xmlrpc import split_uri
-from ropeway.limits import ROS1_PUBLISHERS_PER_TOPIC
+from ropeway.limits import ROS1_NEWCOMERS, ROS1_PUBLISHERS_PER_TOPIC
 from ropeway.qos import LATCHED, QoS
 from tests.support.ports import free_port
 from tests.support.services import ADD
@@ -187,6 +187,22 @@ async def test_more_publishers_than_are_read(master: RosMaster, join: Join) -> N
     await until(lambda: box.texts == ["still here"])
     reader.update([real])
     assert reader.uris == {real}
+
+
+async def test_silent_newcomers(master: RosMaster, join: Join) -> None:
+    """Whoever connects to a node and says nothing keeps nobody out: the oldest makes room."""
+    near, far = await join("near"), await join("far")
+    assert near._node is not None
+    silent = [await asyncio.open_connection("127.0.0.1", near._node.port) for _ in range(ROS1_NEWCOMERS + 1)]
+    with contextlib.suppress(ConnectionResetError):
+        assert await silent[0][0].read() == b""
+    box = Box()
+    await far.create_subscription("/chatter", STRING, QoS(), box)
+    publisher = await near.create_publisher("/chatter", STRING, LATCHED)
+    publisher.publish(sample(text("there is room")))
+    await until(lambda: box.texts == ["there is room"])
+    for _, writer in silent:
+        writer.close()
 
 
 async def test_same_name(master: RosMaster, join: Join) -> None:

@@ -15,6 +15,7 @@ import pytest
 
 from ropeway.errors import ConnectFailed
 from ropeway.graph.ros1.xmlrpc import Fault, XmlRpcClient, XmlRpcServer, split_uri
+from ropeway.limits import ROS1_CALLERS
 from tests.support.ports import free_port
 
 Serve = Callable[[Callable[..., Awaitable[Any]]], Awaitable[str]]
@@ -174,6 +175,21 @@ async def test_bad_calls(serve: Serve, body: str, text: str, caplog: pytest.LogC
     assert text in answer
     assert held_most < 8 << 20
     assert not caplog.records
+
+
+async def test_silent_callers(serve: Serve) -> None:
+    """Whoever connects and says nothing keeps nobody out: the one that has been silent longest makes room."""
+    host, port = split_uri(await serve(echo))
+    silent = [await asyncio.open_connection(host, port) for _ in range(ROS1_CALLERS)]
+    client = XmlRpcClient()
+    for _ in range(3):
+        assert await client.call(f"http://{host}:{port}/", "x") == ["x"]
+    await client.close()
+    assert await silent[0][0].read() == b""
+    late = [await asyncio.open_connection(host, port) for _ in range(ROS1_CALLERS)]
+    assert [await reader.read() for reader, _ in silent] == [b""] * ROS1_CALLERS
+    for _, writer in (*silent, *late):
+        writer.close()
 
 
 async def test_a_web_page(serve: Serve) -> None:

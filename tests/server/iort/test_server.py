@@ -161,6 +161,20 @@ async def test_a_web_page(method: str, path: str) -> None:
         await node.close()
 
 
+async def test_silent_connections_take_no_place() -> None:
+    """Whoever connects and sends nothing is no node: all places are for those that do."""
+    async with serving(max_clients=2) as served:
+        silent = [await Raw.connect(served.port) for _ in range(10)]
+        nodes = [await Raw.connect(served.port) for _ in range(2)]
+        for node in nodes:
+            assert (await node.ask(request("+ping", 1))).op == "+ok"
+        assert len(served.server.sessions) == 2
+        silent[0].send(b"%01/A/b/p/1%")
+        assert await silent[0].closed()
+        for node in (*silent, *nodes):
+            await node.close()
+
+
 async def test_silence_and_replies() -> None:
     """Bad packets are counted; a node of the paper hears nothing of them, one of the upgrade is told each."""
     bad = [b"01/A/b/s%", b"%01/A%", b"%01/A/b/x/1%", b"%\xff/A/b/s%", b"%01/A/b/p/" + b"x" * 3000 + b"%"]
@@ -627,8 +641,10 @@ async def test_no_place() -> None:
     """Above the greatest number of nodes one more is closed, and counted."""
     async with serving(max_clients=2) as served:
         nodes = [await Raw.connect(served.port) for _ in range(2)]
-        await nodes[1].ask(request("+ping", 1))
+        for node in nodes:
+            await node.ask(request("+ping", 1))
         third = await Raw.connect(served.port)
+        third.send(b"%01/A/b/p/1%")
         assert await third.closed()
         assert served.server.counts["no place"] == 1
         for node in (*nodes, third):

@@ -15,6 +15,7 @@ from ropeway.graph.base import Undelivered, new_origin
 from ropeway.graph.ros1.master import Master
 from ropeway.graph.ros1.tcpros import Connection
 from ropeway.graph.ros1.xmlrpc import XmlRpcClient, XmlRpcServer, split_uri
+from ropeway.limits import ROS1_NEWCOMERS
 from ropeway.types.ros1_types import Ros1Types
 
 __all__ = ["Origin", "Ros1Node", "Source", "Target", "is_loopback", "our_host"]
@@ -22,7 +23,6 @@ __all__ = ["Origin", "Ros1Node", "Source", "Target", "is_loopback", "our_host"]
 log = logging.getLogger("ropeway.graph.ros1")
 
 _HEADER_S: Final = 5.0  # who connects has so long to say what it wants
-_CONNECTIONS_LIMIT: Final = 4096
 _ORIGINS_LIMIT: Final = 16384
 _OK: Final = 1
 _ERROR: Final = -1
@@ -126,9 +126,13 @@ class Ros1Node:
 
     def made(self, connection: Connection) -> None:
         """A peer has connected."""
-        if self._tcp is None or len(self._newcomers) >= _CONNECTIONS_LIMIT:
-            connection.abort("too many connections")
+        if self._tcp is None:
+            connection.abort("the node has left")
             return
+        if len(self._newcomers) >= ROS1_NEWCOMERS:
+            oldest = next(iter(self._newcomers))
+            self._greeted(oldest)
+            oldest.abort("too many say nothing")
         timer = asyncio.get_running_loop().call_later(_HEADER_S, connection.abort, "no header came")
         self._newcomers[connection] = timer
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 from ropeway.errors import ConnectFailed
-from ropeway.limits import NESTED_CONTAINERS
+from ropeway.limits import NESTED_CONTAINERS, ROS1_CALLERS
 from ropeway.tasks import describe, end
 
 __all__ = ["Fault", "XmlRpcClient", "XmlRpcServer", "close_streams", "split_uri"]
@@ -37,7 +37,6 @@ _LINE_LIMIT_BYTES: Final = 1 << 16
 _HEADERS_LIMIT: Final = 64
 _IDLE_LIMIT: Final = 4  # connections kept per peer
 _PEERS_LIMIT: Final = 256
-_CONNECTIONS_LIMIT: Final = 256  # of a server; more are turned away
 _STRUCTURE: Final = ("methodCall", "methodName", "methodResponse", "params", "param", "fault", "value")
 _CONTAINERS: Final = ("array", "data", "struct", "member", "name")
 _NUMBERS: Final = ("boolean", "int", "i1", "i2", "i4", "i8", "biginteger", "double", "float", "bigdecimal")
@@ -160,6 +159,7 @@ class XmlRpcServer:
         self._handler = handler
         self._server: asyncio.Server | None = None
         self._tasks: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
+        self._idle: dict[asyncio.Task[None], None] = {}  # those that wait for a request, the longest first
         self.port = 0
 
     async def open(self, host: str, port: int = 0) -> None:
@@ -177,23 +177,38 @@ class XmlRpcServer:
         await close_streams(writers)
 
     def _accepted(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if self._server is None or len(self._tasks) >= _CONNECTIONS_LIMIT:
+        if self._server is None or not self._has_room():
             writer.close()
             return
         task = asyncio.create_task(self._serve(reader, writer), name="XML-RPC connection")
         self._tasks[task] = writer
         task.add_done_callback(self._ended)
 
+    def _has_room(self) -> bool:
+        """Return whether one more may connect, if need be in the place of the one that has been silent longest."""
+        if len(self._tasks) < ROS1_CALLERS:
+            return True
+        if (silent := next(iter(self._idle), None)) is None:
+            return False
+        del self._idle[silent]
+        silent.cancel()
+        return True
+
     def _ended(self, task: asyncio.Task[None]) -> None:
         self._tasks.pop(task).close()
+        self._idle.pop(task, None)
         if not task.cancelled() and (error := task.exception()) is not None:
             log.error("an XML-RPC connection failed: %s", describe(error), exc_info=error)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
         try:
             while True:
+                self._idle[task] = None
                 async with asyncio.timeout(_IDLE_S):
                     line = await reader.readline()
+                self._idle.pop(task, None)
                 if not line or not await self._answer(line, reader, writer):
                     return
         except (OSError, EOFError, ValueError, TimeoutError):

@@ -142,19 +142,25 @@ class IortServer:
     # ── what sessions call ─────────────────────────────────────────────────────────────────────────────────────
 
     def welcome(self, session: Session, transport: asyncio.Transport) -> None:
-        """Take a node that connected: let it in, or wait until it says who it is."""
+        """Take a node that connected: it is let in when something comes of it, or when it says who it is."""
         keep_alive(transport)
         session.peer = session.node = peer_address(transport.get_extra_info("peername"))
         self.counts["connections"] += 1
         self._strangers.add(session)
-        role = self.entrance.door.role_of(_request(transport))
-        if not isinstance(role, Role):
+        if not isinstance(self.entrance.door.role_of(_request(transport)), Role):
             session.expect_login(self.login_s)
-            return
-        try:
-            self._let_in(session, role)
-        except NodeError:
-            session.close()
+
+    def heard(self, session: Session) -> bool:
+        """Let a node in of which the first has come, unless it has to say who it is; return whether it may stay."""
+        assert session.transport is not None
+        role = self.entrance.door.role_of(_request(session.transport))
+        if isinstance(role, Role):
+            try:
+                self._let_in(session, role)
+            except NodeError:
+                session.close()
+                return False
+        return True
 
     def gone(self, session: Session) -> None:
         """Forget a node, which is gone."""

@@ -122,7 +122,10 @@ class Session(asyncio.Protocol):
         if not self._heard and is_http(data):
             self.server.browser_came(self)
             return
-        self._heard = True
+        if not self._heard:
+            self._heard = True
+            if not self.server.heard(self):
+                return
         while self.access is None and data:
             cut = data.find(b"%") + 1 or len(data)
             self._take(data[:cut])
