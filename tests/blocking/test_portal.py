@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 import signal
 import subprocess
@@ -123,6 +124,14 @@ def test_end_of_the_program() -> None:
     )
     done = subprocess.run([sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, timeout=50)
     assert (done.returncode, done.stdout, done.stderr) == (0, "end\n", "")
+
+
+def test_nobody_holds_it() -> None:
+    """A graph whose last reference is gone stays open until the end of the program."""
+    subscription = blocking.open("memory:held").subscribe("/a", "std_msgs/String")
+    gc.collect()
+    blocking.open("memory:held").publisher("/a", "std_msgs/String").publish({"data": "a"})
+    assert subscription.receive()["data"] == "a"
 
 
 @pytest.mark.filterwarnings(

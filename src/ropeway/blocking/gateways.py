@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.api import bridge as asynchronous
 from ropeway.api import gateway as asynchronous_gateway
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BlockingBridge", "BlockingGateway", "open_bridge", "open_gateway"]
 
-_START_S = 60.0  # a gateway with workers waits for each, and for a ROS 1 master half a minute
+_START_S: Final = 60.0  # a gateway with workers waits for each, and for a ROS 1 master half a minute
 
 
 def open_bridge(

@@ -40,12 +40,13 @@ class BlockingRoot(BlockingPart[T]):
     def __init__(self, inner: T) -> None:
         super().__init__(inner)
         self._open = True
-        portal.register(self)
+        portal.keep(self)
 
     def close(self) -> None:
         """Close it with everything that was made of it; once is enough, and more do no harm."""
         if self._open:
             self._open = False
+            portal.forget(self)
             try:
                 super().close()
             finally:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import atexit
 import concurrent.futures
+import contextlib
 import threading
-import weakref
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, Final, Protocol, TypeVar
 
-from ropeway.errors import GraphUnavailable, WaitTimeout
+from ropeway.errors import GraphUnavailable, RopewayError, WaitTimeout
 
 __all__ = ["STEP_S", "Portal", "portal"]
 
@@ -36,7 +36,7 @@ class Portal:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._users: weakref.WeakSet[_Closable] = weakref.WeakSet()
+        self._open: dict[_Closable, None] = {}
         self._count = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
@@ -65,14 +65,19 @@ class Portal:
         if pool is not None:
             pool.shutdown(wait=False)
 
-    def register(self, user: _Closable) -> None:
+    def keep(self, user: _Closable) -> None:
         """Close ``user`` at the end of the program, should nobody have done so by then."""
-        self._users.add(user)
+        self._open[user] = None
+
+    def forget(self, user: _Closable) -> None:
+        """Take back ``keep``."""
+        self._open.pop(user, None)
 
     def close_all(self) -> None:
-        """Close what is open still."""
-        for user in list(self._users):
-            user.close()
+        """Close what is open still, as far as that can be done."""
+        for user in list(self._open):
+            with contextlib.suppress(RopewayError):
+                user.close()
 
     def _start(self) -> None:
         started: concurrent.futures.Future[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = (
@@ -101,7 +106,7 @@ class Portal:
             coroutine.close()
             raise GraphUnavailable("ropeway.blocking", _CLOSED) from None
         try:
-            return _result(future)
+            return _result(future, thread)
         except concurrent.futures.CancelledError:
             raise GraphUnavailable("ropeway.blocking", _CLOSED) from None
         except BaseException:
@@ -119,14 +124,19 @@ class Portal:
         return call
 
 
-def _result(future: concurrent.futures.Future[T]) -> T:
-    """Wait for a result: in slices, since a signal that comes just before a wait does not end it."""
+def _result(future: concurrent.futures.Future[T], thread: threading.Thread) -> T:
+    """Wait for a result of the loop in ``thread``.
+
+    In slices: a signal that comes just before a wait does not end it, and a loop that ends may forget the newest calls.
+    """
     while True:
         try:
             return future.result(_LOOK_S)
         except TimeoutError:
             if future.done():
                 return future.result()
+            if not thread.is_alive():
+                raise GraphUnavailable("ropeway.blocking", _CLOSED) from None
 
 
 async def _limited(work: Callable[[], Awaitable[T]], limit_s: float | None) -> T:
