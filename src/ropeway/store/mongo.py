@@ -14,6 +14,7 @@ from urllib.parse import quote, unquote, urlsplit
 from ropeway.errors import StoreUnavailable
 from ropeway.iort import latest_version
 from ropeway.store.entry import FOREIGN, Change, Entry, Key
+from ropeway.store.mongo_stream import ChangeStream
 
 __all__ = ["POLL_S", "MongoBackend"]
 
@@ -23,8 +24,6 @@ _TIMEOUT_MS: Final = 3000
 _INVALID_NAMESPACE: Final = 73  # a name that is too long for a collection
 _DATABASE: Final = "ropeway"
 _FIELDS: Final = {"history": 0}
-_AWAIT_MS: Final = 1000
-_STREAMED: Final = 1000  # changes taken from a stream at a time
 POLL_S: Final = 1.0
 """How often all documents are read where the server has no change streams."""
 _POLL_SHARE: Final = 20
@@ -49,7 +48,7 @@ class MongoBackend:
         self._client: Any = None
         self._lock = threading.Lock()  # between writing and reading what others wrote
         self._seen: dict[Key, int] = {}  # a mark of each document as it was seen or written last
-        self._stream: Any = None
+        self._stream: ChangeStream | None = None
         self._streams = True  # until the server says that it has none
         self._pause_s = POLL_S
 
@@ -68,6 +67,7 @@ class MongoBackend:
         from pymongo import MongoClient  # a fifth of a second that only this needs
 
         self.close()
+        self._streams = True  # it may be another server than before
         with self._told():
             self._client = MongoClient(
                 self._url,
@@ -117,29 +117,31 @@ class MongoBackend:
                     entries.append(entry)
         return Change(entries, gone, read_ns)
 
-    def _open_stream(self) -> Any:
+    def _open_stream(self) -> ChangeStream | None:
         from pymongo.errors import OperationFailure
 
         if self._streams:
+            self._db()  # raises where it is not open
             try:
-                return self._db().watch(max_await_time_ms=_AWAIT_MS)
+                return ChangeStream(self._client, self._database)
             except OperationFailure as error:
                 log.info("%s has no change streams (%s); all is read each %g s", self.url, error.code, POLL_S)
                 self._streams = False
         return None
 
-    def _streamed(self, stream: Any) -> list[Key] | None:
+    def _streamed(self, stream: ChangeStream) -> list[Key] | None:
         """Wait for changes; the keys of what changed, or ``None`` where all may have."""
         found: dict[Key, None] = {}
-        while (event := stream.try_next()) is not None:
-            where, key = event.get("ns", {}).get("coll"), event.get("documentKey", {}).get("_id")
-            if where is None or not isinstance(key, str):
-                if not stream.alive:
-                    self._stream = self._open_stream()
+        events = stream.take()
+        if stream.ended:
+            self._stream = self._open_stream()
+            return None
+        for event in events:
+            where, key = event.get("ns", {}).get("coll"), event.get("documentKey", {}).get("_id", "")
+            if where is None or "documentKey" not in event:
                 return None
-            found[unquote(where), key] = None
-            if len(found) >= _STREAMED:
-                break
+            if isinstance(key, str):
+                found[unquote(where), key] = None
         return list(found)
 
     def _look_at_all(self) -> Change:
