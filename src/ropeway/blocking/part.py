@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Awaitable, Callable
 from typing import Generic, Protocol, Self, TypeVar
 
 from ropeway.blocking.portal import STEP_S, portal
+from ropeway.errors import GraphUnavailable
 
 __all__ = ["BlockingPart", "BlockingRoot", "opened"]
 
@@ -25,7 +27,8 @@ class BlockingPart(Generic[T]):
 
     def close(self) -> None:
         """Close it; once is enough, and more do no harm."""
-        portal.run(self._inner.close, STEP_S)
+        with contextlib.suppress(GraphUnavailable):  # everything was closed
+            portal.run(self._inner.close, STEP_S)
 
     def __enter__(self) -> Self:
         return self
@@ -39,14 +42,11 @@ class BlockingRoot(BlockingPart[T]):
 
     def __init__(self, inner: T) -> None:
         super().__init__(inner)
-        self._open = True
         portal.keep(self)
 
     def close(self) -> None:
         """Close it with everything that was made of it; once is enough, and more do no harm."""
-        if self._open:
-            self._open = False
-            portal.forget(self)
+        if portal.forget(self):
             try:
                 super().close()
             finally:

@@ -69,9 +69,9 @@ class Portal:
         """Close ``user`` at the end of the program, should nobody have done so by then."""
         self._open[user] = None
 
-    def forget(self, user: _Closable) -> None:
-        """Take back ``keep``."""
-        self._open.pop(user, None)
+    def forget(self, user: _Closable) -> bool:
+        """Take back ``keep``; return whether it was in force, which is true for one thread only."""
+        return self._open.pop(user, self) is None
 
     def close_all(self) -> None:
         """Close what is open still, as far as that can be done."""
