@@ -1,7 +1,7 @@
 """The data plane as the rest of the overlay sees it: one Zenoh session, on the event loop.
 
 Zenoh calls back in threads of its own. What comes is handed to the loop in batches; what goes out goes through one
-thread per lane, because a congested link blocks who writes to it, and only those of its own lane.
+thread per row (``ropeway.overlay.mark``), because a congested link blocks who writes to it, and only those of its row.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import zenoh
 
 from ropeway.errors import GraphUnavailable
 from ropeway.limits import OVERLAY_NOTE_BYTES, OVERLAY_ROUTED_BYTES, OVERLAY_WAITING_NOTES_BYTES
+from ropeway.link.outbox import LANES
 from ropeway.overlay import dead_links
 from ropeway.overlay.inlet import Inlet, one_by_one
 from ropeway.overlay.zenoh_config import MEMBER_DEAD_MS, ROUTER_DEAD_MS
@@ -44,6 +45,7 @@ _PRIORITIES: Final = (
     zenoh.Priority.DATA_LOW,
     zenoh.Priority.BACKGROUND,
 )
+_SMALL: Final = zenoh.Priority.DATA_HIGH  # the least that travels on the connection of small messages
 
 T = TypeVar("T")
 Handle = Callable[[], None]
@@ -97,7 +99,7 @@ class Fabric:
         self.gateway = gateway
         self._config = config
         self._session: zenoh.Session | None = None
-        self._lanes: dict[int, ThreadPoolExecutor] = {}
+        self._rows: dict[int, ThreadPoolExecutor] = {}
         self._link_events: Any = None
         self._declared: dict[_Declared, None] = {}
         self._open = asyncio.Event()
@@ -138,9 +140,9 @@ class Fabric:
         async with self._changing:
             self._declared.clear()
             await self._stop()
-        for lane in self._lanes.values():
-            lane.shutdown(wait=False, cancel_futures=True)
-        self._lanes.clear()
+        for row in self._rows.values():
+            row.shutdown(wait=False, cancel_futures=True)
+        self._rows.clear()
 
     async def _stop(self) -> None:
         self._open.clear()
@@ -161,7 +163,7 @@ class Fabric:
     def _link_changed(self, event: zenoh.LinkEvent) -> None:
         """In a thread of Zenoh's."""
         if event.kind == zenoh.SampleKind.PUT:
-            target = str(event.link.dst)
+            target = str(event.link.dst).partition("?")[0]
             to_router = target.rpartition(":")[2] in self._router_ports
             dead_links.limit(str(event.link.src), target, MEMBER_DEAD_MS if to_router else ROUTER_DEAD_MS)
 
@@ -288,23 +290,23 @@ class Fabric:
             with contextlib.suppress(zenoh.ZError):
                 self._session.undeclare(key)
 
-    def put(self, lane: int, key: str | zenoh.KeyExpr, payload: bytes, mark: bytes | None = None) -> None:
-        """Put data, with a mark beside it; waits while the link is congested, so call it in the lane's thread."""
+    def put(self, row: int, key: str | zenoh.KeyExpr, payload: bytes, mark: bytes | None = None) -> None:
+        """Put data, with a mark beside it; waits while the link is congested, so call it in the row's thread."""
         self._ready.wait(_REOPEN_S)
         self.session.put(
             key,
             payload,
             attachment=mark,
             congestion_control=zenoh.CongestionControl.BLOCK,
-            priority=_PRIORITIES[lane],
+            priority=_priority(row),
             express=True,
         )
 
-    def in_lane(self, lane: int, work: Callable[[], T]) -> asyncio.Future[T]:
-        """Run ``work`` in the thread of a lane, in order."""
-        executor = self._lanes.get(lane)
+    def in_row(self, row: int, work: Callable[[], T]) -> asyncio.Future[T]:
+        """Run ``work`` in the thread of a row, in order."""
+        executor = self._rows.get(row)
         if executor is None:
-            executor = self._lanes[lane] = ThreadPoolExecutor(1, thread_name_prefix=f"overlay-lane-{lane}")
+            executor = self._rows[row] = ThreadPoolExecutor(1, thread_name_prefix=f"overlay-row-{row}")
         return self._loop.run_in_executor(executor, work)
 
     async def ask(
@@ -392,3 +394,11 @@ class Fabric:
     def links(self) -> set[str]:
         """The routers and gateways that we are linked with now, by Zenoh id."""
         return {str(zid) for zid in self._session.info.routers_zid()} if self._session is not None else set()
+
+
+def _priority(row: int) -> zenoh.Priority:
+    """Return the priority that a row travels with: that of its lane, and at least that of small messages' connection
+    where it is a row of these.
+    """
+    priority = _PRIORITIES[row % LANES]
+    return min(priority, _SMALL, key=_PRIORITIES.index) if row >= LANES else priority
