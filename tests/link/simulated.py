@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from ropeway.link.model import LinkModel, Reading
 
-__all__ = ["Path", "Tcp", "greedy", "simulate"]
+__all__ = ["Path", "Tcp", "greedy", "images", "share", "simulate"]
 
 SEGMENT_BYTES = 1448
 HEADERS_BYTES = 52
@@ -208,3 +208,61 @@ def simulate(
     clock.run(seconds)
     got = sum(size for at, size in tcp.arrived if skip_s <= at < seconds)
     return Outcome(got / (seconds - skip_s), sum(waits) / len(waits), sum(unsent) / len(unsent))
+
+
+def images(clock: Clock, tcp: Tcp, model: LinkModel, size: int, hz: float) -> None:
+    """Send pictures of ``size`` bytes, ``hz`` a second, always the newest."""
+    left = waiting = 0
+
+    def new() -> None:
+        nonlocal waiting
+        waiting = size
+        clock.at(clock.now + 1 / hz, new)
+        pump()
+
+    def pump() -> None:
+        nonlocal left, waiting
+        while model.room_bytes > 0 and (left or waiting):
+            if not left:
+                left, waiting = waiting, 0
+            pace = model.pace.bytes_per_s or 0.0
+            part = min(max(int(pace * 0.002), 4096), max(model.room_bytes, SEGMENT_BYTES), left)
+            left -= part
+            model.handed(part)
+            tcp.hand(part)
+            if model.room_bytes <= 0:
+                model.observe(tcp.reading())
+
+    def look() -> None:
+        model.observe(tcp.reading())
+        pump()
+        clock.at(clock.now + max(model.look_in_s, LOOK_S), look)
+
+    new()
+    look()
+
+
+def share(
+    path: Path, *, size: int, hz: float, count: int, congestion: str, seconds: float
+) -> tuple[list[float], float]:
+    """Run some senders of pictures, and from the third second on one that fills the link until it loses packets.
+
+    Return the rates of the senders, and of the other, over the second half.
+    """
+    clock = Clock()
+    ours = [Tcp(clock, path, congestion) for _ in range(count)]
+    for number, tcp in enumerate(ours):
+        clock.at(0.01 * number, lambda tcp=tcp: images(clock, tcp, LinkModel(), size, hz))  # type: ignore[misc]
+    other = Tcp(clock, path, "reno")
+
+    def feed() -> None:
+        if other.unsent_bytes < 1 << 21:
+            other.hand(1 << 19)
+        clock.at(clock.now + 0.005, feed)
+
+    clock.at(3.0, feed)
+    clock.run(seconds / 2)
+    before = [tcp.delivered for tcp in (*ours, other)]
+    clock.run(seconds)
+    *rates, rest = ((tcp.delivered - was) / (seconds / 2) for tcp, was in zip((*ours, other), before, strict=True))
+    return rates, rest

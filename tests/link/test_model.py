@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ropeway.link.model import LinkModel, Reading
-from tests.link.simulated import HEADERS_BYTES, SEGMENT_BYTES, Path, simulate
+from tests.link.simulated import HEADERS_BYTES, SEGMENT_BYTES, Path, share, simulate
 
 _GOODPUT: Final = SEGMENT_BYTES / (SEGMENT_BYTES + HEADERS_BYTES)
 _PART_BYTES: Final = 4096
@@ -117,6 +117,36 @@ def test_a_change_of_delay(before_ms: float, after_ms: float) -> None:
     after = 3.0 + 25 * 2 * after_ms / 1e3
     outcome = simulate(path, seconds=after + 2.0, skip_s=after, change=change, change_at=3.0)
     assert outcome.rate >= 0.9 * path.rate * _GOODPUT
+
+
+@pytest.mark.parametrize("delay_ms", [10, 60])
+def test_a_change_of_both(delay_ms: float) -> None:
+    """A route that becomes longer and four times as fast is full again soon."""
+    path = Path(5 * _MBIT, 0.01)
+
+    def change() -> None:
+        path.rate, path.delay_s = 20 * _MBIT, delay_ms / 1e3
+
+    after = 3.0 + 25 * 2 * delay_ms / 1e3
+    outcome = simulate(path, seconds=after + 2.0, skip_s=after, change=change, change_at=3.0)
+    assert outcome.rate >= 0.9 * path.rate * _GOODPUT, outcome
+
+
+@pytest.mark.parametrize("congestion", ["open", "reno"])
+def test_beside_one_who_fills_the_link(congestion: str) -> None:
+    """Two senders whose pictures need less than their share of a link get it beside one who fills its deep queue."""
+    need = 190_000 * 15
+    rates, rest = share(Path(100 * _MBIT, 0.01), size=190_000, hz=15, count=2, congestion=congestion, seconds=24.0)
+    assert min(rates) >= 0.85 * need, (rates, rest)
+    assert rest >= 0.3 * 100 * _MBIT
+
+
+@pytest.mark.parametrize("congestion", ["open", "reno"])
+def test_not_starved(congestion: str) -> None:
+    """A sender who could use the whole link keeps a part of it beside one who fills its deep queue."""
+    rates, rest = share(Path(20 * _MBIT, 0.01), size=190_000, hz=15, count=1, congestion=congestion, seconds=40.0)
+    assert rates[0] >= 0.1 * 20 * _MBIT, (rates, rest)
+    assert rest >= 0.3 * 20 * _MBIT
 
 
 def reading(now: float, delivered: int, *, rtt: float = 0.02, lost: int = 0, unsent: int = 0) -> Reading:
