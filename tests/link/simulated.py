@@ -166,11 +166,9 @@ def greedy(clock: Clock, tcp: Tcp, model: LinkModel) -> None:
     def look() -> None:
         model.observe(tcp.reading())
         while model.room_bytes > 0:
-            part = 4096
             pace = model.pace.bytes_per_s
-            if pace is not None:
-                part = int(min(max(pace * 0.002, 4096), 1 << 20))
-            part = min(part, max(model.room_bytes, 1448))
+            part = model.window_bytes // 4 if pace is None else int(min(pace * 0.002, 1 << 20))
+            part = max(min(part, model.room_bytes), SEGMENT_BYTES)
             model.handed(part)
             tcp.hand(part)
             if model.room_bytes <= 0:
@@ -226,7 +224,7 @@ def images(clock: Clock, tcp: Tcp, model: LinkModel, size: int, hz: float) -> No
             if not left:
                 left, waiting = waiting, 0
             pace = model.pace.bytes_per_s or 0.0
-            part = min(max(int(pace * 0.002), 4096), max(model.room_bytes, SEGMENT_BYTES), left)
+            part = min(max(min(int(pace * 0.002), model.room_bytes), SEGMENT_BYTES), left)
             left -= part
             model.handed(part)
             tcp.hand(part)

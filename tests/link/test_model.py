@@ -12,7 +12,7 @@ from ropeway.link.model import LinkModel, Reading
 from tests.link.simulated import HEADERS_BYTES, SEGMENT_BYTES, Path, share, simulate
 
 _GOODPUT: Final = SEGMENT_BYTES / (SEGMENT_BYTES + HEADERS_BYTES)
-_PART_BYTES: Final = 4096
+_PART_BYTES: Final = SEGMENT_BYTES
 _MBIT: Final = 125_000
 
 

@@ -7,7 +7,8 @@ trip, and a little more. Two figures bound it:
 * the **window**, what may be on the way. Its law is that of FAST TCP (Wei, Jin, Low and Hegde, 2006): while it holds
   us back, ``window * (shortest round trip + target) / round trip`` leaves a queue of ``target`` seconds at the
   narrowest place, whatever its rate. Where no queue builds up, the window is too small: it doubles at the start and
-  grows by a quarter every other round trip later, as a change shows a round trip after it was made.
+  grows every other round trip later, little at first and then ever more, as a change shows a round trip after it was
+made.
 * what is **unsent**, handed to the kernel and not yet on the way: only what the link carries away before we look again.
 
 The shortest round trip is forgotten after a while, as routes change; while we fill the link ourselves, a part of the
@@ -34,9 +35,10 @@ _LEAST_QUEUE_S: Final = 0.002  # timers have a resolution of 1 ms
 _MOST_QUEUE_S: Final = 0.005
 _QUEUE_SHARE: Final = 0.05  # of the round trip
 _MOST_QUEUE_SHARE: Final = 0.25  # where round trips vary
-_STEP: Final = 1.25  # every other round trip without a queue
-_LEAP: Final = 2.0  # where the pace says that there is room, and after some steps without a queue
-_QUIET_ROUNDS: Final = 2
+_FEW_SEGMENTS: Final = 16  # on the way: one more or less is much
+_FIRST_STEP: Final = 0.05  # of the window, where no queue builds up; twice as much each time it still does not
+_LEAP: Final = 2.0  # where the pace says that there is room, and at most
+_LEAST_LEAP: Final = 1.25
 _SHORTEST_ROUND_S: Final = 0.01  # below, a round trip says more of the processor than of the link
 _SHORTEST_ROUND_SEGMENTS: Final = 16  # with fewer the smoothed round trip is still that of before
 _LONGEST_ROUND_TRIPS: Final = 4
@@ -52,6 +54,7 @@ _UNSENT_S: Final = 0.004  # what the kernel may hold back: four looks of the sho
 _FULL: Final = 2.0  # times the shortest round trip, and a long queue: the start has gone too far
 _FORGET: Final = 0.99  # per hand-over
 _LONG_QUEUE: Final = 3.0  # targets
+_LONG_SHARE: Final = 0.25  # of the round trip
 _LEAST_UNSENT_BYTES: Final = 8 * 1024
 _FIRST_UNSENT_BYTES: Final = 16 * 1024
 _SHORTEST_LOOK_S: Final = 0.001
@@ -84,8 +87,9 @@ class LinkModel:
     ``look_in_s`` when to read again.
     """
 
-    def __init__(self, pace: Pace | None = None) -> None:
+    def __init__(self, pace: Pace | None = None, *, part_bytes: int = 0) -> None:
         self.pace = pace or Pace()
+        self._part_bytes = part_bytes  # what is handed over at once, at least, and not spread by the kernel
         self.window_bytes = _FIRST_WINDOW_BYTES
         self.room_bytes = _FIRST_UNSENT_BYTES
         self.outstanding_bytes = 0
@@ -97,6 +101,7 @@ class LinkModel:
         """Messages are lost on a link that is not full: a congestion control that takes losses for a full link
         wastes it."""
         self._unsent_bytes = 0
+        self._segment_bytes = 1448
         self._largest_bytes = 0.0  # of what was handed over at once
         self._least_bytes = _LEAST_WINDOW_BYTES
         self._quiet = 0
@@ -125,9 +130,17 @@ class LinkModel:
     @property
     def target_queue_s(self) -> float:
         """The queue that keeps the link busy between two looks."""
-        pace = self.pace.bytes_per_s
-        segments_s = 0.0 if pace is None else self._least_bytes / pace
-        return max(_LEAST_QUEUE_S, segments_s, min(_QUEUE_SHARE * (self.base_rtt_s or 0.0), _MOST_QUEUE_S))
+        pace, base_s = self.pace.bytes_per_s, self.base_rtt_s or 0.0
+        target_s = max(_LEAST_QUEUE_S, min(_QUEUE_SHARE * base_s, _MOST_QUEUE_S))
+        if pace is None:
+            return target_s
+        few = pace * base_s < _FEW_SEGMENTS * self._segment_bytes
+        return max(target_s, max(self._part_bytes, self._least_bytes if few else self._segment_bytes) / pace)
+
+    @property
+    def _long_queue_s(self) -> float:
+        """A queue that we did not want."""
+        return max(_LONG_QUEUE * max(self.target_queue_s, _MOST_QUEUE_S), _LONG_SHARE * (self.base_rtt_s or 0.0))
 
     @property
     def look_in_s(self) -> float:
@@ -146,7 +159,9 @@ class LinkModel:
         if not self._drain_rounds or self.base_rtt_s is None:
             return self.window_bytes
         base, target = self.base_rtt_s, self.target_queue_s
-        return int(max(self.window_bytes * max((base - target) / (base + target), _LEAST_DRAINED), self._least_bytes))
+        return int(
+            max(self.window_bytes * max((base - 2 * target) / (base + target), _LEAST_DRAINED), self._least_bytes)
+        )
 
     def handed(self, size_bytes: int) -> None:
         """Note what was handed to the kernel since the last reading."""
@@ -157,6 +172,7 @@ class LinkModel:
     def observe(self, reading: Reading) -> None:
         """Take a reading: learn from it, and set ``room_bytes``."""
         now = self._now_s = reading.now_s
+        self._segment_bytes = reading.segment_bytes
         self._least_bytes = max(_LEAST_WINDOW_BYTES, 2 * reading.segment_bytes)
         self.window_bytes = max(self.window_bytes, self._least_bytes)
         self._unsent_bytes = reading.unsent_bytes
@@ -233,7 +249,7 @@ class LinkModel:
             self._held_in_slot = True
             if self.outstanding_bytes > 1.1 * self.window_bytes + self._least_bytes + self._largest_bytes:
                 self._settling = 1  # what was sent before a cut is still on the way
-            elif queue_s < target_s / 2:
+            elif queue_s < (max(target_s, _MOST_QUEUE_S) if self.starting else target_s / 2):
                 self._grow(base + target_s)
             elif self._settling:
                 self._settling -= 1  # what arrived was sent before the last change
@@ -250,10 +266,10 @@ class LinkModel:
             self._settling -= 1
             return
         self._quiet += 1
-        step = _LEAP if below or self._quiet > _QUIET_ROUNDS else _STEP
+        step = _LEAP if below else min(1 + _FIRST_STEP * 2 ** (self._quiet - 1), _LEAP)
         wider = step * self.window_bytes
         if below and pace is not None:
-            wider = min(wider, max(pace * busy_s, _STEP * self.window_bytes))
+            wider = min(wider, max(pace * busy_s, _LEAST_LEAP * self.window_bytes))
         self._set_window(wider)
 
     def _cut_at_once(self, rtt_s: float) -> None:
@@ -263,7 +279,7 @@ class LinkModel:
             return
         if test is not None:
             test.note(rtt_s - base)
-        if rtt_s < base + _LONG_QUEUE * self.target_queue_s:
+        if rtt_s < base + self._long_queue_s:
             return
         if self.starting:
             if rtt_s < _FULL * base + _LONG_QUEUE * _MOST_QUEUE_S:
@@ -286,7 +302,7 @@ class LinkModel:
         self._quiet = 0
         self.starting = False
         window, pace, test = self.window_bytes, self.pace.bytes_per_s, self._test
-        if queue_s <= 2 * target_s or pace is None:
+        if queue_s <= max(2 * target_s, self._long_queue_s) or pace is None:
             self._test = None
         elif window <= self._least_bytes:  # so little makes no long queue
             self._hold(test or _Test(window, pace, queue_s), base_s, base_s + queue_s + target_s)

@@ -51,7 +51,9 @@ class Path:
 
     def __init__(self, *, express: bool = False) -> None:
         self.express = express
-        self.model = LinkModel(Pace(least_row_s=_LEAST_ROW_S, shortest_row_s=_SHORTEST_ROW_S, down=_DOWN))
+        self.model = LinkModel(
+            Pace(least_row_s=_LEAST_ROW_S, shortest_row_s=_SHORTEST_ROW_S, down=_DOWN), part_bytes=_PART_MIN_BYTES
+        )
         self.stalled = False
         self._under_way: list[deque[tuple[int, int, float]]] = [deque() for _ in range(ROWS)]  # number, bytes, when
         self._sent_bytes = [0] * ROWS  # each changed by its row's thread alone
