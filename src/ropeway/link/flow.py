@@ -114,7 +114,7 @@ class Flow:
             model.room_bytes = 1 << 30
             return
         model.observe(reading)
-        pace = model.pace.bytes_per_s
+        pace = model.wanted_bps
         if pace is not None:
             spread = not model.starting and pace < _PACING_LIMIT and (model.base_rtt_s or 0.0) >= _PACING_ROUND_TRIP_S
             tcp.pace(_PACING_GAIN * pace if spread else None)

@@ -39,6 +39,7 @@ _FEW_SEGMENTS: Final = 16  # on the way: one more or less is much
 _FIRST_STEP: Final = 0.05  # of the window, where no queue builds up; twice as much each time it still does not
 _LEAP: Final = 2.0  # where the pace says that there is room, and at most
 _LEAST_LEAP: Final = 1.25
+_LONG_ROUND_TRIP_S: Final = 0.005  # below, the window is what processors need
 _SHORTEST_ROUND_S: Final = 0.01  # below, a round trip says more of the processor than of the link
 _SHORTEST_ROUND_SEGMENTS: Final = 16  # with fewer the smoothed round trip is still that of before
 _LONGEST_ROUND_TRIPS: Final = 4
@@ -119,10 +120,21 @@ class LinkModel:
         self._retransmissions = 0
 
     @property
+    def wanted_bps(self) -> float | None:
+        """How fast what may be on the way can leave: at least the pace, and more where the window has grown beyond it.
+
+        What waits in the kernel must not hold back a window that grows: the pace would only show our own limit.
+        """
+        pace, base_s = self.pace.bytes_per_s, self.base_rtt_s
+        if pace is None or base_s is None or base_s < _LONG_ROUND_TRIP_S:
+            return pace
+        return max(pace, self.window_bytes / base_s)
+
+    @property
     def unsent_limit_bytes(self) -> int:
         """How much may wait in the kernel."""
         least = max(_LEAST_UNSENT_BYTES, self._least_bytes)
-        pace = self.pace.bytes_per_s
+        pace = self.wanted_bps
         if self.starting or pace is None:
             least = max(_FIRST_UNSENT_BYTES, self.window_bytes // 4)
         return least if pace is None else max(int(pace * _UNSENT_S), least)
@@ -145,7 +157,7 @@ class LinkModel:
     @property
     def look_in_s(self) -> float:
         """When to read again, after the last ``observe``."""
-        pace = self.pace.bytes_per_s
+        pace = self.wanted_bps
         if pace is None or self.starting:
             return _SHORTEST_LOOK_S
         excess = max(
@@ -159,9 +171,8 @@ class LinkModel:
         if not self._drain_rounds or self.base_rtt_s is None:
             return self.window_bytes
         base, target = self.base_rtt_s, self.target_queue_s
-        return int(
-            max(self.window_bytes * max((base - 2 * target) / (base + target), _LEAST_DRAINED), self._least_bytes)
-        )
+        share = max((base - 2 * target) / (base + target), _LEAST_DRAINED)
+        return int(max(share * self.window_bytes, self._least_bytes))
 
     def handed(self, size_bytes: int) -> None:
         """Note what was handed to the kernel since the last reading."""
