@@ -241,16 +241,18 @@ def images(clock: Clock, tcp: Tcp, model: LinkModel, size: int, hz: float) -> No
 
 
 def share(
-    path: Path, *, size: int, hz: float, count: int, congestion: str, seconds: float
+    path: Path, *, size: int, hz: float, count: int, congestion: str, seconds: float, late_s: float = 0.0
 ) -> tuple[list[float], float]:
     """Run some senders of pictures, and from the third second on one that fills the link until it loses packets.
+
+    The pictures begin ``late_s`` seconds after the beginning.
 
     Return the rates of the senders, and of the other, over the second half.
     """
     clock = Clock()
     ours = [Tcp(clock, path, congestion) for _ in range(count)]
     for number, tcp in enumerate(ours):
-        clock.at(0.01 * number, lambda tcp=tcp: images(clock, tcp, LinkModel(), size, hz))  # type: ignore[misc]
+        clock.at(late_s + 0.01 * number, lambda tcp=tcp: images(clock, tcp, LinkModel(), size, hz))  # type: ignore[misc]
     other = Tcp(clock, path, "reno")
 
     def feed() -> None:

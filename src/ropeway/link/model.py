@@ -50,6 +50,9 @@ _CUT: Final = 0.8  # of the window is left after a cut that should show
 _HALF: Final = 0.5  # of the window is used while we look whose queue it is
 _HELD_S: Final = 30.0  # others who fill the link make its queue longer at least so often
 _SHARE: Final = 0.5  # of the pace that we had is not given up to them
+_CROWDED: Final = 1.5  # targets: with us alone, the queue is one
+_CROWDED_ROUNDS: Final = 4  # pairs of round trips
+_FIRST_PROBE: Final = 0.1  # of the window
 _OURS: Final = 0.3  # of what we would change if we were alone on the link
 _UNSENT_S: Final = 0.004  # what the kernel may hold back: four looks of the shortest kind
 _FULL: Final = 2.0  # times the shortest round trip, and a long queue: the start has gone too far
@@ -114,6 +117,9 @@ class LinkModel:
         self._round: _Round | None = None
         self._test: _Test | None = None
         self._held: _Held | None = None
+        self._probe: _Probe | None = None
+        self._crowded = 0
+        self._lost = False  # since we sent more
         self._calm_bps = 0.0  # the pace before there was a long queue
         self._now_s = 0.0
         self._lossy_rounds = 0
@@ -243,6 +249,7 @@ class LinkModel:
     def _end_round(self, ended: _Round, reading: Reading) -> None:
         lost = reading.retransmissions > self._retransmissions
         self._retransmissions = reading.retransmissions
+        self._lost = self._lost or lost
         base = self.base_rtt_s
         if base is None:
             return
@@ -313,6 +320,10 @@ class LinkModel:
         self._quiet = 0
         self.starting = False
         window, pace, test = self.window_bytes, self.pace.bytes_per_s, self._test
+        if self._probe is not None:
+            self._answer(self._probe, base_s, queue_s)
+            return
+        self._crowded = self._crowded + 1 if queue_s > _CROWDED * target_s and test is None else 0
         if queue_s <= max(2 * target_s, self._long_queue_s) or pace is None:
             self._test = None
         elif window <= self._least_bytes:  # so little makes no long queue
@@ -332,7 +343,26 @@ class LinkModel:
             else:
                 self._hold(test, base_s, base_s + queue_s + target_s)
                 return
+        if self._crowded >= _CROWDED_ROUNDS:
+            self._ask(base_s, queue_s, _FIRST_PROBE)
+            return
         self._set_window(max(window * (base_s + target_s) / (base_s + queue_s), self._held_bytes))
+
+    def _ask(self, base_s: float, queue_s: float, more: float) -> None:
+        """Send a little more beside a queue that does not become shorter: one of ours becomes longer."""
+        self._probe = _Probe(self.window_bytes, queue_s, more)
+        self._lost = False
+        self._set_window((1 + more) * self.window_bytes)
+
+    def _answer(self, probe: _Probe, base_s: float, queue_s: float) -> None:
+        """See whether a queue became longer as we sent more, or was full; if not, take our share, step by step."""
+        self._probe = None
+        self._crowded = 0
+        if self._lost or queue_s - probe.queue_s >= _OURS * probe.more * (base_s + probe.queue_s):
+            self._set_window(probe.window_bytes)
+            return
+        self._set_base(base_s + queue_s)
+        self._ask(base_s + queue_s, 0.0, min(_LEAST_LEAP * probe.more, 1.0))
 
     @property
     def _held_bytes(self) -> float:
@@ -377,6 +407,14 @@ class _Test:
         cut = 1 - window_bytes / self.window_bytes
         alone_s = min(self.queue_s, cut * (base_s + self.queue_s))
         return self.queue_s - queue_s >= _OURS * alone_s
+
+
+class _Probe(NamedTuple):
+    """The window and the queue before we sent more, and how much more."""
+
+    window_bytes: int
+    queue_s: float
+    more: float
 
 
 class _Held(NamedTuple):
