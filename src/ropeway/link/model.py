@@ -35,7 +35,6 @@ _LEAST_QUEUE_S: Final = 0.002  # timers have a resolution of 1 ms
 _MOST_QUEUE_S: Final = 0.005
 _QUEUE_SHARE: Final = 0.05  # of the round trip
 _MOST_QUEUE_SHARE: Final = 0.25  # where round trips vary
-_FEW_SEGMENTS: Final = 16  # on the way: one more or less is much
 _FIRST_STEP: Final = 0.05  # of the window, where no queue builds up; twice as much each time it still does not
 _LEAP: Final = 2.0  # where the pace says that there is room, and at most
 _LEAST_LEAP: Final = 1.25
@@ -52,6 +51,8 @@ _HELD_S: Final = 30.0  # others who fill the link make its queue longer at least
 _SHARE: Final = 0.5  # of the pace that we had is not given up to them
 _CROWDED: Final = 1.5  # targets: with us alone, the queue is one
 _CROWDED_ROUNDS: Final = 4  # pairs of round trips
+_PLAIN: Final = 3  # pairs of segments that a queue of ours is longer with more of the window
+_SLOW_ROUNDS: Final = 48  # likewise, where we are so slow that the queue might be our target
 _FIRST_PROBE: Final = 0.1  # of the window
 _OURS: Final = 0.3  # of what we would change if we were alone on the link
 _UNSENT_S: Final = 0.004  # what the kernel may hold back: four looks of the shortest kind
@@ -105,7 +106,6 @@ class LinkModel:
         """Messages are lost on a link that is not full: a congestion control that takes losses for a full link
         wastes it."""
         self._unsent_bytes = 0
-        self._segment_bytes = 1448
         self._largest_bytes = 0.0  # of what was handed over at once
         self._least_bytes = _LEAST_WINDOW_BYTES
         self._quiet = 0
@@ -152,8 +152,7 @@ class LinkModel:
         target_s = max(_LEAST_QUEUE_S, min(_QUEUE_SHARE * base_s, _MOST_QUEUE_S))
         if pace is None:
             return target_s
-        few = pace * base_s < _FEW_SEGMENTS * self._segment_bytes
-        return max(target_s, max(self._part_bytes, self._least_bytes if few else self._segment_bytes) / pace)
+        return max(target_s, max(self._part_bytes, self._least_bytes) / pace)  # segments go and are told of in pairs
 
     @property
     def _long_queue_s(self) -> float:
@@ -189,7 +188,6 @@ class LinkModel:
     def observe(self, reading: Reading) -> None:
         """Take a reading: learn from it, and set ``room_bytes``."""
         now = self._now_s = reading.now_s
-        self._segment_bytes = reading.segment_bytes
         self._least_bytes = max(_LEAST_WINDOW_BYTES, 2 * reading.segment_bytes)
         self.window_bytes = max(self.window_bytes, self._least_bytes)
         self._unsent_bytes = reading.unsent_bytes
@@ -323,7 +321,7 @@ class LinkModel:
         if self._probe is not None:
             self._answer(self._probe, base_s, queue_s)
             return
-        self._crowded = self._crowded + 1 if queue_s > _CROWDED * target_s and test is None else 0
+        self._crowded = self._crowded + 1 if queue_s > _CROWDED * min(target_s, _MOST_QUEUE_S) and test is None else 0
         if queue_s <= max(2 * target_s, self._long_queue_s) or pace is None:
             self._test = None
         elif window <= self._least_bytes:  # so little makes no long queue
@@ -343,8 +341,9 @@ class LinkModel:
             else:
                 self._hold(test, base_s, base_s + queue_s + target_s)
                 return
-        if self._crowded >= _CROWDED_ROUNDS:
-            self._ask(base_s, queue_s, _FIRST_PROBE)
+        if self._crowded >= (_CROWDED_ROUNDS if queue_s > _CROWDED * target_s else _SLOW_ROUNDS):
+            plain = _PLAIN * self._least_bytes / (pace * (base_s + queue_s)) if pace else 0.0
+            self._ask(base_s, queue_s, min(max(_FIRST_PROBE, plain), 1.0))
             return
         self._set_window(max(window * (base_s + target_s) / (base_s + queue_s), self._held_bytes))
 
