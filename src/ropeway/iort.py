@@ -101,6 +101,7 @@ DISCOVERY_PORT = 7411
 """UDP port at which local servers are found."""
 
 _GROUP = "239.255.74.11"  # of addresses that stay within an organization
+_SIOCGIFBRDADDR = 0x8919  # of Linux: the broadcast address of an interface
 _ASKED_S = 0.4  # how long answers are waited for
 _ANSWERS = 16  # of one search
 _ANSWERS_PER_S = 20  # of one server, whoever asks
@@ -1475,10 +1476,38 @@ async def _search(where: Union[bool, str], token: Optional[str]) -> List[str]:
         for target in targets:
             with contextlib.suppress(OSError):
                 transport.sendto(searcher.question(), target)
+        if not isinstance(where, str):
+            _ask_everywhere(transport, searcher.question())
         await asyncio.sleep(_ASKED_S)
     finally:
         transport.close()
     return [url for name, url in sorted((name, url) for url, name in searcher.found.items())]
+
+
+def _ask_everywhere(transport: Any, question: bytes) -> None:
+    """Ask on each interface by itself: without a default route, as on a robot's own network, nothing else goes out."""
+    sock = transport.get_extra_info("socket")
+    for index, broadcast in _interfaces(sock):
+        with contextlib.suppress(OSError):
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, bytes(8) + struct.pack("@i", index))
+            transport.sendto(question, (_GROUP, DISCOVERY_PORT))
+        if broadcast != "0.0.0.0":  # noqa: S104 - which stands for none
+            with contextlib.suppress(OSError):
+                transport.sendto(question, (broadcast, DISCOVERY_PORT))
+
+
+def _interfaces(sock: Any) -> List[Tuple[int, str]]:
+    """Return index and broadcast address of each interface with an IPv4 address, where the system is Linux."""
+    if not sys.platform.startswith("linux"):
+        return []
+    import fcntl
+
+    found = []
+    for index, name in socket.if_nameindex():
+        with contextlib.suppress(OSError):  # it has no address
+            told = fcntl.ioctl(sock.fileno(), _SIOCGIFBRDADDR, struct.pack("256s", name.encode()[:15]))
+            found.append((index, socket.inet_ntoa(told[20:24])))
+    return found
 
 
 # ── the local server ───────────────────────────────────────────────────────────────────────────────────────────────
@@ -1825,9 +1854,10 @@ def _discovery_socket(port: int) -> socket.socket:
     try:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         sock.bind(("", port))
-        with contextlib.suppress(OSError):  # a machine without multicast is found by broadcast
-            group = struct.pack("4s4s", socket.inet_aton(_GROUP), socket.inet_aton("0.0.0.0"))  # noqa: S104 - any interface
-            sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+        for index in [0] + [index for index, _ in _interfaces(sock)]:  # 0: that of the default route
+            with contextlib.suppress(OSError):  # a machine without multicast is found by broadcast
+                group = socket.inet_aton(_GROUP) + bytes(4) + (struct.pack("@i", index) if index else b"")
+                sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
         sock.setblocking(False)
     except OSError:
         sock.close()
