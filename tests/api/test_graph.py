@@ -10,6 +10,8 @@ import pytest
 
 import ropeway
 from ropeway import ConnectFailed, GraphUnavailable, InvalidDefinition, UnknownType
+from ropeway.graph.rosbridge import RosbridgeGraph
+from tests.api.conftest import new_network
 from tests.support.until import until
 
 
@@ -84,3 +86,20 @@ async def test_cancelled_while_it_opens() -> None:
         with pytest.raises(asyncio.CancelledError):
             await opening
         assert asyncio.all_tasks() == before
+
+
+async def test_close_leaves_nothing_behind() -> None:
+    """When a graph behind a server is closed, both connections of the link have ended."""
+    config = {"gateway": {"graphs": [new_network()], "listen": ["ws://127.0.0.1:0"]}}
+    async with ropeway.open_gateway(config) as gateway, ropeway.open(f"ws://127.0.0.1:{gateway.ports[0]}") as graph:
+        link = graph._graph
+        assert isinstance(link, RosbridgeGraph)
+        peer = link.peer
+        assert peer is not None
+        await until(lambda: peer.express._connection is not None)
+        second = peer.express._connection
+        assert second is not None
+        await graph.close()
+        assert peer.connection.closed
+        assert second.closed
+        assert not [task for task in asyncio.all_tasks() if task.get_name().startswith(("link ", "second connection"))]

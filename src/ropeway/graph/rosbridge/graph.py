@@ -179,6 +179,7 @@ class RosbridgeGraph:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(2):
                     await connection.wait_closed()
+                    await self._keeper.left()
         await self._keeper.stop()
         self._changes.close()
         self.teller.leave()

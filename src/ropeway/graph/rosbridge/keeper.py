@@ -76,6 +76,11 @@ class Keeper:
         if error is not None:
             raise error
 
+    async def left(self) -> None:
+        """Wait until all that belongs to the link has ended, after its connection was closed with ``leaving`` set."""
+        if self._task is not None:
+            await self._task.wait()
+
     async def stop(self) -> None:
         """Keep it up no more."""
         await end(self._task)

@@ -38,7 +38,11 @@ async def keep_second(peer: Peer, connect: Callable[[Peer], Awaitable[Connection
             log.debug("no second connection: %s", error)
         else:
             began = time.monotonic()
-            await made.wait_closed()
+            try:
+                await made.wait_closed()
+            finally:  # whoever ends the link may end the event loop next: no socket is to be left behind
+                made.close(1000, "the link has closed")
+                await made.wait_closed()
             if time.monotonic() - began > _LAST_RETRY_S:
                 delay_s = _FIRST_RETRY_S
         await asyncio.sleep(delay_s)
