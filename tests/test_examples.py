@@ -111,8 +111,8 @@ def test_bridge() -> None:
 
 def test_gateway() -> None:
     """Two gateways show their routes, which wait for publishers and readers."""
-    lines = run("gateway.py", "2")
-    assert [line.rpartition(" ")[0] for line in lines] == 2 * ["publish /odom", "subscribe /cmd_vel"]
+    lines = run("gateway.py", "1")
+    assert [line.rpartition(" ")[0] for line in lines] == ["publish /odom", "subscribe /cmd_vel"]
 
 
 def test_rosbridge_client() -> None:
