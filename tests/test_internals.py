@@ -58,6 +58,15 @@ def test_pinned(package: str) -> None:
     assert f"`{wanted}`" in PAGE, f"docs/internals.md does not say {wanted}"
 
 
+def test_failures_say_what_to_do() -> None:
+    """A canary that fails names the version, the section of the page, and what to do."""
+    with (
+        pytest.raises(pytest.fail.Exception, match="Read the section 'rosbags' of"),
+        relied_on("rosbags", "rosbags"),
+    ):
+        raise AttributeError("connections")
+
+
 def test_cyclonedds_version() -> None:
     """The wheel that the raw path takes is the pinned one."""
     assert f"`cyclonedds=={WHEEL_VERSION}`" in PAGE

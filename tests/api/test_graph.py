@@ -44,6 +44,12 @@ async def test_no_graph(url: str, text: str) -> None:
         await ropeway.open(url)
 
 
+async def test_url(url: str) -> None:
+    """A graph knows the URL that it was opened with."""
+    async with ropeway.open(url) as graph:
+        assert graph.url == url
+
+
 async def test_nobody_answers() -> None:
     """A server that cannot be reached is an error at once, one that says nothing is one when the time is over."""
     with socket.socket() as silent:

@@ -77,7 +77,7 @@ async def _open(
     registry = registry_of(types)
     graph = make_graph(url, registry=registry, name=node, ssl_context=ssl_context, headers=headers)
     await open_network(graph, timeout_s)
-    return AsyncGraph(graph, registry, node)
+    return AsyncGraph(graph, url, registry, node)
 
 
 async def open_network(graph: Graph, timeout_s: float | None) -> None:
@@ -108,7 +108,7 @@ def registry_of(types: Iterable[str | Path]) -> TypeRegistry:
 
 
 class AsyncGraph(Closing):
-    """A graph that a program has opened.
+    """A graph that a program has opened; ``url`` is what it was opened with.
 
     Its parts hear each other and everybody else on the network. All belong to the event loop on which the graph was
     opened; ``ropeway.blocking`` is for threads. Names may be relative: ``chatter`` is ``/chatter``. Where a ``type`` is
@@ -116,8 +116,8 @@ class AsyncGraph(Closing):
     spellings do, ``std_msgs/String`` and ``std_msgs/msg/String``.
     """
 
-    def __init__(self, graph: Graph, registry: TypeRegistry, node: str) -> None:
-        self.url = graph.name
+    def __init__(self, graph: Graph, url: str, registry: TypeRegistry, node: str) -> None:
+        self.url = url
         self.registry = registry
         self._graph, self._node = graph, node
         self._hub = Hub(graph)
@@ -304,7 +304,7 @@ class AsyncGraph(Closing):
     async def _new_view(self) -> AsyncIterator[View]:
         """Give a part its view of the graph, and take that back if the part cannot be made."""
         if self._closed:
-            raise GraphUnavailable(self.url, "it is closed")
+            raise GraphUnavailable(self._graph.name, "it is closed")
         view = self._hub.view(self._node, alone=True)
         try:
             yield view
