@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import os
+import signal
 from collections.abc import AsyncIterator, Callable, Generator, Iterator
 from contextlib import AsyncExitStack
 
@@ -15,11 +15,13 @@ from tests.support.isolation import isolated_dds
 
 def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:
     """Tests that are marked ``jumping`` run on a loop that does not wait, all others on asyncio's own."""
-    return {
-        "asyncio": JumpingLoop
-        if (item.get_closest_marker("jumping") or os.environ.get("JUMP"))
-        else asyncio.new_event_loop
-    }
+    return {"asyncio": JumpingLoop if item.get_closest_marker("jumping") else asyncio.new_event_loop}
+
+
+def pytest_configure() -> None:
+    """Let Ctrl-C reach the processes that tests start, also where a shell has put the test run into the background."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # which processes inherit
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -70,7 +70,7 @@ def test_as_a_user(place: Place) -> None:
     )  # fmt: skip
     graph, identity = f"overlay:{place.file('cloud.ropeway')}", place.file("cloud.ropeway")
     try:
-        spin = ("--spin-time", "15")
+        spin = ("--spin-time", "45")  # less, where all is found
         assert "data: hi" in place.run("topic", "echo", "/chatter", "--once", "-g", graph, *spin)
         listed = json.loads(place.run("overlay", "list", "-i", identity, "--json", *spin).splitlines()[0])
         assert (listed["name"], listed["member"]) == ("/chatter", "robot")

@@ -122,14 +122,14 @@ async def test_everybody_has_left(site: Site) -> None:
             await guest.close()
         await until(lambda: not graph.node.membership.gateways())
 
-    def census() -> dict[str, int]:
+    def census() -> dict[int, object]:
         gc.collect()
-        kinds = (Stream, Follower, Feed, Fabric, OverlayGraph)
-        return {kind.__name__: sum(type(found) is kind for found in gc.get_objects()) for kind in kinds}
+        kinds = {Stream, Follower, Feed, Fabric, OverlayGraph}
+        return {id(found): found for found in gc.get_objects() if type(found) in kinds}
 
-    before = census()
+    before = census()  # which also keeps what others have left until the end
     await visits(6)
-    assert census() == before
+    await until(lambda: census().keys() <= before.keys())  # a thread of the network may have the last for a moment
     assert graph.node.held.bytes == 0
     assert not graph.node.rib.all("publisher")
     assert not graph.node.rpc._channels

@@ -7,6 +7,7 @@ import base64
 import importlib.util
 import json
 import sys
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
@@ -124,11 +125,14 @@ async def test_throttle(run: Run, place: Place) -> None:
     plan = {"subscribe": [{"name": "/fast", "type": STRING, "throttle_rate": 200, "queue_length": 1}]}
     async with run(plan) as program:
         await until(lambda: publisher.subscribers == 1)
+        began = time.monotonic()
         for number in range(60):
             publisher.publish(sample(place, STRING, {"data": str(number)}))
             await asyncio.sleep(0.01)
         await program.wait(lambda: program.heard("/fast")[-1:] == [{"data": "59"}])
-        assert 3 <= len(program.heard("/fast")) <= 6
+        heard = len(program.heard("/fast"))
+        assert heard >= 3
+        assert (heard - 2) * 0.2 <= time.monotonic() - began  # however long the busy machine took
 
 
 async def test_thirty_clients(run: Run, place: Place) -> None:
