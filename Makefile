@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 BENCHES = paper scenarios applications loopback urgent big wan start readers services clients overlay nodes
+# The tests of a file run in one process, one after the other; files run beside each other.
+PARALLEL = -n auto --maxprocesses 4 --dist loadfile
 export PYTHON
 
 .PHONY: help demo demo-iort test test-all lint bench fuzz clean
@@ -18,10 +20,10 @@ demo-iort: $(VENV)/demo.stamp ## one command to a ROS 2, a ROS 1 and another rob
 	@$(BIN)/ropeway demo-iort $(DEMO)
 
 test: $(VENV)/dev.stamp ## all tests but the slow ones; TEST="-k outbox" for some
-	@$(BIN)/python -m pytest -q -m "not slow" $(TEST)
+	@$(BIN)/python -m pytest -q $(PARALLEL) -m "not slow" $(TEST)
 
 test-all: $(VENV)/dev.stamp ## all tests, with a short run of the fuzzer and of everything that must not grow
-	@$(BIN)/python -m pytest -q $(TEST)
+	@$(BIN)/python -m pytest -q $(PARALLEL) $(TEST)
 
 lint: $(VENV)/dev.stamp ## style, spelling, types, the direction of imports, and no circles of them
 	@$(BIN)/ruff check .

@@ -8,9 +8,14 @@ from collections.abc import AsyncIterator, Callable, Generator, Iterator
 from contextlib import AsyncExitStack
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.support.clock import JumpingLoop
 from tests.support.isolation import isolated_dds
+
+# How long an example may take, or take to be made, is not for the clock of a busy machine to say.
+settings.register_profile("ropeway", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("ropeway")
 
 
 def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:

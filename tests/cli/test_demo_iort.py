@@ -13,11 +13,12 @@ from ropeway.cli.demo_iort.tracks import draw, summary
 from tests.cli.conftest import Ropeway
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_three_robots(ropeway: Ropeway, tmp_path: Path) -> None:
     """A robot of ROS 2, one of ROS 1 (where it is installed) and Alice do what one node says, and it is drawn."""
     output = tmp_path / "tracks.png"
-    done = ropeway("demo-iort", "--json", "--output", str(output), "--domain", "74", timeout_s=100)
+    done = ropeway("demo-iort", "--json", "--output", str(output), "--domain", "74", timeout_s=200)
     assert done.returncode == 0, done.stdout + done.stderr
     told = json.loads(done.stdout)
     names = ["ROS 2", "Alice"] if ros1_missing() else ["ROS 2", "ROS 1", "Alice"]

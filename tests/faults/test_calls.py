@@ -12,7 +12,7 @@ from tests.faults.conftest import Machine, Pair, took_s
 
 from .node_types import ACTION, SERVICE
 
-pytestmark = [pytest.mark.netns, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.netns, pytest.mark.slow, pytest.mark.timeout(300)]
 
 MakePair = Callable[[], Awaitable[Pair]]
 NOTICED_S = 7.0  # what is promised is 5 s

@@ -15,7 +15,7 @@ import pytest
 from tests.faults.conftest import ROOT, Machine, Pair, took_s
 from tests.support.messages import STRING
 
-pytestmark = [pytest.mark.netns, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.netns, pytest.mark.slow, pytest.mark.timeout(300)]
 
 MakePair = Callable[[], Awaitable[Pair]]
 NOTICED_S = 7.0  # what is promised is 5 s
@@ -80,7 +80,6 @@ async def cut(net: Pair, robot: Machine, cloud: Machine, seconds: float, silentl
     await robot.until(lambda: [r["state"] for r in robot.status["routes"]] == ["active", "active"])
 
 
-@pytest.mark.slow
 async def test_cut_links(pair: MakePair) -> None:
     """A cut is noticed within 5 s on both sides, and data flows both ways within 2 s of the end of any cut."""
 

@@ -19,6 +19,8 @@ from tests.support.until import PATIENCE_S, until
 from .test_gateway import World, url
 from .test_gateway import world as world  # the fixture
 
+pytestmark = pytest.mark.jumping
+
 ADD, FIBONACCI, TRIGGER = (
     "example_interfaces/srv/AddTwoInts",
     "example_interfaces/action/Fibonacci",

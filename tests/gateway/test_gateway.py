@@ -19,6 +19,8 @@ from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 _numbers = itertools.count()
 
 

@@ -17,6 +17,7 @@ from tests.faults.conftest import Machine
 from tests.support.messages import STRING, text
 from tests.support.until import until
 
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]  # each starts five gateways
 _domains = itertools.cycle(range(110, 120))
 HZ = 50.0
 
@@ -81,7 +82,6 @@ async def heard_once(network: Network, wanted: range) -> None:
     assert strays <= 6, network.heard
 
 
-@pytest.mark.timeout(180)  # it starts five gateways; 25 s where the machine has nothing else to do
 async def test_two_pairs(stack: AsyncExitStack) -> None:
     """A topic that two pairs of gateways forward arrives once; when parts of a pair die, it goes on without loss."""
     a, b = await two_networks(stack)

@@ -28,6 +28,8 @@ from tests.support.until import PATIENCE_S, until
 
 from .test_hub import Place
 
+pytestmark = pytest.mark.jumping
+
 TRIGGER = "std_srvs/srv/Trigger"
 EMPTY = b"\0\1\0\0"
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 import gc
 import weakref
 
+import pytest
+
 from ropeway.graph.action import ComposedActionServer
 from ropeway.graph.calls import ActionHandlers, Outcome, ServerGoal
 from ropeway.graph.kept import Kept
 from ropeway.graph.memory import MemoryGraph
+
+pytestmark = pytest.mark.jumping
 
 
 class _Part:

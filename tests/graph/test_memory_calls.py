@@ -16,6 +16,8 @@ from tests.support.actions import FIBONACCI
 from tests.support.services import ADD
 from tests.support.until import PATIENCE_S
 
+pytestmark = pytest.mark.jumping
+
 _numbers = itertools.count()
 
 

@@ -31,6 +31,8 @@ from ropeway.types import TypeRegistry
 from tests.graph.parameter_node import REGISTRY, ParameterNode
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 _numbers = itertools.count()
 
 VALUES: dict[str, ParameterValue] = {

@@ -22,6 +22,8 @@ from ropeway.qos import LATCHED
 from ropeway.types import TypeRegistry
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 STRING, JOINTS = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
 TORNADO, ROSGW, UNKNOWN = "Server: TornadoServer/6.4", "date: Sun, 22 Nov 2026 10:05:03 GMT", "Server: nginx"
 REGISTRY = TypeRegistry()

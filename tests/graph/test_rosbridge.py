@@ -28,6 +28,8 @@ from tests.support.messages import STRING, sample, text
 from tests.support.rosbridge import FAST, REGISTRY, Cloud, FakeServer
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 OWN = "my_msgs/msg/Own"
 
 

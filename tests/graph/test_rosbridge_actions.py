@@ -25,6 +25,8 @@ from tests.support.actions import FIBONACCI, Worker, order, sequence
 from tests.support.rosbridge import REGISTRY, Cloud, FakeServer
 from tests.support.until import PATIENCE_S, until
 
+pytestmark = pytest.mark.jumping
+
 CODEC = REGISTRY.codec(f"{FIBONACCI}_Feedback")  # the result has the same field
 
 

@@ -17,6 +17,8 @@ from tests.support.messages import sample
 from tests.support.rosbridge import REGISTRY, FakeServer
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 HEADER = "std_msgs/msg/Header"
 RAW = bytes(4) + b"\x64\0\0\0\x05\0\0\0\x01\0\0\0l"
 VALUES = {"stamp": {"sec": 100, "nanosec": 5}, "frame_id": "l"}

@@ -32,6 +32,8 @@ from tests.support.rosbridge import REGISTRY, Cloud, FakeServer
 from tests.support.services import ADD, TEXT, Gate, add, addends, answer, total
 from tests.support.until import PATIENCE_S, until
 
+pytestmark = pytest.mark.jumping
+
 REQUEST, RESPONSE = REGISTRY.codec(f"{ADD}_Request"), REGISTRY.codec(f"{ADD}_Response")
 
 

@@ -16,6 +16,8 @@ from ropeway.qos import QoS
 from tests.support.messages import STRING, text
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 US = "m"  # our id; the smaller one speaks
 
 

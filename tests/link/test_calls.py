@@ -23,6 +23,8 @@ from tests.link.test_peer import REGISTRY, Link, Setting, sample
 from tests.support.messages import STRING, text
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 CODEC = REGISTRY.codec(STRING)
 
 

@@ -28,6 +28,8 @@ from tests.server.client import Client, frame
 from tests.support.messages import STRING, text
 from tests.support.until import PATIENCE_S, until
 
+pytestmark = pytest.mark.jumping
+
 LIMITS = Limits(ping_interval_s=None, max_message_bytes=8 << 20)
 ORIGIN = b"o" * 16
 REGISTRY = TypeRegistry()

@@ -19,6 +19,8 @@ from tests.server.conftest import Place
 from tests.support.messages import STRING
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 NAMES = st.from_regex(r"/[a-z_]{1,5}(/[a-z_]{1,5}){0,2}", fullmatch=True)
 VIEWER = Role(
     "viewer",

@@ -17,6 +17,8 @@ from tests.server.conftest import Place
 from tests.support.actions import FIBONACCI, Worker, count, order, ordered, sequence
 from tests.support.until import PATIENCE_S, until
 
+pytestmark = pytest.mark.jumping
+
 GOAL = '{"op":"send_action_goal","id":"send_action_goal:/fib:1","action":"/fib",'
 TYPE = '"action_type":"example_interfaces/Fibonacci",'
 

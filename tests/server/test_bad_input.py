@@ -23,6 +23,8 @@ from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 IMAGE = {"op": "advertise", "topic": "/image", "type": "sensor_msgs/Image"}
 PUBLISH = {"op": "publish", "topic": "/chatter", "msg": {"data": "x"}}
 MSG = {**PUBLISH, "compression": "zip"}

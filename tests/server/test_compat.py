@@ -29,6 +29,8 @@ from tests.support.messages import STRING, sample, text
 from tests.support.services import ADD, add
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 IMU, FLOATS = "sensor_msgs/msg/Imu", "std_msgs/msg/Float64MultiArray"
 
 
@@ -285,7 +287,6 @@ async def test_long_integers(place: Place) -> None:
 # ── clients that are slow, hostile or odd ──────────────────────────────────────────────────────────────────────────
 
 
-@pytest.mark.jumping
 async def test_client_that_does_not_read(place: Place) -> None:
     """While one client reads nothing of 64 MB that it asked for, others have what they asked for, in time."""
     robot = await publisher(place, "/big", QoS(depth=10))

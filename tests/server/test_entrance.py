@@ -13,6 +13,8 @@ from ropeway.server.door import Door, Refusal, TokenRule
 from tests.server.client import fetch
 from tests.server.conftest import Place
 
+pytestmark = pytest.mark.jumping
+
 TOKENS = [TokenRule.plain("open-sesame", EVERYTHING)]
 
 

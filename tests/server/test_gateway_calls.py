@@ -16,6 +16,8 @@ from tests.support.actions import FIBONACCI, Worker, count, order, sequence
 from tests.support.services import ADD, add, addends, total
 from tests.support.until import PATIENCE_S, until
 
+pytestmark = pytest.mark.jumping
+
 CALL = "0123456789abcdef" * 2
 
 

@@ -14,6 +14,8 @@ from ropeway.server.hosts import Hosts
 from tests.server.client import fetch
 from tests.server.conftest import Place
 
+pytestmark = pytest.mark.jumping
+
 
 async def test_versions(place: Place) -> None:
     """``/`` tells the version of the protocol and the server, with or without a query."""

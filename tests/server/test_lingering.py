@@ -10,6 +10,8 @@ from ropeway.limits import LINGERING_CLIENTS
 from ropeway.server.lingering import Lingering
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 
 class Left:
     """A client that left behind some topics."""

@@ -10,6 +10,8 @@ from tests.server.conftest import Place
 from tests.support.messages import STRING
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 NAMES = Names("/bridges/rosbridge")
 
 

@@ -21,6 +21,8 @@ from ropeway.graph.parameters import (
 from ropeway.server.own_parameters import OwnParameter, OwnParameters
 from ropeway.types import TypeRegistry
 
+pytestmark = pytest.mark.jumping
+
 REGISTRY = TypeRegistry()
 NODE = "/rosbridge_websocket"
 _numbers = itertools.count()

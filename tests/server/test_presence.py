@@ -16,6 +16,8 @@ from ropeway.types import TypeRegistry
 from tests.server.conftest import Place
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 _registry = TypeRegistry()
 _numbers = itertools.count()
 

@@ -19,6 +19,8 @@ from tests.support.messages import sample
 from tests.support.rosbridge import REGISTRY
 from tests.support.until import until
 
+pytestmark = pytest.mark.jumping
+
 SPELLING = Ros1Spelling(Ros1Types(REGISTRY))
 
 

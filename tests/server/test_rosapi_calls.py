@@ -11,6 +11,8 @@ from tests.server.conftest import Place
 from tests.server.rosapi.test_rosapi import FIBONACCI
 from tests.support.messages import STRING
 
+pytestmark = pytest.mark.jumping
+
 
 @pytest.mark.parametrize("service", ["/rosapi/topic_type", "rosapi/topic_type", "/rosapi/topic_type#7"])
 async def test_both_names(place: Place, service: str) -> None:

@@ -9,6 +9,8 @@ from ropeway.link.express import HEADER
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
 from tests.server.conftest import Place
 
+pytestmark = pytest.mark.jumping
+
 
 def sockets(port: int) -> list[object]:
     """The server's ends of the connections to a port."""

@@ -19,6 +19,8 @@ from tests.server.conftest import Place
 from tests.support.services import ADD, add, addends, total
 from tests.support.until import PATIENCE_S, until
 
+pytestmark = pytest.mark.jumping
+
 SET, TRIGGER, EMPTY = "std_srvs/srv/SetBool", "std_srvs/srv/Trigger", "std_srvs/srv/Empty"
 CALL = '{"op":"call_service","id":"call_service:/add:1","service":"/add","type":"example_interfaces/AddTwoInts",'
 

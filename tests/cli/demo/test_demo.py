@@ -174,10 +174,11 @@ def test_parts_of_a_recording() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_the_whole_demo(ropeway: Ropeway) -> None:
     """Two networks, two gateways: messages arrive on every route and the status is 0."""
     domains = (str(150 + os.getpid() % 40), str(190 + os.getpid() % 40))
-    result = ropeway("demo", "--for", "2", "--json", "--domains", *domains, timeout_s=50)
+    result = ropeway("demo", "--for", "2", "--json", "--domains", *domains, timeout_s=120)
     assert result.returncode == 0, result.stderr
     told = json.loads(result.stdout)
     assert told["ok"]

@@ -16,6 +16,8 @@ from tests.graph.parameter_node import ParameterNode
 
 from .conftest import Place
 
+pytestmark = pytest.mark.jumping
+
 VALUES: dict[str, ParameterValue] = {
     "flag": True,
     "width": 640,

@@ -16,6 +16,8 @@ from tests.support.messages import STRING
 
 from .conftest import Place
 
+pytestmark = pytest.mark.jumping
+
 IMAGE = "sensor_msgs/msg/Image"
 SET_BOOL = "std_srvs/srv/SetBool"
 
