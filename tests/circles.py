@@ -16,9 +16,7 @@ __all__ = ["STANDING", "circles", "complaints", "imports_of"]
 
 STANDING: Final[Mapping[str, str]] = {
     "graph.dds.client": "graph.dds.graph",
-    "graph.dds.endpoints": "graph.dds.matching graph.dds.participant",
     "graph.dds.ends": "graph.dds.graph",
-    "graph.dds.fast.ends": "graph.dds.fast.node",
     "graph.dds.publisher": "graph.dds.graph",
     "graph.dds.service": "graph.dds.graph",
     "graph.hub_calls": "graph.hub_actions",
@@ -30,7 +28,6 @@ STANDING: Final[Mapping[str, str]] = {
     "graph.overlay.publisher": "graph.overlay.graph",
     "graph.overlay.sender": "graph.overlay.graph graph.overlay.publisher",
     "graph.overlay.subscription": "graph.overlay.graph",
-    "graph.ros1.client": "graph.ros1.keeper",
     "graph.ros2.client": "graph.ros2.graph",
     "graph.ros2.publisher": "graph.ros2.graph",
     "graph.ros2.readers": "graph.ros2.graph",
@@ -51,7 +48,6 @@ STANDING: Final[Mapping[str, str]] = {
     "server.service_ops": "server.session",
     "server.topic_ops": "server.session",
     "server.topics": "server.session",
-    "store.mirror": "store.store",
     "types.codec": "types.registry",
     "types.distros": "types.registry types.variant",
     "types.told": "types.registry",

@@ -13,17 +13,15 @@ import logging
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway.errors import StoreUnavailable, ValueRefused
-from ropeway.store.entry import FOREIGN, Entry, Key, Mirror
+from ropeway.store.entry import FOREIGN, Backend, Entry, Key, Mirror
 from ropeway.store.thread import run_in
 from ropeway.tasks import Supervised, end
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-
-    from ropeway.store.store import Store
 
 __all__ = ["Mirroring"]
 
@@ -37,10 +35,39 @@ _LOOK_S: Final = 3.0  # who asks for a value waits no longer for the mirror
 _NOT_YET: Final = "not connected yet"
 
 
-class Mirroring:
-    """The work of one ``mirror`` for ``store``, of which it uses what is public."""
+class Mirrored(Protocol):
+    """What a mirror needs of the store whose values it keeps."""
 
-    def __init__(self, store: Store, mirror: Mirror, *, history: int) -> None:
+    @property
+    def backend(self) -> Backend:
+        """Where the store itself keeps them."""
+        ...
+
+    def get(self, system: str, topic: str) -> Entry | None:
+        """Return a value that is here."""
+        ...
+
+    def entries(self) -> list[Entry]:
+        """Return all values that are here."""
+        ...
+
+    def waiting(self, key: Key) -> Entry | None:
+        """Return the value that is not written yet."""
+        ...
+
+    def put(self, entry: Entry) -> bool:
+        """Take a value. Raises ``ValueRefused``."""
+        ...
+
+    async def remove(self, system: str, topic: str, *, mirrored: bool) -> bool:
+        """Forget a value. Raises ``StoreUnavailable``."""
+        ...
+
+
+class Mirroring:
+    """The work of one ``mirror`` for ``store``."""
+
+    def __init__(self, store: Mirrored, mirror: Mirror, *, history: int) -> None:
         self.mirror = mirror
         self.fault = _NOT_YET
         self._store, self._history = store, history

@@ -7,7 +7,7 @@ import contextlib
 import ctypes as ct
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from ropeway.graph.base import SEQ_NONE, Sample, Undelivered
 from ropeway.graph.dds.raw import (
@@ -17,7 +17,6 @@ from ropeway.graph.dds.raw import (
     SERDATA_HEADER,
     SERDATA_SIZE,
     SERDATA_TIMESTAMP,
-    DdsError,
     IoVec,
     SampleInfo,
     check,
@@ -26,10 +25,11 @@ from ropeway.graph.dds.raw import (
 
 if TYPE_CHECKING:
     from ropeway.graph.dds.byteorder import ByteOrder
+    from ropeway.graph.dds.courier import Courier
     from ropeway.graph.dds.matching import Matches
-    from ropeway.graph.dds.participant import Participant
+    from ropeway.graph.dds.pump import Pump
 
-__all__ = ["RawReader", "RawWriter", "WriterIdentity", "matched", "tell_padding", "without_padding"]
+__all__ = ["RawReader", "RawWriter", "WriterIdentity", "tell_padding", "without_padding"]
 
 _BATCH: Final = 64  # samples per take
 _HEADER_BYTES: Final = 4
@@ -57,6 +57,19 @@ class WriterIdentity(NamedTuple):
     helper: bool = False
 
 
+class Host(Protocol):
+    """What readers and writers need of the participant that they belong to."""
+
+    pump: Pump
+    courier: Courier
+    clock: Callable[[], int]
+    identities: dict[int, WriterIdentity]
+
+    def identify(self, reader: int, handle: int) -> WriterIdentity:
+        """Return who the writer behind a publication handle is, where discovery has not told yet."""
+        ...
+
+
 class RawReader:
     """Takes samples in the pump's thread and gives them to ``deliver`` on the loop, in batches, oldest first.
 
@@ -66,7 +79,7 @@ class RawReader:
 
     def __init__(
         self,
-        participant: Participant,
+        participant: Host,
         topic: tuple[str, str],
         type: str,
         entity: int,
@@ -191,7 +204,7 @@ class RawWriter:
 
     def __init__(
         self,
-        participant: Participant,
+        participant: Host,
         topic: tuple[str, str],
         entity: int,
         sertype: int,
@@ -347,17 +360,3 @@ def tell_padding(serdata: int, length: int) -> None:
     padding = -length & 3
     _u8_at(serdata + SERDATA_HEADER + _OPTIONS_AT).value = padding
     ct.memset(serdata + SERDATA_HEADER + length, 0, padding)
-
-
-def matched(get: Callable[..., Any], entity: int) -> list[int]:
-    """The handles of what an entity is matched with; ``get`` is one of ``lib.get_matched_…``."""
-    room = 64
-    while True:
-        handles = (ct.c_uint64 * room)()
-        try:
-            count = check(get(entity, handles, room), "get_matched")
-        except DdsError:
-            return []
-        if count <= room:
-            return list(handles[:count])
-        room = count + 16

@@ -8,9 +8,8 @@ from typing import Any, Final
 
 from ropeway.graph.dds import raw
 from ropeway.graph.dds.endpoint_qos import parse_user_data, read_qos
-from ropeway.graph.dds.endpoints import matched
 from ropeway.graph.dds.pump import Pump
-from ropeway.graph.dds.raw import check, lib
+from ropeway.graph.dds.raw import check, lib, matched
 from ropeway.graph.dds.records import Peer
 from ropeway.graph.dds.vendors import HELPER_MARK, speaks_header
 

@@ -19,13 +19,13 @@ from ropeway.graph.dds import domain, raw
 from ropeway.graph.dds.byteorder import ByteOrder
 from ropeway.graph.dds.courier import Courier
 from ropeway.graph.dds.endpoint_qos import parse_user_data, read_qos, reader_qos, user_data, writer_qos
-from ropeway.graph.dds.endpoints import RawReader, RawWriter, WriterIdentity, matched
+from ropeway.graph.dds.endpoints import RawReader, RawWriter, WriterIdentity
 from ropeway.graph.dds.matching import Matches, since_of
 from ropeway.graph.dds.names import DISCOVERY_TOPIC, DISCOVERY_TYPE, DISCOVERY_TYPE_HASH
 from ropeway.graph.dds.nodes import GID_BYTES, OLD_GID_BYTES, NodeEntities, ParticipantEntities, encode, parse
 from ropeway.graph.dds.profile import Profile
 from ropeway.graph.dds.pump import Pump, run_in_thread
-from ropeway.graph.dds.raw import ALIVE, INFO, Endpoint, ParticipantData, SampleInfo, check, lib
+from ropeway.graph.dds.raw import ALIVE, INFO, Endpoint, ParticipantData, SampleInfo, check, lib, matched
 from ropeway.graph.dds.records import Discovered, EndpointRecord, Gone, Joined, NodesRecord, Peer
 from ropeway.graph.dds.selftest import verify
 from ropeway.graph.dds.vendors import HELPER_MARK, speaks_header

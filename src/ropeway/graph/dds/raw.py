@@ -404,3 +404,17 @@ def make_serdata(sertype: int, payload: bytes) -> int:
     vector = IoVec(payload, len(payload))
     made = lib.serdata_from_ser_iov(sertype, SERDATA_DATA, 1, ct.byref(vector), len(payload))
     return made or 0
+
+
+def matched(get: Callable[..., Any], entity: int) -> list[int]:
+    """Return the handles of what an entity is matched with; ``get`` is one of ``lib.get_matched_…``."""
+    room = 64
+    while True:
+        handles = (ct.c_uint64 * room)()
+        try:
+            count = check(get(entity, handles, room), "get_matched")
+        except DdsError:
+            return []
+        if count <= room:
+            return list(handles[:count])
+        room = count + 16

@@ -7,7 +7,6 @@ import contextlib
 import logging
 import struct
 from typing import TYPE_CHECKING, Final
-from urllib.parse import urlsplit
 
 from ropeway.errors import (
     CallFailed,
@@ -21,48 +20,21 @@ from ropeway.errors import (
 )
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request
 from ropeway.graph.direct import Running
+from ropeway.graph.ros1.probe import Stream, connect
 from ropeway.graph.ros1.tcpros import encode_header, read_frame, read_header
 from ropeway.graph.ros1.xmlrpc import close_streams
-from ropeway.types.ros1_types import ANY
 
 if TYPE_CHECKING:
     from ropeway.graph.ros1.keeper import Keeper
     from ropeway.graph.ros1.node import Ros1Node
     from ropeway.types.ros1_convert import Converter
 
-__all__ = ["Ros1Client", "probe_service"]
+__all__ = ["Ros1Client"]
 
 log = logging.getLogger("ropeway.graph.ros1")
 
 _IDLE_LIMIT: Final = 4
 _LOOK_AGAIN_S: Final = 0.25
-_PROBE_S: Final = 3.0
-
-Stream = tuple[asyncio.StreamReader, asyncio.StreamWriter]
-
-
-async def _connect(api: str) -> Stream:
-    """Connect to ``rosrpc://host:port``. Raises ``OSError`` and ``ValueError``."""
-    parts = urlsplit(api)
-    if parts.scheme != "rosrpc" or not parts.hostname or not parts.port:
-        raise ValueError(f"{api!r} is not rosrpc://host:port")
-    return await asyncio.open_connection(parts.hostname, parts.port)
-
-
-async def probe_service(node: Ros1Node, service: str, api: str) -> str:
-    """The type of a service, ``pkg/Name``, from the header its provider answers; ``""`` if it gives none."""
-    try:
-        async with asyncio.timeout(_PROBE_S):
-            reader, writer = await _connect(api)
-            try:
-                fields = {"callerid": node.name, "md5sum": ANY, "probe": "1", "service": service}
-                writer.write(encode_header(fields))
-                return (await read_header(reader)).get("type", "")
-            finally:
-                writer.close()
-    except (OSError, EOFError, ValueError, TimeoutError, InvalidFrame) as error:
-        log.debug("%s: the type of %s is not known: %s", node.graph, service, error)
-        return ""
 
 
 class _Gone(Exception):
@@ -150,7 +122,7 @@ class Ros1Client:
             writer.close()
         api = await self._look_up()
         try:
-            reader, writer = await _connect(api)
+            reader, writer = await connect(api)
         except (OSError, ValueError) as error:
             raise _Gone(str(error)) from None
         try:

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import ConnectFailed, TypesError
 from ropeway.graph.base import Changes
-from ropeway.graph.ros1.client import probe_service
 from ropeway.graph.ros1.learn import learn_type
 from ropeway.graph.ros1.master import Refused
 from ropeway.graph.ros1.picture import Picture, State, full_name
+from ropeway.graph.ros1.probe import probe_service
 from ropeway.graph.ros1.reader import TopicReader
 from ropeway.graph.ros1.service import ServiceDoor
 from ropeway.graph.ros1.writer import TopicWriter

@@ -9,12 +9,13 @@ import ctypes as ct
 import struct
 import time
 from collections import deque
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable
+from typing import Any, Final, Protocol
 
 from ropeway.graph.base import Undelivered
 from ropeway.graph.dds import raw
 from ropeway.graph.dds.endpoint_qos import reader_qos, writer_qos
-from ropeway.graph.dds.endpoints import matched, without_padding
+from ropeway.graph.dds.endpoints import without_padding
 from ropeway.graph.dds.fast import hook
 from ropeway.graph.dds.fast.frames import MAX_BODY_BYTES, Frame, Op, Spec
 from ropeway.graph.dds.fast.hook import RelatedWriter
@@ -28,11 +29,8 @@ from ropeway.graph.dds.fast.identity import (
     is_reader,
 )
 from ropeway.graph.dds.names import dds_service_topics, dds_type
-from ropeway.graph.dds.raw import INFO, SERDATA_HEADER, SampleInfo, check, lib
+from ropeway.graph.dds.raw import INFO, SERDATA_HEADER, SampleInfo, check, lib, matched
 from ropeway.qos import QoS
-
-if TYPE_CHECKING:
-    from ropeway.graph.dds.fast.node import FastNode
 
 __all__ = ["ClientEnd", "ServiceEnd"]
 
@@ -47,10 +45,37 @@ _MATCH_S: Final = 1.0  # how long an answer waits until its reader is matched
 _request_head = struct.Struct("<16sq")
 
 
+class Host(Protocol):
+    """What an endpoint needs of the node that it belongs to."""
+
+    participant: int
+    emit: Callable[[Frame], None]
+
+    def mark_of(self, type_hash: str) -> bytes:
+        """Return the USER_DATA of an endpoint whose messages have this hash."""
+        ...
+
+    def attach(self, number: int, reader: int, writer: int) -> None:
+        """Wait for the data and the matches of an endpoint, too."""
+        ...
+
+    def hears(self, vendor: bytes) -> bool:
+        """Return whether a vendor speaks this mapping."""
+        ...
+
+    def count(self, number: int, reason: Undelivered) -> None:
+        """Count one more request or reply that got lost, and why."""
+        ...
+
+    def wake(self) -> None:
+        """Have the thread look round."""
+        ...
+
+
 class _End:
     """A reader and a writer on the topics of one service."""
 
-    def __init__(self, node: FastNode, number: int, spec: Spec, *, serves: bool) -> None:
+    def __init__(self, node: Host, number: int, spec: Spec, *, serves: bool) -> None:
         self.number = number
         self.node = node
         self._refs = (ct.c_uint64 * _BATCH)()
@@ -197,7 +222,7 @@ class _End:
 class ClientEnd(_End):
     """Calls a service. ``emit`` tells how many serve it, and what becomes of each call."""
 
-    def __init__(self, node: FastNode, number: int, spec: Spec) -> None:
+    def __init__(self, node: Host, number: int, spec: Spec) -> None:
         self._calls: dict[int, tuple[int, set[bytes]]] = {}
         self._numbers: dict[int, int] = {}
         self.last = 0  # the number of the latest request on the network
@@ -272,7 +297,7 @@ class ClientEnd(_End):
 class ServiceEnd(_End):
     """Serves a service. ``emit`` passes each request on, under a number that its answer is to carry."""
 
-    def __init__(self, node: FastNode, number: int, spec: Spec) -> None:
+    def __init__(self, node: Host, number: int, spec: Spec) -> None:
         self._requests: dict[int, tuple[int, SampleIdentity]] = {}
         self._last = 0
         self._clients = 0
