@@ -274,7 +274,7 @@ def test_default_qos(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "no recording of a known kind"),
+        (b"", "a.x is empty"),
         (b"hello", "no recording of a known kind"),
         (b"\x89MCAP0\r\n", "a.x"),
         (b"#ROSBAG V2.0\n", "a.x"),

@@ -65,7 +65,7 @@ class Bag:
 
     def __enter__(self) -> Self:
         """Open the file and read what it says of itself. Raises ``BagUnreadable``."""
-        if not self.path.exists():
+        if not self.path.exists() and not self.path.is_symlink():
             raise BagUnreadable(str(self.path), "there is no such file or directory")
         try:
             self._source = self._stack.enter_context(open_recording(self.path))

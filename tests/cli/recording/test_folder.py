@@ -56,9 +56,10 @@ def test_topics_of_the_metadata_do_not_matter(folder: Path, topics: Any) -> None
 
 
 def test_missing_metadata(folder: Path) -> None:
-    """Without metadata, or with one of something else, all files are played, and that is told."""
-    (folder / "metadata.yaml").write_text("a: 1\n")
-    assert read(folder)[:2] == (4, ["metadata.yaml is none of rosbag2; all files beside it are played"])
+    """Without metadata, or with one that is something else or cut short, all files are played, and that is told."""
+    for text in ("a: 1\n", "", "a: [1, 2", "a: 'b", "!!python/object/apply:os.system ['true']", "\t", "\x00"):
+        (folder / "metadata.yaml").write_text(text)
+        assert read(folder)[:2] == (4, ["metadata.yaml is none of rosbag2; all files beside it are played"])
     (folder / "metadata.yaml").unlink()
     assert read(folder)[:2] == (4, ["it has no metadata.yaml; all files in it are played"])
 
@@ -124,6 +125,34 @@ def test_compressed_messages(tmp_path: Path, registry: TypeRegistry) -> None:
     with Bag(folder, TypeRegistry()) as bag:
         for record in bag.records():
             bag.registry.codec(record.topic.type).decode(record.payload)
+
+
+@pytest.mark.parametrize(
+    ("begin", "text"),
+    [
+        (b"", "is empty"),
+        (b"/annex/objects/SHA256E-s5--00.bag\n", "pointer of git-annex.*git annex get"),
+        (b"\x1f\x8b\x08\x00", "packed with gzip; unpack it first"),
+        (b"PK\x03\x04", "packed with ZIP"),
+        (b"(\xb5/\xfd", "packed with zstd"),
+        (b"#ROSRECORD V1.1\n", "before version 2.0"),
+        (b"<!DOCTYPE html>", "no recording of a known kind"),
+    ],
+)
+def test_what_is_no_recording(tmp_path: Path, begin: bytes, text: str) -> None:
+    """A file that is no recording is named as what it is, with what makes a recording of it."""
+    (tmp_path / "a.bag").write_bytes(begin + bytes(20) if begin else b"")
+    with pytest.raises(BagUnreadable, match=text):
+        read(tmp_path / "a.bag")
+
+
+def test_links_that_lead_nowhere(tmp_path: Path) -> None:
+    """A link to a file that is not there is told as one, and as one of git-annex where it is that."""
+    for target, text in (("gone.bag", "leads to gone.bag, which is not there"), ("x/annex/objects/y", "git annex get")):
+        (tmp_path / "a.bag").unlink(missing_ok=True)
+        (tmp_path / "a.bag").symlink_to(target)
+        with pytest.raises(BagUnreadable, match=text):
+            read(tmp_path / "a.bag")
 
 
 def test_pointers_of_git_lfs(folder: Path) -> None:

@@ -44,6 +44,21 @@ def test_cut_short(tmp_path: Path) -> None:
         assert bag.notes == ["it is cut short or damaged; what is whole is played"]
 
 
+def test_messages_that_cannot_be_played_are_told(tmp_path: Path) -> None:
+    """Messages of no topic, or without a time or bytes, are counted and told; the others are played."""
+    with sqlite3.connect(write(tmp_path / "a.db3")) as db:
+        insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)"
+        odd = [(9, 1, b"\0\1\0\0"), (1, "soon", b"\0\1\0\0"), (1, None, b"\0\1\0\0"), (1, 5, "text"), (1, 6, None)]
+        db.executemany(insert, odd)
+    db.close()
+    with Bag(tmp_path / "a.db3", TypeRegistry()) as bag:
+        assert len(list(bag.records())) == COUNT
+        assert bag.notes == [
+            "4 of its messages have no time or no bytes, and are left out",
+            "1 of its messages are of no topic that it names, and left out",
+        ]
+
+
 def test_another_database(tmp_path: Path) -> None:
     """A database of something else is refused as such."""
     with sqlite3.connect(tmp_path / "a.db3") as db:

@@ -16,7 +16,15 @@ from ropeway.cli.recording.sqlite import SqliteSource
 __all__ = ["open_recording"]
 
 _MCAP: Final = b"\x89MCAP0\r\n"
-_POINTER: Final = b"version https://git-lfs.github.com/spec/"
+_LFS: Final = b"version https://git-lfs.github.com/spec/"
+_ANNEX: Final = b"/annex/objects/"
+_PACKED: Final = {
+    b"\x1f\x8b": "gzip",
+    b"PK\x03\x04": "ZIP",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ": "xz",
+    b"\x28\xb5\x2f\xfd": "zstd",
+}
 
 
 def open_recording(path: Path) -> AbstractContextManager[Source]:
@@ -37,6 +45,12 @@ def _open_file(path: Path) -> AbstractContextManager[Source]:
         return _bag(path)
     if magic.startswith(b"SQLite format 3"):
         return SqliteSource(path)
+    if not magic:
+        raise ValueError(f"{path.name} is empty")
+    if magic.startswith(b"#ROSRECORD V"):
+        raise ValueError(f"{path.name} is a bag of ROS 1 before version 2.0; `rosbag reindex` renews it")
+    if (packed := next((name for begin, name in _PACKED.items() if magic.startswith(begin)), None)) is not None:
+        raise ValueError(f"{path.name} is packed with {packed}; unpack it first")
     raise ValueError(f"{path.name} is no recording of a known kind (MCAP, rosbag2 or ROS 1 bag)")
 
 
@@ -53,9 +67,16 @@ def _bag(path: Path) -> Iterator[Source]:
 
 
 def _refuse_pointer(path: Path) -> None:
-    """Name a pointer of Git LFS as what it is: a checkout without ``git lfs pull`` has them in place of files."""
+    """Name what a checkout has in place of large files as what it is."""
+    annexed = f"{path.name} is a pointer of git-annex, not the file itself; `git annex get` brings it"
+    if path.is_symlink() and not path.exists():
+        target = str(path.readlink())
+        raise ValueError(annexed if _ANNEX.decode() in target else f"{path.name} leads to {target}, which is not there")
     if not path.is_file():
         return
     with path.open("rb") as file:
-        if file.read(len(_POINTER)) == _POINTER:
-            raise ValueError(f"{path.name} is a pointer of Git LFS, not the file itself; `git lfs pull` brings it")
+        begin = file.read(len(_LFS))
+    if begin == _LFS:
+        raise ValueError(f"{path.name} is a pointer of Git LFS, not the file itself; `git lfs pull` brings it")
+    if begin.startswith(_ANNEX):
+        raise ValueError(annexed)

@@ -75,7 +75,10 @@ class FolderSource:
         if not file.exists():
             self.notes.append("it has no metadata.yaml; all files in it are played")
             return {}
-        found = yaml.safe_load(file.read_text(encoding="utf-8", errors="replace"))
+        try:
+            found = yaml.safe_load(file.read_text(encoding="utf-8", errors="replace"))
+        except (yaml.YAMLError, ValueError, RecursionError):  # damaged, or cut short
+            found = None
         about = found.get("rosbag2_bagfile_information") if isinstance(found, dict) else None
         if not isinstance(about, dict):
             self.notes.append("metadata.yaml is none of rosbag2; all files beside it are played")

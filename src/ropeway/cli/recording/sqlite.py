@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import apsw
 
 from ropeway.cli.recording.source import DEFINITIONS, Channel, profiles_in, recorded_qos
 
 __all__ = ["SqliteSource"]
+
+
+_COUNTS: Final = """
+SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages
+WHERE typeof(timestamp) = 'integer' AND typeof(data) = 'blob' GROUP BY topic_id
+"""
+_UNUSABLE: Final = "SELECT COUNT(*) FROM messages WHERE typeof(timestamp) <> 'integer' OR typeof(data) <> 'blob'"
 
 
 class SqliteSource:
@@ -22,6 +29,7 @@ class SqliteSource:
         self.channels: list[Channel] = []
         self.start_ns = self.end_ns = 0
         self.notes: list[str] = []
+        self._damaged = False
 
     def __enter__(self) -> Self:
         journal = self._path.with_name(self._path.name + "-wal")  # what a recorder that was killed has left
@@ -45,13 +53,13 @@ class SqliteSource:
     def messages(self, ids: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
         """The messages of these topics."""
         wanted = frozenset(ids)
-        order = "" if self.notes else " ORDER BY timestamp, id"
+        order = "" if self._damaged else " ORDER BY timestamp, id"
         try:
             for topic, time_ns, data in self._db.execute(f"SELECT topic_id, timestamp, data FROM messages{order}"):  # noqa: S608
                 if topic in wanted and isinstance(time_ns, int) and isinstance(data, bytes):
                     yield topic, time_ns, data
         except apsw.Error:
-            if not self.notes:
+            if not self._damaged:
                 raise
 
     def _list(self) -> None:
@@ -75,18 +83,22 @@ class SqliteSource:
                     qos=recorded_qos(str(topic), profiles_in(qos)),
                 )
             )
+        if lost := sum(counts.values()) - sum(channel.count for channel in self.channels):
+            self.notes.append(f"{lost} of its messages are of no topic that it names, and left out")
 
     def _counts(self) -> dict[Any, int]:
         """How many messages each topic has, counting them one by one where the file is damaged."""
         counts: dict[Any, int] = {}
         times: list[int] = []
         try:
-            for topic, count, first, last in self._db.execute(
-                "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages GROUP BY topic_id"
-            ):
+            for topic, count, first, last in self._db.execute(_COUNTS):
                 counts[topic] = count
-                times += (int(first), int(last))
+                times += (first, last)
+            ((odd,),) = self._db.execute(_UNUSABLE)
+            if odd:
+                self.notes.append(f"{odd} of its messages have no time or no bytes, and are left out")
         except apsw.Error:
+            self._damaged = True
             self.notes.append("it is cut short or damaged; what is whole is played")
             counts, times = {}, []
             try:
