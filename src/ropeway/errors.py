@@ -134,8 +134,8 @@ class UnknownType(TypesError):
         elif nearest:
             advice = f"; did you mean {nearest}?"
         else:
-            advice = '. Name its directory or file with --types, or under "types" in a configuration, '
-            advice += "or source the workspace that has it."
+            advice = '. Name its directory or file with --types, under "types" in a configuration, or with types= in a '
+            advice += "program; or source the workspace that has it."
         super().__init__(f"the definition of {name} is not known{by}{advice}")
 
 

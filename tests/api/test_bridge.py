@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
+from pathlib import Path
 
 import pytest
 
@@ -141,6 +142,24 @@ async def test_unknown_type(graphs: tuple[AsyncGraph, AsyncGraph]) -> None:
         with pytest.raises(WaitTimeout, match="no publisher of /a"):
             await bridge.topic("/a", timeout_s=0.01)
         assert bridge.status() == []
+
+
+async def test_no_definition(tmp_path: Path) -> None:
+    """A bridge needs no definition of the messages that it passes on."""
+    (tmp_path / "my_msgs" / "msg").mkdir(parents=True)
+    (tmp_path / "my_msgs" / "msg" / "Level.msg").write_text("float32 percent\n")
+    urls = "dds:58?interface=lo", "dds:59?interface=lo"
+    async with (
+        ropeway.open(urls[0], types=[tmp_path]) as left,
+        ropeway.open(urls[1], types=[tmp_path]) as right,
+        left.publisher("/level", "my_msgs/Level") as publisher,
+        right.subscribe("/level", "my_msgs/Level") as far,
+        ropeway.open_bridge(*urls) as bridge,
+    ):
+        await bridge.topic("/level", timeout_s=20)
+        await publisher.wait_for_subscribers(timeout_s=20)
+        publisher.publish({"percent": 0.5})
+        assert (await far.receive(timeout_s=20))["percent"] == 0.5
 
 
 async def test_to_a_server() -> None:

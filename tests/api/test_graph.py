@@ -50,6 +50,13 @@ async def test_url(url: str) -> None:
         assert graph.url == url
 
 
+async def test_names() -> None:
+    """Graphs without a name of their own have different ones."""
+    url = "dds:58?interface=lo"
+    async with ropeway.open(url) as one, ropeway.open(url), ropeway.open_bridge(url, "memory:names"):
+        await until(lambda: len(one.nodes()) == 3, 20)
+
+
 async def test_nobody_answers() -> None:
     """A server that cannot be reached is an error at once, one that says nothing is one when the time is over."""
     with socket.socket() as silent:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ropeway.api.discovery import type_of
-from ropeway.api.graph import OPEN_TIMEOUT_S, open_network, profile_of, registry_of
+from ropeway.api.graph import OPEN_TIMEOUT_S, new_name, open_network, profile_of, registry_of
 from ropeway.api.opening import Closing, Opening
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
@@ -38,7 +38,7 @@ def open_bridge(
     ``name`` and ``types`` as for ``ropeway.open``; ``timeout_s`` is for each graph. Raises ``GraphUnavailable`` or
     ``ConnectFailed``.
     """
-    return Opening(_open((left, right), name or f"ropeway_{os.getpid()}", types, timeout_s))
+    return Opening(_open((left, right), name or new_name(), types, timeout_s))
 
 
 async def _open(urls: tuple[str, str], node: str, types: Iterable[str | Path], timeout_s: float | None) -> AsyncBridge:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import os
 import ssl
 from collections import Counter
@@ -36,10 +37,11 @@ from ropeway.qos import PROFILES, QoS
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
 
-__all__ = ["OPEN_TIMEOUT_S", "AsyncGraph", "open", "open_network", "profile_of", "registry_of"]
+__all__ = ["OPEN_TIMEOUT_S", "AsyncGraph", "new_name", "open", "open_network", "profile_of", "registry_of"]
 
 _Part = TypeVar("_Part", bound=Part)
 
+_names: Final = itertools.count(1)
 OPEN_TIMEOUT_S: Final = 10.0  # a WebSocket over a slow link, with TLS and a name to look up
 
 
@@ -63,7 +65,7 @@ def open(
 
     Raises ``GraphUnavailable`` or ``ConnectFailed``, which say what to do about it.
     """
-    return Opening(_open(url, name or f"ropeway_{os.getpid()}", types, ssl_context, headers, timeout_s))
+    return Opening(_open(url, name or new_name(), types, ssl_context, headers, timeout_s))
 
 
 async def _open(
@@ -78,6 +80,12 @@ async def _open(
     graph = make_graph(url, registry=registry, name=node, ssl_context=ssl_context, headers=headers)
     await open_network(graph, timeout_s)
     return AsyncGraph(graph, url, registry, node)
+
+
+def new_name() -> str:
+    """Return a name for a node that no other of this machine has: ``ropeway_PID``, with a number from the second on."""
+    number = next(_names)
+    return f"ropeway_{os.getpid()}" if number == 1 else f"ropeway_{os.getpid()}_{number}"
 
 
 async def open_network(graph: Graph, timeout_s: float | None) -> None:
