@@ -18,8 +18,6 @@ and notebooks. Names are imported when they are first used, so that ``import rop
 
 TYPE_CHECKING = False  # as type checkers see it, without importing typing
 if TYPE_CHECKING:
-    from typing import Any
-
     from ropeway import blocking
     from ropeway.api.actions import AsyncActionClient, AsyncActionServer, AsyncGoal, ExecutingGoal, GoalResult
     from ropeway.api.bridge import AsyncBridge, open_bridge
@@ -53,8 +51,6 @@ if TYPE_CHECKING:
     from ropeway.graph.base import Delivery
     from ropeway.graph.calls import GoalStatus
     from ropeway.qos import QoS
-
-del TYPE_CHECKING
 
 __all__ = [
     "AsyncActionClient",
@@ -117,18 +113,23 @@ _HOMES = {
 """Where the exported names are defined; the others are errors, all of one module."""
 
 
-def __getattr__(name: str) -> "Any":
-    """Import an exported name when it is first used (PEP 562), and keep it."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
+if not TYPE_CHECKING:  # to type checkers a name that is not above is a mistake
 
-    if name == "blocking":
-        return import_module("ropeway.blocking")  # which makes it an attribute of the package
-    home = next((module for module, names in _HOMES.items() if name in names), "ropeway.errors")
-    value = globals()[name] = getattr(import_module(home), name)
-    return value
+    def __getattr__(name: str) -> object:
+        """Import an exported name when it is first used (PEP 562), and keep it."""
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module
+
+        if name == "blocking":
+            return import_module("ropeway.blocking")  # which makes it an attribute of the package
+        home = next((module for module, names in _HOMES.items() if name in names), "ropeway.errors")
+        value = globals()[name] = getattr(import_module(home), name)
+        return value
 
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+del TYPE_CHECKING
