@@ -71,7 +71,7 @@ async def test_topics_services_and_actions_between_distributions(stack: AsyncExi
     robot, cloud = await _node(stack, 56, theirs), await _node(stack, 57, ours)
     server = await _gateway(stack, files, "dds:57?interface=lo")
     port = server.servers[0].listeners[0].port
-    await _gateway(
+    robots = await _gateway(
         stack,
         files,
         {"address": "dds:56?interface=lo", "distro": "humble", "types": ["old"]},
@@ -82,6 +82,10 @@ async def test_topics_services_and_actions_between_distributions(stack: AsyncExi
             "expose-action": [{"name": "/go", "type": GO}],
         },
     )
+    assert [gateway.status()["graphs"][0].get("distro") for gateway in (robots, server)] == ["humble", None]
+    api = robots.servers[0].rosapi
+    assert api is not None
+    assert await api.call("/rosapi/get_ros_version") == {"version": 2, "distro": "humble"}
     fed: list[float] = []
 
     async def look(request: Request) -> bytes:

@@ -29,6 +29,7 @@ from ropeway.gateway.overlay_model import OVERLAY
 from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote
 from ropeway.gateway.tls import server_context, trusted_files
 from ropeway.gateway.type_hints import learn_types, type_hints
+from ropeway.graph.border import Distributed
 from ropeway.graph.factory import open_graph
 from ropeway.graph.hub import Hub, View
 from ropeway.graph.rosbridge import RosbridgeGraph
@@ -362,6 +363,7 @@ class Gateway:
                     "topics": len(hub.graph.topics()),
                     "nodes": len(hub.graph.nodes()),
                     "duplicates": sum(hub.duplicates.values()),
+                    **({"distro": hub.graph.distro} if isinstance(hub.graph, Distributed) and hub.graph.distro else {}),
                     "drops": {f"{topic}: {why.value}": n for (topic, why), n in hub.graph.drops.items() if n},
                 }
                 for url, hub in self.hubs.items()

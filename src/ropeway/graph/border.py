@@ -6,11 +6,22 @@ read it; fields are carried over by name.
 
 from __future__ import annotations
 
+from typing import Protocol, runtime_checkable
+
 from ropeway.errors import DecodeError, TypesError
 from ropeway.types import TypeRegistry
 from ropeway.types.variant import Variant
 
-__all__ = ["Border"]
+__all__ = ["Border", "Distributed"]
+
+
+@runtime_checkable
+class Distributed(Protocol):
+    """A graph that knows of which distribution of ROS 2 its network is."""
+
+    @property
+    def distro(self) -> str:
+        """The distribution, as it was given or found out; ``""`` where neither is so."""
 
 
 class Border:

@@ -78,6 +78,7 @@ async def test_humble_gets_its_layout(join: Join) -> None:
     publisher.publish(sample(OURS))
     (got,) = await inbox.wait(1)
     assert got.payload == THEIRS
+    assert (robot.distro, graph.distro) == ("", "humble")
     (endpoint,) = robot.topics()["/range"].publishers
     assert endpoint.type_hash == HUMBLE.hash(RANGE) != HERE.hash(RANGE)
 
@@ -96,6 +97,7 @@ async def test_a_network_of_old_nodes_is_recognised(join: Join, caplog: pytest.L
     publisher.publish(sample(THEIRS))
     assert [one.payload for one in await inbox.wait(2)] == [THEIRS, THEIRS]
     assert "all nodes are of ROS 2 Humble or older" in caplog.text
+    assert graph.distro == "humble"
 
 
 async def test_one_old_node_among_new_ones_gets_its_layout(join: Join) -> None:

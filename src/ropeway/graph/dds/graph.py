@@ -299,6 +299,11 @@ class DdsGraph:
         return self._discovery is None or self._discovery.settled
 
     @property
+    def distro(self) -> str:
+        """See ``Distributed``."""
+        return self.layouts.distro
+
+    @property
     def registry(self) -> TypeRegistry:
         """The definitions that actions, and responses to failed requests, are made with."""
         if isinstance(self._registry, TypeRegistry):

@@ -46,6 +46,12 @@ class Layouts:
         self._mixed: set[str] = set()
 
     @property
+    def distro(self) -> str:
+        """See ``Distributed.distro``."""
+        network = self._border.network
+        return network.given_distro if network is not None else _OLD_DISTRO if self._is_old() else ""
+
+    @property
     def registry(self) -> TypeRegistry | None:
         """The definitions of the network, ours where none were given."""
         return self._border.network or self._border.ours

@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import CallFailed, NotServed, TypesError, ValueMismatch
+from ropeway.graph.border import Distributed
 from ropeway.server.rosapi.globs import Globs
 from ropeway.server.rosapi.master_params import MasterParams, ParameterServer
 from ropeway.server.rosapi.params import Params
@@ -96,7 +97,7 @@ class Rosapi:
         ros1: Ros1Spelling | None = None,
     ) -> None:
         self._ros1 = ros1
-        self._registry, self._clock = registry, clock
+        self._registry, self._clock, self._graph = registry, clock, hub.graph
         self._prefix = f"{namespace.rstrip('/')}/rosapi/"
         self._view = hub.view("rosapi")
         self._texts: Texts | Ros1Texts = Texts(registry) if ros1 is None else Ros1Texts(ros1)
@@ -264,7 +265,8 @@ class Rosapi:
     def _get_ros_version(self, _: Mapping[str, Any]) -> Values:
         if self._ros1 is not None:
             return {"version": 1, "distro": "noetic"}
-        return {"version": _ROS_VERSION, "distro": os.environ.get("ROS_DISTRO") or self._registry.distro}
+        known = self._graph.distro if isinstance(self._graph, Distributed) else ""
+        return {"version": _ROS_VERSION, "distro": known or os.environ.get("ROS_DISTRO") or self._registry.distro}
 
 
 def _ros1_time(name: str) -> Values:
