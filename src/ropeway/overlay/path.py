@@ -38,6 +38,7 @@ _MOST_BLOCKED: Final = 0.75
 _RTT_WEIGHT: Final = 1 / 8  # as TCP smooths it (RFC 6298)
 _DEVIATION_WEIGHT: Final = 1 / 4
 _EXPRESS_BYTES: Final = 16 * 1024  # of small messages may be on their way whatever else is
+_PARTS_BEHIND: Final = 2  # what a large message waits for anyway
 _EXPRESS_SAMPLE_S: Final = 0.1  # what a small message has told of the round trip holds for so long
 
 
@@ -163,7 +164,10 @@ class Path:
             shortest_s = min(shortest_s or express_s, express_s)
         in_flight, pace = self.in_flight_bytes, self.model.pace.bytes_per_s
         if pace is not None:  # what is there already, behind a packet that was lost, is not on the way
-            in_flight -= int(min(pace * max(self._rtt_s - shortest_s, 0.0), _MOST_BLOCKED * in_flight))
+            blocked_s = self._rtt_s - shortest_s
+            if now_s - seen_s < _EXPRESS_SAMPLE_S:  # a queue holds up both
+                blocked_s = self._rtt_s - express_s - _PARTS_BEHIND * self.part_bytes / pace
+            in_flight -= int(min(pace * max(blocked_s, 0.0), _MOST_BLOCKED * in_flight))
         return Reading(
             now_s,
             self._delivered_bytes,

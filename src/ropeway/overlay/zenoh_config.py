@@ -21,7 +21,7 @@ _DENIED: Final = ("rw/a/**", "rw/d/**", "rw/g/**", "rw/h/**", "rw/k/**", "rw/l/*
 """All of it but the revocation list."""
 
 _CONNECTIONS: Final = ("prio=0-4", "prio=5-7")
-"""Two to each router: no large packet that was lost holds up what is small or urgent, and all that Zenoh says itself.
+"""Two to each: no large packet that was lost holds up what is small or urgent, and all that Zenoh says itself.
 Where one is gone, the other carries all until it is made again."""
 
 # A dead link is known within these times. A router knows it first: a member that comes again before its router has let
@@ -119,6 +119,11 @@ def _twice(endpoints: Iterable[str]) -> Iterable[str]:
             yield from (f"{where}?{priorities}{mark}{configuration}" for priorities in _CONNECTIONS)
 
 
+def _any_port(endpoint: str) -> bool:
+    """Return whether an endpoint leaves its port to the system: others learn it, and both, from a router."""
+    return endpoint.partition("#")[0].partition("?")[0].endswith(":0")
+
+
 def _config(identity: Identity, connect: Sequence[str], listen: Sequence[str], more: dict[str, Any]) -> zenoh.Config:
     tls = identity.tls() | {
         "enable_mtls": True,
@@ -131,7 +136,9 @@ def _config(identity: Identity, connect: Sequence[str], listen: Sequence[str], m
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
         "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5},
-        "listen/endpoints": list(listen),
+        "listen/endpoints": [
+            one for endpoint in listen for one in (_twice([endpoint]) if _any_port(endpoint) else [endpoint])
+        ],
         "listen/exit_on_failure": True,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
