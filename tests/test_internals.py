@@ -23,7 +23,7 @@ from ropeway.graph.dds import DdsGraph
 from ropeway.graph.dds.raw import WHEEL_VERSION
 from ropeway.link.connection import Connection, Limits
 from ropeway.link.websocket import connect, listen
-from ropeway.overlay import dead_links
+from ropeway.overlay import link_sockets
 from ropeway.overlay.zenoh_config import gateway_config, gateway_id, router_config
 from tests.overlay.fleet import member
 from tests.support.isolation import isolated_dds
@@ -179,7 +179,7 @@ def test_zenoh_links() -> None:
         (link,) = near.info.links()
         assert link.auth_identifier is None
         assert str(link.dst) == where
-        assert dead_links.limit(str(link.src), str(link.dst), 1000)
+        assert link_sockets.set_options(str(link.src), str(link.dst), 1000)
         assert {str(zid) for zid in near.info.routers_zid()} == {str(far.info.zid())}
         assert [(event.kind, str(event.link.dst)) for event in events] == [(zenoh.SampleKind.PUT, where)]
         listener.undeclare()

@@ -20,9 +20,10 @@ import zenoh
 from ropeway.errors import GraphUnavailable
 from ropeway.limits import OVERLAY_NOTE_BYTES, OVERLAY_ROUTED_BYTES, OVERLAY_WAITING_NOTES_BYTES
 from ropeway.link.outbox import LANES
-from ropeway.overlay import dead_links
 from ropeway.overlay.inlet import Inlet, one_by_one
+from ropeway.overlay.link_sockets import Losses, set_options
 from ropeway.overlay.zenoh_config import MEMBER_DEAD_MS, ROUTER_DEAD_MS
+from ropeway.tasks import Supervised, end
 
 __all__ = ["CRL_KEY", "Asked", "Fabric", "Handle"]
 
@@ -34,6 +35,7 @@ CRL_KEY: Final = "rw/crl"
 _CLOSE_S: Final = 5.0
 _LET_GO_S: Final = 0.3  # routers compute their maps within 0.1 s; who comes back earlier may be left off them
 _REOPEN_S: Final = 10.0  # what is sent waits so long for a new session
+_LOOK_S: Final = 2.0  # at what links lose
 _ANSWER_BYTES: Final = 100  # what an answer costs beside its payload
 _PRIORITIES: Final = (
     zenoh.Priority.REAL_TIME,
@@ -101,6 +103,7 @@ class Fabric:
         self._session: zenoh.Session | None = None
         self._rows: dict[int, ThreadPoolExecutor] = {}
         self._link_events: Any = None
+        self._watching: Supervised | None = None
         self._declared: dict[_Declared, None] = {}
         self._open = asyncio.Event()
         self._ready = threading.Event()  # the same, for threads
@@ -123,6 +126,16 @@ class Fabric:
             declared.made = declared.declare(self._session)
         self._open.set()
         self._ready.set()
+        if self._watching is None:
+            self._watching = Supervised(self._watch, "overlay: losses of links").start()
+
+    async def _watch(self) -> None:
+        """Have connections that lose packets use a congestion control that bears it."""
+        losses = Losses()
+        while True:
+            await asyncio.sleep(_LOOK_S)
+            if self._session is not None:
+                losses.look({(str(link.src), str(link.dst)) for link in self._session.info.links()})
 
     async def reopen(self, config: zenoh.Config) -> None:
         """Go on with another configuration: links are made anew, and what was declared is declared again.
@@ -139,6 +152,8 @@ class Fabric:
         """End the session; nothing is delivered after this returns."""
         async with self._changing:
             self._declared.clear()
+            await end(self._watching)
+            self._watching = None
             await self._stop()
         for row in self._rows.values():
             row.shutdown(wait=False, cancel_futures=True)
@@ -165,7 +180,7 @@ class Fabric:
         if event.kind == zenoh.SampleKind.PUT:
             target = str(event.link.dst).partition("?")[0]
             to_router = target.rpartition(":")[2] in self._router_ports
-            dead_links.limit(str(event.link.src), target, MEMBER_DEAD_MS if to_router else ROUTER_DEAD_MS)
+            set_options(str(event.link.src), target, MEMBER_DEAD_MS if to_router else ROUTER_DEAD_MS)
 
     def linked_with(self, names: Collection[str]) -> bool:
         """Whether a link with one of these names in its certificate stands."""
