@@ -267,6 +267,20 @@ async def test_big_endian(world: World) -> None:
     assert inbox.payloads == [text("big")]
 
 
+async def test_messages_of_another_distribution(world: World) -> None:
+    """A message in Humble's layout goes out in that of the ROS 2 that is sourced, as readers there need it."""
+    near, far = await world.graph("near"), await world.graph("far")
+    name = "sensor_msgs/msg/Range"
+    inbox = Inbox()
+    subscription = await far.create_subscription("/range", name, QoS(), inbox)
+    publisher = await near.create_publisher("/range", name)
+    await matched(publisher, subscription)
+    raw = TypeRegistry("humble", alone=True).codec(name).encode({"range": 1.25})
+    publisher.publish(Sample(raw, name, 0, bytes(16), 0))
+    await inbox.wait(1)
+    assert inbox.payloads == [near.registry.codec(name).encode({"range": 1.25})]
+
+
 async def test_behind(world: World) -> None:
     """A loop that is busy for a while gets the newest messages afterwards, and goes on."""
     near, far = await world.graph("near"), await world.graph("far")

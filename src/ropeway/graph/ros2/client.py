@@ -121,7 +121,7 @@ class Ros2Client:
             ticket = await self._window.enter()
             try:
                 self._check_open()
-                payload = bytes(request.payload)
+                payload = self._graph.border.outgoing(f"{self.type}_Request", bytes(request.payload))
                 self._lane.put(partial(self._send, call, payload), len(payload))
                 return await call.outcome
             finally:

@@ -7,6 +7,7 @@ import logging
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, Final, TypeVar
 
 from ropeway.errors import GraphUnavailable, InvalidName
@@ -22,6 +23,7 @@ from ropeway.graph.base import (
     Undelivered,
     resolve_name,
 )
+from ropeway.graph.border import Border
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
 from ropeway.graph.following import Following, settled
 from ropeway.graph.ros2.client import Ros2Client
@@ -209,6 +211,11 @@ class Ros2Graph:
         await server.open()
         self._add(server)
         return server
+
+    @cached_property
+    def border(self) -> Border:
+        """Where messages get the layouts of the ROS 2 that is sourced, from whatever distribution they come."""
+        return Border(self.registry)
 
     @property
     def registry(self) -> TypeRegistry:

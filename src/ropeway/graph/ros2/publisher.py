@@ -41,6 +41,7 @@ class Ros2Publisher:
         self._lane: Lane = participant.senders.lane(depth, _WAITING_BYTES, self._on_backlog)
         self._rcl, self._invalid = participant.rcl, participant.invalid_handle
         self._spinner = participant.spinner
+        self._translated = graph.border.touches(type)
         self._subscribers = 0
         self._demand: list[Callable[[int], None]] = []
         self._warned = False
@@ -52,6 +53,8 @@ class Ros2Publisher:
             self._graph.drops[self.topic, Undelivered.CLOSED] += 1
             return
         payload = sample.payload if type(sample.payload) is bytes else bytes(sample.payload)
+        if self._translated:
+            payload = self._graph.border.outgoing(self.type, payload)
         if len(payload) < _SHORTEST:
             self._graph.drops[self.topic, Undelivered.ENCODE] += 1
             return

@@ -114,7 +114,8 @@ class Ros2Service:
     async def _serve(self, payload: bytes, header: Any) -> None:
         response, text = None, ""
         try:
-            response = bytes(await self._handler(Request(payload)))
+            answer = bytes(await self._handler(Request(payload)))
+            response = self._graph.border.outgoing(f"{self.type}_Response", answer)
             if len(response) < _SHORTEST:
                 text = f"the response has {len(response)} bytes"
                 response = None
