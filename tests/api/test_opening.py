@@ -29,3 +29,12 @@ async def test_block(first: bool) -> None:
     async with await Opening(made()) if first else Opening(made()) as door:
         assert not door.closed
     assert door.closed
+
+
+async def test_mistakes() -> None:
+    """Who forgets to wait for it, or enters it as a block without asyncio, is told what to write."""
+    opening = Opening(made())
+    with pytest.raises(AttributeError, match=r"has no 'closed': await it first"):
+        opening.closed  # type: ignore[attr-defined]  # noqa: B018
+    with pytest.raises(TypeError, match=r"write 'async with', or use ropeway\.blocking"), opening:
+        pass

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Coroutine, Generator
-from typing import Any, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, Self, TypeVar
 
 __all__ = ["Closing", "Opening"]
 
@@ -46,3 +46,16 @@ class Opening(Generic[T]):
     async def __aexit__(self, *_: object) -> None:
         assert self._opened is not None
         await self._opened.close()
+
+    def __enter__(self) -> NoReturn:
+        self._work.close()
+        raise TypeError("write 'async with', or use ropeway.blocking, which is for programs without asyncio")
+
+    def __exit__(self, *_: object) -> None: ...
+
+    if not TYPE_CHECKING:  # to type checkers it has no other attributes
+
+        def __getattr__(self, name: str) -> NoReturn:
+            raise AttributeError(
+                f"it is not open yet, so it has no {name!r}: await it first, or enter it with 'async with'"
+            )
