@@ -75,6 +75,17 @@ async def test_failures_are_told(caplog: pytest.LogCaptureFixture) -> None:
     assert caplog.text.count("the callback for /a failed") == 2
 
 
+async def test_lambda_around_a_coroutine(caplog: pytest.LogCaptureFixture) -> None:
+    """A function that only makes a coroutine would do nothing, which is told."""
+    listener = Listener()
+    failures: list[int] = []
+    callbacks = Callbacks(lambda message: listener(message), Inbox(10, 1000), "/a", lambda: failures.append(1))
+    callbacks.put(message("a"))
+    assert failures == [1]
+    assert "give the coroutine function itself" in caplog.text
+    await callbacks.close()
+
+
 async def test_close_ends_a_callback() -> None:
     """Closing cancels a callback that is under way."""
     began, ended = asyncio.Event(), asyncio.Event()

@@ -42,7 +42,10 @@ class Callbacks:
             self._inbox.put(message)
             return
         try:
-            self._callback(message)
+            work = self._callback(message)
+            if inspect.iscoroutine(work):
+                work.close()
+                raise TypeError("the callback returned a coroutine; give the coroutine function itself, not a lambda")
         except Exception:  # the function is the program's: the next message gets its chance
             self._failed()
 
