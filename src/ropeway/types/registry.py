@@ -7,7 +7,6 @@ first asked for.
 
 from __future__ import annotations
 
-import difflib
 import logging
 import os
 import threading
@@ -22,6 +21,7 @@ from ropeway.types.distros import OtherDistros
 from ropeway.types.files import find_interfaces, find_share, read_text
 from ropeway.types.hashes import definition_md5, interface_members, rihs01
 from ropeway.types.interfaces import owner_of, parse, parse_full, sources_of
+from ropeway.types.nearest import Nearest
 from ropeway.types.parser import PARTS, parse_interface, parse_msg
 from ropeway.types.standard import INTERFACES
 from ropeway.types.stores import NEWEST, store_table
@@ -33,7 +33,6 @@ __all__ = ["TypeRegistry"]
 log = logging.getLogger("ropeway.types")
 
 _RULE = "=" * 80
-_CANDIDATES = 200  # names that a misspelt one is compared with, each in about 10 us
 
 
 class TypeRegistry:
@@ -60,7 +59,7 @@ class TypeRegistry:
         self._hashes: dict[str, str] = {}
         self._full_texts: dict[str, str] = {}
         self.faults: list[TypesError] = []  # definitions in files that cannot be used
-        self._neighbours: dict[str, list[str]] | None = None  # made when somebody misspells a name
+        self._nearest = Nearest(lambda: (name for name in self.names() if name not in self.told))
         self.told = Told()
         self._told_codecs: dict[str, set[str]] = {}  # made of told definitions, and of which
 
@@ -289,7 +288,7 @@ class TypeRegistry:
             for name, file in found.items():
                 if name in loaded or (name not in self._definitions and name not in self._sources):
                     self._files.setdefault(name, file)
-            self._neighbours = None
+            self._nearest.forget()
             for name in loaded & found.keys():
                 if name in self._files:
                     self._try_to_read(name, self._files.pop(name))
@@ -360,7 +359,7 @@ class TypeRegistry:
         over: Container[str] = (),
     ) -> None:
         """Add definitions; ``over`` names those that take the place of others of their name."""
-        self._neighbours = None
+        self._nearest.forget()
         with self._lock:
             fresh: dict[str, Definition] = {}
             changed = False
@@ -413,23 +412,8 @@ class TypeRegistry:
         return [full + end for end in PARTS[full.split("/")[1]]]
 
     def _unknown(self, full: str, needed_by: str) -> UnknownType:
-        package, _, base = full.split("/")
         with self._lock:
-            if self._neighbours is None:
-                self._neighbours = _neighbours(name for name in self.names() if name not in self.told)
-            candidates = [*self._neighbours.get(package, ()), *self._neighbours.get(base.lower(), ())]
-        near = difflib.get_close_matches(full, candidates[:_CANDIDATES], 1, 0.75)
-        return UnknownType(full, needed_by=needed_by, nearest=near[0] if near and near[0] != full else "")
-
-
-def _neighbours(names: Iterable[str]) -> dict[str, list[str]]:
-    """Return the names that a misspelt one may mean: by package, and by the last part in lower case."""
-    found: dict[str, list[str]] = {}
-    for name in names:
-        package, _, base = name.split("/")
-        found.setdefault(package, []).append(name)
-        found.setdefault(base.lower(), []).append(name)
-    return found
+            return UnknownType(full, needed_by=needed_by, nearest=self._nearest.to(full))
 
 
 def _layout(definition: Definition) -> str:
