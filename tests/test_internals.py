@@ -162,7 +162,7 @@ def test_zenoh_configuration() -> None:
         router_config(member(), connect=[], listen=["tls/127.0.0.1:1"])
 
 
-def test_zenoh_links() -> None:
+async def test_zenoh_links() -> None:
     """Zenoh tells its links with their addresses, and their sockets are found by these."""
     where = f"tcp/127.0.0.1:{free_port()}"
 
@@ -176,6 +176,7 @@ def test_zenoh_links() -> None:
     with relied_on("eclipse-zenoh", "Zenoh"), session("listen/endpoints") as far, session("connect/endpoints") as near:
         listener = near.info.declare_link_events_listener(events.append, history=True)
         transports = near.info.declare_transport_events_listener(lambda _: None)
+        await until(lambda: near.info.links() and near.info.routers_zid() and events)
         (link,) = near.info.links()
         assert link.auth_identifier is None
         assert str(link.dst) == where

@@ -16,7 +16,7 @@ from tests.support.until import until
 async def test_supervised_work_is_started_again(caplog: pytest.LogCaptureFixture) -> None:
     """Work that fails says why in its error, the process-wide list and the log, and is started again until it works."""
     runs = 0
-    failed: list[Exception] = []
+    failed: list[BaseException] = []
     may_work = asyncio.Event()
 
     async def work() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+from typing import Any
 
 import pytest
 
@@ -51,7 +52,7 @@ async def test_coroutine_gets_one_at_a_time(form: str) -> None:
     async def function(message: TypedMessage) -> None:
         await listener(message)
 
-    callback = {"function": function, "object": listener, "partial": functools.partial(take, listener)}[form]
+    callback: Any = {"function": function, "object": listener, "partial": functools.partial(take, listener)}[form]
     callbacks = Callbacks(callback, Inbox(10, 1000), "/a")
     for text in "abc":
         callbacks.put(message(text))

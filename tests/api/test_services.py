@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 import pytest
 
@@ -23,7 +24,7 @@ async def add_later(request: TypedMessage) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("handler", [add, add_later])
-async def test_call(url: str, handler: object) -> None:
+async def test_call(url: str, handler: Any) -> None:
     """A service of one program answers another, by a function or a coroutine function."""
     async with (
         ropeway.open(url, name="server") as server,

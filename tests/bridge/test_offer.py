@@ -177,7 +177,7 @@ async def test_provider_vanishes(sides: Sides) -> None:
 
 async def _failure(call: object) -> str:
     try:
-        await call  # type: ignore[misc]
+        await call
     except Exception as error:
         return f"{type(error).__name__}: {error}"
     return ""

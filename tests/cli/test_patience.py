@@ -12,7 +12,7 @@ from ropeway.cli.patience import Patience, patiently, served_within, why_silent
 from ropeway.cli.session import Session
 from ropeway.graph.calls import Request
 from ropeway.graph.memory import MemoryGraph
-from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA
+from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA, QoS
 from tests.support.messages import STRING
 from tests.support.services import ADD, add, addends, total
 from tests.support.until import PATIENCE_S, until
@@ -59,7 +59,7 @@ async def test_why_nothing_comes(pair: tuple[Session, Session]) -> None:
     here, there = pair
     await there.graph.create_publisher("/odom", STRING, SENSOR_DATA)
 
-    def why(topic: str, type: str = STRING, qos: patience.QoS | None = None) -> str:
+    def why(topic: str, type: str = STRING, qos: QoS | None = None) -> str:
         return why_silent(here.graph, topic, type, qos).removeprefix(f"waiting for a message on {topic}: ")
 
     assert why("/odomm") == f'nobody publishes it on {here.graph.name}; did you mean "/odom"?'

@@ -102,7 +102,7 @@ def test_a_gateway_that_points_elsewhere(status: int) -> None:
         def do_GET(self) -> None:
             asked.append(self.path)
             self.send_response(status)
-            self.send_header("Location", f"http://localhost:{self.server.server_address[1]}/elsewhere")
+            self.send_header("Location", f"http://localhost:{self.headers['Host'].partition(':')[2]}/elsewhere")
             self.end_headers()
 
         do_DELETE = do_GET  # noqa: N815 - the name that the server looks for

@@ -134,7 +134,7 @@ async def open_overlay(stack: AsyncExitStack) -> Pair:
     await graphs[1].open()
     stack.push_async_callback(graphs[1].close)
     await until(lambda: near.membership.gateways() and far.membership.gateways())
-    return Pair(*graphs, stack)
+    return Pair(graphs[0], graphs[1], stack)
 
 
 async def open_rosbridge(stack: AsyncExitStack, *, plain: bool = False) -> Pair:
@@ -152,7 +152,7 @@ async def open_rosbridge(stack: AsyncExitStack, *, plain: bool = False) -> Pair:
         await end.open()
         stack.push_async_callback(end.close)
         ends.append(end)
-    return Pair(*ends, stack)
+    return Pair(ends[0], ends[1], stack)
 
 
 async def open_space(stack: AsyncExitStack) -> Space:
@@ -175,7 +175,7 @@ async def open_iort(stack: AsyncExitStack) -> Pair:
         await end.open()
         stack.push_async_callback(end.close)
         ends.append(end)
-    return Pair(*ends, stack)
+    return Pair(ends[0], ends[1], stack)
 
 
 async def open_iort_local(stack: AsyncExitStack) -> Pair:
@@ -185,7 +185,7 @@ async def open_iort_local(stack: AsyncExitStack) -> Pair:
     for end in ends:
         await end.open()
         stack.push_async_callback(end.close)
-    return Pair(*ends, stack)
+    return Pair(ends[0], ends[1], stack)
 
 
 async def open_ros1(stack: AsyncExitStack) -> Pair:
@@ -198,7 +198,7 @@ async def open_ros1(stack: AsyncExitStack) -> Pair:
     for end in ends:
         await end.open()
         stack.push_async_callback(end.close)
-    return Pair(*ends, stack)
+    return Pair(ends[0], ends[1], stack)
 
 
 KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {

@@ -68,7 +68,7 @@ async def test_both_ways(pair: Pair) -> None:
     back = await pair.far.create_client("/back", ADD)
     assert await back.wait_available(PATIENCE_S)
     answers = await asyncio.gather(there.call(Request(addends(1))), back.call(Request(addends(2))))
-    assert answers == [total(1), total(2)]
+    assert list(answers) == [total(1), total(2)]
 
 
 async def test_big(pair: Pair) -> None:

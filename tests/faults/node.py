@@ -32,6 +32,7 @@ from ropeway.gateway.gateway import Gateway  # noqa: E402
 from ropeway.graph.base import SEQ_NONE, Graph, Sample  # noqa: E402
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal  # noqa: E402
 from ropeway.graph.factory import open_graph  # noqa: E402
+from ropeway.graph.rosbridge import RosbridgeGraph  # noqa: E402
 from ropeway.qos import QoS  # noqa: E402
 from tests.faults.node_types import ACTION, SERVICE  # noqa: E402
 from tests.support.clock import queued_s  # noqa: E402
@@ -122,6 +123,7 @@ async def main() -> None:
         if order.get("use"):
             talking += [asyncio.create_task(call(robot)), asyncio.create_task(send(robot))]
         for remote in gateway.remotes:
+            assert isinstance(remote.graph, RosbridgeGraph)
             remote.graph.on_state(lambda state: tell(state=state.value))
         tell(ready=ports)
         sessions, told = 0, 0.0

@@ -584,7 +584,7 @@ def test_models_are_frozen() -> None:
     """A configuration cannot be changed in place."""
     config = parse({})
     with pytest.raises(ValueError, match="frozen"):
-        config.gateway.name = "other"  # type: ignore[misc]
+        config.gateway.name = "other"
 
 
 json_values = st.recursive(

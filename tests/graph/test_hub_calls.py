@@ -112,7 +112,7 @@ async def test_same_call_runs_once(place: Place) -> None:
     await place.hub.view("provider").create_service("/s", TRIGGER, handler)
     request = Request(EMPTY)
     a, b = place.hub.view("a"), place.hub.view("b")
-    answers = await asyncio.gather(call(a, "/s", request=request), call(b, "/s", request=request))
+    answers = [*await asyncio.gather(call(a, "/s", request=request), call(b, "/s", request=request))]
     answers.append(await call(a, "/s", request=request))
     assert answers == [EMPTY + b"done"] * 3
     assert len(runs) == 1

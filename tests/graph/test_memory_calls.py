@@ -176,4 +176,4 @@ async def test_close_closes_everything(graphs: list[MemoryGraph]) -> None:
     await graphs[0].close()
     await graphs[1].close()
     network = graphs[2].network
-    assert not any(map(len, (network.publishers, network.subscriptions, network.services, network.clients)))
+    assert not (network.publishers or network.subscriptions or network.services or network.clients)

@@ -104,7 +104,7 @@ async def test_set(graph: MemoryGraph) -> None:
 async def test_set_nonsense(graph: MemoryGraph) -> None:
     """A list of unlike items is no value."""
     with pytest.raises(ValueMismatch, match="one type"):
-        await set_parameters(graph, REGISTRY, "/camera", {"rate": [1, "a"]})  # type: ignore[list-item]
+        await set_parameters(graph, REGISTRY, "/camera", {"rate": [1, "a"]})
 
 
 async def test_delete(graph: MemoryGraph) -> None:

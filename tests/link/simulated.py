@@ -252,7 +252,7 @@ def share(
     clock = Clock()
     ours = [Tcp(clock, path, congestion) for _ in range(count)]
     for number, tcp in enumerate(ours):
-        clock.at(late_s + 0.01 * number, lambda tcp=tcp: images(clock, tcp, LinkModel(), size, hz))  # type: ignore[misc]
+        clock.at(late_s + 0.01 * number, lambda tcp=tcp: images(clock, tcp, LinkModel(), size, hz))
     other = Tcp(clock, path, "reno")
 
     def feed() -> None:

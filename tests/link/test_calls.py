@@ -107,7 +107,7 @@ async def test_one_call_does_not_overtake_itself(link: Link) -> None:
     link.near.send_op(ops.CancelActionGoal(id="other", action="/a"), priority=99)
     link.near.send_op(ops.CancelActionGoal(id="small", action="/a"))
     come_ = await come(link, 4)
-    assert [op.id for op in come_] == ["small", "big", "big", "other"]  # type: ignore[union-attr]
+    assert [op.id for op in come_] == ["small", "big", "big", "other"]
     assert come_[1].op == "call_service"
 
 
@@ -120,7 +120,7 @@ async def test_commands_overtake_large_answers(link: Link) -> None:
     link.near.send_op(call("small"), payload=text("x"))
     await link.arrived(1)
     come_ = await come(link, 2)
-    assert [op.id for op in come_] == ["small", "big"]  # type: ignore[union-attr]
+    assert [op.id for op in come_] == ["small", "big"]
 
 
 async def test_without_hello(setting: Setting) -> None:
@@ -182,7 +182,7 @@ async def test_too_much(link: Link) -> None:
             link.near.send_op(call(), payload=payload)
     link.near.send_op(call("small"))  # a refusal still fits
     link.far.connection.resume_reading()
-    await until(lambda: any(op.id == "small" for op in link.far_handler.operations))  # type: ignore[union-attr]
+    await until(lambda: any(op.id == "small" for op in link.far_handler.operations))
 
 
 async def test_answers_nobody_reads(link: Link) -> None:

@@ -20,6 +20,7 @@ from cryptography.x509.oid import NameOID
 
 from ropeway.errors import IdentityError
 from ropeway.overlay import fleet as fleet_module
+from ropeway.overlay.durable import write_durable
 from ropeway.overlay.fleet import Fleet, make_request, new_key, valid_name
 from ropeway.overlay.identity import Identity, private_pem, write_private
 from ropeway.overlay.rights import EVERYTHING, Rights
@@ -234,7 +235,7 @@ def test_many_at_once(tmp_path: Path) -> None:
 def test_a_crash_in_the_middle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, operation: str) -> None:
     """Wherever a change is broken off, the fleet opens, no certificate was handed out unrecorded, and it can go on."""
     csr = make_request("guest", new_key("ed25519")).encode()
-    write = fleet_module.write_durable
+    write = write_durable
     for steps in range(4):
         made = Fleet.create("f", tmp_path / f"f{steps}")
         made.issue("robot1")

@@ -15,10 +15,7 @@ async def test_in_order_and_in_batches() -> None:
     """Everything that several threads put comes to the loop, in the order of each thread."""
     given: list[tuple[int, int]] = []
     inlet: Inlet[tuple[int, int]] = Inlet(asyncio.get_running_loop(), given.extend)
-    threads = [
-        threading.Thread(target=lambda n=n: [inlet.put((n, i), 10) for i in range(500)])  # type: ignore[misc]
-        for n in range(4)
-    ]
+    threads = [threading.Thread(target=lambda n=n: [inlet.put((n, i), 10) for i in range(500)]) for n in range(4)]
     for thread in threads:
         thread.start()
     await until(lambda: len(given) == 2000)

@@ -8,7 +8,7 @@ from ropeway.graph.overlay import OverlayGraph
 from ropeway.overlay.node import OverlayNode
 from tests.overlay.conftest import Site
 from tests.overlay.fleet import member
-from tests.overlay.test_attacks import STRING
+from tests.support.messages import STRING
 from tests.support.until import until
 
 

@@ -22,8 +22,10 @@ from ropeway.qos import QoS
 from tests.overlay.conftest import Site
 from tests.overlay.fleet import member
 from tests.overlay.hostile import bomb
-from tests.overlay.test_attacks import STRING, refusals, text
+from tests.overlay.test_attacks import refusals
 from tests.support.inbox import Inbox
+from tests.support.messages import STRING
+from tests.support.messages import sample as text
 from tests.support.until import PATIENCE_S, until
 
 MIB = 1 << 20

@@ -21,8 +21,9 @@ from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.router import Router, push_crl
 from ropeway.overlay.zenoh_config import gateway_config, gateway_id
 from ropeway.qos import QoS
-from tests.overlay.test_attacks import STRING, text
 from tests.support.inbox import Inbox
+from tests.support.messages import STRING
+from tests.support.messages import sample as text
 from tests.support.ports import free_endpoint
 from tests.support.until import until
 

@@ -8,7 +8,7 @@ import pytest
 
 from ropeway.graph.calls import Request
 from tests.server.conftest import Place
-from tests.server.rosapi.test_rosapi import FIBONACCI
+from tests.support.actions import FIBONACCI
 from tests.support.messages import STRING
 
 pytestmark = pytest.mark.jumping

@@ -15,7 +15,8 @@ from ropeway.graph.calls import ActionHandlers
 from tests.graph.parameter_node import ParameterNode
 from tests.server.conftest import Place
 from tests.server.peers import peers
-from tests.server.rosapi.test_rosapi import FIBONACCI, SET_BOOL, never, nothing
+from tests.server.rosapi.test_rosapi import SET_BOOL, never, nothing
+from tests.support.actions import FIBONACCI
 from tests.support.messages import STRING
 
 JS = Path(__file__).parents[1] / "js"

@@ -145,7 +145,7 @@ async def test_bounded(scene: Scene) -> None:
 
 async def test_what_publishing_logs(scene: Scene, rosout: Rosout, monkeypatch: pytest.MonkeyPatch) -> None:
     """A publisher that logs does not make the log go round in circles."""
-    publish = rosout._publisher.publish  # type: ignore[union-attr]
+    publish = rosout._publisher.publish
 
     def complaining(sample: Sample) -> None:
         scene.log.error("while publishing")

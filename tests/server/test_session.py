@@ -553,7 +553,8 @@ async def test_numbers_that_clients_send(place: Place, key: str, value: object) 
     """null, fractions and the largest integer are taken as clients mean them."""
     publisher = await place.robot.create_publisher("/chatter", STRING)
     client = await place.client()
-    client.send(listen(**{key: value}))
+    options: dict[str, Any] = {key: value}
+    client.send(listen(**options))
     await client.done()
     publisher.publish(sample("x" * 5000))
     assert await client.json() == heard("x" * 5000)

@@ -42,8 +42,7 @@ class StreamServer:
         self._server = _Server(("127.0.0.1", 0), handler)
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True)
         self._thread.start()
-        host, port = self._server.server_address[:2]
-        self.address = f"{host}:{port}"
+        self.address = f"127.0.0.1:{self._server.server_address[1]}"
         self.url = f"mongodb://{self.address}/ropeway?directConnection=true"
 
     def close(self) -> None:

@@ -341,7 +341,11 @@ async def test_documents_of_others(tmp_path: Path) -> None:
 
     try:
         await until(lambda: not fault_of(store))
-        inserted = [{"_id": "a", "data": "1"}, {"_id": "b", "data": "2", "version": 3}, {"_id": "c", "data": {"x": 1}}]
+        inserted: list[dict[str, Any]] = [
+            {"_id": "a", "data": "1"},
+            {"_id": "b", "data": "2", "version": 3},
+            {"_id": "c", "data": {"x": 1}},
+        ]
         await asyncio.to_thread(pepper.insert_many, [*inserted, {"_id": "none"}])
         assert await store.find("PEPPER", "a")
         await served("a", b"1")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from ropeway.types import TypeRegistry
 from ropeway.types.now import replace_now, stamp_header
 
@@ -13,7 +15,8 @@ TIME = {"sec": 1_700_000_000, "nanosec": 123_456_789}
 def test_header_without_stamp() -> None:
     """A header gets a stamp where it has none, and keeps the one it has."""
     codec = REGISTRY.codec("geometry_msgs/TwistStamped")
-    for value in ({}, {"header": {}}, {"header": {"frame_id": "f"}}):
+    values: list[dict[str, Any]] = [{}, {"header": {}}, {"header": {"frame_id": "f"}}]
+    for value in values:
         cdr = codec.from_json(value, now_ns=lambda: NOW)
         assert codec.header_stamp_ns(cdr) == NOW
         assert codec.decode(cdr)["header"]["frame_id"] == value.get("header", {}).get("frame_id", "")
@@ -51,7 +54,7 @@ def test_values_that_are_no_messages() -> None:
     """What does not look like the message is left for others to complain of."""
     assert stamp_header([], lambda: NOW) == []
     assert stamp_header({"header": 5}, lambda: NOW) == {"header": 5}
-    value = {"poses": {"x": 1}, "header": "now"}
+    value: dict[str, Any] = {"poses": {"x": 1}, "header": "now"}
     assert replace_now("nav_msgs/msg/Path", value, REGISTRY.definition, NOW) is value
     value = {"poses": [1, None, {"header": {"stamp": 7}}]}
     assert replace_now("nav_msgs/msg/Path", value, REGISTRY.definition, NOW) is value

@@ -122,9 +122,9 @@ def test_truths() -> None:
     """Bools come from lists, bytes of 0 and 1, and numpy."""
     for value in ([True, False], (np.True_, False), b"\1\0", np.array([True, False])):
         assert values.truths(value, 2, 0) == b"\1\0"
-    for value in ([1, 0], b"\2", np.array([1, 0]), "AQ==", None):
+    for bad in ([1, 0], b"\2", np.array([1, 0]), "AQ==", None):
         with pytest.raises(Misfit):
-            values.truths(value, -1, 0)
+            values.truths(bad, -1, 0)
 
 
 def test_wide_text() -> None:

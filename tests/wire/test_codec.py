@@ -287,7 +287,7 @@ def test_operations_go_out_as_json_or_png(string: MessageCodec) -> None:
 
 def lz4_of(size: int, **options: Any) -> bytes:
     """An LZ4 frame of zeros."""
-    return lz4.frame.compress(bytes(size), **options)
+    return bytes(lz4.frame.compress(bytes(size), **options))
 
 
 def test_bombs_are_refused_before_they_unfold(string: MessageCodec) -> None:

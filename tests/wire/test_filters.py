@@ -56,7 +56,7 @@ def scene(width: int, height: int, size: int) -> bytes:
     rng = np.random.default_rng(1)
     y, x = np.mgrid[:height, :width]
     plane = (x // 3 + y // 2)[..., np.newaxis] * np.arange(1, size + 1) + rng.integers(0, 3, (height, width, size))
-    return plane.astype(np.uint8).tobytes()
+    return bytes(plane.astype(np.uint8).tobytes())
 
 
 def there_and_back(payload: bytes, type: str) -> bytes:

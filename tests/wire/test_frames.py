@@ -15,7 +15,7 @@ from ropeway.errors import InvalidFrame
 from ropeway.wire.frames import JsonAssembler, cbor_loads, json_loads, json_value, loads
 
 A = {"op": "publish", "topic": "/a", "msg": {"data": 'x"{}[]\\'}}
-B = {"op": "subscribe", "topic": "/b", "list": [1, -2.5, True, None, {}, [], "é"]}
+B: dict[str, Any] = {"op": "subscribe", "topic": "/b", "list": [1, -2.5, True, None, {}, [], "é"]}
 TEXT_A, TEXT_B = json.dumps(A).encode(), json.dumps(B, ensure_ascii=False).encode()
 
 HOSTILE = {

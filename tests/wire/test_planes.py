@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,9 +15,9 @@ from ropeway.wire.arrays import BYTES, NUMBERS, RECORDS, Array
 @pytest.mark.parametrize("words", [1, 2, 8191, 8192, 8193, 20_000])
 def test_sums_of_small_numbers_are_right(kind: type, words: int) -> None:
     """Adding each number to the next, many at once, gives what adding one by one gives."""
-    values = np.random.default_rng(words).integers(0, 256, words * 8, dtype=np.uint8).view(kind)
+    values: np.ndarray[Any, Any] = np.random.default_rng(words).integers(0, 256, words * 8, dtype=np.uint8).view(kind)
     for case in (values, np.full_like(values, np.iinfo(kind).max), np.zeros_like(values)):
-        expected = np.cumsum(case, dtype=kind)
+        expected: np.ndarray[Any, Any] = np.cumsum(case, dtype=kind)
         result = case.copy()
         planes._add_left(result.view(np.uint64), 8 * values.itemsize)
         assert np.array_equal(result, expected)

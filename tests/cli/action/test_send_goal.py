@@ -117,7 +117,7 @@ async def test_interrupted_in_vain(
         await there.graph.create_action_server(name, FIBONACCI, handlers)
         notes = Notes()
         sending = asyncio.create_task(send_goal(here, name, FIBONACCI, {}, notes, timeout_s=5))
-        await until(lambda notes=notes: notes.said == ["accepted"])  # type: ignore[misc]
+        await until(lambda notes=notes: notes.said == ["accepted"])
         sending.cancel()
         with pytest.raises(asyncio.CancelledError):
             await sending

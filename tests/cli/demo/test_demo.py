@@ -79,7 +79,7 @@ async def test_every_synthetic_part_sends_valid_messages(pair: tuple[Session, Se
         got: list[Sample] = []
         await here.graph.create_subscription(part.topic, part.type, None, got.extend)
         sending = asyncio.create_task(part.send(there.graph, counted.on_sent))
-        await until(lambda counted=counted, got=got: counted.sent >= 3 and len(got) >= 2)  # type: ignore[misc]
+        await until(lambda counted=counted, got=got: counted.sent >= 3 and len(got) >= 2)
         sending.cancel()
         with pytest.raises(asyncio.CancelledError):
             await sending

@@ -150,7 +150,8 @@ async def test_echo_of_an_unknown_field_ends(pair: tuple[Session, Session], caps
 async def test_publish_paces_evenly(pair: tuple[Session, Session]) -> None:
     """Ten messages at 100 Hz take 90 ms and not less, numbered from one."""
     here, there = pair
-    watch, came = Stopwatch(), []
+    watch = Stopwatch()
+    came: list[float] = []
     await here.graph.create_subscription(
         "/a", STRING, SENSOR_DATA, lambda batch: came.extend(watch.seconds for _ in batch)
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import importlib.util
 
 import pytest
 
@@ -74,6 +75,6 @@ async def test_errors_speak(join: Join) -> None:
 def test_no_wheel(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the wheel, the error says how to get it."""
     monkeypatch.setattr(raw.Lib, "loaded", False)
-    monkeypatch.setattr(raw.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     with pytest.raises(GraphUnavailable, match="pip install"):
         raw.load("dds:0")

@@ -35,13 +35,13 @@ class Peer:
 
     def writer(self, topic: str, *policies: Any, type: type = String) -> Any:
         policies = policies or (RELIABLE, Policy.History.KeepLast(10))
-        writer = DataWriter(self.participant, Topic(self.participant, topic, type), Qos(*policies))
+        writer: Any = DataWriter(self.participant, Topic(self.participant, topic, type), Qos(*policies))
         self._parts.append(writer)
         return writer
 
     def reader(self, topic: str, *policies: Any, type: type = String) -> Any:
         policies = policies or (RELIABLE, Policy.History.KeepLast(10))
-        reader = DataReader(self.participant, Topic(self.participant, topic, type), Qos(*policies))
+        reader: Any = DataReader(self.participant, Topic(self.participant, topic, type), Qos(*policies))
         self._parts.append(reader)
         return reader
 

@@ -14,6 +14,7 @@ from ropeway.graph.iort.forms import (
     AngleForm,
     CodesForm,
     FloatsForm,
+    Form,
     JsonForm,
     TextForm,
     default_form,
@@ -52,7 +53,7 @@ def test_bad_floats(data: bytes) -> None:
 @given(st.binary(max_size=60))
 def test_any_bytes(data: bytes) -> None:
     """Whatever a robot sends is converted or refused; nothing else comes of it."""
-    forms = [
+    forms: list[Form] = [
         FloatsForm(twists, TWIST),
         CodesForm(twists, CODES),
         AngleForm(twists),

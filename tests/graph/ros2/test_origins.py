@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from ropeway.graph.ros2.origins import Origins
+from tests.support.messages import STRING
 
-from .test_discovery import STRING, Table, both, end, picture
+from .test_discovery import Table, both, end, picture
 
 
 def test_origin_of_gid() -> None:

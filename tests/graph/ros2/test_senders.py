@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from functools import partial
+from typing import Any
 
 from ropeway.graph.ros2.senders import Senders
 from tests.support.until import PATIENCE_S, until
@@ -15,7 +16,8 @@ def senders() -> Senders:
 
 async def test_order() -> None:
     """What one part sends goes out in order."""
-    threads, done = senders(), []
+    threads = senders()
+    done: list[Any] = []
     lane = threads.lane(10_000, 1 << 20, lambda _: None)
     for number in range(2000):
         lane.put(partial(done.append, number))
@@ -26,9 +28,10 @@ async def test_order() -> None:
 
 async def test_slow_lane() -> None:
     """A part whose reader is slow does not hold up another."""
-    threads, gate, done = senders(), threading.Event(), []
+    threads, gate = senders(), threading.Event()
+    done: list[Any] = []
     slow, quick = (threads.lane(10, 1 << 20, lambda _: None) for _ in range(2))
-    slow.put(lambda: gate.wait(2 * PATIENCE_S) and None)
+    slow.put(lambda: (gate.wait(2 * PATIENCE_S), None)[1])
     quick.put(lambda: done.append(1))
     await until(lambda: done)
     gate.set()
@@ -37,7 +40,9 @@ async def test_slow_lane() -> None:
 
 async def test_bounds() -> None:
     """Beyond its messages or bytes a lane lets the oldest go, and tells how many."""
-    threads, gate, done, lost = senders(), threading.Event(), [], []
+    threads, gate = senders(), threading.Event()
+    done: list[Any] = []
+    lost: list[Any] = []
     lane = threads.lane(3, 100, lost.append)
     entered = threading.Event()
 
@@ -61,7 +66,8 @@ async def test_bounds() -> None:
 
 async def test_finish() -> None:
     """Finishing a lane runs its last errand after all others and waits for it."""
-    threads, done = senders(), []
+    threads = senders()
+    done: list[Any] = []
     lane = threads.lane(1000, 1 << 20, lambda _: None)
     for number in range(100):
         lane.put(partial(done.append, number))
@@ -72,7 +78,8 @@ async def test_finish() -> None:
 
 async def test_stop() -> None:
     """Stopping sends what waits, and ends the threads."""
-    threads, done = senders(), []
+    threads = senders()
+    done: list[Any] = []
     lanes = [threads.lane(1000, 1 << 20, lambda _: None) for _ in range(20)]
     for number in range(100):
         for lane in lanes:

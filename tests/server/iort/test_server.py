@@ -578,7 +578,7 @@ async def test_database_refuses(tmp_path: Path) -> None:
         def full(*_: object) -> None:
             raise StoreUnavailable(backend.url, "the disk is full")
 
-        backend.write = full  # type: ignore[method-assign]
+        backend.write = full  # type: ignore[method-assign, assignment]
         answer = await node.ask(request("+pub", 2, "A", "b", b"2"))
         assert answer.head["code"] == "not-kept"
         assert b"disk is full" in answer.data
@@ -623,7 +623,7 @@ async def test_killed(tmp_path: Path) -> None:
             writing = asyncio.create_task(write())
             reading = asyncio.create_task(read())
             before = sum(acknowledged.values())
-            await until(lambda before=before: sum(acknowledged.values()) > before + 200 * 7)  # type: ignore[misc]
+            await until(lambda before=before: sum(acknowledged.values()) > before + 200 * 7)
             await asyncio.to_thread(server.kill)
             writing.cancel()
             await asyncio.wait([writing, reading])
