@@ -77,7 +77,7 @@ def test_import_costs_nothing() -> None:
 def test_unknown_name() -> None:
     """A name that is not exported is an AttributeError, as of any module."""
     with pytest.raises(AttributeError, match="module 'ropeway' has no attribute 'nothing'"):
-        ropeway.nothing  # noqa: B018  # type: ignore[attr-defined]
+        ropeway.nothing  # type: ignore[attr-defined]  # noqa: B018
     assert not hasattr(ropeway, "nothing")
 
 
