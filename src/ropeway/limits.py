@@ -72,8 +72,9 @@ FIELDS_PER_GRAPH: Final = 50_000
 
 # ── Operations of a rosbridge client ───────────────────────────────────────────────────────────────────────────────
 
-TOPICS_PER_CLIENT: Final = 4_096
-"""Topics that one client may publish, and as many that it may read."""
+TOPICS_PER_CLIENT: Final = 800
+"""Topics that one client may publish, and as many that it may read. Each takes 17 KiB on a DDS network; a large robot
+has 600."""
 
 IDS_PER_TOPIC: Final = 1_024
 """Registrations, each with an id of its own, of one topic by one client."""
@@ -84,17 +85,17 @@ REMEMBERED_PUBLISH_IDS: Final = 1_024
 CALLS_PER_CLIENT: Final = 1_024
 """Calls of one client that are under way."""
 
-SERVICES_PER_CLIENT: Final = 1_024
-"""Services that one client may offer."""
+SERVICES_PER_CLIENT: Final = 400
+"""Services that one client may offer. Each takes 36 KiB on a DDS network; a large robot has 300."""
 
 CALLS_PER_OFFERED_SERVICE: Final = 1_024
 """Calls under way of one service that a client offers."""
 
-GOALS_PER_CLIENT: Final = 1_024
-"""Goals of one client that are under way."""
+GOALS_PER_CLIENT: Final = 512
+"""Goals of one client that are under way. Each takes 20 KiB where the client carries them out as well."""
 
-ACTIONS_PER_CLIENT: Final = 1_024
-"""Actions that one client may offer."""
+ACTIONS_PER_CLIENT: Final = 100
+"""Actions that one client may offer. Each takes 135 KiB on a DDS network; Nav2 has 12."""
 
 GOALS_PER_OFFERED_ACTION: Final = 1_024
 """Goals under way of one action that a client offers."""
@@ -104,6 +105,16 @@ LINGERING_CLIENTS: Final = 256
 
 WAITING_OPERATIONS: Final = 256
 """Operations of one client that wait for their turn. Above, its socket is not read."""
+
+WAITING_OPERATIONS_BYTES: Final = 256 << 10
+"""The same in bytes as they came. What they say may take 26 times as much in memory while they wait."""
+
+WAITING_ANSWERS: Final = 1_024
+"""Answers and calls that wait for the link to one client. Above, its socket is not read until half have gone."""
+
+SEARCHES_PER_CLIENT: Final = 16
+"""Services and actions that one client uses and nobody is known to serve, which are looked for at a time: each takes
+up to 170 KiB on a DDS network while it is looked for."""
 
 THROTTLED_MESSAGES: Final = 100
 """Messages of one throttled topic that wait for one client, whatever `queue_length` it asks for."""
@@ -122,11 +133,12 @@ LONGEST_CALL_S: Final = 3_600.0
 NESTED_CONTAINERS: Final = 128
 """Lists and objects within each other in JSON and CBOR. ROS messages have about ten."""
 
-UNPACKED_BYTES: Final = 16 << 20
-"""What the values of any CBOR may take in memory."""
+UNPACKED_BYTES: Final = 13 << 20
+"""What the values of any CBOR or JSON may take in memory."""
 
-UNPACKED_PER_BYTE: Final = 32
-"""What the values of long CBOR may take in memory for each of its bytes. Small maps of whole numbers take 25."""
+UNPACKED_PER_BYTE: Final = 14
+"""What the values of long CBOR or JSON may take in memory for each of its bytes. Points take 12, poses with their
+headers 13; what takes more (a megabyte of small maps of whole numbers) goes as ``cbor-raw`` or in several messages."""
 
 UNFINISHED_MESSAGES: Final = 64
 """Messages in parts of one connection of which more is still to come."""

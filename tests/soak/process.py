@@ -11,6 +11,8 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
+import psutil
+
 __all__ = ["Held", "Served", "serving"]
 
 PROGRAM = Path(__file__).with_name("gateway.py")
@@ -58,6 +60,19 @@ class Served:
             if calm or loop.time() > until:
                 return found
             await asyncio.sleep(0.2)
+
+    def forget_peak(self) -> None:
+        """Begin to look anew for the most that is resident."""
+        Path(f"/proc/{self.process.pid}/clear_refs").write_text("5")
+
+    def peak_bytes(self) -> int:
+        """Return the most that was resident, as the kernel counted it."""
+        status = Path(f"/proc/{self.process.pid}/status").read_text()
+        return next(int(line.split()[1]) << 10 for line in status.splitlines() if line.startswith("VmHWM:"))
+
+    def busy_s(self) -> float:
+        """Return how long it has computed."""
+        return sum(psutil.Process(self.process.pid).cpu_times()[:2])
 
     async def _line(self) -> Any:
         assert self.process.stdout is not None

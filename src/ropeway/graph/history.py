@@ -28,7 +28,7 @@ class History:
         self._lifespan_ns = None if qos.lifespan_s is None else int(qos.lifespan_s * 1e9)
         self._limit_bytes = limit_bytes
         self._clock = clock
-        self._kept: deque[Sample] = deque()
+        self._kept: deque[Sample] | None = None  # most topics never have one
         self._bytes = 0
 
     def add(self, sample: Sample) -> None:
@@ -36,23 +36,31 @@ class History:
         if self._depth == 0:
             return
         kept = self._kept
+        if kept is None:
+            kept = self._kept = deque()
         kept.append(sample)
         self._bytes += len(sample.payload)
         while len(kept) > 1 and (self._bytes > self._limit_bytes or (self._depth and len(kept) > self._depth)):
-            self._forget()
+            self._forget(kept)
         self._expire()
 
     def replay(self) -> list[Sample]:
         """What a late joiner gets, oldest first."""
         self._expire()
-        return list(self._kept)
+        return list(self._kept or ())
+
+    @property
+    def bytes(self) -> int:
+        """How many bytes are kept."""
+        return self._bytes
 
     def _expire(self) -> None:
-        if self._lifespan_ns is None or not self._kept:
+        kept = self._kept
+        if self._lifespan_ns is None or not kept:
             return
         oldest = (time.time_ns() if self._clock is None else self._clock()) - self._lifespan_ns
-        while self._kept and self._kept[0].stamp_ns < oldest:
-            self._forget()
+        while kept and kept[0].stamp_ns < oldest:
+            self._forget(kept)
 
-    def _forget(self) -> None:
-        self._bytes -= len(self._kept.popleft().payload)
+    def _forget(self, kept: deque[Sample]) -> None:
+        self._bytes -= len(kept.popleft().payload)

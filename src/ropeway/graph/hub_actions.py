@@ -129,6 +129,11 @@ class ViewActionClient:
             self._inner.wait_available(timeout_s), lambda: self._provider() is not None, self._calls.actions, timeout_s
         )
 
+    async def find(self, timeout_s: float) -> None:
+        """Wait a moment for who serves it. Raises ``NotServed``."""
+        if self.available is False and not await self.wait_available(min(NOBODY_S, timeout_s)):
+            raise NotServed(self.action, "action")
+
     async def send_goal(
         self,
         goal: Goal,
@@ -142,8 +147,7 @@ class ViewActionClient:
         self._calls.check_circle(self.action, goal.via)
         loop = asyncio.get_running_loop()
         deadline = loop.time() + timeout_s
-        if self.available is False and not await self.wait_available(min(NOBODY_S, timeout_s)):
-            raise NotServed(self.action, "action")
+        await self.find(timeout_s)
         left = max(deadline - loop.time(), 0.001)
         provider = self._provider()
         if provider is not None:
@@ -166,7 +170,7 @@ class ViewActionClient:
             await goal.forget()
         if self._inner is not None:
             self._inner = None
-            self._calls.release("action", self.action, self.type)
+            await self._calls.release("action", self.action, self.type)
 
 
 class _ViewGoal:

@@ -105,8 +105,8 @@ class HubCalls:
             made.set_result(None)
         return shared
 
-    def release(self, kind: str, name: str, type: str) -> None:
-        """A view needs the client no more; it lingers for the next."""
+    async def release(self, kind: str, name: str, type: str) -> None:
+        """A view needs the client no more; it lingers for the next, where there is somebody to call."""
         key = (kind, name, type)
         shared = self._clients.get(key)
         if shared is None:
@@ -114,18 +114,23 @@ class HubCalls:
         shared.users -= 1
         if shared.users:
             return
+        if shared.inner.available is False:
+            if (closing := self._expire(key)) is not None:
+                await asyncio.wait({closing})
+            return
         self._idle[key] = None
         shared.closing = asyncio.get_running_loop().call_later(_LINGER_S, self._expire, key)
         if len(self._idle) > _IDLE:
             self._expire(next(iter(self._idle)))
 
-    def _expire(self, key: tuple[str, str, str]) -> None:
+    def _expire(self, key: tuple[str, str, str]) -> asyncio.Task[None] | None:
         self._idle.pop(key, None)
         shared = self._clients.pop(key, None)
-        if shared is not None:
-            if shared.closing is not None:
-                shared.closing.cancel()
-            self._closers.start(shared.inner.close(), f"close client {key[1]}")
+        if shared is None:
+            return None
+        if shared.closing is not None:
+            shared.closing.cancel()
+        return self._closers.start(shared.inner.close(), f"close client {key[1]}")
 
     # ── calls ──────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -267,6 +272,17 @@ class ViewClient:
             self._inner.wait_available(timeout_s), lambda: self._provider() is not None, self._calls.services, timeout_s
         )
 
+    async def find(self, timeout_s: float) -> None:
+        """Wait a moment for who serves it. Raises ``NotServed``, or ``CallTimeout`` where that was too short."""
+        if (
+            self._inner is not None
+            and self.available is False
+            and not await self.wait_available(min(NOBODY_S, timeout_s))
+        ):
+            if timeout_s < NOBODY_S and self.listed:  # the caller's time was too short for a server that came just now
+                raise CallTimeout(self.service, timeout_s)
+            raise NotServed(self.service)
+
     async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
         """See ``Client``."""
         if self.closed:
@@ -289,14 +305,7 @@ class ViewClient:
     async def _call(self, request: Request, timeout_s: float) -> bytes:
         loop = asyncio.get_running_loop()
         deadline = loop.time() + timeout_s
-        if (
-            self._inner is not None
-            and self.available is False
-            and not await self.wait_available(min(NOBODY_S, timeout_s))
-        ):
-            if timeout_s < NOBODY_S and self.listed:  # the caller's time was too short for a server that came just now
-                raise CallTimeout(self.service, timeout_s)
-            raise NotServed(self.service)
+        await self.find(timeout_s)
         left = max(deadline - loop.time(), 0.001)
         provider = self._provider()
         if provider is not None:
@@ -317,7 +326,7 @@ class ViewClient:
         await self._under_way.fail(GraphUnavailable(self._calls.graph.name, why))
         if self._inner is not None:
             self._inner = None
-            self._calls.release("service", self.service, self.type)
+            await self._calls.release("service", self.service, self.type)
 
 
 async def either(inner: Awaitable[bool], here: Callable[[], bool], holders: Holders[Any], timeout_s: float) -> bool:

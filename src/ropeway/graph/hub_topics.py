@@ -104,6 +104,11 @@ class ViewPublisher:
         return any(other.given is not None and other.given.has(sample) for other in others)
 
     @property
+    def kept_bytes(self) -> int:
+        """How much is kept for readers that come late."""
+        return self._history.bytes
+
+    @property
     def subscribers(self) -> int | None:
         """Readers on the network and in other views."""
         network = self._inner.subscribers

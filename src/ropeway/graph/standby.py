@@ -15,7 +15,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -57,7 +56,7 @@ class Standby:
         self._second = False  # a gateway with a smaller id publishes the topic, too
         self._share = 1.0  # of our messages that it brings as well
         self._monitor: Subscription | None = None
-        self._held: deque[tuple[float, Sample, Callable[[Sample], None]]] = deque()
+        self._held: list[tuple[float, Sample, Callable[[Sample], None]]] = []  # few, and mostly none
         self._timer: asyncio.TimerHandle | None = None
         self._lock = asyncio.Lock()
         self._alone = alone  # what is published here nobody else has to say
@@ -136,7 +135,7 @@ class Standby:
 
     def _release(self) -> bool:
         """Let the oldest message go; true if it had appeared."""
-        _, sample, publish = self._held.popleft()
+        _, sample, publish = self._held.pop(0)
         if self._received.has(sample):
             self.duplicates += 1
             return True

@@ -8,6 +8,7 @@ overtakes itself.
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -27,13 +28,16 @@ if TYPE_CHECKING:
     from ropeway.types import MessageCodec
     from ropeway.wire.dialect import Dialect
 
-__all__ = ["OP_CHANNELS", "WAITING_LIMIT_BYTES", "OpSender", "Unsent"]
+__all__ = ["OP_CHANNELS", "ROOM_BYTES", "WAITING_LIMIT_BYTES", "OpSender", "Unsent"]
 
 OP_CHANNELS: Final = range(65536 - LANES, 65536)
 """The channels of operations, the most urgent first; topics have smaller numbers."""
 
 WAITING_LIMIT_BYTES: Final = 64 << 20
 """What may wait for one link; as much as the largest message."""
+
+ROOM_BYTES: Final = 1 << 20
+"""What waits for one link, above which nothing long is begun that can wait as well: a second on a slow one."""
 
 _URGENT_LANE: Final = 1
 _BULK_LANE: Final = 4
@@ -149,11 +153,21 @@ class OpSender:
         self.limit_bytes: int | None = None
         self._channels: dict[int, _OpChannel] = {}
         self._waiting: dict[str, tuple[int, int]] = {}  # by id: the lane and how many
+        self._room: asyncio.Future[None] | None = None  # of those who wait for it
+        self.count = 0  # of operations that wait
+        self.on_gone: Callable[[], None] = _nothing  # one of them has gone
 
     @property
     def waiting_bytes(self) -> int:
         """What waits for the link."""
         return sum(channel.queue.bytes for channel in self._channels.values())
+
+    async def room(self) -> None:
+        """Wait until no more than ``ROOM_BYTES`` wait for the link."""
+        while self.waiting_bytes > ROOM_BYTES:
+            if self._room is None:
+                self._room = asyncio.get_running_loop().create_future()
+            await asyncio.shield(self._room)
 
     def send(
         self,
@@ -194,6 +208,7 @@ class OpSender:
         lane = self._lane(key, priority, len(data))
         if key:
             self._waiting[key] = (lane, self._waiting.get(key, (lane, 0))[1] + 1)
+        self.count += 1
         text = write is _write_json
         self._channel(lane).put(_OutgoingOp(data, make, key, fragment_size, on_unsent, text=text))
 
@@ -224,12 +239,21 @@ class OpSender:
         return channel
 
     def _done(self, op: _OutgoingOp) -> None:
+        self.count -= 1
+        self.on_gone()
+        if self._room is not None and self.waiting_bytes <= ROOM_BYTES:
+            self._room.set_result(None)
+            self._room = None
         if op.key:
             lane, count = self._waiting[op.key]
             if count > 1:
                 self._waiting[op.key] = (lane, count - 1)
             else:
                 del self._waiting[op.key]
+
+
+def _nothing() -> None:
+    """Nobody wants to know."""
 
 
 def _write_json(

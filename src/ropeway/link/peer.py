@@ -196,6 +196,19 @@ class Peer:
             on_unsent=on_unsent,
         )
 
+    @property
+    def answers_waiting(self) -> int:
+        """How many calls and answers wait for the link; ``on_answer_gone`` is called for each that has gone."""
+        return self._ops.count
+
+    def on_answer_gone(self, callback: Callable[[], None]) -> None:
+        """Have ``callback`` called whenever a call or an answer has gone out."""
+        self._ops.on_gone = callback
+
+    async def room_for_answers(self) -> None:
+        """Wait while much waits for the peer: it reads slower than it asks."""
+        await self._ops.room()
+
     def open_channel(
         self,
         number: int,

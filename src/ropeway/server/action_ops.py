@@ -28,6 +28,7 @@ from ropeway.wire import ops
 from ropeway.wire.dialect import ROSGW
 
 if TYPE_CHECKING:
+    from ropeway.graph.hub_actions import ViewActionClient
     from ropeway.server.session import Session
 
 __all__ = ["ActionOps"]
@@ -236,7 +237,8 @@ class SentGoal:
         op.args = None  # in CDR it takes least
         codecs = [codec_of(session, type + part) for part in ("_Result", "_Feedback")]
         encoding = answer_encoding(session, op)
-        client = await session.view.create_action_client(name, type)
+        with session.holding(len(payload)):
+            client = await self._client(name, type, found=bool(types))
         try:
             goal = await client.send_goal(
                 Goal(payload, **passage(session, extra)),
@@ -251,6 +253,23 @@ class SentGoal:
         finally:
             await client.close()
         self._result(outcome, type, codecs[0], encoding)
+
+    async def _client(self, name: str, type: str, *, found: bool) -> ViewActionClient:
+        """Return a client for an action; where nobody is known to serve it, somebody may appear in a moment.
+
+        Raises ``NotServed`` or ``CallTimeout``. Few are looked for at a time: each takes parts of the graph.
+        """
+        view = self._session.view
+        if found:
+            return await view.create_action_client(name, type)
+        async with self._session.searching(name, DEFAULT_TIMEOUT_S):
+            client = await view.create_action_client(name, type)
+            try:
+                await client.find(DEFAULT_TIMEOUT_S)
+            except BaseException:
+                await client.close()
+                raise
+            return client
 
     def _feedback(self, payload: bytes, codec: Any, encoding: str) -> None:
         op, session = self.op, self._session

@@ -35,6 +35,7 @@ from ropeway.server.bodies import (
     text_of,
     type_of,
 )
+from ropeway.server.rosapi_calls import RosapiCalls
 from ropeway.tasks import end
 from ropeway.wire import ops
 
@@ -59,11 +60,13 @@ class ServiceOps:
         self.called = 0
         self.offered: dict[str, OfferedService] = {}  # by the name that the client gave
         self._calls: dict[asyncio.Task[None], ops.CallService] = {}
+        self._rosapi = RosapiCalls(session, self._fail)
         self._clients: dict[tuple[str, str], ViewClient] = {}
 
     async def leave(self) -> None:
         """The client has left: its calls are given up, its services withdrawn."""
         await end(*self._calls)
+        await self._rosapi.close()
         for client in self._clients.values():
             await client.close()
         self._clients.clear()
@@ -75,8 +78,13 @@ class ServiceOps:
         """Answer the calls that are under way: they fail for this reason."""
         under_way = dict(self._calls)
         await end(*under_way)
-        for op in under_way.values():
+        for op in (*under_way.values(), *await self._rosapi.close()):
             self.refuse(op, ProviderLost(op.name, reason))
+
+    @property
+    def questions(self) -> int:
+        """How many calls of rosapi are not answered."""
+        return len(self._rosapi)
 
     def status(self) -> Iterator[dict[str, Any]]:
         """One row per service that the client serves."""
@@ -94,30 +102,38 @@ class ServiceOps:
     def call(self, op: ops.CallService) -> None:
         """The client calls a service; it is answered exactly once, unless it leaves."""
         self.called += 1
-        if len(self._calls) >= CALLS_PER_CLIENT:
+        if len(self._calls) + len(self._rosapi) >= CALLS_PER_CLIENT:
             self.refuse(op, CallFailed(op.name, f"too many calls: {CALLS_PER_CLIENT} of this client are under way"))
             return
-        task = asyncio.create_task(self._answer(op), name=f"call of {op.service[:200]}")
+        session = self.session
+        try:
+            name = session.names.resolve(op.name)
+            session.access.check("call_service", name)
+            if session.rosapi is not None and session.rosapi.serves(name):
+                self._rosapi.add(op, session.rosapi.question(name, op.args))
+                return
+        except (RopewayError, ValueError) as error:
+            self.refuse(op, error)
+            return
+        task = asyncio.create_task(self._answer(op, name), name=f"call of {op.service[:200]}")
         self._calls[task] = op
         task.add_done_callback(partial(self._ended, op))
 
     def _ended(self, op: ops.CallService, task: asyncio.Task[None]) -> None:
         self._calls.pop(task, None)
         if not task.cancelled() and (error := task.exception()) is not None:
-            log.error("%s: a call of %s failed", self.session.peer.connection.peer, op.service, exc_info=error)
-            self.refuse(op, CallFailed(op.name, "internal error"))
+            self._fail(op, error)
 
-    async def _answer(self, op: ops.CallService) -> None:
-        session = self.session
+    def _fail(self, op: ops.CallService, error: BaseException) -> None:
+        """Answer a call that failed, foreseen or not."""
+        if not isinstance(error, (RopewayError, ValueError)):
+            log.error("%s: a call of %s failed", self.session.peer.connection.peer, op.service, exc_info=error)
+            error = CallFailed(op.name, "internal error")
+        self.refuse(op, error)
+
+    async def _answer(self, op: ops.CallService, name: str) -> None:
         try:
-            name = session.names.resolve(op.name)
-            session.access.check("call_service", name)
-            if session.rosapi is not None and session.rosapi.serves(name):
-                values = await session.rosapi.call(name, op.args, session)
-                reply = ops.ServiceResponse(service=op.service, values=values, result=True, id=op.id)
-                session.peer.send_op(reply, fragment_size=op.fragment_size)
-            else:
-                await self._call(op, name)
+            await self._call(op, name)
         except (RopewayError, ValueError) as error:
             self.refuse(op, error)
 
@@ -131,13 +147,13 @@ class ServiceOps:
         op.args = None  # in CDR it takes least
         timeout_s = self._timeout_s(op.timeout)
         request = Request(payload, timeout_s=timeout_s, **passage(session, extra))
-        client = await self._client(name, type)
-        if client.available is False:
-            if client.listed:
-                await client.wait_available(_SERVER_S)
-            elif not known:
-                raise NotServed(name)  # at once, as rosbridge does, which does not know the type then
         with session.holding(len(payload)):
+            if session.view.service_types(name):
+                client = await self._client(name, type)
+            else:
+                client = await self._find(name, type, timeout_s, wait=known)
+            if client.available is False and client.listed:
+                await client.wait_available(_SERVER_S)
             response = await client.call(request, timeout_s)
         session.peer.send_op(
             ops.ServiceResponse(service=op.service, values=None, result=True, id=op.id),
@@ -150,14 +166,16 @@ class ServiceOps:
         )
 
     async def _client(self, name: str, type: str) -> ViewClient:
-        """The client for a service, kept for further calls; the one that was not used for longest goes."""
-        client = self._clients.pop((name, type), None)
-        if client is None:
-            client = await self.session.view.create_client(name, type)
-            other = self._clients.pop((name, type), None)  # of a call that came meanwhile
-            if other is not None:
-                await client.close()
-                client = other
+        """The client for a service, kept for further calls."""
+        client = self._clients.pop((name, type), None) or await self.session.view.create_client(name, type)
+        return await self._keep(name, type, client)
+
+    async def _keep(self, name: str, type: str, client: ViewClient) -> ViewClient:
+        """Keep a client for further calls, or take the one that is kept; that not used for longest goes."""
+        other = self._clients.pop((name, type), None)  # of a call that came meanwhile
+        if other is not None and other is not client:
+            await client.close()
+            client = other
         self._clients[name, type] = client
         while len(self._clients) > _CLIENTS_LIMIT:
             oldest = next(iter(self._clients))
@@ -167,6 +185,23 @@ class ServiceOps:
                 break
             await idle.close()
         return client
+
+    async def _find(self, name: str, type: str, timeout_s: float, *, wait: bool) -> ViewClient:
+        """Return the client for a service that nobody is known to serve; with ``wait`` it may appear in a moment.
+
+        Raises ``NotServed`` or ``CallTimeout``. Few are looked for at a time: each takes parts of the graph.
+        """
+        async with self.session.searching(name, timeout_s):
+            client = await self.session.view.create_client(name, type)
+            try:
+                if client.available is False and not client.listed:
+                    if not wait:
+                        raise NotServed(name)  # at once, as rosbridge does, which does not know the type then
+                    await client.find(timeout_s)
+            except BaseException:
+                await client.close()
+                raise
+        return await self._keep(name, type, client)
 
     def _type(self, op: ops.CallService, name: str) -> tuple[str, bool]:
         """The type of a service, and whether to wait for it.

@@ -6,13 +6,12 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections import deque
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from ropeway.errors import AccessDenied, InvalidOperation, RopewayError, TypesError, WireError
+from ropeway.errors import AccessDenied, CallTimeout, InvalidOperation, RopewayError, TypesError, WireError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
-from ropeway.limits import UNREAD_STATUS_BYTES, WAITING_OPERATIONS
+from ropeway.limits import SEARCHES_PER_CLIENT, UNREAD_STATUS_BYTES
 from ropeway.link.peer import Peer
 from ropeway.server.access import Access
 from ropeway.server.action_ops import ActionOps
@@ -20,6 +19,7 @@ from ropeway.server.names import Names
 from ropeway.server.service_ops import ServiceOps
 from ropeway.server.topic_ops import Retire, TopicOps
 from ropeway.server.topics import TopicIn, TopicOut
+from ropeway.server.turns import Turns
 from ropeway.server.watch import Watch
 from ropeway.types.told import Teller
 from ropeway.wire import ops
@@ -36,8 +36,6 @@ __all__ = ["Rosapi", "Session"]
 
 log = logging.getLogger("ropeway.server")
 
-_RESUME_AT: Final = 32  # operations that still wait when the socket is read again
-_PAUSE_BYTES: Final = 64 << 20  # received while operations wait
 _LONG_CODECS: Final = 1024  # codecs for clients that want texts for numbers of 64 bits
 _RATED: Final[Mapping[type, tuple[str, str]]] = {
     ops.Publish: ("publish", "topic"),
@@ -56,8 +54,8 @@ class Rosapi(Protocol):
     def serves(self, name: str) -> bool:
         """True for the name of a service that it answers."""
 
-    async def call(self, name: str, args: Any, session: Session) -> Any:
-        """The ``values`` of the response, as JSON has them. Raises ``RopewayError``."""
+    def question(self, name: str, args: Any) -> Callable[[], Any]:
+        """Return what finds the ``values`` of the response, as JSON has them. Raises ``RopewayError``."""
 
 
 class Session:
@@ -107,17 +105,15 @@ class Session:
         self.topics = TopicOps(self, unregister_timeout_s=unregister_timeout_s, on_advertised=on_advertised)
         self.services = ServiceOps(self, call_timeout_s=call_timeout_s)
         self.actions = ActionOps(self, cancel_goals=cancel_goals or self.gateway)
-        self._waiting: deque[ops.Op | Retire] = deque()
-        self._wake = asyncio.Event()
-        self._paused = False
+        self.turns = Turns(self.peer, lambda: self.services.questions)
         self._rated_bytes = 0
-        self._idle_bytes = 0  # what had been received before operations had to wait
         self._watch: Watch | None = None
         self._teller = Teller(registry)
         self._gone = False
         self._requests_bytes = 0
+        self._searches = asyncio.Semaphore(SEARCHES_PER_CLIENT)  # for what nobody is known to serve
         hold = connection.account.hold
-        hold("operations that wait", self._waiting_bytes)
+        hold("operations that wait", lambda: self.turns.bytes)
         hold("requests under way", lambda: self._requests_bytes)
         hold("topics and what they keep", lambda: self.topics.held_bytes)
         hold("definitions", lambda: self._teller.held_bytes)
@@ -147,15 +143,10 @@ class Session:
         """Carry out the client's operations until it leaves, then take back what it created."""
         try:
             while not self._gone:
-                await self._wake.wait()
-                self._wake.clear()
-                while self._waiting and not self._gone:
-                    op = self._waiting[0]
-                    await self._carry_out(op)
-                    self._waiting.popleft()
-                    if self._paused and len(self._waiting) <= (0 if self._heavy else _RESUME_AT):
-                        self._paused = False
-                        self.peer.connection.resume_reading()
+                await self.turns.wait()
+                while self.turns.ready and not self._gone:
+                    await self._carry_out(self.turns.waiting[0])
+                    self.turns.done()
                     await asyncio.sleep(0)  # others have their turn, however much this client asks for
         finally:
             self._gone = True
@@ -165,13 +156,13 @@ class Session:
 
     async def give_up(self, reason: str) -> None:
         """Answer what the client waits for, before its connection is closed."""
-        self._waiting.clear()
+        self.turns.waiting.clear()
         await self.services.give_up(reason)
         await self.actions.give_up(reason)
 
     async def _leave(self) -> None:
         """Take back everything but the topics that linger; ``withdraw`` takes those back."""
-        self._waiting.clear()
+        self.turns.waiting.clear()
         if self._watch is not None:
             await self._watch.close()
         await self.services.leave()
@@ -196,18 +187,17 @@ class Session:
         """An operation came. What takes no time is done at once, unless something waits; all else has its turn."""
         if self.access.limited and not self._within_rates(op):
             return
-        if not self._waiting:
-            try:
-                if self._at_once(op):
-                    return
-            except (RopewayError, ValueError) as error:
-                self._failed(op, error)
-                return
-            self._idle_bytes = self.peer.connection.bytes_in
-        self.push(op)
-        if not self._paused and (len(self._waiting) > WAITING_OPERATIONS or self._heavy):
-            self._paused = True
-            self.peer.connection.pause_reading()
+        turns = self.turns
+        if turns.waiting or turns.paused or not self._done_at_once(op):
+            turns.push(op)
+        turns.look()
+
+    def _done_at_once(self, op: ops.Op) -> bool:
+        try:
+            return self._at_once(op)
+        except (RopewayError, ValueError) as error:
+            self._failed(op, error)
+            return True
 
     def _within_rates(self, op: ops.Op) -> bool:
         """True unless the client sends more than its role may; then a request is refused, and all else dropped."""
@@ -227,18 +217,6 @@ class Session:
             return False
         return True
 
-    def push(self, op: ops.Op | Retire) -> None:
-        """Let an operation wait for its turn."""
-        self._waiting.append(op)
-        self._wake.set()
-
-    @property
-    def _heavy(self) -> bool:
-        return self._waiting_bytes() > _PAUSE_BYTES
-
-    def _waiting_bytes(self) -> int:
-        return self.peer.connection.bytes_in - self._idle_bytes if self._waiting else 0
-
     @contextlib.contextmanager
     def holding(self, size: int) -> Iterator[None]:
         """Count a request of the client that is under way."""
@@ -247,6 +225,19 @@ class Session:
             yield
         finally:
             self._requests_bytes -= size
+
+    @contextlib.asynccontextmanager
+    async def searching(self, name: str, timeout_s: float) -> AsyncIterator[None]:
+        """Look for a name that nobody is known to serve, when few others are looked for. Raises ``CallTimeout``."""
+        try:
+            async with asyncio.timeout(timeout_s):
+                await self._searches.acquire()
+        except TimeoutError:
+            raise CallTimeout(name, timeout_s) from None
+        try:
+            yield
+        finally:
+            self._searches.release()
 
     def control(self, message: Mapping[str, Any]) -> None:
         """A message of the Ropeway dialect came."""
@@ -280,7 +271,7 @@ class Session:
         """Messages came on a channel."""
         if self.access.limited:
             arrivals = [arrival for arrival in arrivals if self._may_arrive(channel, arrival)]
-        self.topics.arrived(channel, arrivals, self._waiting)
+        self.topics.arrived(channel, arrivals, self.turns.waiting)
 
     def _may_arrive(self, channel: int, arrival: Arrival) -> bool:
         topic = self.topics.input_channels.get(channel)
@@ -292,12 +283,12 @@ class Session:
 
     def takes(self, channel: int) -> bool:
         """Return whether the client has advertised a channel, or is about to."""
-        return self.topics.takes(channel, self._waiting)
+        return self.topics.takes(channel, self.turns.waiting)
 
     def lost(self, code: int, reason: str) -> None:
         """The connection is gone."""
         self._gone = True
-        self._wake.set()
+        self.turns.wake()
 
     @property
     def gone(self) -> bool:
@@ -326,6 +317,7 @@ class Session:
     def tick(self) -> None:
         """Bring the meters up to date, and tell a gateway how its topics arrive; called about once a second."""
         self.topics.tick()
+        self.turns.tick()
         self.peer.connection.look()
         if self.gateway:
             self.peer.ping()

@@ -239,7 +239,7 @@ class TopicOps:
 
     def _expire(self, name: str) -> None:
         self._lingering.pop(name, None)
-        self.session.push(Retire(name))
+        self.session.turns.push(Retire(name))
 
     async def retire(self, name: str) -> None:
         """The time that a withdrawn topic was kept for is over."""
@@ -376,7 +376,7 @@ class TopicOps:
                 continue
             for topic in [t for t in self._unborn if self.session.names.resolve(t) == event.name]:
                 for op in self._unborn.pop(topic).values():
-                    self.session.push(op)
+                    self.session.turns.push(op)
 
     # ── checks ─────────────────────────────────────────────────────────────────────────────────────────────────
 

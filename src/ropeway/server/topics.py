@@ -21,7 +21,8 @@ from ropeway.wire.dialect import ROSGW
 from ropeway.wire.records import Arrival
 
 if TYPE_CHECKING:
-    from ropeway.graph.base import Publisher, Subscription
+    from ropeway.graph.base import Subscription
+    from ropeway.graph.hub_topics import ViewPublisher
     from ropeway.link.peer import Channel
     from ropeway.server.session import Session
     from ropeway.types import MessageCodec
@@ -55,27 +56,22 @@ class TopicIn:
         self.ids: set[str] = set()
         self.unique = False  # the client asked that a message whose id came before be dropped
         self._ids_seen: dict[int, None] = {}
-        self.publisher: Publisher | None = None
+        self.publisher: ViewPublisher | None = None
         self.meter = Meter()
         self.number: int | None = None
         self.encoding = compression or "none"  # of the last message
         self._codec: MessageCodec | None = None
         self.lost: Counter[Lost] = Counter()
-        self._early: deque[Sample] = deque()
-        self._early_bytes = 0  # of what waits until there is a publisher
-        self._kept: deque[int] | None = None  # sizes of what is kept for late readers, for as long as the topic is
-        self._kept_bytes = 0
+        self._early: deque[Sample] | None = None  # what waits until there is a publisher
+        self._early_bytes = 0
         self._origin = new_origin()
 
-    def ready(self, publisher: Publisher) -> None:
+    def ready(self, publisher: ViewPublisher) -> None:
         """The publisher was made: what came early goes out."""
         self.publisher = publisher
-        qos = publisher.qos
-        if qos.latched:
-            self._kept = deque(maxlen=None if qos.history == "keep_all" else max(qos.depth, 1))
-        while self._early:
-            self._hand_over(publisher, self._early.popleft())
-        self._early_bytes = 0
+        early, self._early, self._early_bytes = self._early, None, 0
+        for sample in early or ():
+            publisher.publish(sample)
         if self.number is not None:
             number = self.number
             publisher.on_demand(
@@ -85,7 +81,8 @@ class TopicIn:
     @property
     def held_bytes(self) -> int:
         """What is kept for the client."""
-        return self._early_bytes + self._kept_bytes + REGISTRATION_BYTES * len(self.ids)
+        kept = self.publisher.kept_bytes if self.publisher is not None else 0
+        return self._early_bytes + kept + REGISTRATION_BYTES * len(self.ids)
 
     def codec(self) -> MessageCodec:
         """How to read the client's messages. Raises ``UnknownType``."""
@@ -140,22 +137,16 @@ class TopicIn:
     def _publish(self, sample: Sample) -> None:
         self.meter.add(sample, sample.stamp_ns)
         if self.publisher is not None:
-            self._hand_over(self.publisher, sample)
+            self.publisher.publish(sample)
             return
-        self._early.append(sample)
+        early = self._early
+        if early is None:
+            early = self._early = deque()
+        early.append(sample)
         self._early_bytes += len(sample.payload)
-        while self._early_bytes > _EARLY_LIMIT_BYTES and len(self._early) > 1:
-            self._early_bytes -= len(self._early.popleft().payload)
+        while self._early_bytes > _EARLY_LIMIT_BYTES and len(early) > 1:
+            self._early_bytes -= len(early.popleft().payload)
             self.lost[Lost.OVERFLOW] += 1
-
-    def _hand_over(self, publisher: Publisher, sample: Sample) -> None:
-        publisher.publish(sample)
-        kept = self._kept
-        if kept is not None:
-            if len(kept) == kept.maxlen:
-                self._kept_bytes -= kept[0]
-            kept.append(len(sample.payload))
-            self._kept_bytes += len(sample.payload)
 
     def report(self) -> None:
         """Tell a gateway how its topic arrives."""

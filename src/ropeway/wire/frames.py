@@ -18,7 +18,7 @@ import orjson
 
 from ropeway.errors import InvalidFrame
 from ropeway.limits import NESTED_CONTAINERS
-from ropeway.wire.weight import check_cbor
+from ropeway.wire.weight import check_cbor, is_heavy_json
 
 __all__ = ["JsonAssembler", "cbor_loads", "json_loads", "json_value", "loads"]
 
@@ -48,12 +48,36 @@ def loads(
 
 def json_loads(data: bytes | bytearray | memoryview | str, max_depth: int = NESTED_CONTAINERS) -> Any:
     """One JSON value. Takes ``NaN`` and ``Infinity``; raises ``InvalidFrame``."""
-    try:
-        value = orjson.loads(data)
-    except orjson.JSONDecodeError:
+    if _is_heavy(data):
         value = _lenient(data)
+    else:
+        try:
+            value = orjson.loads(data)
+        except orjson.JSONDecodeError:
+            value = _lenient(data)
     _check_depth(data, value, max_depth)
     return value
+
+
+def _is_heavy(data: bytes | bytearray | memoryview | str) -> bool:
+    try:
+        return is_heavy_json(data)
+    except InvalidFrame as error:
+        raise InvalidFrame(error.reason, error.size_bytes, message=_about(data)) from None
+
+
+def _about(data: bytes | bytearray | memoryview | str) -> dict[Any, Any] | None:
+    """Return what the beginning and the end of an operation say it is, so that it can be refused by its id."""
+    edges = (data[:_EDGE_BYTES], data[-_EDGE_BYTES:])
+    text = b"\n".join(edge.encode(errors="replace") if isinstance(edge, str) else bytes(edge) for edge in edges)
+    found = {key.decode(): orjson.loads(value) for key, value in reversed(_ABOUT.findall(text))}  # the first counts
+    return found or None
+
+
+_EDGE_BYTES: Final = 4096
+_ABOUT: Final = re.compile(
+    rb'"(op|id|service|action|topic)"\s{0,8}:\s{0,8}("[^"\\\x00-\x1f\x80-\xff]{0,256}"|-?[1-9][0-9]{0,15}(?=[\s,}]))'
+)
 
 
 def json_value(data: bytes | str) -> Any:
@@ -62,6 +86,7 @@ def json_value(data: bytes | str) -> Any:
     Raises ``ValueError`` for everything that is not to be used, also where it is nested too deeply.
     """
     try:
+        is_heavy_json(data)
         value = _lenient(data)  # keeps whole numbers of any size
         _check_depth(data, value, NESTED_CONTAINERS)
     except InvalidFrame as error:

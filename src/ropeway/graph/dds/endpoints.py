@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ropeway.graph.dds.matching import Matches
     from ropeway.graph.dds.pump import Pump
 
-__all__ = ["RawReader", "RawWriter", "WriterIdentity", "tell_padding", "without_padding"]
+__all__ = ["RawReader", "RawWriter", "Taken", "WriterIdentity", "tell_padding", "without_padding"]
 
 _BATCH: Final = 64  # samples per take
 _HEADER_BYTES: Final = 4
@@ -57,6 +57,15 @@ class WriterIdentity(NamedTuple):
     helper: bool = False
 
 
+class Taken:
+    """Room for what one call takes from a reader; the readers of a participant share it, in the pump's thread."""
+
+    def __init__(self) -> None:
+        self.refs = (ct.c_uint64 * _BATCH)()
+        self.infos = (SampleInfo * _BATCH)()
+        self.raw = memoryview(self.infos).cast("B")
+
+
 class Host(Protocol):
     """What readers and writers need of the participant that they belong to."""
 
@@ -64,6 +73,7 @@ class Host(Protocol):
     courier: Courier
     clock: Callable[[], int]
     identities: dict[int, WriterIdentity]
+    taken: Taken
 
     def identify(self, reader: int, handle: int) -> WriterIdentity:
         """Return who the writer behind a publication handle is, where discovery has not told yet."""
@@ -102,10 +112,8 @@ class RawReader:
         self._depth = depth
         self._deliver, self._dropped = deliver, dropped
         self._order = order
-        self._refs = (ct.c_uint64 * _BATCH)()
-        self._infos = (SampleInfo * _BATCH)()
-        self._raw = memoryview(self._infos).cast("B")
-        self._pending: deque[tuple[int, int, int, int, WriterIdentity]] = deque()
+        self._taken = participant.taken
+        self._pending: deque[tuple[int, int, int, int, WriterIdentity]] | None = None
         self._pending_bytes = 0
         self._drops: Counter[Undelivered] = Counter()
         self.key = 0
@@ -114,16 +122,20 @@ class RawReader:
         """Take what is there, and hand over what there is room for."""
         if self.closed:
             return
-        count = lib.takecdr(self.entity, self._refs, _BATCH, self._infos, ANY_STATE)
+        taken = self._taken
+        count = lib.takecdr(self.entity, taken.refs, _BATCH, taken.infos, ANY_STATE)
         if count <= 0:
             check(count, "takecdr")
             return
         stamp = self._clock()
-        identities, pending, unref = self._identities, self._pending, lib.serdata_unref
+        identities, unref = self._identities, lib.serdata_unref
+        pending = self._pending
+        if pending is None:
+            pending = self._pending = deque()
         everyone = self._all_gateways
         size = 0
         for serdata, (_, valid, source_stamp, _, handle) in zip(
-            self._refs[:count], INFO.iter_unpack(self._raw[: count * INFO.size]), strict=True
+            taken.refs[:count], INFO.iter_unpack(taken.raw[: count * INFO.size]), strict=True
         ):
             if valid:
                 identity = identities.get(handle) or self._participant.identify(self.entity, handle)
@@ -173,7 +185,7 @@ class RawReader:
             self._pump.push(self._dropped, list(self._drops.items()))
             self._drops.clear()
         if pending:
-            self._trim()
+            self._trim(pending)
             self._pump.again(self.flush)
 
     def discard(self) -> None:
@@ -183,8 +195,7 @@ class RawReader:
             lib.serdata_unref(self._pending.popleft()[0])
         self._pending_bytes = 0
 
-    def _trim(self) -> None:
-        pending = self._pending
+    def _trim(self, pending: deque[tuple[int, int, int, int, WriterIdentity]]) -> None:
         depth = self._depth
         while (depth is not None and len(pending) > depth) or (
             self._pending_bytes > _PENDING_LIMIT_BYTES and len(pending) > 1
@@ -223,7 +234,7 @@ class RawWriter:
         self._vector = IoVec()
         self._unflushed = False
         self._loop = asyncio.get_running_loop()
-        self._waiting: deque[tuple[bytes, int]] = deque()
+        self._waiting: deque[tuple[bytes, int]] | None = None  # most writers have nothing for the courier
         self._in_count = self._in_bytes = 0  # changed by the loop alone
         self._out_count = self._out_bytes = 0  # changed by the courier alone
 
@@ -305,6 +316,8 @@ class RawWriter:
 
     def _enqueue(self, payload: bytes, source_stamp_ns: int) -> None:
         waiting = self._waiting
+        if waiting is None:
+            waiting = self._waiting = deque()
         if self._depth is None:
             if waiting and self._in_bytes - self._out_bytes > _PENDING_LIMIT_BYTES:
                 self._refused(Undelivered.WRITE)
@@ -322,12 +335,12 @@ class RawWriter:
         self._in_count += 1
         self._in_bytes += len(payload)
         loop = asyncio.get_running_loop()
-        self._courier.submit(lambda: self._write_next(loop))
+        self._courier.submit(lambda: self._write_next(waiting, loop))
 
-    def _write_next(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _write_next(self, waiting: deque[tuple[bytes, int]], loop: asyncio.AbstractEventLoop) -> None:
         """In the courier's thread."""
         try:
-            payload, source_stamp_ns = self._waiting.popleft()
+            payload, source_stamp_ns = waiting.popleft()
         except IndexError:  # a newer one took its place
             return
         reason = self._send(payload, source_stamp_ns)

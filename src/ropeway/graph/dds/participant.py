@@ -19,7 +19,7 @@ from ropeway.graph.dds import domain, raw
 from ropeway.graph.dds.byteorder import ByteOrder
 from ropeway.graph.dds.courier import Courier
 from ropeway.graph.dds.endpoint_qos import parse_user_data, read_qos, reader_qos, user_data, writer_qos
-from ropeway.graph.dds.endpoints import RawReader, RawWriter, WriterIdentity
+from ropeway.graph.dds.endpoints import RawReader, RawWriter, Taken, WriterIdentity
 from ropeway.graph.dds.matching import Matches, since_of
 from ropeway.graph.dds.names import DISCOVERY_TOPIC, DISCOVERY_TYPE, DISCOVERY_TYPE_HASH
 from ropeway.graph.dds.nodes import GID_BYTES, OLD_GID_BYTES, NodeEntities, ParticipantEntities, encode, parse
@@ -62,6 +62,7 @@ class Participant:
         self.guid = b""
         self.identities: dict[int, WriterIdentity] = {}
         self.pump = Pump(graph, self._setup, self._teardown)
+        self.taken = Taken()
         self.courier = Courier(graph)
         self._number, self._profile = number, profile
         self._on_discovered = on_discovered

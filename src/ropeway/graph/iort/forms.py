@@ -13,9 +13,10 @@ from typing import Any, Final, Protocol
 
 import orjson
 
-from ropeway.errors import ConversionError, TypesError
+from ropeway.errors import ConversionError, InvalidFrame, TypesError
 from ropeway.types import TypeRegistry
 from ropeway.types.codec import MessageCodec
+from ropeway.wire.frames import json_loads
 
 __all__ = [
     "FAILURES",
@@ -132,9 +133,9 @@ class JsonForm:
     def messages(self, data: bytes) -> list[Timed]:
         """One message; fields that the text leaves out get their defaults."""
         try:
-            value = orjson.loads(data)
-        except orjson.JSONDecodeError as error:
-            raise ConversionError(f"it is no JSON text: {error}") from None
+            value = json_loads(data)
+        except InvalidFrame as error:
+            raise ConversionError(f"it is no JSON text: {error.reason}") from None
         if self._fields:
             message: dict[str, Any] = {}
             for ros, json in self._fields:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import CallFailed, NotServed, TypesError, ValueMismatch
@@ -117,19 +118,25 @@ class Rosapi:
         """True for the name of a service that is answered here: ``/rosapi/topics``, or ``rosapi/topics``."""
         return self._last_part(name) in self._answers
 
-    async def call(self, name: str, args: Any = None, session: object = None) -> Values:
+    async def call(self, name: str, args: Any = None) -> Values:
         """The values of the response, in the order of its fields.
 
-        ``args`` is the object or the list that came with the call, ``session`` who calls: all are told the same.
-        Raises ``NotServed`` for a name that is not one of rosapi, ``CallFailed`` for arguments that do not fit the
-        request.
+        ``args`` is the object or the list that came with the call. Raises ``NotServed`` for a name that is not one of
+        rosapi, ``CallFailed`` for arguments that do not fit the request.
+        """
+        found = self.question(name, args)()
+        return found if isinstance(found, dict) else await found
+
+    def question(self, name: str, args: Any) -> Callable[[], Any]:
+        """Return what finds the answer of a call; a coroutine function where other nodes have to be asked.
+
+        Raises as ``call`` does.
         """
         service = self._last_part(name)
         answer = self._answers.get(service)
         if answer is None:
             raise NotServed(name if name.startswith("/") else f"/{name}")
-        found = answer(self._request(name, SERVICES[service], args))
-        return found if isinstance(found, dict) else await found
+        return partial(answer, self._request(name, SERVICES[service], args))
 
     async def close(self) -> None:
         """Let go of the graph; calls under way fail."""
@@ -240,17 +247,17 @@ class Rosapi:
 
     # ── parameters ─────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _set_param(self, request: Mapping[str, Any]) -> Awaitable[Values]:
-        return self._params.set(request["name"], request["value"])
+    async def _set_param(self, request: Mapping[str, Any]) -> Values:
+        return await self._params.set(request["name"], request["value"])
 
-    def _get_param(self, request: Mapping[str, Any]) -> Awaitable[Values]:
-        return self._params.get(request["name"], request["default_value"])
+    async def _get_param(self, request: Mapping[str, Any]) -> Values:
+        return await self._params.get(request["name"], request["default_value"])
 
     async def _has_param(self, request: Mapping[str, Any]) -> Values:
         return {"exists": await self._params.has(request["name"])}
 
-    def _delete_param(self, request: Mapping[str, Any]) -> Awaitable[Values]:
-        return self._params.delete(request["name"])
+    async def _delete_param(self, request: Mapping[str, Any]) -> Values:
+        return await self._params.delete(request["name"])
 
     async def _get_param_names(self, _: Mapping[str, Any]) -> Values:
         return {"names": await self._params.names()}

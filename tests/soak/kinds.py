@@ -1,0 +1,99 @@
+"""All kinds of a megabyte: what is sent to which listener, and how the gateway is set up that gets it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from contextlib import AsyncExitStack
+from typing import Any, Final, NamedTuple
+
+from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
+from tests.server.client import Client
+from tests.soak.megabytes import GATEWAY, PLAIN, SENT_BYTES, Make, a_megabyte
+
+__all__ = ["KINDS", "Kind"]
+
+_WARM_UP_BYTES: Final = 2_000  # before it is measured: what is made for the first visitor stays
+
+Visit = Callable[[list[int], AsyncExitStack, bool], Awaitable[None]]
+"""Sends a megabyte to the listeners at these ports, or if the last is true a little of it; the stack leaves."""
+
+Prepare = Callable[[AsyncExitStack], Awaitable[dict[str, Any]]]
+"""Makes what a gateway needs, and gives its configuration."""
+
+
+class Kind(NamedTuple):
+    """One kind."""
+
+    name: str
+    prepare: Prepare
+    visit: Visit
+
+
+def _config(graph: str) -> dict[str, Any]:
+    return {
+        "gateway": {
+            "name": "memory",
+            "graphs": [graph],
+            "listen": ["ws://127.0.0.1:0"],
+            "clients": {"unregister_timeout_s": 0.2},
+        }
+    }
+
+
+def _serving(config: dict[str, Any]) -> Prepare:
+    async def prepare(stack: AsyncExitStack) -> dict[str, Any]:
+        return config
+
+    return prepare
+
+
+def _client(make: Make, subprotocol: str = "", reads: bool = True) -> Visit:
+    """A client of the WebSocket listener, that reads what it is told unless it does not."""
+
+    async def visit(ports: list[int], stack: AsyncExitStack, first: bool) -> None:
+        client = await stack.enter_async_context(Client(ports[0], subprotocol=subprotocol))
+        if reads or first:
+            reading = asyncio.create_task(_read_all(client))
+            stack.callback(reading.cancel)
+        try:
+            for data in a_megabyte(make, _WARM_UP_BYTES if first else SENT_BYTES):
+                client.raw(data)
+                async with asyncio.timeout(20):
+                    await client.writer.drain()
+        except (ConnectionError, TimeoutError):
+            pass  # closed with a reason, or not read any more, which are as good
+
+    return visit
+
+
+async def _read_all(client: Client) -> None:
+    while await client.reader.read(1 << 20):
+        pass
+
+
+_MEMORY: Final = _serving(_config("memory:memory"))
+_DDS: Final = _serving(_config("dds:77?interface=lo"))
+_ON_DDS: Final = (
+    "advertise",
+    "advertise_deep",
+    "subscribe_many",
+    "advertise_service",
+    "advertise_action",
+    "send_action_goal",
+    "send_own_goal",
+    "call_own_service",
+    "call_typed",
+)
+_ANSWERED: Final = ("call_", "rosapi_", "send_", "subscribe", "advertise", "publish")
+
+KINDS: Final = [
+    *(Kind(name, _MEMORY, _client(make)) for name, make in PLAIN.items()),
+    *(Kind(name, _MEMORY, _client(make, ROPEWAY_SUBPROTOCOL)) for name, make in GATEWAY.items()),
+    *(
+        Kind(f"{name}-unread", _MEMORY, _client(make, reads=False))
+        for name, make in PLAIN.items()
+        if name.startswith(_ANSWERED)
+    ),
+    *(Kind(f"{name}-dds", _DDS, _client(PLAIN[name])) for name in _ON_DDS),
+]
