@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 
 import pytest
 
@@ -115,6 +116,32 @@ async def test_one_old_node_among_new_ones_gets_its_layout(join: Join) -> None:
         publisher.publish(sample(OURS))
     assert [(await inbox.wait(1))[0].payload for inbox in inboxes] == [THEIRS, OURS]
     assert not graph.participant.is_old
+
+
+async def test_given_definitions_win_over_what_is_recognised(join: Join, tmp_path: Path) -> None:
+    """Where a network's own files are given, they count for old nodes, too."""
+    (tmp_path / "my_msgs" / "msg").mkdir(parents=True)
+    (tmp_path / "my_msgs" / "msg" / "Sonar.msg").write_text("sensor_msgs/Range[] seen\nuint8 old\n")
+    ours, theirs = TypeRegistry(), TypeRegistry("humble", alone=True)
+    ours.add_text("my_msgs/msg/Sonar", "sensor_msgs/Range[] seen\n")
+    theirs.add_path(tmp_path)
+    robot = await join("robot", registry=theirs)
+    grow_old(robot)
+    graph = await join("ours", registry=ours, network=Variant(ours, "humble", [tmp_path]))
+    inbox, back = Inbox(), Inbox()
+    await graph.create_subscription("/sonar", "my_msgs/msg/Sonar", None, inbox)
+    await robot.create_subscription("/back", "my_msgs/msg/Sonar", None, back)
+    publisher = await robot.create_publisher("/sonar", "my_msgs/msg/Sonar")
+    returns = await graph.create_publisher("/back", "my_msgs/msg/Sonar")
+    await until(lambda: publisher.subscribers == returns.subscribers == 1)
+    await until(lambda: graph.participant.is_old)
+    old, new = theirs.codec("my_msgs/msg/Sonar"), ours.codec("my_msgs/msg/Sonar")
+    publisher.publish(sample(old.encode({"seen": [{"range": 1.5}, {"range": 2.5}], "old": 3}), "my_msgs/msg/Sonar"))
+    (got,) = await inbox.wait(1)
+    assert [one["range"] for one in new.decode(got.payload)["seen"]] == [1.5, 2.5]
+    returns.publish(sample(got.payload, "my_msgs/msg/Sonar"))
+    (came,) = await back.wait(1)
+    assert came.payload == old.encode({"seen": [{"range": 1.5}, {"range": 2.5}]})
 
 
 async def test_hashes_tell_layouts_of_one_length_apart(join: Join) -> None:

@@ -96,11 +96,12 @@ class Layouts:
         others = border.ours.others
         if others is None or (given and border.network is not None):
             return None
+        old = others.variant(_OLD_DISTRO) if border.network is None else None
         found: dict[int, TypeRegistry] = {}
         told = _told_type(type)
         tells = others.touches(told)
         for sign in known.signs(role, name, guid) if known is not None else ():
-            owner = others.variant(_OLD_DISTRO) if sign == OLD else others.by_hash(told, sign) if tells else None
+            owner = old if sign == OLD else others.by_hash(told, sign) if tells else None
             if owner is not None:
                 found[id(owner)] = owner
         if len(found) > 1 and name not in self._mixed:
@@ -108,7 +109,7 @@ class Layouts:
             log.warning("%s: %s of %s have different definitions of %s", self._graph, f"{role}s", name, type)
         if found:
             return next(iter(found.values()))
-        return others.variant(_OLD_DISTRO) if self._is_old() else None
+        return old if self._is_old() else None
 
 
 def _told_type(type: str) -> str:
