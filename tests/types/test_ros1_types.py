@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from ropeway.errors import TypeConflict, UnknownType
+from ropeway.errors import InvalidDefinition, TypeConflict, UnknownType
 from ropeway.types import TypeRegistry
 from ropeway.types.ros1_types import Ros1Types
 from tests.graph.ros1.network import HAS_ROSPY, PYTHON
@@ -143,6 +143,16 @@ def test_learns(types: Ros1Types) -> None:
     assert types.message("my_robot/msg/Thing").md5 == md5
     assert types.message("my_robot/msg/Thing").sure
     assert [field.name for field in types.registry.definition("my_robot/msg/Part").fields] == ["name", "made"]
+
+
+@pytest.mark.parametrize(
+    "text", ["bool a\n" * 20_000, "int32 A=1\n" * 20_000, "#\n" * 200_000], ids=["fields", "constants", "long"]
+)
+def test_large_definitions_are_not_parsed(types: Ros1Types, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    """What a publisher tells is refused by its size before any of it is parsed."""
+    monkeypatch.setattr("ropeway.types.ros1_types.parse_sections", None)
+    with pytest.raises(InvalidDefinition, match=r"more than 2000 fields|characters; at most"):
+        types.learn("my_robot/msg/Thing", "0" * 32, text)
 
 
 def test_knows_better(types: Ros1Types) -> None:

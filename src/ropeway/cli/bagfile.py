@@ -20,6 +20,7 @@ from ropeway.errors import BagUnreadable, InvalidName, TypeConflict, TypesError
 from ropeway.graph.base import resolve_name
 from ropeway.qos import DEFAULT, QoS, common_qos
 from ropeway.types import TypeRegistry
+from ropeway.types.told import check_text
 from ropeway.types.variant import Variant
 
 __all__ = ["Bag", "BagTopic", "Record"]
@@ -158,6 +159,7 @@ class Bag:
         if definition or (definition is not None and not registry.has(type)):
             recorded = Variant(registry, label=self.path.name)
             try:
+                check_text(type, definition)
                 recorded.add_full_text(type, definition)
                 registry.add_unknown(type, definition)
                 return recorded.inward(type) or bytes
@@ -185,6 +187,7 @@ def _from_ros1(registry: TypeRegistry, type: str, definition: str | None) -> Cal
 
     Where both differ, fields of the same name (case apart) are carried over.
     """
+    check_text(type, definition or "")
     try:
         if definition or (definition is not None and not registry.has(type)):
             registry.add_full_text(type, definition)

@@ -14,14 +14,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from ropeway.errors import InvalidDefinition, TypeConflict, TypesError, UnknownType
-from ropeway.limits import DEFINITION_CHARACTERS, DEFINITIONS_PER_GATEWAY
+from ropeway.limits import DEFINITIONS_PER_GATEWAY
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import HEADER, TIMES, Definition, Field, FieldType, canonical_name, short_name
 from ropeway.types.hashes import definition_md5
 from ropeway.types.parser import parse_interface, parse_msg, parse_sections
 from ropeway.types.ros1_convert import Converter
 from ropeway.types.stores import store_table
-from ropeway.types.told import Teller
+from ropeway.types.told import Teller, check_text
 
 __all__ = ["ANY", "Ros1Type", "Ros1Types"]
 
@@ -194,8 +194,7 @@ class Ros1Types:
             known = None
         if known is not None and (known.sure or known.md5 == md5):
             return False
-        if len(text) > DEFINITION_CHARACTERS:
-            raise InvalidDefinition(full, f"it has {len(text)} characters; at most {DEFINITION_CHARACTERS} are taken")
+        check_text(full, text)
         told: dict[str, Definition] = {}
         sections = list(parse_sections(full, text))
         siblings = {name for name, _ in sections if name != HEADER}

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ropeway.types.layout import Plan
     from ropeway.types.registry import TypeRegistry
 
-__all__ = ["Teller", "Told", "check_size"]
+__all__ = ["Teller", "Told", "check_size", "check_text"]
 
 _STATEMENT: Final = re.compile(r"^[ \t]*[A-Za-z]", re.MULTILINE)  # a line that is no comment
 _FIELD_BYTES: Final = 8 << 10  # of a field, with the code that reads and writes it
@@ -93,10 +93,7 @@ class Teller:
         registry = self._registry
         if self._texts.get(name) == text or (registry.has(name) and name not in registry.told):
             return
-        if len(text) > DEFINITION_CHARACTERS:
-            raise InvalidDefinition(name, f"it has {len(text)} characters; at most {DEFINITION_CHARACTERS} are taken")
-        if max(len(_STATEMENT.findall(text)), text.count(";")) > 2 * DEFINITION_FIELDS:  # before any of it is parsed
-            raise InvalidDefinition(name, f"it has more than {DEFINITION_FIELDS} fields")
+        check_text(name, text)
         most = DEFINITIONS_PER_GATEWAY if self.graph else DEFINITIONS_PER_CONNECTION
         if len(self._texts) >= most or len(registry.told) >= DEFINITIONS_PER_GATEWAY:
             raise InvalidDefinition(name, "it is one too many; name a file with it under types in the configuration")
@@ -129,6 +126,14 @@ class Teller:
 
 def _fields(definition: Definition) -> int:
     return len(definition.fields) + len(definition.constants)
+
+
+def check_text(name: str, text: str) -> None:
+    """Raise ``InvalidDefinition`` for a told text that is too long, or has too many statements, to be parsed at all."""
+    if len(text) > DEFINITION_CHARACTERS:
+        raise InvalidDefinition(name, f"it has {len(text)} characters; at most {DEFINITION_CHARACTERS} are taken")
+    if max(len(_STATEMENT.findall(text)), text.count(";")) > 2 * DEFINITION_FIELDS:
+        raise InvalidDefinition(name, f"it has more than {DEFINITION_FIELDS} fields")
 
 
 def check_size(name: str, plan: Plan) -> None:
