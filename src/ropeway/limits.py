@@ -52,11 +52,16 @@ code. The most in the standard distributions is 113."""
 DEFINITION_NESTING: Final = 64
 """Messages that stand one in another. Python's own limit on nesting in generated code is at 200."""
 
-FIXED_ARRAY_BYTES: Final = 8 << 20
-"""The fixed part of a told type with all that it contains, which an empty message has as well: one Full HD image."""
+FIXED_PART_BYTES: Final = 64 << 20
+"""The fixed part of any type, also of those in the operator's own files: as much as the largest message. Texts, truth
+values in arrays, and messages count for 64 bytes each, which they take when they are read."""
+
+FIXED_ARRAY_BYTES: Final = 1 << 20
+"""The fixed part of a told type with all that it contains, which an empty message has as well: a small image. A larger
+type is named in a file of the operator's."""
 
 FIXED_ARRAY_OBJECTS: Final = 65_536
-"""Texts and messages in the fixed part of a told type, each of which costs 100 bytes when it is read or written."""
+"""Texts, truth values in arrays, and messages in the fixed part of a told type."""
 
 DEFINITIONS_PER_CONNECTION: Final = 512
 """Definitions that one client may tell. A robot with everything installed has about 300 types."""

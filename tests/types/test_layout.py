@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import pytest
 
 from ropeway.errors import InvalidDefinition
@@ -115,3 +117,27 @@ def test_enormous_arrays() -> None:
     registry.codec("t/Row")
     with pytest.raises(InvalidDefinition, match="its fixed part is above 64 MiB"):
         registry.codec("t/Rows")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "std_msgs/Empty[60000000] a\n",
+        "bool[60000000] a\n",
+        "string[16000000] a\n",
+        "float64[16000000] a\n",
+    ],
+    ids=["messages", "truth values", "texts", "numbers"],
+)
+def test_large_types_of_the_operator(text: str) -> None:
+    """A type of the operator's own files whose every message would be enormous is refused, and says what to change."""
+    registry = TypeRegistry()
+    registry.add_text("t/msg/T", text)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InvalidDefinition, match="make its arrays sequences, or shorter"):
+            registry.codec("t/msg/T")
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 16 << 20

@@ -105,6 +105,8 @@ def test_built_in_definitions_stay(registry: TypeRegistry) -> None:
 BOMBS = {
     "texts": "string[16777215] a\n",
     "numbers": "float64[16777215] a\n",
+    "truth values": "bool[1000000] a\n",
+    "more truth values": "my/B[100] b\n================\nMSG: my/B\nbool[1000] x\nbool[500] y\n",
     "fields": "".join(f"bool a{i}\n" for i in range(20_000)),
     "constants": "".join(f"bool A{i}=true\n" for i in range(20_000)),
     "characters": "# " + "x" * 1_000_000 + "\nbool a\n",

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from ropeway.errors import InvalidDefinition
-from ropeway.limits import DEFINITION_NESTING
+from ropeway.limits import DEFINITION_NESTING, FIXED_PART_BYTES
 from ropeway.types.definition import HEADER, PRIMITIVES, Definition, Field, FieldType
 
 __all__ = ["CODES", "Call", "Leaf", "Loop", "Numbers", "Plan", "Planner", "Run", "Slot", "Step", "Struct", "Text"]
@@ -40,7 +40,7 @@ CODES: Final = {
 
 _INLINE_LEAVES: Final = 256
 _INLINE_LOOPS: Final = 4
-_FIXED_LIMIT: Final = 64 << 20
+_OBJECT_BYTES: Final = 64  # of a text, a truth value in an array or a message, once they are read
 
 
 @dataclass(slots=True, eq=False)
@@ -123,7 +123,8 @@ Step = Run | Text | Numbers | Loop | Call
 class Plan:
     """All steps of one message.
 
-    ``minimum`` is the least number of bytes that it needs, ``objects`` the least number of texts and messages in it.
+    ``minimum`` is the least number of bytes that it needs, ``objects`` the least number of texts, truth values
+    in arrays and messages in it.
     """
 
     type: str
@@ -190,7 +191,7 @@ class _Draft:
     def message(self, name: str, parent: str) -> Struct:
         """Add all fields of a message."""
         definition = self.planner.enter(name, parent)
-        self.objects += 1
+        self._count(1)
         fields = definition.wire_fields
         if name == HEADER and not self.cdr:
             self.add("pad", "x", 4, 1)
@@ -243,6 +244,8 @@ class _Draft:
         self.run.size += gap + size * count
         self.rest = (self.rest + gap + size * count) % self.step
         self._grow(size * count)
+        if code == "?" and count > 1:  # which are lists everywhere
+            self._count(count)
 
     def close(self) -> None:
         """End the run that is open."""
@@ -254,7 +257,7 @@ class _Draft:
         """Add a string."""
         self.add("length", "I", 1, 4, leaf)
         self.close()
-        self.objects += 1
+        self._count(1)
         self.steps.append(Text(leaf))
         if leaf.type.base == "string" or not self.cdr:
             self.step, self.rest = 1, 0
@@ -296,7 +299,7 @@ class _Draft:
         self.steps.append(found)
         if leaf.type.kind == "array":
             self._grow(found.minimum * leaf.type.size)
-            self.objects += found.objects * leaf.type.size
+            self._count(found.objects * leaf.type.size)
 
     def call(self, leaf: Leaf) -> None:
         """Add a message by a plan of its own."""
@@ -304,7 +307,7 @@ class _Draft:
         plan = self.planner.plan(leaf.type.base, aligned=False)
         self.steps.append(Call(leaf, plan))
         self._grow(plan.minimum)
-        self.objects += plan.objects
+        self._count(plan.objects)
         self.step, self.rest = 1, 0
 
     def _meet(self, step: int, rest: int) -> None:
@@ -316,5 +319,10 @@ class _Draft:
 
     def _grow(self, size: int) -> None:
         self.minimum += size
-        if self.minimum > _FIXED_LIMIT:
-            raise InvalidDefinition(self.planner._above[0], f"its fixed part is above {_FIXED_LIMIT >> 20} MiB")
+        self._count(0)
+
+    def _count(self, objects: int) -> None:
+        self.objects += objects
+        if self.minimum + _OBJECT_BYTES * self.objects > FIXED_PART_BYTES:
+            why = f"its fixed part is above {FIXED_PART_BYTES >> 20} MiB; make its arrays sequences, or shorter"
+            raise InvalidDefinition(self.planner._above[0], why)
