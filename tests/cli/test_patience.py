@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import pytest
 
-from ropeway.cli import patience
 from ropeway.cli.patience import Patience, patiently, served_within, why_silent
 from ropeway.cli.session import Session
 from ropeway.graph.calls import Request
@@ -20,12 +19,6 @@ from tests.support.until import PATIENCE_S, until
 pytestmark = pytest.mark.jumping
 
 
-@pytest.fixture
-def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody waits for long."""
-    monkeypatch.setattr(patience, "_PATIENCE_S", 0.001)
-
-
 async def said_until(said: Callable[[], str], text: str) -> str:
     """Everything that was said, once ``text`` is in it."""
     all_said = ""
@@ -36,7 +29,6 @@ async def said_until(said: Callable[[], str], text: str) -> str:
     return all_said
 
 
-@pytest.mark.usefixtures("hasty")
 async def test_waiting_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     """What is waited for is said, and said again only when it is something else."""
     reasons = ["for a", "for a", "for b"]
@@ -45,7 +37,6 @@ async def test_waiting_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert said == "for a\nfor b\n"
 
 
-@pytest.mark.usefixtures("hasty")
 async def test_what_has_come_is_waited_for_no_longer(capsys: pytest.CaptureFixture[str]) -> None:
     """Once it has come, nothing is said."""
     waiting = Patience(lambda: "for a")

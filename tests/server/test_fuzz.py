@@ -277,7 +277,7 @@ async def attack(port: int, seed: int, count: int, subprotocol: str, sent: list[
             await client.writer.drain()
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.slow
 async def test_hostile_frames() -> None:
     """The server lives through them, forwards before, meanwhile and afterwards, and its memory stays what it was."""
     async with server() as (port, process, lines), Client(port) as talker, Client(port) as listener:

@@ -6,31 +6,35 @@ import asyncio
 
 import pytest
 
-from ropeway.graph.dds import pace as module
 from ropeway.graph.dds.pace import Pace
 from ropeway.tasks import end
+from tests.support.clock import Stopwatch
+
+pytestmark = pytest.mark.jumping
 
 
-async def test_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_one_after_the_other() -> None:
     """A client that asks again once it has its answer never waits."""
-    monkeypatch.setattr(module, "_STEP_S", 3600.0)
+    watch = Stopwatch()
     pace = Pace()
     for _ in range(100):
         pace.came()
-        await asyncio.wait_for(pace.turn(), 1)
+        await pace.turn()
         pace.went()
+    assert watch.seconds == 0
     assert pace.idle
 
 
-async def test_burst(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of many answers at a time a few go at once."""
-    monkeypatch.setattr(module, "_STEP_S", 3600.0)
+async def test_burst() -> None:
+    """Of many answers at a time a few go at once, the others one by one."""
     pace = Pace()
     for _ in range(20):
         pace.came()
     turns = [asyncio.create_task(pace.turn()) for _ in range(20)]
-    await asyncio.sleep(0.01)
+    await asyncio.sleep(0.001)
     assert [turn.done() for turn in turns] == [True] * 5 + [False] * 15
+    await asyncio.sleep(0.002)
+    assert [turn.done() for turn in turns] == [True] * 6 + [False] * 14
     assert not pace.idle
     await end(*turns)
     assert pace._timer is not None

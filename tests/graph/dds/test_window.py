@@ -6,9 +6,11 @@ import asyncio
 
 import pytest
 
-from ropeway.graph.dds import window as module
 from ropeway.graph.dds.window import Window
 from ropeway.tasks import end
+from tests.support.clock import Stopwatch
+
+pytestmark = pytest.mark.jumping
 
 
 async def entered(window: Window, count: int) -> tuple[list[int], list[asyncio.Task[int]]]:
@@ -60,14 +62,15 @@ async def test_cancelled() -> None:
     window.close()
 
 
-async def test_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where nothing is answered for a while, one more is let out."""
-    monkeypatch.setattr(module, "_PATIENCE_S", 0.1)
+async def test_patience() -> None:
+    """Where nothing is answered for a second, one more is let out."""
+    watch = Stopwatch()
     window = Window()
     window.resize(2)
     tickets, waiting = await entered(window, 3)
     done, _ = await asyncio.wait(waiting, timeout=5, return_when=asyncio.FIRST_COMPLETED)
     assert done == {waiting[0]}
+    assert watch.seconds == 1
     window.leave(tickets[0], answered=False)
     window.close()
     await asyncio.gather(*waiting)
