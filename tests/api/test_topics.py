@@ -10,7 +10,7 @@ import pytest
 import ropeway
 from ropeway import GraphUnavailable, InvalidName, QoS, Refused, TypeConflict, TypedMessage, UnknownType, WaitTimeout
 from tests.api.conftest import new_network
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 
 async def test_one_graph_hears_itself(url: str) -> None:
@@ -127,7 +127,7 @@ async def test_callback_closes_its_subscription(network: str) -> None:
         subscription = await graph.subscribe("/a", callback=take)
         publisher.publish({"data": "a"})
         publisher.publish({"data": "b"})
-        await asyncio.wait_for(done.wait(), 10)
+        await asyncio.wait_for(done.wait(), PATIENCE_S)
         publisher.publish({"data": "c"})
         assert publisher.subscribers == 0
     assert found == ["a"]

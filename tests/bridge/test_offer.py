@@ -250,7 +250,7 @@ async def test_goal_takes_too_long(sides: Sides) -> None:
     assert await client.wait_available(PATIENCE_S)
     goal = await client.send_goal(Goal(ORDER))
     assert (await goal.result(PATIENCE_S)).status is GoalStatus.ABORTED
-    await asyncio.wait_for(cancelled.wait(), 5)
+    await asyncio.wait_for(cancelled.wait(), PATIENCE_S)
 
 
 async def test_bridge_closes_in_mid_goal(sides: Sides) -> None:
@@ -269,4 +269,4 @@ async def test_bridge_closes_in_mid_goal(sides: Sides) -> None:
     goal = await client.send_goal(Goal(ORDER))
     await bridge.close()
     assert (await goal.result(PATIENCE_S)).status is GoalStatus.ABORTED
-    await asyncio.wait_for(cancelled.wait(), 5)
+    await asyncio.wait_for(cancelled.wait(), PATIENCE_S)

@@ -56,8 +56,8 @@ class Place:
             raise ValueError("broken")
         return reply(200, {"path": request.path})
 
-    async def listen(self, *, lobby: Lobby | None = None, **options: Any) -> None:
-        limits = Limits(ping_interval_s=None, open_timeout_s=0.5)
+    async def listen(self, *, lobby: Lobby | None = None, open_timeout_s: float = 0.5, **options: Any) -> None:
+        limits = Limits(ping_interval_s=None, open_timeout_s=open_timeout_s)
         self.lobby = Lobby() if lobby is None else lobby
         self.server = await listen(
             "127.0.0.1", 0, self.connections.append, limits=limits, http=self.answer, lobby=self.lobby, **options
@@ -190,9 +190,9 @@ async def test_a_body_that_nobody_wants(place: Place) -> None:
 
 async def test_many_who_say_nothing(place: Place) -> None:
     """Of the connections without a request only so many are kept: the oldest make room for new ones."""
-    await place.listen(lobby=Lobby(limit=3))
+    await place.listen(lobby=Lobby(limit=3), open_timeout_s=3600)
     silent = [await place.open() for _ in range(5)]
-    async with asyncio.timeout(0.4):
+    async with asyncio.timeout(PATIENCE_S):
         for reader, _ in silent[:2]:
             with contextlib.suppress(ConnectionError):
                 assert await reader.read() == b""

@@ -293,7 +293,7 @@ async def test_caller_leaves(place: Place) -> None:
     request = await provider.json()
     await begun.wait()
     client.abort()
-    await asyncio.wait_for(ended.wait(), 5)
+    await asyncio.wait_for(ended.wait(), PATIENCE_S)
     await until(lambda: len(place.server.sessions) == 1)
     provider.send({"op": "service_response", "service": "/remote", "id": request["id"], "values": {}, "result": True})
     await provider.nothing()

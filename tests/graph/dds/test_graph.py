@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import gc
 import os
-import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,9 +18,10 @@ from ropeway.types import TypeRegistry
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
 from tests.support.threads import new_threads
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 from .conftest import Join
+from .helpers import process
 
 KEEP_ALL = QoS(history="keep_all")
 
@@ -560,24 +558,19 @@ async def test_demand_across_processes_of_others(join: Join) -> None:
 # Lifecycle ------------------------------------------------------------------------------------------------------
 
 
-def footprint() -> tuple[int, int, int]:
-    """Python threads, all threads and open files of this process."""
-    return (
-        threading.active_count(),
-        len(list(Path("/proc/self/task").iterdir())),
-        len(list(Path("/proc/self/fd").iterdir())),
-    )
+LEAKS = """
+    import gc, json, threading
+    from pathlib import Path
 
+    def footprint():
+        everything = Path("/proc/self")
+        threads = (threading.active_count(), len(list((everything / "task").iterdir())))
+        return (*threads, len(list((everything / "fd").iterdir())))
 
-def resident_bytes() -> int:
-    """Memory of this process."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+    def resident_bytes():
+        return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
 
-
-async def test_open_and_close_leak_nothing(domain: int) -> None:
-    """Fifty times opened and closed, a graph leaves no thread, no file and no memory behind."""
-
-    async def once() -> None:
+    async def once(domain):
         graph = DdsGraph(domain, interface="lo")
         await graph.open()
         publisher = await graph.create_publisher("/t", STRING)
@@ -585,15 +578,27 @@ async def test_open_and_close_leak_nothing(domain: int) -> None:
         publisher.publish(sample("x"))
         await graph.close()
 
-    for _ in range(5):
-        await once()
-    gc.collect()
-    before, resident = footprint(), resident_bytes()
-    for _ in range(50):
-        await once()
-    gc.collect()
-    await until(lambda: all(now <= then for now, then in zip(footprint(), before, strict=True)))
-    assert resident_bytes() - resident < 8 << 20
+    async def main(domain):
+        for _ in range(5):
+            await once(domain)
+        gc.collect()
+        before, resident = footprint(), resident_bytes()
+        for _ in range(50):
+            await once(domain)
+        gc.collect()
+        await until(lambda: all(now <= then for now, then in zip(footprint(), before)))
+        print(resident_bytes() - resident, flush=True)
+
+    asyncio.run(main(int(sys.argv[1])))
+"""
+
+
+async def test_open_and_close_leak_nothing(domain: int) -> None:
+    """Fifty times opened and closed, a graph leaves no thread, no file and no memory behind."""
+    with process(LEAKS, domain) as child:
+        grown, _ = await asyncio.to_thread(child.communicate, timeout=4 * PATIENCE_S)
+        assert child.returncode == 0
+    assert int(grown) < 8 << 20
 
 
 async def test_reopen(join: Join) -> None:
