@@ -16,7 +16,8 @@ from ropeway.tasks import Chores
 from ropeway.wire import ops
 
 if TYPE_CHECKING:
-    from ropeway.server.session import Session
+    from ropeway.link.peer import Peer
+    from ropeway.server.turns import Turns
 
 __all__ = ["RosapiCalls"]
 
@@ -29,11 +30,11 @@ Question = Callable[[], Any]
 class RosapiCalls:
     """See the module. ``fail`` answers a call that failed."""
 
-    def __init__(self, session: Session, fail: Callable[[ops.CallService, Exception], None]) -> None:
-        self._session, self._fail = session, fail
+    def __init__(self, peer: Peer, turns: Turns, fail: Callable[[ops.CallService, Exception], None]) -> None:
+        self._peer, self._turns, self._fail = peer, turns, fail
         self._waiting: deque[tuple[ops.CallService, Question]] = deque()
         self._asking: dict[asyncio.Task[None], ops.CallService] = {}
-        self._turns = asyncio.Semaphore(_ASKING)
+        self._free = asyncio.Semaphore(_ASKING)
         self._tasks = Chores()
         self._working = False
 
@@ -58,10 +59,10 @@ class RosapiCalls:
 
     async def _work(self) -> None:
         while self._waiting:
-            await self._session.peer.room_for_answers()
+            await self._peer.room_for_answers()
             if self._waiting:  # else all were given up meanwhile
                 self._begin(*self._waiting.popleft())
-                self._session.turns.ease()
+                self._turns.ease()
             await asyncio.sleep(0)  # others have their turn, however much this client asks for
         self._working = False
 
@@ -78,7 +79,7 @@ class RosapiCalls:
 
     async def _ask(self, op: ops.CallService, question: Question) -> None:
         try:
-            async with self._turns:
+            async with self._free:
                 values = await question()
             self._answer(op, values)
         except Exception as error:
@@ -86,8 +87,8 @@ class RosapiCalls:
 
     def _asked(self, task: asyncio.Task[None]) -> None:
         self._asking.pop(task, None)
-        self._session.turns.ease()
+        self._turns.ease()
 
     def _answer(self, op: ops.CallService, values: Mapping[str, Any]) -> None:
         reply = ops.ServiceResponse(service=op.service, values=values, result=True, id=op.id)
-        self._session.peer.send_op(reply, fragment_size=op.fragment_size)
+        self._peer.send_op(reply, fragment_size=op.fragment_size)

@@ -60,7 +60,7 @@ class ServiceOps:
         self.called = 0
         self.offered: dict[str, OfferedService] = {}  # by the name that the client gave
         self._calls: dict[asyncio.Task[None], ops.CallService] = {}
-        self._rosapi = RosapiCalls(session, self._fail)
+        self._rosapi = RosapiCalls(session.peer, session.turns, self._fail)
         self._clients: dict[tuple[str, str], ViewClient] = {}
 
     async def leave(self) -> None:

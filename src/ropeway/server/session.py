@@ -102,10 +102,10 @@ class Session:
         self.view = hub.view(connection.peer, echo=not self.gateway)
         self.clock = time.time_ns
         self.remote: dict[str, str] = {}
+        self.turns = Turns(self.peer, lambda: self.services.questions)
         self.topics = TopicOps(self, unregister_timeout_s=unregister_timeout_s, on_advertised=on_advertised)
         self.services = ServiceOps(self, call_timeout_s=call_timeout_s)
         self.actions = ActionOps(self, cancel_goals=cancel_goals or self.gateway)
-        self.turns = Turns(self.peer, lambda: self.services.questions)
         self._rated_bytes = 0
         self._watch: Watch | None = None
         self._teller = Teller(registry)
