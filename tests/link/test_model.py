@@ -166,3 +166,13 @@ def test_losses_without_a_queue() -> None:
         for i in range(1, 60):
             model.observe(reading(0.1 * i, 100_000 * i, rtt=rtt, lost=i // every, unsent=1 << 20))
         assert model.losing is losing
+
+
+def test_the_pace_next_to_us() -> None:
+    """Next to us the pace is not known until the link was seen full: what is slow there is how fast we send."""
+    for rtt, known in ((0.0001, False), (0.02, True)):
+        model = LinkModel()
+        for i in range(60):
+            model.observe(reading(0.01 * i, 100_000 * i, rtt=rtt))
+        assert model.starting
+        assert (model.bytes_per_s is not None) is known

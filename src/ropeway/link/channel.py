@@ -77,7 +77,7 @@ class Channel:
         if encoding == "auto":
             self.used = "cbor-raw" if sender.records else "none"
             if sender.records:
-                self.chooser = EncodingChooser(sender.connection.flow.pace)
+                self.chooser = EncodingChooser(sender.connection.flow.model)
         self.fragment_size: int | None = None  # characters; longer texts go in fragments
         self.sent = self.sent_bytes = 0
         self.closed = False

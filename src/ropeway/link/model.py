@@ -39,6 +39,7 @@ _FIRST_STEP: Final = 0.05  # of the window, where no queue builds up; twice as m
 _LEAP: Final = 2.0  # where the pace says that there is room, and at most
 _LEAST_LEAP: Final = 1.25
 _LONG_ROUND_TRIP_S: Final = 0.005  # below, the window is what processors need
+_NEAR_S: Final = 0.001
 _SHORTEST_ROUND_S: Final = 0.01  # below, a round trip says more of the processor than of the link
 _SHORTEST_ROUND_SEGMENTS: Final = 16  # with fewer the smoothed round trip is still that of before
 _LONGEST_ROUND_TRIPS: Final = 4
@@ -124,6 +125,16 @@ class LinkModel:
         self._now_s = 0.0
         self._lossy_rounds = 0
         self._retransmissions = 0
+
+    @property
+    def bytes_per_s(self) -> float | None:
+        """Return the pace of the link, ``None`` until it was seen full: before, the pace is what we have sent."""
+        return None if self.starting and self.near else self.pace.bytes_per_s
+
+    @property
+    def near(self) -> bool:
+        """Return whether the other end is on this machine or the next: processors are what takes time."""
+        return self.base_rtt_s is not None and self.base_rtt_s < _NEAR_S
 
     @property
     def wanted_bps(self) -> float | None:

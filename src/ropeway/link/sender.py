@@ -366,5 +366,7 @@ class RecordSender(Sender):
         if not flow.known:
             return _PART_MAX_BYTES
         pace = flow.pace.bytes_per_s
-        wanted = flow.model.window_bytes / 4 if pace is None else pace * _PART_S
+        wanted = 0.0 if pace is None else pace * _PART_S
+        if flow.model.starting:  # the pace is a lower bound, and next to us it says how fast we are ourselves
+            wanted = max(wanted, flow.model.window_bytes / (1 if flow.model.near else 4))
         return int(max(min(wanted, flow.model.room_bytes, _PART_MAX_BYTES), _PART_MIN_BYTES))
