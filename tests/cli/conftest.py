@@ -75,6 +75,7 @@ def background(environment: dict[str, str]) -> Iterator[Callable[..., subprocess
             stderr=subprocess.PIPE,
             text=True,
             env=environment,
+            pipesize=1 << 20,  # nobody reads what the command prints while a test is at something else
         )
         started.append(process)
         return process

@@ -48,6 +48,7 @@ def place(tmp_path: Path, ropeway: Ropeway, environment: dict[str, str]) -> Iter
     process = subprocess.Popen(
         [sys.executable, "-m", "ropeway", "run", str(config), "--json"],
         stdout=subprocess.PIPE,
+        pipesize=1 << 20,  # one line is read
         text=True,
         env={**os.environ, **environment},
     )

@@ -8,12 +8,13 @@ import logging
 import math
 import os
 import signal
+import sys
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.cli.console import print_json
+from ropeway.cli.printer import Printer
 from ropeway.errors import ConfigError, ConnectFailed
 from ropeway.gateway.making import make_gateway
 
@@ -114,15 +115,18 @@ async def _run(serving: Serving, running: list[Gateway | Supervisor]) -> None:
         if serving.up is not None:
             serving.up(gateway)
         ends = math.inf if serving.for_s is None else loop.time() + serving.for_s
+        printer = None if serving.period_s is None else Printer(sys.stdout.fileno())
         failing = asyncio.create_task(gateway.wait(), name="gateway failure")
         try:
             while not failing.done() and loop.time() < ends:
                 pause = min(ends - loop.time(), math.inf if serving.period_s is None else serving.period_s)
                 await asyncio.wait([failing], timeout=None if math.isinf(pause) else pause)
-                if serving.period_s is not None:
-                    print_json(gateway.status())
+                if printer is not None:
+                    printer.put(gateway.status())
             if failing.done():
                 await failing
+            if printer is not None:
+                printer.close()
         finally:
             running.clear()
             failing.cancel()

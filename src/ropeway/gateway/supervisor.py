@@ -25,7 +25,7 @@ __all__ = ["Supervisor", "slices"]
 
 log = logging.getLogger("ropeway.gateway")
 
-_START_S: Final = 20.0  # for the next worker: many that start at the same time slow each other
+_START_S: Final = 60.0  # for the next worker: 1 s, but many that start on a busy computer slow each other
 _STOP_S: Final = 3.0
 _STEADY_S: Final = 5.0  # several times what a worker takes to start and to fail for a reason of its own
 _PAUSE_S: Final = 1.0

@@ -130,12 +130,18 @@ class Helper:
                 ours.close()
                 raise
         self.pid = process.pid
-        reader, writer = await asyncio.open_connection(sock=ours)
         try:
-            reason = await self._talk(reader, writer)
+            try:
+                reader, writer = await asyncio.open_connection(sock=ours)
+            except BaseException:
+                ours.close()
+                raise
+            try:
+                reason = await self._talk(reader, writer)
+            finally:
+                writer.close()
         finally:
             was_up, self._writer = self._writer is not None, None
-            writer.close()
             if was_up:
                 self._on_down()
             code = await _ended(process)
