@@ -1,7 +1,7 @@
 """IoRT nodes: the paper's first test over a lossy link, acknowledged publications a second, and the way to ROS 2.
 
-``--part`` names some of paper, rate, many, ros2. The first needs root and a program that joins two namespaces by a
-link with delay, jitter and loss, named in ROPEWAY_LINK.
+``--part`` names some of paper, rate, many, ros2, narrow. The first and the last need root and a program that joins two
+namespaces by a link with delay, jitter, loss and a rate, named in ROPEWAY_LINK.
 """
 
 from __future__ import annotations
@@ -189,6 +189,38 @@ async def idle(args: argparse.Namespace) -> None:
         writer.close()
 
 
+async def camera(args: argparse.Namespace) -> None:
+    """Publishes a picture of 95 kB 15 times a second and a pose 50 times, each beginning with the time."""
+    _, writer = await connect(args.host, PORT)
+
+    async def send(topic: str, size: int, hz: float) -> None:
+        loop = asyncio.get_running_loop()
+        began = loop.time()
+        for number in range(int(args.count * hz)):
+            await asyncio.sleep(max(0.0, began + number / hz - loop.time()))
+            writer.write(pack("01", "CAMERA", topic, "p", None, str(time.time_ns()).encode().ljust(size, b"x")))
+
+    await asyncio.gather(send("picture", 95_000, 15), send("pose", 100, 50))
+    writer.close()
+
+
+async def viewer(args: argparse.Namespace) -> None:
+    """Reads both, over the link."""
+    reader, writer = await connect(args.host, PORT)
+    writer.write(pack("01", "CAMERA", "*", "+sub", {"n": 1}))
+    parser = Parser()
+    delays: dict[str, list[float]] = {"picture": [], "pose": []}
+    print("ready", flush=True)
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(args.count):
+            while data := await reader.read(65536):
+                for packet in parser.feed(data):
+                    if isinstance(packet, Packet) and packet.topic in delays:
+                        delays[packet.topic].append((time.time_ns() - int(packet.data[:19])) / 1e9)
+    writer.close()
+    print(json.dumps({topic: [len(found) / args.count, *percentiles(found)] for topic, found in delays.items()}))
+
+
 async def answerer(args: argparse.Namespace) -> None:
     """A node of ROS 2 (a DDS participant) that turns every Twist around."""
     graph = DdsGraph(DOMAIN, name="robot", interface="lo", registry=TypeRegistry())
@@ -239,6 +271,30 @@ def paper(as_json: bool, count: int) -> None:
         rows.append([what, share, p50, p50 / bare[0], mean, mean / bare[1], p99, p99 / bare[2]])
     heads = ["operation", "delivered %", "p50 ms", "/ link (<= 1.2)", "mean ms", "/ link", "p99 ms", "/ link"]
     table(f"five nodes, {count} of each, 5 ms +- 2 ms, 1 % loss (link {bare[0]:.1f} ms)", heads, rows, as_json=as_json)
+
+
+def narrow(as_json: bool, seconds: int) -> None:
+    """A node that reads pictures and poses over links that carry fewer pictures than there are."""
+    rows = []
+    for mbit, delay_ms in ((5, 35), (20, 10)):
+        with (
+            delayed("rwn", "10.79.0", delay_ms=delay_ms, rate_mbit=mbit) as ends,
+            tempfile.TemporaryDirectory() as directory,
+        ):
+            if ends is None:
+                return
+            a, b, far_ip = ends
+            server = start_gateway(config(directory, far_ip), b)
+            more = ("--host", far_ip, "--count", str(seconds))
+            reading = Process(a, *ME, "viewer", *more, quiet=False)
+            reading.line()
+            source = Process(b, *ME, "camera", *more)
+            found = json.loads(reading.finish(seconds + 30))
+            source.stop()
+            server.stop()
+        rows += [[f"{mbit} Mbit/s, {delay_ms} ms", topic, *figures] for topic, figures in found.items()]
+    heads = ["link", "value", "Hz", "delay p50 ms", "mean ms", "p99 ms"]
+    table("a node that reads 95 kB at 15 Hz and 100 bytes at 50 Hz over a narrow link", heads, rows, as_json=as_json)
 
 
 def rate(as_json: bool, count: int) -> None:
@@ -326,8 +382,9 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     roles = {"echo": echo, "pinger": pinger, "robots": robots, "flood": flood, "idle": idle, "answerer": answerer}
+    roles |= {"camera": camera, "viewer": viewer}
     parser.add_argument("role", nargs="?", default="measure", choices=["measure", *roles])
-    parser.add_argument("--part", default="paper,rate,many,ros2")
+    parser.add_argument("--part", default="paper,rate,many,ros2,narrow")
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--nodes", type=int, default=1000)
     parser.add_argument("--count", type=int, default=1000)
@@ -345,6 +402,8 @@ def main() -> None:
         many(args.json, args.nodes)
     if "ros2" in parts:
         ros2(args)
+    if "narrow" in parts:
+        narrow(args.json, max(args.count // 100, 5))
 
 
 if __name__ == "__main__":
