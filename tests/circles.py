@@ -21,7 +21,6 @@ STANDING: Final[Mapping[str, str]] = {
     "graph.dds.service": "graph.dds.graph",
     "graph.hub_calls": "graph.hub_actions",
     "graph.hub_topics": "graph.hub",
-    "graph.iort.parts": "graph.iort.graph",
     "graph.memory_calls": "graph.memory",
     "graph.memory_topics": "graph.memory",
     "graph.overlay.calls": "graph.overlay.graph",

@@ -9,11 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tests.support.inbox import Inbox as Inbox  # for tests that are being moved
-from tests.support.messages import STRING as STRING
-from tests.support.messages import sample as message  # noqa: F401
-from tests.support.messages import text as text
-
 DDS_STRING = "std_msgs::msg::dds_::String_"
 
 _PRELUDE = """

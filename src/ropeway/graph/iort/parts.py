@@ -6,7 +6,7 @@ import asyncio
 import hashlib
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway.graph.base import Sample, SampleCallback, Undelivered
 from ropeway.graph.iort.forms import FAILURES, Form, Timed, default_form
@@ -15,8 +15,13 @@ from ropeway.store import CDR, Entry
 from ropeway.tasks import describe
 
 if TYPE_CHECKING:
-    from ropeway.graph.iort.graph import IortGraph
+    from collections import Counter
+
+    from ropeway.graph.iort.links import Link
     from ropeway.graph.iort.maps import TopicMap
+    from ropeway.graph.seen import Seen
+    from ropeway.link.complaints import Complaints
+    from ropeway.types import TypeRegistry
 
 __all__ = ["ROS_ORIGIN", "Feed", "IortPublisher", "IortSubscription"]
 
@@ -26,10 +31,49 @@ ROS_ORIGIN: Final = "ros:"
 """What the origin of an entry begins with whose first publisher was one of ROS; 32 hexadecimal digits follow."""
 
 
+class Host(Protocol):
+    """What a publisher or a subscription needs of its graph."""
+
+    link: Link
+    registry: TypeRegistry
+    drops: Counter[tuple[str, Undelivered]]
+    complaints: Complaints
+    loop: asyncio.AbstractEventLoop
+
+    @property
+    def own_mark(self) -> str:
+        """What the origin of a message of ours ends with."""
+        ...
+
+    def resolved(self, topic: str, direction: str) -> list[tuple[str, str, TopicMap | None]]:
+        """Return where a ROS topic goes to or comes from, and by which map."""
+        ...
+
+    def offered(self, topic: str) -> list[QoS]:
+        """Return the profiles of those who publish a topic."""
+        ...
+
+    def had(self, system: str, topic: str) -> Seen:
+        """Return what has come from a topic of a robot, which need not go back."""
+        ...
+
+    def guard(self, topic: str, callback: Callable[..., None], *args: Any) -> bool:
+        """Call somebody's function, and return whether it did not fail."""
+        ...
+
+    async def withdraw(self, publisher: IortPublisher) -> None:
+        """Publish a topic no more."""
+        ...
+
+    async def forget(self, subscription: IortSubscription) -> None:
+        """Read a topic no more."""
+        ...
+
+
 class IortPublisher:
     """A ROS topic published to the nodes behind it."""
 
-    def __init__(self, graph: IortGraph, topic: str, type: str, qos: QoS) -> None:
+    def __init__(self, graph: Host, topic: str, type: str, qos: QoS) -> None:
         self.topic, self.type, self.qos = topic, type, qos
         self.closed = False
         self._graph = graph
@@ -96,7 +140,7 @@ class Feed:
 class IortSubscription:
     """A ROS topic that nodes publish."""
 
-    def __init__(self, graph: IortGraph, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
+    def __init__(self, graph: Host, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
         self.topic, self.type = topic, type
         self.closed = False
         self._graph, self._callback = graph, callback
