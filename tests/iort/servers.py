@@ -84,7 +84,7 @@ class Raw:
         self.send(raw)
         return await self.packet()
 
-    async def closed(self, timeout_s: float = 5.0) -> bool:
+    async def closed(self, timeout_s: float = PATIENCE_S) -> bool:
         try:
             async with asyncio.timeout(timeout_s):
                 while await self.reader.read(65536):
