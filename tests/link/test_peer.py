@@ -322,6 +322,10 @@ async def test_clock(setting: Setting) -> None:
 
     for _ in range(5):
         await answer()
+    for _ in range(100):  # an answer that a busy machine delays tells less; one of many comes in time
+        if off() < 20_000_000 and (peer.rtt_s or 0) < 0.1:
+            break
+        await answer()
     assert off() < 20_000_000
     assert peer.rtt_s is not None
     assert 0 < peer.rtt_s < 0.1
