@@ -48,6 +48,11 @@ class Process:
         """Wait for its end; gives the rest of its output."""
         return self._popen.communicate(timeout=timeout_s)[0]
 
+    @property
+    def running(self) -> bool:
+        """True until it ends."""
+        return self._popen.poll() is None
+
     def stop(self) -> None:
         """End it."""
         if self._popen.poll() is None:

@@ -118,8 +118,11 @@ def measure(net: Network, scenario: Scenario, hz: float, seconds: float) -> list
         time.sleep(_FOUND_S)
         sources = start_sources(net, hz, seconds, TOPICS, interface=scenario.interface)
         found = [json.loads(reader.finish(seconds + 60).splitlines()[-1]) for reader in readers]
+        alive = all(process.running for process in between)
         for process in (*readers, *sources, *between):
             process.stop()
+    if not alive:
+        raise SystemExit(f"{scenario.name}: what stands between the networks has ended; nothing of it is a figure")
     return found
 
 
