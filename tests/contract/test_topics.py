@@ -30,7 +30,7 @@ async def test_delivers(pair: Pair) -> None:
     inbox = Inbox()
     subscription = await pair.far.create_subscription("/chatter", STRING, QoS(depth=100), inbox)
     publisher = await pair.near.create_publisher("/chatter", STRING, QoS(depth=100))
-    await joined(publisher)
+    await joined(publisher, read_by=[subscription])
     for i in range(50):
         publisher.publish(sample(f"message {i}"))
     got = await inbox.wait(50)
@@ -44,9 +44,9 @@ async def test_delivers(pair: Pair) -> None:
 async def test_other_direction(pair: Pair) -> None:
     """Both participants can publish and subscribe at once."""
     inbox = Inbox()
-    await pair.near.create_subscription("/back", STRING, QoS(), inbox)
+    subscription = await pair.near.create_subscription("/back", STRING, QoS(), inbox)
     publisher = await pair.far.create_publisher("/back", STRING)
-    await joined(publisher)
+    await joined(publisher, read_by=[subscription])
     publisher.publish(sample("hello"))
     await inbox.wait(1)
 
@@ -54,9 +54,9 @@ async def test_other_direction(pair: Pair) -> None:
 async def test_big_message(pair: Pair) -> None:
     """A message of 13 MB arrives whole."""
     inbox = Inbox()
-    await pair.far.create_subscription("/cloud", STRING, QoS(depth=2), inbox)
+    subscription = await pair.far.create_subscription("/cloud", STRING, QoS(depth=2), inbox)
     publisher = await pair.near.create_publisher("/cloud", STRING, QoS(depth=2))
-    await joined(publisher)
+    await joined(publisher, read_by=[subscription])
     big = sample("x" * 13_000_000)
     publisher.publish(big)
     got = await inbox.wait(1, 30)
@@ -67,9 +67,9 @@ async def test_own_samples_ignored(pair: Pair) -> None:
     """A participant does not hear itself."""
     own, other = Inbox(), Inbox()
     await pair.near.create_subscription("/self", STRING, QoS(), own)
-    await pair.far.create_subscription("/self", STRING, QoS(), other)
+    subscription = await pair.far.create_subscription("/self", STRING, QoS(), other)
     publisher = await pair.near.create_publisher("/self", STRING)
-    await joined(publisher)
+    await joined(publisher, read_by=[subscription])
     publisher.publish(sample("hello"))
     await other.wait(1)
     assert own.samples == []
@@ -104,8 +104,8 @@ async def test_adopted_qos(pair: Pair) -> None:
     sensor = await pair.near.create_publisher("/sensor", STRING, SENSOR_DATA)
     await until(lambda: "/sensor" in pair.far.topics())
     readings = Inbox()
-    await pair.far.create_subscription("/sensor", STRING, None, readings)
-    await joined(sensor)
+    reader = await pair.far.create_subscription("/sensor", STRING, None, readings)
+    await joined(sensor, read_by=[reader])
     sensor.publish(sample("1"))
     await readings.wait(1)
 
@@ -181,10 +181,10 @@ async def test_failing_callback(pair: Pair) -> None:
         raise RuntimeError("broken reader")
 
     inbox = Inbox()
-    await pair.far.create_subscription("/x", STRING, QoS(), fail)
-    await pair.far.create_subscription("/x", STRING, QoS(), inbox)
+    failing = await pair.far.create_subscription("/x", STRING, QoS(), fail)
+    subscription = await pair.far.create_subscription("/x", STRING, QoS(), inbox)
     publisher = await pair.near.create_publisher("/x", STRING)
-    await joined(publisher)
+    await joined(publisher, read_by=[failing, subscription])
     publisher.publish(sample("a"))
     await inbox.wait(1)
     await until(lambda: sum(pair.far.drops.values()) == 1)
@@ -195,9 +195,9 @@ async def test_closed_parts(pair: Pair) -> None:
     inbox = Inbox()
     subscription = await pair.far.create_subscription("/c", STRING, QoS(), inbox)
     keep = Inbox()
-    await pair.far.create_subscription("/c", STRING, QoS(), keep)
+    kept = await pair.far.create_subscription("/c", STRING, QoS(), keep)
     publisher = await pair.near.create_publisher("/c", STRING)
-    await joined(publisher)
+    await joined(publisher, read_by=[subscription, kept])
     publisher.publish(sample("1"))
     await keep.wait(1)
     await inbox.wait(1)

@@ -18,20 +18,10 @@ from typing import Any
 import pytest
 
 from ropeway.graph.ros2 import Ros2Graph
-from ropeway.graph.ros2.publisher import Ros2Publisher
-from ropeway.graph.ros2.readers import Ros2Subscription
-from tests.support.until import until
 
 from .network import isolated_ros2
 
 PROGRAMS = Path(__file__).parents[1]
-
-
-async def matched(publisher: Ros2Publisher, *subscriptions: Ros2Subscription) -> None:
-    """Wait until both ends know each other: with some middlewares the publisher does first, with others the reader."""
-    readers = [reader for subscription in subscriptions for reader in subscription._readers]
-    await until(lambda: publisher.subscribers == len(subscriptions))
-    await until(lambda: all(reader.raw is not None and reader.raw.matched > 0 for reader in readers))
 
 
 class Peer:

@@ -19,11 +19,11 @@ from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
 from tests.support.actions import FIBONACCI, order, sequence
 from tests.support.inbox import Inbox
-from tests.support.messages import STRING, sample, text
+from tests.support.messages import STRING, joined, sample, text
 from tests.support.services import ADD, add, addends, total
 from tests.support.until import PATIENCE_S, until
 
-from .conftest import World, matched
+from .conftest import World
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 
@@ -169,7 +169,7 @@ async def test_hears_others_beside_itself(world: World) -> None:
     subscription = await near.create_subscription("/t", STRING, QoS(depth=100), inbox)
     await far.create_subscription("/t", STRING, QoS(depth=100), lambda _: None)
     await until(lambda: ours.subscribers == 1)
-    await matched(theirs, subscription)
+    await joined(theirs, read_by=[subscription])
     for number in range(5):
         ours.publish(sample(f"ours {number}"))
         theirs.publish(sample(f"theirs {number}"))
@@ -249,7 +249,7 @@ async def test_publish_and_close(world: World) -> None:
     inbox = Inbox()
     subscription = await far.create_subscription("/t", STRING, QoS(depth=100), inbox)
     publisher = await near.create_publisher("/t", STRING, QoS(depth=100))
-    await matched(publisher, subscription)
+    await joined(publisher, read_by=[subscription])
     publisher.publish(sample("last"))
     await publisher.close()
     await inbox.wait(1)
@@ -261,7 +261,7 @@ async def test_big_endian(world: World) -> None:
     inbox = Inbox()
     subscription = await far.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await near.create_publisher("/t", STRING)
-    await matched(publisher, subscription)
+    await joined(publisher, read_by=[subscription])
     publisher.publish(Sample(b"\0\0\0\0" + struct.pack(">I", 4) + b"big\0", STRING, 0, bytes(16), 0))
     await inbox.wait(1)
     assert inbox.payloads == [text("big")]
@@ -274,7 +274,7 @@ async def test_messages_of_another_distribution(world: World) -> None:
     inbox = Inbox()
     subscription = await far.create_subscription("/range", name, QoS(), inbox)
     publisher = await near.create_publisher("/range", name)
-    await matched(publisher, subscription)
+    await joined(publisher, read_by=[subscription])
     raw = TypeRegistry("humble", alone=True).codec(name).encode({"range": 1.25})
     publisher.publish(Sample(raw, name, 0, bytes(16), 0))
     await inbox.wait(1)
@@ -287,7 +287,7 @@ async def test_behind(world: World) -> None:
     inbox = Inbox()
     subscription = await far.create_subscription("/t", STRING, QoS(depth=20), inbox)
     publisher = await near.create_publisher("/t", STRING, QoS(depth=20))
-    await matched(publisher, subscription)
+    await joined(publisher, read_by=[subscription])
     for number in range(200):
         publisher.publish(sample(str(number)))
     time.sleep(0.3)  # noqa: ASYNC251 - the loop is busy
@@ -306,7 +306,7 @@ async def test_reopened(world: World) -> None:
     inbox = Inbox()
     subscription = await graph.create_subscription("/t", STRING, QoS(), inbox)
     publisher = await far.create_publisher("/t", STRING)
-    await matched(publisher, subscription)
+    await joined(publisher, read_by=[subscription])
     publisher.publish(sample("again"))
     await inbox.wait(1)
 
