@@ -24,6 +24,7 @@ _WAITING_BYTES: Final = 256 << 20
 _DISCOVERY_S: Final = 3.0  # a server that is there is found so long after the client was made
 _NOBODY_S: Final = 0.5  # later on, a server that comes just now is waited for so long
 _GRACE_S: Final = 0.1  # an answer that is on its way when its server leaves may arrive so much later
+_SETTLE_S: Final = 0.2  # we match a server a little before it matches us, and what it gets before that is lost
 _DEFERRED: Final = "/_action/get_result"
 
 
@@ -62,6 +63,7 @@ class Ros2Client:
         self._window = Window(deferred=service.endswith(_DEFERRED))
         self._changed = asyncio.Event()
         self._losing: asyncio.TimerHandle | None = None
+        self._served_since: float | None = None
 
     # On the loop ------------------------------------------------------------------------------------------------
 
@@ -88,7 +90,23 @@ class Ros2Client:
                     await self._changed.wait()
         except TimeoutError:
             return False
-        return self.available
+        return self._look()
+
+    def _look(self) -> bool:
+        """See whether it is served, and since when."""
+        served = self.available
+        if not served:
+            self._served_since = None
+        elif self._served_since is None:
+            self._served_since = self._loop.time()
+        return served
+
+    async def _settle(self, until: float) -> None:
+        """Wait until a server that was matched just now will have matched us, too, within half of the time."""
+        now = self._loop.time()
+        fresh_s = (self._served_since or now) + _SETTLE_S - now
+        if fresh_s > 0:
+            await asyncio.sleep(min(fresh_s, (until - now) / 2))
 
     async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
         """See ``Client``. A payload that is no request of this type fails the call."""
@@ -117,6 +135,7 @@ class Ros2Client:
         if not await self._served(min(until, max(self._made + _DISCOVERY_S, now + _NOBODY_S))):
             self._check_open()
             raise NotServed(self.service)
+        await self._settle(until)
         async with asyncio.timeout_at(until):
             ticket = await self._window.enter()
             try:
@@ -129,7 +148,7 @@ class Ros2Client:
 
     def look(self) -> None:
         """See whether the service is served."""
-        if self.available:
+        if self._look():
             self._changed.set()
         elif self._calls and self._losing is None:
             self._losing = self._loop.call_later(_GRACE_S, self._lose)
