@@ -8,14 +8,12 @@ trip, and a little more. Two figures bound it:
   us back, ``window * (shortest round trip + target) / round trip`` leaves a queue of ``target`` seconds at the
   narrowest place, whatever its rate. Where no queue builds up, the window is too small: it doubles at the start and
   grows every other round trip later, little at first and then ever more, as a change shows a round trip after it was
-made.
+  made.
 * what is **unsent**, handed to the kernel and not yet on the way: only what the link carries away before we look again.
 
 The shortest round trip is forgotten after a while, as routes change; while we fill the link ourselves, a part of the
-window is left unused for three round trips every five seconds, to see it again. A queue that stays although we send
-less is not ours (the route became longer, or others fill the link, who take only losses for a full one): it counts as
-part of the path, and we go on at the pace that we had, or half of it at least: whoever yields to those who do not ends
-with nothing.
+window is left unused for three round trips every five seconds, to see it again. Whether a queue is ours at all,
+``ropeway.link.others`` tells.
 
 There is no input or output here: readings go in, bounds come out. A simulated link tests it.
 """
@@ -24,6 +22,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+from ropeway.link.others import Advice, Others, Situation
 from ropeway.link.pace import Pace
 
 __all__ = ["LinkModel", "Reading"]
@@ -47,15 +46,6 @@ _BASE_MEMORY_S: Final = 5.0  # the shortest round trip is that of five to ten se
 _DRAIN_ROUNDS: Final = 3
 _LEAST_DRAINED: Final = 0.5  # of the window is used while we look for the shortest round trip
 _CUT: Final = 0.8  # of the window is left after a cut that should show
-_HALF: Final = 0.5  # of the window is used while we look whose queue it is
-_HELD_S: Final = 30.0  # others who fill the link make its queue longer at least so often
-_SHARE: Final = 0.5  # of the pace that we had is not given up to them
-_CROWDED: Final = 1.5  # targets: with us alone, the queue is one
-_CROWDED_ROUNDS: Final = 4  # pairs of round trips
-_PLAIN: Final = 3  # pairs of segments that a queue of ours is longer with more of the window
-_SLOW_ROUNDS: Final = 48  # likewise, where we are so slow that the queue might be our target
-_FIRST_PROBE: Final = 0.1  # of the window
-_OURS: Final = 0.3  # of what we would change if we were alone on the link
 _UNSENT_S: Final = 0.004  # what the kernel may hold back: four looks of the shortest kind
 _FULL: Final = 2.0  # times the shortest round trip, and a long queue: the start has gone too far
 _FORGET: Final = 0.99  # per hand-over
@@ -116,13 +106,7 @@ class LinkModel:
         self._drain_rounds = 0
         self._settling = 0
         self._round: _Round | None = None
-        self._test: _Test | None = None
-        self._held: _Held | None = None
-        self._probe: _Probe | None = None
-        self._crowded = 0
-        self._lost = False  # since we sent more
-        self._calm_bps = 0.0  # the pace before there was a long queue
-        self._now_s = 0.0
+        self._others = Others()
         self._lossy_rounds = 0
         self._retransmissions = 0
 
@@ -198,7 +182,7 @@ class LinkModel:
 
     def observe(self, reading: Reading) -> None:
         """Take a reading: learn from it, and set ``room_bytes``."""
-        now = self._now_s = reading.now_s
+        now = reading.now_s
         self._least_bytes = max(_LEAST_WINDOW_BYTES, 2 * reading.segment_bytes)
         self.window_bytes = max(self.window_bytes, self._least_bytes)
         self._unsent_bytes = reading.unsent_bytes
@@ -224,22 +208,18 @@ class LinkModel:
 
     # ── the shortest round trip ────────────────────────────────────────────────────────────────────────────────
 
-    def _set_base(self, rtt_s: float) -> None:
-        self._base_slots = [rtt_s, rtt_s]
-        self.base_rtt_s = rtt_s
-
     def _note_round_trip(self, rtt_s: float, now: float) -> None:
         slots = self._base_slots
         if now >= self._slot_ends_s:
             self._slot_ends_s = now + _BASE_MEMORY_S
             slots[0], slots[1] = slots[1], rtt_s
-            drain = self._held_in_slot and self._test is None
+            drain = self._held_in_slot and not self._others.tested
             self._drain_rounds, self._held_in_slot = (_DRAIN_ROUNDS if drain else 0), False
         else:
             slots[1] = min(slots[1], rtt_s)
         before_s, self.base_rtt_s = self.base_rtt_s, min(slots)
         if before_s is not None and self.base_rtt_s > before_s + _LONG_QUEUE * _MOST_QUEUE_S:
-            self._hold(_Test(self.window_bytes, self.pace.bytes_per_s or 0.0, 0.0), before_s, self.base_rtt_s)
+            self._take(self._others.hold(now, self.pace.bytes_per_s or 0.0, before_s, self.base_rtt_s))
 
     # ── rounds ─────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -258,7 +238,8 @@ class LinkModel:
     def _end_round(self, ended: _Round, reading: Reading) -> None:
         lost = reading.retransmissions > self._retransmissions
         self._retransmissions = reading.retransmissions
-        self._lost = self._lost or lost
+        if lost:
+            self._others.lost()
         base = self.base_rtt_s
         if base is None:
             return
@@ -267,8 +248,8 @@ class LinkModel:
         shallow_s = max(target_s, _MOST_QUEUE_SHARE * base)
         self._lossy_rounds = (self._lossy_rounds << 1 | (lost and queue_s < shallow_s)) & _LOSS_MEMORY
         self.losing = self._lossy_rounds.bit_count() >= _LOSSY_ROUNDS
-        if queue_s < shallow_s and self._held is None:
-            self._calm_bps = self.pace.bytes_per_s or 0.0
+        if queue_s < shallow_s:
+            self._others.calm(self.pace.bytes_per_s or 0.0)
         if self._drain_rounds:
             self._drain_rounds -= 1
             self._settling = 1
@@ -281,7 +262,7 @@ class LinkModel:
             elif self._settling:
                 self._settling -= 1  # what arrived was sent before the last change
             else:
-                self._fit(base, queue_s, target_s)
+                self._fit(reading.now_s, base, queue_s, target_s)
         elif ended.kernel_held:  # the window must not lie in wait far above what the kernel uses
             self._set_window(min(self.window_bytes, 2 * ended.most_bytes))
 
@@ -301,138 +282,48 @@ class LinkModel:
 
     def _cut_at_once(self, rtt_s: float) -> None:
         """Cut a window that is far too wide, without waiting for the end of the round."""
-        base, pace, test = self.base_rtt_s, self.pace.bytes_per_s, self._test
+        base, pace, others = self.base_rtt_s, self.pace.bytes_per_s, self._others
         if base is None or pace is None:
             return
-        if test is not None:
-            test.note(rtt_s - base)
+        others.saw(rtt_s - base)
         if rtt_s < base + self._long_queue_s:
             return
         if self.starting:
             if rtt_s < _FULL * base + _LONG_QUEUE * _MOST_QUEUE_S:
                 return
             self.starting = False
-        wanted = max(pace * (base + self.target_queue_s), self._least_bytes)
-        if test is not None:
-            wanted = max(wanted, _HALF * test.window_bytes)
+        wanted = max(pace * (base + self.target_queue_s), self._least_bytes, others.least_cut_bytes())
         if wanted < _CUT * self.window_bytes:
-            if test is None:
-                self._test = _Test(self.window_bytes, pace, rtt_s - base)
+            others.test(self.window_bytes, pace, rtt_s - base)
             self._set_window(wanted)
 
     def _tolerated_s(self, deviation_s: float) -> float:
         """Return the queue that is left: more than the target where round trips vary."""
         return max(self.target_queue_s, min(2 * deviation_s, _MOST_QUEUE_SHARE * (self.base_rtt_s or 0.0)))
 
-    def _fit(self, base_s: float, queue_s: float, target_s: float) -> None:
-        """Fit the window to a full link, so that a queue of ``target_s`` is left."""
+    def _fit(self, now_s: float, base_s: float, queue_s: float, target_s: float) -> None:
+        """Fit the window to a full link, so that a queue of ``target_s`` is left, or as others on it demand."""
         self._quiet = 0
         self.starting = False
-        window, pace, test = self.window_bytes, self.pace.bytes_per_s, self._test
-        if self._probe is not None:
-            self._answer(self._probe, base_s, queue_s)
-            return
-        self._crowded = self._crowded + 1 if queue_s > _CROWDED * min(target_s, _MOST_QUEUE_S) and test is None else 0
-        if queue_s <= max(2 * target_s, self._long_queue_s) or pace is None:
-            self._test = None
-        elif window <= self._least_bytes:  # so little makes no long queue
-            self._hold(test or _Test(window, pace, queue_s), base_s, base_s + queue_s + target_s)
-            return
-        elif test is None:
-            self._test = _Test(window, pace, queue_s)
-            self._set_window(_HALF * window)
-            return
-        elif window < _CUT * test.window_bytes:
-            if test.is_ours(window, base_s, queue_s):
-                self._test = None
-                if self._held is not None:
-                    base_s, queue_s = self._held.base_s, queue_s + base_s - self._held.base_s
-                    self._set_base(base_s)
-                    self._held = None
-            else:
-                self._hold(test, base_s, base_s + queue_s + target_s)
+        window, pace, others = self.window_bytes, self.pace.bytes_per_s, self._others
+        if pace is not None:
+            now = Situation(now_s, window, self._least_bytes, pace, base_s, queue_s, target_s, self._long_queue_s)
+            advice = others.advise(now)
+            if advice is not None:
+                self._take(advice)
                 return
-        if self._crowded >= (_CROWDED_ROUNDS if queue_s > _CROWDED * target_s else _SLOW_ROUNDS):
-            plain = _PLAIN * self._least_bytes / (pace * (base_s + queue_s)) if pace else 0.0
-            self._ask(base_s, queue_s, min(max(_FIRST_PROBE, plain), 1.0))
-            return
-        self._set_window(max(window * (base_s + target_s) / (base_s + queue_s), self._held_bytes))
+        wanted = window * (base_s + target_s) / (base_s + queue_s)
+        self._set_window(max(wanted, others.kept_bytes(now_s, base_s)))
 
-    def _ask(self, base_s: float, queue_s: float, more: float) -> None:
-        """Send a little more beside a queue that does not become shorter: one of ours becomes longer."""
-        self._probe = _Probe(self.window_bytes, queue_s, more)
-        self._lost = False
-        self._set_window((1 + more) * self.window_bytes)
-
-    def _answer(self, probe: _Probe, base_s: float, queue_s: float) -> None:
-        """See whether a queue became longer as we sent more, or was full; if not, take our share, step by step."""
-        self._probe = None
-        self._crowded = 0
-        if self._lost or queue_s - probe.queue_s >= _OURS * probe.more * (base_s + probe.queue_s):
-            self._set_window(probe.window_bytes)
-            return
-        self._set_base(base_s + queue_s)
-        self._ask(base_s + queue_s, 0.0, min(_LEAST_LEAP * probe.more, 1.0))
-
-    @property
-    def _held_bytes(self) -> float:
-        """The window that we keep beside those who fill the link."""
-        held = self._held
-        if held is None or self._now_s >= held.until_s or self.base_rtt_s is None:
-            return 0.0
-        return _SHARE * held.bytes_per_s * self.base_rtt_s
-
-    def _hold(self, test: _Test, base_s: float, rtt_s: float) -> None:
-        """Take a queue for part of the path: others made it, or the path became longer."""
-        self._test = None
-        held, until_s, pace = self._held, self._now_s + _HELD_S, test.bytes_per_s
-        if held is not None and self._now_s < held.until_s:
-            self._held = _Held(max(pace, held.bytes_per_s), held.base_s, until_s)
-            pace = max(pace, _SHARE * held.bytes_per_s)
-        else:
-            pace = max(pace, self._calm_bps)
-            self._held = _Held(pace, base_s, until_s)
-        self._set_base(rtt_s)
-        self._set_window(pace * rtt_s)
+    def _take(self, advice: Advice) -> None:
+        if advice.base_s is not None:
+            self._base_slots = [advice.base_s, advice.base_s]
+            self.base_rtt_s = advice.base_s
+        self._set_window(advice.window_bytes)
 
     def _set_window(self, size_bytes: float) -> None:
         self.window_bytes = int(min(max(size_bytes, self._least_bytes), _MOST_WINDOW_BYTES))
         self._settling = 1
-
-
-class _Test:
-    """A long queue, and what we sent when it was seen: half of the window tells whose it is."""
-
-    __slots__ = ("bytes_per_s", "queue_s", "window_bytes")
-
-    def __init__(self, window_bytes: int, bytes_per_s: float, queue_s: float) -> None:
-        self.window_bytes, self.bytes_per_s, self.queue_s = window_bytes, bytes_per_s, queue_s
-
-    def note(self, queue_s: float) -> None:
-        """Learn how long the queue became: what was sent before is a round trip late."""
-        self.queue_s = max(self.queue_s, queue_s)
-
-    def is_ours(self, window_bytes: int, base_s: float, queue_s: float) -> bool:
-        """Return whether it became shorter, as it does where much of what is on the link is ours."""
-        cut = 1 - window_bytes / self.window_bytes
-        alone_s = min(self.queue_s, cut * (base_s + self.queue_s))
-        return self.queue_s - queue_s >= _OURS * alone_s
-
-
-class _Probe(NamedTuple):
-    """The window and the queue before we sent more, and how much more."""
-
-    window_bytes: int
-    queue_s: float
-    more: float
-
-
-class _Held(NamedTuple):
-    """What we had of a link before others filled it, and its shortest round trip then."""
-
-    bytes_per_s: float
-    base_s: float
-    until_s: float
 
 
 class _Round:
