@@ -97,5 +97,8 @@ def queued_s(task: int | str = "thread-self") -> float:
 
 
 def _ran_and_queued_s(task: int | str) -> tuple[float, float]:
-    ran_ns, queued_ns, _ = Path(f"/proc/{task}/schedstat").read_text().split()
+    try:
+        ran_ns, queued_ns, _ = Path(f"/proc/{task}/schedstat").read_text().split()
+    except FileNotFoundError:  # a kernel that does not count it
+        return time.thread_time() if task == "thread-self" else 0.0, 0.0
     return int(ran_ns) / 1e9, int(queued_ns) / 1e9
