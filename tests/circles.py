@@ -27,10 +27,6 @@ STANDING: Final[Mapping[str, str]] = {
     "graph.overlay.publisher": "graph.overlay.graph",
     "graph.overlay.sender": "graph.overlay.graph graph.overlay.publisher",
     "graph.overlay.subscription": "graph.overlay.graph",
-    "graph.ros2.client": "graph.ros2.graph",
-    "graph.ros2.publisher": "graph.ros2.graph",
-    "graph.ros2.readers": "graph.ros2.graph",
-    "graph.ros2.service": "graph.ros2.graph",
     "graph.rosbridge.calls": (
         "graph.rosbridge.actions graph.rosbridge.graph graph.rosbridge.servers graph.rosbridge.services"
     ),

@@ -6,14 +6,15 @@ import asyncio
 import logging
 import threading
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway.errors import CallError, CallFailed, CallTimeout, GraphUnavailable, NotServed, ProviderLost
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request
 from ropeway.graph.dds.window import Window
+from ropeway.graph.ros2.host import Host
 
 if TYPE_CHECKING:
-    from ropeway.graph.ros2.graph import Ros2Graph
+    from ropeway.graph.ros2.senders import Lane
 
 __all__ = ["Ros2Client"]
 
@@ -43,10 +44,18 @@ class _Call:
             self.outcome.set_result(outcome)
 
 
+class ClientHost(Host, Protocol):
+    """What a client needs of its graph."""
+
+    async def remove(self, part: Ros2Client, raw: Any, lane: Lane) -> None:
+        """Know a client no more."""
+        ...
+
+
 class Ros2Client:
     """Calls ``service``: any number of calls at a time."""
 
-    def __init__(self, graph: Ros2Graph, service: str, type: str, raw: Any, cls: Any) -> None:
+    def __init__(self, graph: ClientHost, service: str, type: str, raw: Any, cls: Any) -> None:
         self.service, self.type = service, type
         self.raw = raw
         self.closed = False

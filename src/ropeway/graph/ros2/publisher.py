@@ -7,19 +7,18 @@ import logging
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Protocol, TypeVar
 
 from ropeway.graph.base import Sample, Undelivered
+from ropeway.graph.ros2.host import Host
 from ropeway.graph.ros2.rcl import RclError
 from ropeway.graph.ros2.senders import Lane
 from ropeway.qos import QoS
 
-if TYPE_CHECKING:
-    from ropeway.graph.ros2.graph import Ros2Graph
-
 __all__ = ["Ros2Publisher"]
 
 log = logging.getLogger("ropeway.graph.ros2")
+T = TypeVar("T")
 
 _WAITING: Final = 256  # messages, where the profile keeps fewer: what a burst may bring
 _WAITING_ALL: Final = 8192
@@ -28,10 +27,26 @@ _SHORTEST: Final = 4
 _ACKED_S: Final = 0.5  # how long what was published last may take to arrive once the topic is withdrawn
 
 
+class PublisherHost(Host, Protocol):
+    """What a publisher needs of its graph."""
+
+    def count_readers(self, publisher: Ros2Publisher) -> int:
+        """Return how many readers of others are matched with a publisher."""
+        ...
+
+    def guard(self, topic: str, callback: Callable[[T], None], value: T) -> None:
+        """Run a callback that may fail."""
+        ...
+
+    async def withdraw(self, publisher: Ros2Publisher, lane: Lane) -> None:
+        """Know a publisher no more."""
+        ...
+
+
 class Ros2Publisher:
     """Publishes what it is given as it is, in a thread, since a slow reader may hold up whoever publishes."""
 
-    def __init__(self, graph: Ros2Graph, topic: str, type: str, qos: QoS, raw: Any) -> None:
+    def __init__(self, graph: PublisherHost, topic: str, type: str, qos: QoS, raw: Any) -> None:
         self.topic, self.type, self.qos = topic, type, qos
         self.raw = raw
         self.closed = False

@@ -6,12 +6,13 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from ropeway.errors import TypesError
 from ropeway.graph.base import Undelivered
 from ropeway.graph.following import Following, SharedReader, settled
 from ropeway.graph.ros2.discovery import Discovery
+from ropeway.graph.ros2.host import Host
 from ropeway.graph.ros2.interfaces import message_class
 from ropeway.graph.ros2.origins import Origins
 from ropeway.graph.ros2.participant import Participant
@@ -21,7 +22,7 @@ from ropeway.graph.ros2.reader import Reader
 from ropeway.qos import QoS, common_qos
 
 if TYPE_CHECKING:
-    from ropeway.graph.ros2.graph import Ros2Graph
+    from ropeway.types import TypeRegistry
 
 __all__ = ["Readers", "Ros2Subscription"]
 
@@ -35,10 +36,35 @@ T = TypeVar("T")
 Ros2Subscription = Following[Reader]
 
 
+class ReadersHost(Host, Protocol):
+    """What the readers need of their graph."""
+
+    @property
+    def registry(self) -> TypeRegistry:
+        """The definitions of types."""
+        ...
+
+    def attempt(self, create: Callable[[], T]) -> T:
+        """Do something with rclpy. Raises ``GraphUnavailable`` with what it says."""
+        ...
+
+    def forget(self, subscription: Ros2Subscription) -> None:
+        """Know a subscription no more."""
+        ...
+
+    def guard(self, topic: str, callback: Callable[[T], None], value: T) -> None:
+        """Run a callback that may fail."""
+        ...
+
+    def look_soon(self) -> None:
+        """See soon what has changed."""
+        ...
+
+
 class Readers:
     """What the subscriptions of an opened graph read with."""
 
-    def __init__(self, graph: Ros2Graph, participant: Participant, discovery: Discovery, origins: Origins) -> None:
+    def __init__(self, graph: ReadersHost, participant: Participant, discovery: Discovery, origins: Origins) -> None:
         self.name, self.drops = graph.name, graph.drops
         self._graph = graph
         self._participant, self._discovery, self._origins = participant, discovery, origins

@@ -5,15 +5,16 @@ from __future__ import annotations
 import asyncio
 import logging
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway.errors import CallError
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Request, ServiceHandler
+from ropeway.graph.ros2.host import Host
 from ropeway.tasks import Chores
 
 if TYPE_CHECKING:
-    from ropeway.graph.ros2.graph import Ros2Graph
+    from ropeway.graph.ros2.senders import Lane
 
 __all__ = ["Ros2Service"]
 
@@ -26,6 +27,14 @@ _SHORTEST: Final = 4
 _TEXTS: Final = (("success", "message"), ("successful", "reason"))
 
 
+class ServiceHost(Host, Protocol):
+    """What a service needs of its graph."""
+
+    async def remove(self, part: Ros2Service, raw: Any, lane: Lane) -> None:
+        """Know a service no more."""
+        ...
+
+
 class Ros2Service:
     """Serves ``service`` with ``handler``, each request in a task of its own.
 
@@ -33,7 +42,9 @@ class Ros2Service:
     or ``reason`` says why where the type has them beside ``success`` or ``successful``.
     """
 
-    def __init__(self, graph: Ros2Graph, service: str, type: str, handler: ServiceHandler, raw: Any, cls: Any) -> None:
+    def __init__(
+        self, graph: ServiceHost, service: str, type: str, handler: ServiceHandler, raw: Any, cls: Any
+    ) -> None:
         self.service, self.type = service, type
         self.raw = raw
         self.closed = False
