@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import random
 from typing import Final
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from ropeway.link.model import LinkModel, Reading
 from tests.link.simulated import HEADERS_BYTES, SEGMENT_BYTES, Path, share, simulate
@@ -58,34 +57,31 @@ def test_others_use_the_link(cross: float) -> None:
     check(Path(20 * _MBIT, 0.02, cross=cross))
 
 
-@settings(max_examples=25, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
-@given(
-    mbit=st.floats(1, 60),
-    delay_ms=st.floats(0.1, 80),
-    jitter=st.sampled_from([0.0, 0.1, 0.2]),
-    loss=st.sampled_from([0.0, 0.0, 0.01, 0.05]),
-    seed=st.integers(0, 1000),
-)
-def test_random_links(mbit: float, delay_ms: float, jitter: float, loss: float, seed: int) -> None:
+def links(count: int, *, seed: int, most_mbit: float, most_ms: float, others: bool) -> list[Path]:
+    """Make links of any rate, delay, jitter and loss, the same ones every time."""
+    chance = random.Random(seed)
+    made = []
+    for number in range(count):
+        mbit, delay_s = chance.uniform(1.0, most_mbit), chance.uniform(1e-4, most_ms / 1e3)
+        jitter_s = chance.choice((0.0, 0.1, 0.2)) * delay_s
+        loss = chance.choice((0.0, 0.0, 0.01) if others else (0.0, 0.0, 0.01, 0.05))
+        cross = chance.choice((0.0, 0.0, 0.5)) if others else 0.0
+        made.append(Path(mbit * _MBIT, delay_s, jitter_s=jitter_s, loss=loss, seed=number, cross=cross))
+    return made
+
+
+@pytest.mark.parametrize("path", links(25, seed=2, most_mbit=60, most_ms=80, others=False))
+def test_random_links(path: Path) -> None:
     """Any link is full and has no queue."""
-    check(Path(mbit * _MBIT, delay_ms / 1e3, jitter_s=jitter * delay_ms / 1e3, loss=loss, seed=seed))
+    check(path)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@settings(max_examples=100, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
-@given(
-    mbit=st.floats(2, 60),
-    delay_ms=st.floats(0.1, 60),
-    jitter=st.sampled_from([0.0, 0.1, 0.2]),
-    loss=st.sampled_from([0.0, 0.0, 0.01]),
-    cross=st.sampled_from([0.0, 0.0, 0.5]),
-    seed=st.integers(0, 1000),
-)
-def test_many_links(mbit: float, delay_ms: float, jitter: float, loss: float, cross: float, seed: int) -> None:
-    """Any link is full and has no queue, hundreds of times, also where others use half of it."""
-    path = Path(mbit * _MBIT, delay_ms / 1e3, jitter_s=jitter * delay_ms / 1e3, loss=loss, seed=seed, cross=cross)
-    check(path, seconds=1.0)
+def test_many_links() -> None:
+    """Any link is full and has no queue, a hundred times, also where others use half of it."""
+    for path in links(100, seed=3, most_mbit=60, most_ms=60, others=True):
+        check(path, seconds=1.0)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0, 5.0])
