@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ropeway import limits
+from ropeway import iort, limits
 from tests.limits_page import PAGE, written
 
 
@@ -10,6 +10,7 @@ def test_the_page_lists_every_limit() -> None:
     """The page says each limit with its value and its reason (``python -m tests.limits_page`` writes it)."""
     assert PAGE.read_text() == written()
     names = [name for name in vars(limits) if name.isupper()]
+    names += [name.lstrip("_") for name in vars(iort) if name.lstrip("_").startswith(("SERVED", "STRANGERS", "HEAD"))]
     assert names
     for name in names:
         assert f"| `{name}` | " in PAGE.read_text()

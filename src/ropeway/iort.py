@@ -81,6 +81,11 @@ __all__ = [
 
 DEFAULT_PORT = 7410
 MAX_PACKET_BYTES = 1 << 20
+"""One packet, where no configuration says otherwise."""
+
+HEAD_VALUES = 64
+"""Values in the head of a packet. The longest has nine."""
+
 KINDS = ("robot", "pc")
 """What a node may say it is: the paper's Robot Node or PC Node."""
 
@@ -94,7 +99,9 @@ _PING_S = 2.0
 _SILENCE_S = 7.0
 _CONNECT_S = 3.0
 _PAUSE_S = (0.1, 2.0)
-_WAITING_LIMIT = 4096  # topics whose newest value waits for a slow connection
+_WAITING_LIMIT = 4096
+"""Topics whose newest value waits for a node that reads slowly. Above, the oldest goes."""
+
 _HIGH_BYTES = 1 << 20
 
 DISCOVERY_PORT = 7411
@@ -104,15 +111,30 @@ _GROUP = "239.255.74.11"  # of addresses that stay within an organization
 _SIOCGIFBRDADDR = 0x8919  # of Linux: the broadcast address of an interface
 _ASKED_S = 0.4  # how long answers are waited for
 _ANSWERS = 16  # of one search
-_ANSWERS_PER_S = 20  # of one server, whoever asks
+_ANSWERS_PER_S = 20
+"""Answers of a local server to those who look for one, whoever asks."""
+
 _DATAGRAM_BYTES = 512
+"""A question or an answer of those who look for a server; a longer one is not read."""
+
 _AHEAD_US = 5000000  # a live version further in the future than this is a wrong clock's
 _LOGIN_S = 10.0
-_STRANGERS_BYTES = 4096  # of a packet of who has not shown the token yet
-_SERVED_NODES = 256  # at a time
+"""Time in which a node has to show the token of a local server."""
+
+_STRANGERS_BYTES = 4096
+"""A packet of a node that has not shown the token of a local server yet."""
+
+_SERVED_NODES = 256
+"""Nodes of a local server at a time."""
+
 _SERVED_VALUES = 10000
-_SERVED_BYTES = 64 << 20  # of all values together
-_SERVED_SUBSCRIPTIONS = 256  # of one node
+"""Values that a local server keeps."""
+
+_SERVED_BYTES = 64 << 20
+"""The same in bytes, all together."""
+
+_SERVED_SUBSCRIPTIONS = 256
+"""Subscriptions of one node of a local server."""
 
 
 # ── packets ────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -290,7 +312,10 @@ def _parse_upgrade(parts: List[bytes], count: int) -> Union[Packet, Fault]:
         return Fault("malformed", "identifier, system and topic may not be empty; a dash stands for none")
     head: Dict[str, str] = {}
     if count > 4 and parts[4]:
-        for item in parts[4].decode().split(","):
+        items = parts[4].decode().split(",", HEAD_VALUES)
+        if len(items) > HEAD_VALUES:
+            return Fault("malformed", "a head has {} values at most".format(HEAD_VALUES))
+        for item in items:
             key, equals, value = item.partition("=")
             if not equals or not key:
                 return Fault("malformed", "a head is key=value,key=value")

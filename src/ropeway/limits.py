@@ -312,5 +312,17 @@ WATCHER_SILENCE_S: Final = 30.0
 PATTERNS_PER_NODE: Final = 64
 """Subscriptions of one node with wildcards, each of which is tried on every value."""
 
+NODE_PACKET_S: Final = 30.0
+"""Time in which a packet of a node has to come whole."""
+
+NODE_SILENCE_S: Final = 30.0
+"""Time for which a node that speaks the upgrade may say nothing."""
+
+NODE_UNREAD_BYTES: Final = 256 << 10
+"""What a node has not read. Above, values wait, of each topic the newest, and nothing more is read of the node."""
+
+NODE_WAITING_BYTES: Final = 16 << 20
+"""Values that wait for one node. Above, those of other topics go."""
+
 ENDPOINTS_PER_NODE: Final = 4_096
 """Topics that one node publishes or subscribes to."""

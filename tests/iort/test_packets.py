@@ -268,3 +268,18 @@ def test_copied_file(tmp_path: Path) -> None:
         check=False,
     )
     assert done.stdout == "Node\n", done.stderr
+
+
+def test_a_head_of_many_values() -> None:
+    """A packet whose head has far more values than any has is malformed, and costs no other packet."""
+    head = b",".join(b"%x=" % number for number in range(100_000))
+    found = Parser(1 << 20).feed(b"%01/S/t/+pub/" + head + b"/x%%01/S/t/p/1%")
+    assert [type(each).__name__ for each in found] == ["Fault", "Packet"]
+    assert isinstance(found[0], Fault)
+    assert found[0].code == "malformed"
+    assert isinstance(_one(b"%01/S/t/+pub/" + b",".join(b"k%d=" % n for n in range(64)) + b"/x%"), Packet)
+
+
+def _one(raw: bytes) -> object:
+    (found,) = Parser().feed(raw)
+    return found

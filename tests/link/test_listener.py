@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import gc
 import logging
 import resource
 import socket
@@ -93,6 +94,25 @@ def _ended(sock: socket.socket) -> bool:
         return sock.recv(1) == b""
     except ConnectionResetError:
         return True
+
+
+async def test_what_a_dropped_handshake_held() -> None:
+    """Nothing of a TLS handshake stays once it is dropped, however long it might have taken."""
+    lobby, before = Lobby(limit=2), _handshakes()
+    async with listening(lobby, ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)) as listener:
+        opened = [await asyncio.open_connection("127.0.0.1", listener.port) for _ in range(20)]
+        for _, writer in opened:
+            writer.write(b"\x16\x03\x01\x02\x00\x01")
+        await until(lambda: sum(lobby.dropped.values()) == 18)
+        await until(lambda: _handshakes() <= before + 2)
+        for _, writer in opened:
+            writer.transport.abort()
+        await until(lambda: not lobby)
+
+
+def _handshakes() -> int:
+    gc.collect()
+    return sum(type(each).__name__.startswith("SSLTransport") for each in gc.get_objects())
 
 
 async def test_out_of_open_files(caplog: pytest.LogCaptureFixture) -> None:

@@ -5,11 +5,16 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
 
 from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
+from tests.gateway.test_tls import Authority
 from tests.server.client import Client
 from tests.soak.megabytes import GATEWAY, PLAIN, SENT_BYTES, Make, a_megabyte
+from tests.soak.nodes import PACKETS
+from tests.soak.strangers import STRANGERS, Strangers
 
 __all__ = ["KINDS", "Kind"]
 
@@ -54,7 +59,7 @@ def _client(make: Make, subprotocol: str = "", reads: bool = True) -> Visit:
     async def visit(ports: list[int], stack: AsyncExitStack, first: bool) -> None:
         client = await stack.enter_async_context(Client(ports[0], subprotocol=subprotocol))
         if reads or first:
-            reading = asyncio.create_task(_read_all(client))
+            reading = asyncio.create_task(_read_all(client.reader))
             stack.callback(reading.cancel)
         try:
             for data in a_megabyte(make, _WARM_UP_BYTES if first else SENT_BYTES):
@@ -67,9 +72,51 @@ def _client(make: Make, subprotocol: str = "", reads: bool = True) -> Visit:
     return visit
 
 
-async def _read_all(client: Client) -> None:
-    while await client.reader.read(1 << 20):
+async def _read_all(reader: asyncio.StreamReader) -> None:
+    while await reader.read(1 << 20):
         pass
+
+
+def _strangers(visit: Strangers) -> Visit:
+    async def come(ports: list[int], stack: AsyncExitStack, first: bool) -> None:
+        await visit(ports[-1], stack, first)
+
+    return come
+
+
+def _node(make: Make, reads: bool = True) -> Visit:
+    """A node of the IoRT listener."""
+
+    async def visit(ports: list[int], stack: AsyncExitStack, first: bool) -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", ports[-1])
+        stack.callback(writer.transport.abort)
+        if reads or first:
+            reading = asyncio.create_task(_read_all(reader))
+            stack.callback(reading.cancel)
+        try:
+            for data in a_megabyte(make, _WARM_UP_BYTES if first else SENT_BYTES):
+                writer.write(data)
+                async with asyncio.timeout(20):
+                    await writer.drain()
+        except (ConnectionError, TimeoutError):
+            pass  # closed, or not read any more, which are as good
+
+    return visit
+
+
+def _listening(scheme: str) -> Prepare:
+    """A gateway with a store and a listener of this scheme."""
+
+    async def prepare(stack: AsyncExitStack) -> dict[str, Any]:
+        config = _config("memory:memory")
+        gateway: dict[str, Any] = config["gateway"]
+        gateway |= {"listen": [f"{scheme}://127.0.0.1:0"], "store": {"path": "memory:"}}
+        if scheme == "wss":
+            directory = Path(stack.enter_context(TemporaryDirectory()))
+            gateway["tls"] = Authority(directory, "soak").sign("gateway")
+        return config
+
+    return prepare
 
 
 _MEMORY: Final = _serving(_config("memory:memory"))
@@ -95,5 +142,8 @@ KINDS: Final = [
         for name, make in PLAIN.items()
         if name.startswith(_ANSWERED)
     ),
+    *(Kind(name, _listening(scheme), _strangers(visit)) for name, (scheme, visit) in STRANGERS.items()),
+    *(Kind(f"node-{name}", _listening("iort"), _node(make)) for name, make in PACKETS.items()),
+    *(Kind(f"node-{name}-unread", _listening("iort"), _node(make, False)) for name, make in PACKETS.items()),
     *(Kind(f"{name}-dds", _DDS, _client(PLAIN[name])) for name in _ON_DDS),
 ]

@@ -116,8 +116,11 @@ class Listener:
     async def _greet(self, visit: Visit) -> None:
         """Speak TLS, and hand the connection over; from then on the visit is the protocol's."""
         connection = self._accepted.pop(visit)
+        timers = _Timers(self._loop)
+        loop: Any = self._loop
         secure: dict[str, Any] = {}
         if self.context is not None:
+            loop = timers
             secure = {
                 "ssl": self.context,
                 "ssl_handshake_timeout": self._handshake_s,
@@ -126,7 +129,8 @@ class Listener:
                 "ssl_outgoing_bio_size": _BIO_BYTES,
             }
         try:
-            await aiofastnet.connect_accepted_socket(self._loop, lambda: self._make(visit), connection, **secure)
+            await aiofastnet.connect_accepted_socket(loop, lambda: self._make(visit), connection, **secure)
+            timers.keep()
         except ssl.SSLError as error:  # which aiofastnet tells nobody else
             visit.leave()
             self._complaints.note("handshake", "", explain_handshake(error))
@@ -134,7 +138,41 @@ class Listener:
             visit.leave()
         except BaseException:
             visit.leave()
+            timers.cancel()
             raise
+
+
+class _Timers:
+    """The event loop for one handshake, with the timers that it sets.
+
+    A handshake that is given up leaves its timer running, and with it all that TLS needs for it (aiofastnet 1.2).
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._set: list[asyncio.TimerHandle] = []
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._loop, name)
+        setattr(self, name, found)  # the next look finds it at once
+        return found
+
+    def call_later(self, delay: float, callback: Callable[..., object], *args: Any) -> asyncio.TimerHandle:
+        """Set a timer."""
+        timer = self._loop.call_later(delay, callback, *args)
+        self._set.append(timer)
+        return timer
+
+    def keep(self) -> None:
+        """Watch over no more timers: the handshake is done."""
+        self._set.clear()
+        setattr(self, "call_later", self._loop.call_later)  # noqa: B010 - in the place of the method
+
+    def cancel(self) -> None:
+        """Stop all timers that were set."""
+        for timer in self._set:
+            timer.cancel()
+        self._set.clear()
 
 
 async def open_listener(

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from ropeway.limits import NODE_WAITING_BYTES
 from ropeway.link.outbox import Outbox, Queue
 from ropeway.store import Entry
 
 __all__ = ["Pushes"]
 
-_WAITING_BYTES: Final = 16 << 20
 _LANE: Final = 4
 
 
@@ -50,7 +50,7 @@ class Pushes:
         elif queue.waiting:
             self._superseded()
         self._outbox.put(queue, _Push(entry, latest))
-        while self._outbox.bytes > _WAITING_BYTES and len(self._queues) > 1:
+        while self._outbox.bytes > NODE_WAITING_BYTES and len(self._queues) > 1:
             self._drop(next(other for other in self._queues if other != key))
             self._superseded()
 

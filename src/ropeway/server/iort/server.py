@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from ropeway.errors import ConnectFailed
 from ropeway.graph.iort.space import Space
 from ropeway.iort import DEFAULT_PORT, MAX_PACKET_BYTES, NOT_HTTP, NodeError
-from ropeway.limits import LOGIN_S
+from ropeway.limits import LOGIN_S, NODE_PACKET_S, NODE_SILENCE_S
 from ropeway.link.complaints import Complaints
 from ropeway.link.connection import peer_address
 from ropeway.link.front import identified
@@ -33,8 +33,6 @@ __all__ = ["IortServer"]
 log = logging.getLogger("ropeway.server.iort")
 
 _TICK_S: Final = 1.0
-_UNFINISHED_S: Final = 30.0
-_SILENCE_S: Final = 30.0
 _MAX_CLIENTS: Final = 10_000
 _HANDSHAKE_S: Final = 10.0
 _SHOWN_NODES: Final = 100  # of thousands, in a status that is printed every second
@@ -59,8 +57,8 @@ class IortServer:
         entrance: Entrance | None = None,
         max_packet_bytes: int = MAX_PACKET_BYTES,
         max_clients: int = _MAX_CLIENTS,
-        unfinished_s: float = _UNFINISHED_S,
-        silence_s: float = _SILENCE_S,
+        unfinished_s: float = NODE_PACKET_S,
+        silence_s: float = NODE_SILENCE_S,
         login_s: float = LOGIN_S,
         render: Callable[[Entry], bytes] | None = None,
         kinds: Mapping[str, str] | None = None,

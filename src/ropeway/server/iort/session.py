@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from ropeway.errors import AccessDenied, StoreUnavailable, TypesError, ValueRefused
 from ropeway.graph.iort.space import Endpoint, is_pattern
 from ropeway.iort import KINDS, Fault, NodeError, Packet, Parser, identifier_of, is_http, origin_of, pack
-from ropeway.limits import HTTP_HEAD_BYTES, WRONG_TOKENS_PER_CONNECTION
+from ropeway.limits import HTTP_HEAD_BYTES, NODE_UNREAD_BYTES, WRONG_TOKENS_PER_CONNECTION
 from ropeway.link.flow import Flow
 from ropeway.link.lobby import Visit
 from ropeway.server.access import Access
@@ -28,7 +28,6 @@ __all__ = ["Session"]
 
 log = logging.getLogger("ropeway.server.iort")
 
-_HIGH_BYTES: Final = 256 << 10  # above, values wait, each topic's newest only, and nothing more is read
 _OURS: Final = "00"  # the identifier of the server
 _IDENTIFIER_CHARACTERS: Final = 40  # of one that is shown in the status
 
@@ -58,7 +57,7 @@ class Session(asyncio.Protocol):
         self._out_bytes = 0
         self._scheduled = False
         self._heard = self._paused = False
-        self._looking = False  # a value is looked up elsewhere; what came after its request waits
+        self._looking = False  # a value is looked up elsewhere, or deleted; what came after that request waits
         self._flow = Flow(self._catch_up)
         self._pushes = Pushes(self._superseded)
         self._watching = False
@@ -68,7 +67,7 @@ class Session(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """A node connected."""
         self.transport = cast(asyncio.Transport, transport)
-        self.transport.set_write_buffer_limits(high=_HIGH_BYTES)
+        self.transport.set_write_buffer_limits(high=NODE_UNREAD_BYTES)
         self._flow.open(self.transport.get_extra_info("socket"))
         self._visit.drop = self.transport.abort
         self.server.welcome(self, self.transport)
@@ -148,7 +147,7 @@ class Session(asyncio.Protocol):
                 self._packet(item)
             else:
                 self._fault(item)
-            if self._out_bytes > _HIGH_BYTES:
+            if self._out_bytes > NODE_UNREAD_BYTES:
                 self.flush()
         self.flush()
         if self.transport is None:
@@ -464,6 +463,7 @@ class Session(asyncio.Protocol):
 
     def _delete(self, packet: Packet, number: str) -> None:
         self._may("publish", packet)
+        self._looking = True
         self.server.spawn(self._deleted(packet, number))
 
     async def _deleted(self, packet: Packet, number: str) -> None:
@@ -476,6 +476,9 @@ class Session(asyncio.Protocol):
                 self._ok(number)
             else:
                 self._error(number, "unknown-topic", f"no value of {packet.system}/{packet.topic} is there")
+        finally:
+            self._looking = False
+            self._work()
 
     def _ping(self, packet: Packet, number: str) -> None:
         self._send(pack(_OURS, "-", "-", "+ok", {"n": number, "t": time.time_ns()} if number else None))
