@@ -108,7 +108,6 @@ import asyncio, sys
 from ropeway.graph.iort import Space
 from ropeway.server.iort import IortServer
 from ropeway.store import Store, make_backend
-from tests.support.until import PATIENCE_S
 
 async def main(path, port):
     store = Store(make_backend(path))

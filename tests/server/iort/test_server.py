@@ -554,7 +554,7 @@ async def test_hostile_bytes(caplog: pytest.LogCaptureFixture) -> None:
 
 async def test_many_big_answers() -> None:
     """A thousand requests at once for a big value are answered as the node reads, not all at once into memory."""
-    async with serving(limits=StoreLimits(max_value_bytes=1 << 20)) as served:
+    async with serving(limits=StoreLimits(max_value_bytes=1 << 20), silence_s=3600) as served:
         node = await Raw.connect(served.port)
         await node.ask(request("+pub", 1, "A", "big", b"x" * 1_000_000))
         node.send(b"%01/A/big/s%" * 1000)
