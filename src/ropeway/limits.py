@@ -40,6 +40,10 @@ PARAMETER_BRACKETS: Final = 16
 QOS_DEPTH_SAMPLES: Final = 10_000
 """Samples that one writer, reader or history keeps. DDS allocates 8 bytes for each at the first sample."""
 
+DEPTH_PER_CLIENT_SAMPLES: Final = 200_000
+"""The depths above 100 of all topics that one client publishes, together: twenty of the deepest. Further topics get a
+depth of 100."""
+
 # ── Definitions of messages ────────────────────────────────────────────────────────────────────────────────────────
 
 DEFINITION_CHARACTERS: Final = 256 << 10
@@ -274,7 +278,7 @@ PENDING_CONNECTIONS: Final = 1_024
 """Connections of all listeners on which a TLS handshake, a request or a login is still to come. Above, the oldest is
 dropped, so that silent ones keep nobody out."""
 
-PENDING_PER_ADDRESS: Final = 128
+PENDING_PER_ADDRESS: Final = 100
 """Such connections from one address (an IPv6 network of 64 bits counts as one). Above, its oldest is dropped."""
 
 LOGIN_S: Final = 10.0

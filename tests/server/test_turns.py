@@ -150,3 +150,15 @@ async def test_a_question_that_fails_unforeseen(place: Place, monkeypatch: pytes
     assert (first["id"], first["values"]) == ("bad", "internal error")
     assert (second["id"], second["result"]) == ("good", True)
     assert not len(calls)
+
+
+async def test_depths_add_up(place: Place) -> None:
+    """A client gets the depths that it asks for until all of its topics together are too deep, then shallow ones."""
+    client = await place.client()
+    for n in range(25):
+        client.send({"op": "advertise", "topic": f"/t{n}", "type": "std_msgs/String", "qos": {"depth": 10_000}})
+    client.send({"op": "advertise", "topic": "/shallow", "type": "std_msgs/String", "qos": {"depth": 7}})
+    await client.done()
+    await until(lambda: len(place.session.inputs) == 26)
+    depths = [topic.publisher.qos.depth for topic in place.session.inputs.values() if topic.publisher is not None]
+    assert depths == [10_000] * 20 + [100] * 5 + [7]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import GraphError, InvalidOperation, RopewayError, TypeConflict, TypesError
-from ropeway.limits import IDS_PER_TOPIC, TOPICS_PER_CLIENT
+from ropeway.limits import DEPTH_PER_CLIENT_SAMPLES, IDS_PER_TOPIC, TOPICS_PER_CLIENT
 from ropeway.qos import QoS
 from ropeway.server.bodies import type_of
 from ropeway.server.topics import REGISTRATION_BYTES, TopicIn, TopicOut, topic_status
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Retire", "TopicOps", "TopicTypeConflict", "UnknownTopicError"]
 
+_SHALLOW_SAMPLES: Final = 100
 _NO_ID: Final = "\0none"
 _RAW: Final = ("cbor-raw", "rawzip")
 _POLICIES: Final = ("history", "depth", "reliability", "durability", "deadline", "lifespan")
@@ -167,7 +168,7 @@ class TopicOps:
         self._check_type(name, type)
         if number is None and op.compression not in _RAW:
             session.codec(type)  # what nobody can read is no topic
-        qos = self._publisher_qos(op)
+        qos = self._affordable(self._publisher_qos(op))
         self._check_count()
         early = known is not None and (known.topic, known.type) == (op.topic, type)
         topic = known if known is not None and early else TopicIn(session, op.topic, type, op.compression)
@@ -197,6 +198,17 @@ class TopicOps:
             return QoS(durability="transient_local", depth=1)
         depth = max(op.queue_size, 1)  # 0 stands for the least, as in ROS 2
         return QoS(durability="transient_local", depth=depth, lifespan_s=1.0)
+
+    def _affordable(self, qos: QoS) -> QoS:
+        """Return a profile no deeper than what is left to the client: DDS takes memory for all of the depth at once."""
+        if qos.depth <= _SHALLOW_SAMPLES or qos.history == "keep_all":
+            return qos
+        depths = (topic.publisher.qos.depth for topic in self._all_inputs() if topic.publisher is not None)
+        taken = sum(depth for depth in depths if depth > _SHALLOW_SAMPLES)
+        depth = min(qos.depth, max(DEPTH_PER_CLIENT_SAMPLES - taken, _SHALLOW_SAMPLES))
+        if depth < qos.depth:
+            self.session.complain("qos", "", f"other topics of the client are so deep that this one gets {depth}")
+        return replace(qos, depth=depth)
 
     def _asked_qos(self, asked: Mapping[str, Any]) -> QoS:
         """The profile that a client asks for; rosbridge takes no notice of policies that it does not know."""
