@@ -172,3 +172,18 @@ def test_the_pace_next_to_us() -> None:
             model.observe(reading(0.01 * i, 100_000 * i, rtt=rtt))
         assert model.starting
         assert (model.bytes_per_s is not None) is known
+
+
+def test_looks_that_come_late() -> None:
+    """Where the kernel has run dry whenever we look, it may hold more; later, when we look in time, less again."""
+    model = LinkModel()
+    model.starting = False
+    model.pace.carried(1_000_000, 1.0)
+    limits = []
+    for i in range(400):
+        late = i < 100
+        model.handed(1 << 20)
+        model.observe(reading(0.01 * i, 10_000 * i, unsent=0 if late else 4096))
+        limits.append(model.unsent_limit_bytes)
+    assert limits[99] > limits[0]
+    assert limits[-1] < limits[99]

@@ -47,6 +47,8 @@ _DRAIN_ROUNDS: Final = 3
 _LEAST_DRAINED: Final = 0.5  # of the window is used while we look for the shortest round trip
 _CUT: Final = 0.8  # of the window is left after a cut that should show
 _UNSENT_S: Final = 0.004  # what the kernel may hold back: four looks of the shortest kind
+_MOST_UNSENT_S: Final = 0.016  # where processors are busy, and we look late
+_LATE: Final = 1.25
 _FULL: Final = 2.0  # times the shortest round trip, and a long queue: the start has gone too far
 _FORGET: Final = 0.99  # per hand-over
 _LONG_QUEUE: Final = 3.0  # targets
@@ -97,6 +99,8 @@ class LinkModel:
         """Messages are lost on a link that is not full: a congestion control that takes losses for a full link
         wastes it."""
         self._unsent_bytes = 0
+        self._unsent_s = _UNSENT_S
+        self._by_kernel = False  # it, and not the window, holds back what is sent
         self._largest_bytes = 0.0  # of what was handed over at once
         self._least_bytes = _LEAST_WINDOW_BYTES
         self._quiet = 0
@@ -138,7 +142,7 @@ class LinkModel:
         pace = self.wanted_bps
         if self.starting or pace is None:
             least = max(_FIRST_UNSENT_BYTES, self.window_bytes // 4)
-        return least if pace is None else max(int(pace * _UNSENT_S), least)
+        return least if pace is None else max(int(pace * self._unsent_s), least)
 
     @property
     def target_queue_s(self) -> float:
@@ -191,9 +195,15 @@ class LinkModel:
             self._note_round_trip(reading.rtt_s, now)
             self._cut_at_once(reading.rtt_s)
         held = self.room_bytes <= 0  # there was more to send than we let out
+        far = (self.base_rtt_s or 0.0) >= _LONG_ROUND_TRIP_S
+        if held and self._by_kernel and far and not reading.unsent_bytes:  # we looked too late, and the link was idle
+            self._unsent_s = min(_LATE * self._unsent_s, _MOST_UNSENT_S)
+        else:
+            self._unsent_s = max(_FORGET * self._unsent_s, _UNSENT_S)
         by_window = self._allowed_bytes - self.outstanding_bytes
         by_kernel = self.unsent_limit_bytes - reading.unsent_bytes
         self.room_bytes = min(by_window, by_kernel)
+        self._by_kernel = by_kernel < by_window
         self.pace.observe(
             now,
             reading.delivered_bytes,
