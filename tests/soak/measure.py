@@ -1,7 +1,7 @@
 """How much a gateway grows when it is sent a megabyte of something, and what of it stays.
 
 ``python -m tests.soak.measure [NAME ...]`` prints a row per kind; each is measured in a gateway of its own, a fresh
-process under a limit on its memory.
+process.
 """
 
 from __future__ import annotations
