@@ -281,6 +281,12 @@ dropped, so that silent ones keep nobody out."""
 PENDING_PER_ADDRESS: Final = 100
 """Such connections from one address (an IPv6 network of 64 bits counts as one). Above, its oldest is dropped."""
 
+HANDSHAKES_AT_ONCE: Final = 64
+"""TLS handshakes of all listeners that are under way, as each takes 90 kB; others wait for their turn."""
+
+HANDSHAKE_TURN_S: Final = 1.0
+"""Time that a TLS handshake has for sure; a longer one is given up where others wait for their turn."""
+
 LOGIN_S: Final = 10.0
 """Time in which an IoRT node has to say who it is, where that is asked."""
 

@@ -14,7 +14,7 @@ PEAK_BYTES = 16 << 20
 LEFT_BYTES = 16 << 20  # pages that the allocators keep for the next
 
 KEPT_BYTES = 24 << 20  # of values that are small: the store keeps them, within its own limits
-HANDSHAKES_BYTES = 128 << 20  # of TLS, from hundreds of addresses: 1,024 at a time
+HANDSHAKES_BYTES = 64 << 20  # of TLS, from hundreds of addresses: what was given up is not free at once
 KEPT = ("node-plain", "node-systems", "node-plain-unread", "node-systems-unread")
 HANDSHAKES = ("half-open-tls-everywhere",)
 

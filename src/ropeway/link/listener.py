@@ -107,7 +107,7 @@ class Listener:
             task.add_done_callback(partial(self._greeted, visit))
 
     def _greeted(self, visit: Visit, _: object) -> None:
-        """Close a connection whose greeting was cancelled before its first step."""
+        """Close a connection whose greeting was cancelled before its first step, or while it waited for its turn."""
         connection = self._accepted.pop(visit, None)
         if connection is not None:
             visit.leave()
@@ -115,6 +115,13 @@ class Listener:
 
     async def _greet(self, visit: Visit) -> None:
         """Speak TLS, and hand the connection over; from then on the visit is the protocol's."""
+        if self.context is not None:
+            async with self._lobby.turns.turn():
+                await self._hand_over(visit)
+        else:
+            await self._hand_over(visit)
+
+    async def _hand_over(self, visit: Visit) -> None:
         connection = self._accepted.pop(visit)
         timers = _Timers(self._loop)
         loop: Any = self._loop

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from ropeway.limits import PENDING_CONNECTIONS, PENDING_PER_ADDRESS
+from ropeway.link.handshake_turns import HandshakeTurns
 
 __all__ = ["Lobby", "Visit", "network_of"]
 
@@ -52,6 +53,7 @@ class Lobby:
         self._per_address = per_address
         self.set_limit(limit)
         self.dropped: Counter[str] = Counter()
+        self.turns = HandshakeTurns()
         self._visits: dict[Visit, None] = {}
         self._by_sender: dict[str, dict[Visit, None]] = {}
 
@@ -100,7 +102,8 @@ class Lobby:
 
     def status(self) -> dict[str, int]:
         """Return how many wait, and how many were dropped for which reason."""
-        return {"waiting": len(self), **{f"dropped: {why}": n for why, n in self.dropped.items()}}
+        dropped = self.dropped + Counter({"a handshake that took long": self.turns.given_up})
+        return {"waiting": len(self), **{f"dropped: {why}": n for why, n in dropped.items()}}
 
     def _drop(self, visit: Visit, why: str) -> None:
         self.dropped[why] += 1
