@@ -1435,7 +1435,7 @@ class _Searcher(asyncio.DatagramProtocol):
             or not isinstance(name, str)
         ):
             return
-        proof = _proof(self.token, "I serve", self.nonce, str(port), name)
+        proof = _proof(self.token, "I serve", self.nonce, str(addr[0]), str(port), name)
         if hmac.compare_digest(proof.encode(), str(told.get("proof", "")).encode()) and len(self.found) < _ANSWERS:
             self.found["iort://{}:{}".format(addr[0], port)] = name
 
@@ -1466,9 +1466,19 @@ class _Answerer(asyncio.DatagramProtocol):
             self._second, self._answered = now, 0
         self._answered += 1
         if self._answered <= _ANSWERS_PER_S:
-            proof = _proof(self.token, "I serve", nonce, str(self.port), self.name)
+            proof = _proof(self.token, "I serve", nonce, _own_address(str(addr[0])), str(self.port), self.name)
             answer = {"nonce": nonce, "port": self.port, "name": self.name, "proof": proof}
             self.transport.sendto(json.dumps(answer).encode(), addr)
+
+
+def _own_address(toward: str) -> str:
+    """Return the address of this machine that another one sees; whoever passes an answer on has another."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        try:
+            sock.connect((toward, DISCOVERY_PORT))
+        except OSError:
+            return ""
+        return str(sock.getsockname()[0])
 
 
 def _datagram(data: bytes) -> Dict[str, Any]:

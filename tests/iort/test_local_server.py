@@ -190,6 +190,29 @@ async def test_bad_datagrams(local: Served) -> None:
     assert await iort._search(f"127.0.0.1:{free_udp_port()}", "fleet") == []
 
 
+async def test_an_answer_that_is_passed_on(local: Served) -> None:
+    """An answer that comes from another address than it was given at leads no node, and no token, there."""
+    port = free_udp_port()
+    local.start("--announce", "--discovery-port", str(port), "--token", "fleet")
+    loop = asyncio.get_running_loop()
+    searcher = iort._Searcher("fleet")
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as victim,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as relay,
+    ):
+        for sock, host in ((victim, "127.0.0.1"), (relay, "127.0.0.2")):
+            sock.bind((host, 0))
+            sock.setblocking(False)
+        await loop.sock_sendto(victim, searcher.question(), relay.getsockname())
+        question, _ = await loop.sock_recvfrom(relay, 2000)
+        await loop.sock_sendto(victim, question, ("127.0.0.1", port))
+        genuine, server = await loop.sock_recvfrom(victim, 2000)
+        searcher.datagram_received(genuine, relay.getsockname())
+        assert not searcher.found
+        searcher.datagram_received(genuine, server)
+        assert list(searcher.found) == [local.url]
+
+
 async def test_token(local: Served) -> None:
     """With a token nobody gets in without it: plain nodes are refused, wrong tokens end the connection."""
     local.start("--token", "fleet")
