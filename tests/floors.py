@@ -13,12 +13,19 @@ from typing import Any, Final
 
 __all__ = ["complaints"]
 
-TOTAL: Final = 85.0
-"""What the tests reach of all lines, in percent; somewhat below what was measured, as a thread may come or not."""
-MODULE: Final = 60.0
+TOTAL: Final = 90.0
+"""What the tests reach of all lines, in percent; somewhat below the 92 that were measured, as a thread may come or not."""
+MODULE: Final = 70.0
 """What they reach of each module."""
-LOWER: Final[Mapping[str, float]] = {}
-"""Modules with another floor, and why."""
+LOWER: Final[Mapping[str, float]] = {
+    "cli/demo/": 30.0,  # the whole demos are slow tests
+    "cli/demo_iort/": 0.0,
+    "gateway/__init__.py": 50.0,  # imports on first use
+    "graph/dds/fast/census.py": 40.0,  # in the helper's process, which is ended hard
+    "graph/dds/fast/worker.py": 0.0,
+    "graph/ros2/": 20.0,  # needs a sourced ROS 2
+}
+"""Modules with another floor, by the beginning of their path."""
 
 
 def complaints(report: Mapping[str, Any]) -> list[str]:
