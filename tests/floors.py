@@ -14,7 +14,7 @@ from typing import Any, Final
 __all__ = ["complaints"]
 
 TOTAL: Final = 90.0
-"""What the tests reach of all lines, in percent; somewhat below the 92 that were measured, as a thread may come or not."""
+"""What the tests reach of all lines, in percent; somewhat below the 92 that were measured, as threads come and go."""
 MODULE: Final = 70.0
 """What they reach of each module."""
 LOWER: Final[Mapping[str, float]] = {
