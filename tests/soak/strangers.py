@@ -84,6 +84,6 @@ STRANGERS: Final[dict[str, tuple[str, Strangers]]] = {
     "half-open-tls-everywhere": ("wss", _silent(500, lambda _: _CLIENT_HELLO, addresses=400)),
     "silent-nodes": ("iort", _silent(200, lambda _: b"", addresses=400)),
     "half-packets": ("iort", _silent(1000, lambda n: b"%01/S/t/p/" + b"x" * 990, addresses=400)),
-    "resets": ("ws", _one_after_the_other(lambda _: struct.pack("!I", 5) * 50)),
+    "resets": ("ws", _one_after_the_other(lambda _: struct.pack("!I", 5) * 50 + b"\r\n\r\n")),
 }
 """By their names: the scheme of the listener that they come to, and what they do."""
