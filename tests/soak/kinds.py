@@ -14,7 +14,7 @@ from tests.gateway.test_tls import Authority
 from tests.server.client import Client
 from tests.soak.megabytes import GATEWAY, PLAIN, SENT_BYTES, Make, a_megabyte
 from tests.soak.nodes import PACKETS
-from tests.soak.strangers import STRANGERS, Strangers
+from tests.soak.strangers import STRANGERS, Strangers, abort
 
 __all__ = ["KINDS", "Kind"]
 
@@ -89,7 +89,7 @@ def _node(make: Make, reads: bool = True) -> Visit:
 
     async def visit(ports: list[int], stack: AsyncExitStack, first: bool) -> None:
         reader, writer = await asyncio.open_connection("127.0.0.1", ports[-1])
-        stack.callback(writer.transport.abort)
+        stack.callback(abort, writer)
         if reads or first:
             reading = asyncio.create_task(_read_all(reader))
             stack.callback(reading.cancel)

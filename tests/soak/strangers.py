@@ -10,13 +10,18 @@ from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from typing import Final
 
-__all__ = ["STRANGERS", "Strangers"]
+__all__ = ["STRANGERS", "Strangers", "abort"]
 
 _FEW: Final = 20  # as many as come before it is measured
 _CLIENT_HELLO: Final = b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + bytes(500)  # its last bytes are missing
 
 Strangers = Callable[[int, AsyncExitStack, bool], Awaitable[None]]
 """Comes to a port, with a megabyte or if the last is true with little; the stack leaves."""
+
+
+def abort(writer: asyncio.StreamWriter) -> None:
+    """End a connection at once. Who has only its transport does not have it any more: its writer closes it."""
+    writer.transport.abort()
 
 
 async def _connections(
@@ -61,7 +66,7 @@ def _one_after_the_other(say: Callable[[int], bytes], *, leaves: bool = True) ->
             if leaves:
                 writer.transport.abort()
             else:
-                stack.callback(writer.transport.abort)
+                stack.callback(abort, writer)
 
     return visit
 
