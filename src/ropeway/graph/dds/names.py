@@ -95,7 +95,7 @@ def demangle(topic: str, type: str = "") -> Name:
     return (_demangle if len(topic) + len(type) <= _KEPT_CHARACTERS else _demangle.__wrapped__)(topic, type)
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1024)
 def _demangle(topic: str, type: str) -> Name:
     ros_type = demangle_type(type)
     prefix, slash, rest = topic.partition("/")
