@@ -47,7 +47,7 @@ _PRIORITIES: Final = (
     zenoh.Priority.DATA_LOW,
     zenoh.Priority.BACKGROUND,
 )
-_SMALL: Final = zenoh.Priority.DATA_HIGH  # the least that travels on the connection of small messages
+_SMALL: Final = zenoh.Priority.DATA_HIGH  # the least of a row of small messages
 
 T = TypeVar("T")
 Handle = Callable[[], None]
@@ -178,7 +178,7 @@ class Fabric:
     def _link_changed(self, event: zenoh.LinkEvent) -> None:
         """In a thread of Zenoh's."""
         if event.kind == zenoh.SampleKind.PUT:
-            target = str(event.link.dst).partition("?")[0]
+            target = str(event.link.dst)
             to_router = target.rpartition(":")[2] in self._router_ports
             set_options(str(event.link.src), target, MEMBER_DEAD_MS if to_router else ROUTER_DEAD_MS)
 
@@ -412,8 +412,6 @@ class Fabric:
 
 
 def _priority(row: int) -> zenoh.Priority:
-    """Return the priority that a row travels with: that of its lane, and at least that of small messages' connection
-    where it is a row of these.
-    """
+    """Return the priority of a row: that of its lane, and for small messages one that is above large ones."""
     priority = _PRIORITIES[row % LANES]
     return min(priority, _SMALL, key=_PRIORITIES.index) if row >= LANES else priority

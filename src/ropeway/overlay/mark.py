@@ -15,7 +15,7 @@ __all__ = ["ROWS", "Mark"]
 
 ROWS: Final = 2 * LANES
 """Packets are numbered by row, in which they keep their order: each lane has one for what is large, and from
-``LANES`` on one for small messages, which travel on a connection of their own."""
+``LANES`` on one for small messages, which do not wait for the parts of large ones."""
 
 _WHOLE: Final = struct.Struct(">BBQ")  # version, row, number
 _PART: Final = struct.Struct(">BBQQQ")  # and: where the part begins, and how long the packet is

@@ -46,8 +46,7 @@ class Path:
     """What is under way to one gateway.
 
     ``sent`` may be called from one thread per row; all else belongs to the event loop. ``stalled`` is true while
-    nothing is acknowledged: such a path holds nobody up. ``express``: the gateway tells of small messages apart, so
-    that they may travel apart.
+    nothing is acknowledged: such a path holds nobody up. ``express``: the gateway acknowledges small messages apart.
     """
 
     def __init__(self, *, express: bool = False) -> None:
@@ -109,7 +108,7 @@ class Path:
 
     @property
     def takes_small(self) -> bool:
-        """Return whether a small message may go at once, whatever else is on the way: it travels apart."""
+        """Return whether a small message may go at once, whatever else is on the way."""
         return self.express and sum(self._sent_bytes[LANES:]) - self._express_delivered_bytes < _EXPRESS_BYTES
 
     @property

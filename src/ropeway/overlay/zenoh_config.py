@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Final
 
 import zenoh
@@ -19,10 +19,6 @@ KEYS: Final = "rw/**"
 
 _DENIED: Final = ("rw/a/**", "rw/d/**", "rw/g/**", "rw/h/**", "rw/k/**", "rw/l/**", "rw/m/**")
 """All of it but the revocation list."""
-
-_CONNECTIONS: Final = ("prio=0-4", "prio=5-7")
-"""Two to each: no large packet that was lost holds up what is small or urgent, and all that Zenoh says itself.
-Where one is gone, the other carries all until it is made again."""
 
 # A dead link is known within these times. A router knows it first: a member that comes again before its router has let
 # go of the old link is taken off the routers' map, new link and all, once the old one is closed.
@@ -109,21 +105,6 @@ def _rule(id: str, permission: str, keys: list[str]) -> dict[str, Any]:
     return {"id": id, "messages": list(_MESSAGES), "flows": flows, "permission": permission, "key_exprs": keys}
 
 
-def _twice(endpoints: Iterable[str]) -> Iterable[str]:
-    """Give each endpoint once for each connection, unless it says itself what it carries."""
-    for endpoint in endpoints:
-        if "?" in endpoint:
-            yield endpoint
-        else:
-            where, mark, configuration = endpoint.partition("#")
-            yield from (f"{where}?{priorities}{mark}{configuration}" for priorities in _CONNECTIONS)
-
-
-def _any_port(endpoint: str) -> bool:
-    """Return whether an endpoint leaves its port to the system: others learn it, and both, from a router."""
-    return endpoint.partition("#")[0].partition("?")[0].endswith(":0")
-
-
 def _config(identity: Identity, connect: Sequence[str], listen: Sequence[str], more: dict[str, Any]) -> zenoh.Config:
     tls = identity.tls() | {
         "enable_mtls": True,
@@ -132,13 +113,11 @@ def _config(identity: Identity, connect: Sequence[str], listen: Sequence[str], m
     }
     options: dict[str, Any] = {
         "mode": "router",
-        "connect/endpoints": list(_twice(connect)),
+        "connect/endpoints": list(connect),
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
         "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5},
-        "listen/endpoints": [
-            one for endpoint in listen for one in (_twice([endpoint]) if _any_port(endpoint) else [endpoint])
-        ],
+        "listen/endpoints": list(listen),
         "listen/exit_on_failure": True,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
@@ -157,7 +136,6 @@ def _config(identity: Identity, connect: Sequence[str], listen: Sequence[str], m
         # 32 kB in half a second are 0.5 Mbit/s, and a slower link is none to Zenoh.
         "transport/link/tx/batch_size": 32768,
         "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
-        "transport/unicast/max_links": len(_CONNECTIONS),
         "transport/shared_memory/enabled": False,
         **more,
     }

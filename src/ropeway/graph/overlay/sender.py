@@ -1,9 +1,8 @@
 """Sends what publishers have: the freshest of every topic, decided when its path has room and not before.
 
 Where the gateways that read a topic acknowledge what came, no more is handed to Zenoh than is useful on the way, and
-big messages go in parts that small ones overtake. Topics that have only small messages travel apart, on a connection
-where no part of a large message that was lost holds them up. Where a gateway does not acknowledge, messages go whole,
-and Zenoh's queues decide.
+big messages go in parts that small ones overtake. Topics that have only small messages are numbered and acknowledged
+apart, and need not wait for room. Where a gateway does not acknowledge, messages go whole, and Zenoh's queues decide.
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ log = logging.getLogger("ropeway.graph.overlay")
 _BATCH_BYTES: Final = 64 * 1024
 _BATCH: Final = 256
 _AHEAD_BYTES: Final = 2 * _BATCH_BYTES  # of small messages the next batch is made ready while one is sealed
-_SMALL_BYTES: Final = 4 * 1024  # topics whose messages are no larger travel apart
+_SMALL_BYTES: Final = 4 * 1024  # topics whose messages are no larger are numbered apart
 _ITEM_BYTES: Final = 64  # what a message costs beside its payload
 _PACKET_BYTES: Final = 200  # and what a packet costs
 _FLUSH_S: Final = 2.0
 _LOOK_S: Final = 0.25  # whether a path has stalled
 _OVERDRAFT_BYTES: Final = 4 * 1024
-_EXPRESS_OVERDRAFT_BYTES: Final = 64 * 1024  # for those that travel apart; how many that are, the path says
+_EXPRESS_OVERDRAFT_BYTES: Final = 64 * 1024  # for those of small topics; how many that are, the path says
 _NO_LIMIT: Final = 1 << 40
 
 Job = tuple["OverlayPublisher", list[tuple[Item, bool]]]
@@ -184,7 +183,7 @@ class Sender:
         return min((path.room_bytes(now_s) for path in self._paths(group)), default=_NO_LIMIT)
 
     def _has_express(self, group: _Group) -> bool:
-        """Return whether every gateway of a group acknowledges what travels apart."""
+        """Return whether every gateway of a group acknowledges small topics apart."""
         paths = self._paths(group)
         return len(paths) == len(group.lot) and all(path.express for path in paths)
 
