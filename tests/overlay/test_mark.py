@@ -13,7 +13,7 @@ def test_read_back(mark: Mark) -> None:
     assert Mark.read(mark.to_bytes()) == mark
 
 
-@pytest.mark.parametrize("raw", [b"", b"\1", b"\2" + Mark(1, 2).to_bytes()[1:], b"\1\20" + bytes(8), bytes(26)])
+@pytest.mark.parametrize("raw", [b"", b"\1", b"\2" + Mark(1, 2).to_bytes()[1:], b"\1\10" + bytes(8), bytes(26)])
 def test_unknown(raw: bytes) -> None:
     """Whatever else stands beside a packet is no mark."""
     assert Mark.read(raw) is None

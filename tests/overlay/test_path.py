@@ -7,7 +7,6 @@ import itertools
 
 import pytest
 
-from ropeway.link.outbox import LANES
 from ropeway.overlay.path import Path
 
 LANE = 4
@@ -104,30 +103,3 @@ def test_lanes_overtake() -> None:
     path.sent(0, 1, 100, 0.0)
     path.acknowledged([(0, 1)], 0.01)
     assert path.in_flight_bytes == 5000
-
-
-def test_small_messages_apart() -> None:
-    """Small messages that travel apart have room of their own until too many are on their way; others have none."""
-    assert not Path().takes_small
-    path = Path(express=True)
-    assert path.takes_small
-    for number in range(1, 5):
-        path.sent(LANES + LANE, number, PART_BYTES, 0.0)
-    assert not path.takes_small
-    path.acknowledged([(LANES + LANE, 2)], 0.01)
-    assert path.takes_small
-    path.sent(LANE, 1, 1 << 20, 0.01)
-    assert path.takes_small
-
-
-def test_the_round_trip_of_small_messages() -> None:
-    """A large packet that waits for one that was lost does not make the path look longer: small ones say how it is."""
-    path = Path(express=True)
-    for number in range(1, 101):
-        now_s = 0.02 * number
-        path.sent(LANES + LANE, number, 100, now_s)
-        path.acknowledged([(LANES + LANE, number)], now_s + 0.01)
-        path.sent(LANE, number, PART_BYTES, now_s)
-        path.acknowledged([(LANE, number)], now_s + 0.2)
-    assert path.model.base_rtt_s == pytest.approx(0.01)
-    assert path.model.queue_s == pytest.approx(0.0)

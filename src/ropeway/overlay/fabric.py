@@ -1,7 +1,7 @@
 """The data plane as the rest of the overlay sees it: one Zenoh session, on the event loop.
 
 Zenoh calls back in threads of its own. What comes is handed to the loop in batches; what goes out goes through one
-thread per row (``ropeway.overlay.mark``), because a congested link blocks who writes to it, and only those of its row.
+thread per lane, because a congested link blocks who writes to it, and only those of its own lane.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import zenoh
 
 from ropeway.errors import GraphUnavailable
 from ropeway.limits import OVERLAY_NOTE_BYTES, OVERLAY_ROUTED_BYTES, OVERLAY_WAITING_NOTES_BYTES
-from ropeway.link.outbox import LANES
 from ropeway.overlay.inlet import Inlet, one_by_one
 from ropeway.overlay.link_sockets import Losses, set_options
 from ropeway.overlay.zenoh_config import MEMBER_DEAD_MS, ROUTER_DEAD_MS
@@ -47,7 +46,6 @@ _PRIORITIES: Final = (
     zenoh.Priority.DATA_LOW,
     zenoh.Priority.BACKGROUND,
 )
-_SMALL: Final = zenoh.Priority.DATA_HIGH  # the least of a row of small messages
 
 T = TypeVar("T")
 Handle = Callable[[], None]
@@ -101,7 +99,7 @@ class Fabric:
         self.gateway = gateway
         self._config = config
         self._session: zenoh.Session | None = None
-        self._rows: dict[int, ThreadPoolExecutor] = {}
+        self._lanes: dict[int, ThreadPoolExecutor] = {}
         self._link_events: Any = None
         self._watching: Supervised | None = None
         self._declared: dict[_Declared, None] = {}
@@ -155,9 +153,9 @@ class Fabric:
             await end(self._watching)
             self._watching = None
             await self._stop()
-        for row in self._rows.values():
-            row.shutdown(wait=False, cancel_futures=True)
-        self._rows.clear()
+        for lane in self._lanes.values():
+            lane.shutdown(wait=False, cancel_futures=True)
+        self._lanes.clear()
 
     async def _stop(self) -> None:
         self._open.clear()
@@ -305,23 +303,23 @@ class Fabric:
             with contextlib.suppress(zenoh.ZError):
                 self._session.undeclare(key)
 
-    def put(self, row: int, key: str | zenoh.KeyExpr, payload: bytes, mark: bytes | None = None) -> None:
-        """Put data, with a mark beside it; waits while the link is congested, so call it in the row's thread."""
+    def put(self, lane: int, key: str | zenoh.KeyExpr, payload: bytes, mark: bytes | None = None) -> None:
+        """Put data, with a mark beside it; waits while the link is congested, so call it in the lane's thread."""
         self._ready.wait(_REOPEN_S)
         self.session.put(
             key,
             payload,
             attachment=mark,
             congestion_control=zenoh.CongestionControl.BLOCK,
-            priority=_priority(row),
+            priority=_PRIORITIES[lane],
             express=True,
         )
 
-    def in_row(self, row: int, work: Callable[[], T]) -> asyncio.Future[T]:
-        """Run ``work`` in the thread of a row, in order."""
-        executor = self._rows.get(row)
+    def in_lane(self, lane: int, work: Callable[[], T]) -> asyncio.Future[T]:
+        """Run ``work`` in the thread of a lane, in order."""
+        executor = self._lanes.get(lane)
         if executor is None:
-            executor = self._rows[row] = ThreadPoolExecutor(1, thread_name_prefix=f"overlay-row-{row}")
+            executor = self._lanes[lane] = ThreadPoolExecutor(1, thread_name_prefix=f"overlay-lane-{lane}")
         return self._loop.run_in_executor(executor, work)
 
     async def ask(
@@ -409,9 +407,3 @@ class Fabric:
     def links(self) -> set[str]:
         """The routers and gateways that we are linked with now, by Zenoh id."""
         return {str(zid) for zid in self._session.info.routers_zid()} if self._session is not None else set()
-
-
-def _priority(row: int) -> zenoh.Priority:
-    """Return the priority of a row: that of its lane, and for small messages one that is above large ones."""
-    priority = _PRIORITIES[row % LANES]
-    return min(priority, _SMALL, key=_PRIORITIES.index) if row >= LANES else priority

@@ -11,21 +11,17 @@ from typing import Final, NamedTuple
 
 from ropeway.link.outbox import LANES
 
-__all__ = ["ROWS", "Mark"]
+__all__ = ["Mark"]
 
-ROWS: Final = 2 * LANES
-"""Packets are numbered by row, in which they keep their order: each lane has one for what is large, and from
-``LANES`` on one for small messages, which do not wait for the parts of large ones."""
-
-_WHOLE: Final = struct.Struct(">BBQ")  # version, row, number
+_WHOLE: Final = struct.Struct(">BBQ")  # version, lane, number
 _PART: Final = struct.Struct(">BBQQQ")  # and: where the part begins, and how long the packet is
 _VERSION: Final = 1
 
 
 class Mark(NamedTuple):
-    """The number of a packet within its row; ``size`` is 0 where it is whole, else it is a part from ``at`` on."""
+    """The number of a packet within its lane; ``size`` is 0 where it is whole, else it is a part from ``at`` on."""
 
-    row: int
+    lane: int
     number: int
     at: int = 0
     size: int = 0
@@ -34,7 +30,7 @@ class Mark(NamedTuple):
         """Return it as it travels."""
         if self.size:
             return _PART.pack(_VERSION, *self)
-        return _WHOLE.pack(_VERSION, self.row, self.number)
+        return _WHOLE.pack(_VERSION, self.lane, self.number)
 
     @classmethod
     def read(cls, raw: bytes) -> Mark | None:
@@ -46,4 +42,4 @@ class Mark(NamedTuple):
         else:
             return None
         mark = cls(*fields)
-        return mark if version == _VERSION and mark.row < ROWS else None
+        return mark if version == _VERSION and mark.lane < LANES else None

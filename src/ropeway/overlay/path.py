@@ -14,7 +14,6 @@ from typing import Final
 from ropeway.link.model import LinkModel, Reading
 from ropeway.link.outbox import LANES
 from ropeway.link.pace import Pace
-from ropeway.overlay.mark import ROWS
 
 __all__ = ["Path"]
 
@@ -37,37 +36,31 @@ _DOWN: Final = 0.05  # a row that such a packet held up says little of the link
 _MOST_BLOCKED: Final = 0.75
 _RTT_WEIGHT: Final = 1 / 8  # as TCP smooths it (RFC 6298)
 _DEVIATION_WEIGHT: Final = 1 / 4
-_EXPRESS_BYTES: Final = 16 * 1024  # of small messages may be on their way whatever else is
-_PARTS_BEHIND: Final = 2  # what a large message waits for anyway
-_EXPRESS_SAMPLE_S: Final = 0.1  # what a small message has told of the round trip holds for so long
 
 
 class Path:
     """What is under way to one gateway.
 
-    ``sent`` may be called from one thread per row; all else belongs to the event loop. ``stalled`` is true while
-    nothing is acknowledged: such a path holds nobody up. ``express``: the gateway acknowledges small messages apart.
+    ``sent`` may be called from one thread per lane; all else belongs to the event loop. ``stalled`` is true while
+    nothing is acknowledged: such a path holds nobody up.
     """
 
-    def __init__(self, *, express: bool = False) -> None:
-        self.express = express
-        self.model = LinkModel(
-            Pace(least_row_s=_LEAST_ROW_S, shortest_row_s=_SHORTEST_ROW_S, down=_DOWN), part_bytes=_PART_MIN_BYTES
-        )
+    def __init__(self) -> None:
+        pace = Pace(least_row_s=_LEAST_ROW_S, shortest_row_s=_SHORTEST_ROW_S, down=_DOWN)
+        self.model = LinkModel(pace, part_bytes=_PART_MIN_BYTES)
         self.stalled = False
-        self._under_way: list[deque[tuple[int, int, float]]] = [deque() for _ in range(ROWS)]  # number, bytes, when
-        self._sent_bytes = [0] * ROWS  # each changed by its row's thread alone
-        self._delivered_bytes = self._express_delivered_bytes = 0
+        self._under_way: list[deque[tuple[int, int, float]]] = [deque() for _ in range(LANES)]  # number, bytes, when
+        self._sent_bytes = [0] * LANES  # each changed by its lane's thread alone
+        self._delivered_bytes = 0
         self._pending_bytes = 0
         self._rtt_s = self._deviation_s = 0.0
         self._samples: deque[float] = deque(maxlen=_SAMPLES)
-        self._express_sample = (0.0, float("-inf"))  # a round trip, and when it was seen
         self._heard_s = float("-inf")
 
     # ── what goes out ──────────────────────────────────────────────────────────────────────────────────────────
 
     def hand(self, size_bytes: int) -> None:
-        """Note what is on its way to a row's thread."""
+        """Note what is on its way to a lane's thread."""
         self._pending_bytes += size_bytes
         self.model.handed(size_bytes)
 
@@ -75,10 +68,10 @@ class Path:
         """Note that the thread has sent it, or failed to."""
         self._pending_bytes -= size_bytes
 
-    def sent(self, row: int, number: int, size_bytes: int, now_s: float) -> None:
-        """Note a packet just before it is put; in the row's thread."""
-        self._under_way[row].append((number, size_bytes, now_s))
-        self._sent_bytes[row] += size_bytes
+    def sent(self, lane: int, number: int, size_bytes: int, now_s: float) -> None:
+        """Note a packet just before it is put; in the lane's thread."""
+        self._under_way[lane].append((number, size_bytes, now_s))
+        self._sent_bytes[lane] += size_bytes
 
     def room_bytes(self, now_s: float) -> int:
         """Return how much more may be sent now."""
@@ -107,11 +100,6 @@ class Path:
         return max(sum(self._sent_bytes) - self._delivered_bytes, 0) + self._pending_bytes
 
     @property
-    def takes_small(self) -> bool:
-        """Return whether a small message may go at once, whatever else is on the way."""
-        return self.express and sum(self._sent_bytes[LANES:]) - self._express_delivered_bytes < _EXPRESS_BYTES
-
-    @property
     def part_bytes(self) -> int:
         """Return the size of a part: what the path carries in a moment."""
         pace = self.model.pace.bytes_per_s
@@ -122,31 +110,23 @@ class Path:
     # ── what arrived ───────────────────────────────────────────────────────────────────────────────────────────
 
     def acknowledged(self, newest: Iterable[tuple[int, int]], now_s: float) -> None:
-        """Learn which packet of each row is the newest that came, as ``(row, number)``.
+        """Learn which packet of each lane is the newest that came, as ``(lane, number)``.
 
         Numbers that were not sent count for as much as was.
         """
-        large_s = small_s = float("-inf")  # when the newest that came was sent
-        for row, number in newest:
-            if not 0 <= row < ROWS:
+        latest_s, moved = float("-inf"), False
+        for lane, number in newest:
+            if not 0 <= lane < LANES:
                 continue
-            under_way = self._under_way[row]
+            under_way = self._under_way[lane]
             while under_way and under_way[0][0] <= number:
                 _, size, at_s = under_way.popleft()
                 self._delivered_bytes += size
-                if row < LANES:
-                    large_s = max(large_s, at_s)
-                else:
-                    self._express_delivered_bytes += size
-                    small_s = max(small_s, at_s)
-        if max(large_s, small_s) == float("-inf"):
-            return
-        self.stalled, self._heard_s = False, now_s
-        if small_s != float("-inf"):
-            self._express_sample = max(now_s - small_s, 1e-6), now_s
-        if large_s != float("-inf"):
-            self._sample(max(now_s - large_s, 1e-6))
-        self.model.observe(self._reading(now_s))
+                latest_s, moved = max(latest_s, at_s), True
+        if moved:
+            self.stalled, self._heard_s = False, now_s
+            self._sample(max(now_s - latest_s, 1e-6))
+            self.model.observe(self._reading(now_s))
 
     def _sample(self, rtt_s: float) -> None:
         self._samples.append(rtt_s)
@@ -158,15 +138,9 @@ class Path:
 
     def _reading(self, now_s: float) -> Reading:
         shortest_s = min(self._samples, default=0.0)
-        express_s, seen_s = self._express_sample
-        if now_s - seen_s < _EXPRESS_SAMPLE_S:  # no large message holds these up
-            shortest_s = min(shortest_s or express_s, express_s)
         in_flight, pace = self.in_flight_bytes, self.model.pace.bytes_per_s
         if pace is not None:  # what is there already, behind a packet that was lost, is not on the way
-            blocked_s = self._rtt_s - shortest_s
-            if now_s - seen_s < _EXPRESS_SAMPLE_S:  # a queue holds up both
-                blocked_s = self._rtt_s - express_s - _PARTS_BEHIND * self.part_bytes / pace
-            in_flight -= int(min(pace * max(blocked_s, 0.0), _MOST_BLOCKED * in_flight))
+            in_flight -= int(min(pace * max(self._rtt_s - shortest_s, 0.0), _MOST_BLOCKED * in_flight))
         return Reading(
             now_s,
             self._delivered_bytes,
@@ -187,4 +161,3 @@ class Path:
         for under_way in self._under_way:
             while under_way:
                 self._delivered_bytes += under_way.popleft()[1]
-        self._express_delivered_bytes = sum(self._sent_bytes[LANES:])

@@ -5,7 +5,7 @@ with it::
 
     16 bytes that name the key | counter u64 | ciphertext, tag
 
-Inside stands the newest number of each row that something came in (``ropeway.overlay.mark``). A receipt that is lost
+Inside stands the newest number of each lane that something came in (``ropeway.overlay.mark``). A receipt that is lost
 is made good by the next one, one that comes twice changes nothing. A gateway that does not know of receipts refuses the
 key and gets none; to one that gave no key, data is sent without a window.
 """
@@ -25,9 +25,10 @@ from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
 from ropeway.errors import RopewayError, SealError
+from ropeway.link.outbox import LANES
 from ropeway.overlay.certificate import Certificate
 from ropeway.overlay.fabric import Fabric, Handle
-from ropeway.overlay.mark import ROWS, Mark
+from ropeway.overlay.mark import Mark
 from ropeway.overlay.path import Path
 from ropeway.overlay.refusal import Refusal
 from ropeway.overlay.rpc import RemoteError, Rpc, part
@@ -46,7 +47,7 @@ _ID_BYTES: Final = 16
 _KEY_BYTES: Final = 32
 _HEAD: Final = struct.Struct(">16sQ")
 _NEWEST: Final = struct.Struct(">BQ")
-_MOST_BYTES: Final = _HEAD.size + ROWS * _NEWEST.size + 16
+_MOST_BYTES: Final = _HEAD.size + LANES * _NEWEST.size + 16
 
 
 def receipt_key(gateway: bytes) -> str:
@@ -62,8 +63,8 @@ class _Origin:
         self.id, self.secret = os.urandom(_ID_BYTES), os.urandom(_KEY_BYTES)
         self.cipher = AESGCM(self.secret)
         self.counter = 0
-        self.newest = [0] * ROWS
-        self.told = [0] * ROWS
+        self.newest = [0] * LANES
+        self.told = [0] * LANES
         self.told_s = self.asked_s = float("-inf")
         self.known = False  # it takes receipts
         self.scheduled = False
@@ -72,10 +73,10 @@ class _Origin:
 class _Reader:
     """A gateway that reads from us and tells what came."""
 
-    def __init__(self, gateway: bytes, secret: bytes, *, express: bool) -> None:
+    def __init__(self, gateway: bytes, secret: bytes) -> None:
         self.gateway = gateway
         self.cipher = AESGCM(secret)
-        self.path = Path(express=express)
+        self.path = Path()
 
 
 class Receipts:
@@ -95,7 +96,7 @@ class Receipts:
         self._fabric, self._rpc, self._owner, self._refused = fabric, rpc, owner, refused
         self._origins: dict[bytes, _Origin] = {}
         self._readers: dict[bytes, _Reader] = {}  # by the id of the key
-        self._numbers = [0] * ROWS
+        self._numbers = [0] * LANES
         self._listeners: list[Callable[[], None]] = []
         self._asking = Chores()
         self._end: Handle | None = None
@@ -127,10 +128,10 @@ class Receipts:
 
     # ── what we send ───────────────────────────────────────────────────────────────────────────────────────────
 
-    def next_number(self, row: int) -> int:
-        """Return the number of the next packet of a row; in the row's thread."""
-        self._numbers[row] += 1
-        return self._numbers[row]
+    def next_number(self, lane: int) -> int:
+        """Return the number of the next packet of a lane; in the lane's thread."""
+        self._numbers[lane] += 1
+        return self._numbers[lane]
 
     def on_change(self, callback: Callable[[], None]) -> Handle:
         """Call after each receipt, and whenever paths come and go."""
@@ -160,7 +161,7 @@ class Receipts:
         if known is None or known.gateway != gateway:
             for old in [old for old, reader in self._readers.items() if reader.gateway == gateway or old == id]:
                 del self._readers[old]
-            reader = self._readers[id] = _Reader(gateway, secret, express=request.get("rows") == ROWS)
+            reader = self._readers[id] = _Reader(gateway, secret)
             self.paths[gateway] = reader.path
             self._changed()
         return True
@@ -200,7 +201,7 @@ class Receipts:
             self._asking.start(self._introduce(origin), f"receipts for {gateway.hex()[:8]}")
 
     async def _introduce(self, origin: _Origin) -> None:
-        request = {"op": _OP, "by": self._fabric.gateway, "id": origin.id, "key": origin.secret, "rows": ROWS}
+        request = {"op": _OP, "by": self._fabric.gateway, "id": origin.id, "key": origin.secret}
         try:
             origin.known = await self._rpc.ask(origin.gateway, request, _ASK_S) is True
         except RemoteError:
@@ -212,9 +213,9 @@ class Receipts:
     def came(self, gateway: bytes, mark: Mark) -> None:
         """Note a packet of another gateway; from any thread."""
         origin = self._origins.get(gateway)
-        if origin is None or mark.number <= origin.newest[mark.row]:
+        if origin is None or mark.number <= origin.newest[mark.lane]:
             return
-        origin.newest[mark.row] = mark.number
+        origin.newest[mark.lane] = mark.number
         if not origin.scheduled:
             origin.scheduled = True
             with contextlib.suppress(RuntimeError):  # the loop has closed
@@ -235,13 +236,13 @@ class Receipts:
         if not origin.known:
             return
         newest = list(origin.newest)
-        rows = [row for row in range(ROWS) if newest[row] != origin.told[row]]
-        if not rows:
+        lanes = [lane for lane in range(LANES) if newest[lane] != origin.told[lane]]
+        if not lanes:
             return
         origin.told, origin.told_s = newest, self._loop.time()
         origin.counter += 1
         head = _HEAD.pack(origin.id, origin.counter)
-        body = b"".join(_NEWEST.pack(row, newest[row]) for row in rows)
+        body = b"".join(_NEWEST.pack(lane, newest[lane]) for lane in lanes)
         self._fabric.tell(receipt_key(origin.gateway), head + origin.cipher.encrypt(_nonce(origin.counter), body, head))
 
 

@@ -38,8 +38,6 @@ class OverlayPublisher:
         self.advert, self.delivery = advert, delivery
         self.key = data_key(advert.global_name, advert.endpoint)
         self.closed = False
-        self.mixed = False
-        """It has had a large message: its small ones keep their order with those."""
         self._graph = graph
         self._seq = 0
         self._granted: set[bytes] = set()

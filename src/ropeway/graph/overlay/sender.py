@@ -1,8 +1,7 @@
 """Sends what publishers have: the freshest of every topic, decided when its path has room and not before.
 
 Where the gateways that read a topic acknowledge what came, no more is handed to Zenoh than is useful on the way, and
-big messages go in parts that small ones overtake. Topics that have only small messages are numbered and acknowledged
-apart, and need not wait for room. Where a gateway does not acknowledge, messages go whole, and Zenoh's queues decide.
+big messages go in parts that small ones overtake. Where one does not, messages go whole, and Zenoh's queues decide.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.link.outbox import LANES, Outbox, Queue
 from ropeway.overlay.item import Item
-from ropeway.overlay.mark import ROWS, Mark
+from ropeway.overlay.mark import Mark
 from ropeway.overlay.path import Path
 
 if TYPE_CHECKING:
@@ -32,13 +31,11 @@ log = logging.getLogger("ropeway.graph.overlay")
 _BATCH_BYTES: Final = 64 * 1024
 _BATCH: Final = 256
 _AHEAD_BYTES: Final = 2 * _BATCH_BYTES  # of small messages the next batch is made ready while one is sealed
-_SMALL_BYTES: Final = 4 * 1024  # topics whose messages are no larger are numbered apart
 _ITEM_BYTES: Final = 64  # what a message costs beside its payload
 _PACKET_BYTES: Final = 200  # and what a packet costs
 _FLUSH_S: Final = 2.0
 _LOOK_S: Final = 0.25  # whether a path has stalled
 _OVERDRAFT_BYTES: Final = 4 * 1024
-_EXPRESS_OVERDRAFT_BYTES: Final = 64 * 1024  # for those of small topics; how many that are, the path says
 _NO_LIMIT: Final = 1 << 40
 
 Job = tuple["OverlayPublisher", list[tuple[Item, bool]]]
@@ -73,7 +70,7 @@ class _Group:
 
 
 class Sender:
-    """Takes from the outboxes what may go now, and hands it to the threads of the rows."""
+    """Takes from the outboxes what may go now, and hands it to the threads of the lanes."""
 
     def __init__(self, graph: OverlayGraph) -> None:
         self._graph = graph
@@ -81,7 +78,7 @@ class Sender:
         self._groups: dict[Lot, _Group] = {}
         self._group_of: dict[Queue[Sample], _Group] = {}
         self._aims: dict[Queue[Sample], Lot] = {}  # of those that are to move once their message has gone
-        self._pending = [0] * ROWS  # bytes on their way through the rows' threads
+        self._pending = [0] * LANES  # bytes on their way through the lanes' threads
         self._sealing: set[asyncio.Future[bytes]] = set()
         self._loop = asyncio.get_running_loop()
         self._scheduled = self._pumping = self._closed = False
@@ -151,14 +148,11 @@ class Sender:
         """Wait until a publisher has nothing waiting, for a little while."""
         try:
             async with asyncio.timeout(_FLUSH_S):
-                while queue.waiting or queue.under_way or self._is_pending(queue.priority):
+                while queue.waiting or queue.under_way or self._pending[queue.priority]:
                     self._idle.clear()
                     await self._idle.wait()
         except TimeoutError:
             log.debug("overlay: %s has left with %d messages unsent", self._graph.name, len(queue.waiting))
-
-    def _is_pending(self, lane: int) -> bool:
-        return bool(self._pending[lane] or self._pending[LANES + lane])
 
     async def close(self) -> None:
         """Send nothing more."""
@@ -181,11 +175,6 @@ class Sender:
         """Return what the slowest path has room for; one that acknowledges nothing holds nobody up."""
         now_s = time.monotonic()
         return min((path.room_bytes(now_s) for path in self._paths(group)), default=_NO_LIMIT)
-
-    def _has_express(self, group: _Group) -> bool:
-        """Return whether every gateway of a group acknowledges small topics apart."""
-        paths = self._paths(group)
-        return len(paths) == len(group.lot) and all(path.express for path in paths)
 
     def _part_bytes(self, group: _Group) -> int:
         """Return how large a packet may be that goes whole."""
@@ -216,7 +205,7 @@ class Sender:
         self._pumping = True
         try:
             for lane in range(LANES):
-                while self._turn(lane):
+                while self._pending[lane] < _AHEAD_BYTES and self._turn(lane):
                     pass
         finally:
             self._pumping = False
@@ -226,25 +215,19 @@ class Sender:
 
     def _turn(self, lane: int) -> bool:
         """Have the next group that can send something in a lane; return whether there was one."""
-        if self._pending[LANES + lane] >= _AHEAD_BYTES:
-            return False
-        busy = self._pending[lane] >= _AHEAD_BYTES
         for lot, group in list(self._groups.items()):
             waits = group.cursors[lane] or group.outbox.waits(lane)
-            if waits and self._send_within(self._room_bytes(group), lane, group, busy=busy):
+            if waits and self._send_within(self._room_bytes(group), lane, group):
                 if len(self._groups) > 1 and self._groups.get(lot) is group:  # to the end: the others are next
                     self._groups[lot] = self._groups.pop(lot)
                 return True
         return False
 
-    def _send_within(self, room_bytes: int, lane: int, group: _Group, *, busy: bool) -> bool:
+    def _send_within(self, room_bytes: int, lane: int, group: _Group) -> bool:
         """Send the next; small messages need not wait until the path has room, as they hardly take any."""
-        if room_bytes > 0 and not busy:
+        if room_bytes > 0:
             return self._send_next(lane, group)
-        apart = room_bytes > -_EXPRESS_OVERDRAFT_BYTES and self._has_express(group)
-        if apart and all(path.takes_small for path in self._paths(group)):
-            return self._send_whole(lane, group, small=True)
-        return not busy and room_bytes > -_OVERDRAFT_BYTES and self._send_whole(lane, group, small=True)
+        return room_bytes > -_OVERDRAFT_BYTES and self._send_whole(lane, group, small=True)
 
     def _send_next(self, lane: int, group: _Group) -> bool:
         cursor = group.cursors[lane]
@@ -258,18 +241,12 @@ class Sender:
         return True
 
     def _send_whole(self, lane: int, group: _Group, *, small: bool) -> bool:
-        jobs = self._gather(lane, group, small=small)
-        express = self._has_express(group)
-        for row, some in (
-            (lane, [job for job in jobs if job[0].mixed or not express]),
-            (LANES + lane, [job for job in jobs if express and not job[0].mixed]),
-        ):
-            if some:
-                size = sum(_PACKET_BYTES + sum(len(i.payload) + _ITEM_BYTES for i, _ in items) for _, items in some)
-                self._hand(row, group, partial(self._send, row, some, self._paths(group)), size, some)
+        jobs, size = self._gather(lane, group, small=small)
+        if jobs:
+            self._hand(lane, group, partial(self._send, lane, jobs, self._paths(group)), size, jobs)
         return bool(jobs)
 
-    def _gather(self, lane: int, group: _Group, *, small: bool) -> list[Job]:
+    def _gather(self, lane: int, group: _Group, *, small: bool) -> tuple[list[Job], int]:
         """Take what goes whole in one turn, by publisher; what goes in parts is begun."""
         found: dict[OverlayPublisher, list[tuple[Item, bool]]] = {}
         outbox, limit = group.outbox, self._part_bytes(group)
@@ -281,7 +258,6 @@ class Sender:
             queue, sample = taken
             publisher = cast("OverlayPublisher", queue.key)
             length = len(sample.payload) + _ITEM_BYTES
-            publisher.mixed = publisher.mixed or length > _SMALL_BYTES
             piece = publisher.add(sample), publisher.packing.choose(length, queue.lost)
             if length + _PACKET_BYTES > limit and not small:
                 self._begin(lane, group, publisher, piece)
@@ -291,7 +267,7 @@ class Sender:
             self._done(group, queue)
             size += length
             count += 1
-        return list(found.items())
+        return list(found.items()), size + _PACKET_BYTES * len(found)
 
     def _done(self, group: _Group, queue: Queue[Sample]) -> None:
         group.outbox.done(queue)
@@ -301,19 +277,19 @@ class Sender:
 
     # ── whole packets ──────────────────────────────────────────────────────────────────────────────────────────
 
-    def _hand(self, row: int, group: _Group, work: Callable[[], None], size: int, jobs: Sequence[Job]) -> None:
-        """Have the row's thread do something that sends about so many bytes."""
+    def _hand(self, lane: int, group: _Group, work: Callable[[], None], size: int, jobs: Sequence[Job]) -> None:
+        """Have the lane's thread do something that sends about so many bytes."""
         paths = self._paths(group)
-        self._pending[row] += size
+        self._pending[lane] += size
         for path in paths:
             path.hand(size)
-        future = self._graph.node.fabric.in_row(row, work)
-        future.add_done_callback(partial(self._handed, row, paths, size, jobs))
+        future = self._graph.node.fabric.in_lane(lane, work)
+        future.add_done_callback(partial(self._handed, lane, paths, size, jobs))
 
     def _handed(
-        self, row: int, paths: Sequence[Path], size: int, jobs: Sequence[Job], future: asyncio.Future[None]
+        self, lane: int, paths: Sequence[Path], size: int, jobs: Sequence[Job], future: asyncio.Future[None]
     ) -> None:
-        self._pending[row] -= size
+        self._pending[lane] -= size
         for path in paths:
             path.landed(size)
         if not future.cancelled() and (error := future.exception()) is not None:
@@ -331,24 +307,24 @@ class Sender:
         for publisher, items in jobs:
             self._graph.drops[publisher.topic, Undelivered.CLOSED if closed else Undelivered.WRITE] += len(items)
 
-    def _send(self, row: int, jobs: Sequence[Job], paths: Sequence[Path]) -> None:
-        """In the row's thread."""
+    def _send(self, lane: int, jobs: Sequence[Job], paths: Sequence[Path]) -> None:
+        """In the lane's thread."""
         for publisher, items in jobs:
             packet = publisher.source.seal([publisher.packing.pack(item, on) for item, on in items])
             began = time.perf_counter()
-            self._put(row, publisher, packet, paths)
+            self._put(lane, publisher, packet, paths)
             publisher.packing.taken(len(packet), time.perf_counter() - began)
 
     def _put(
-        self, row: int, publisher: OverlayPublisher, raw: bytes, paths: Sequence[Path], at: int = 0, size: int = 0
+        self, lane: int, publisher: OverlayPublisher, raw: bytes, paths: Sequence[Path], at: int = 0, size: int = 0
     ) -> None:
-        """In the row's thread."""
-        number = self._receipts.next_number(row)
+        """In the lane's thread."""
+        number = self._receipts.next_number(lane)
         now_s = time.monotonic()
         for path in paths:
-            path.sent(row, number, len(raw), now_s)
-        mark = Mark(row, number, at, size).to_bytes()
-        self._graph.node.fabric.put(row, publisher.wire_key(), raw, mark)
+            path.sent(lane, number, len(raw), now_s)
+        mark = Mark(lane, number, at, size).to_bytes()
+        self._graph.node.fabric.put(lane, publisher.wire_key(), raw, mark)
 
     # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────
 
