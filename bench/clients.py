@@ -23,10 +23,10 @@ from bench.peers import IMAGE
 from bench.readers import DOMAIN, PORT, reader
 from bench.report import table
 from ropeway.errors import ConnectFailed
-from ropeway.link.connection import Connection, Limits
-from ropeway.link.websocket import connect
+from ropeway.listener.connection import Connection, Limits
+from ropeway.listener.websocket import connect
+from ropeway.networks.rosbridge.protocol.codec import encode_publish
 from ropeway.types import TypeRegistry
-from ropeway.wire.codec import encode_publish
 
 ORIGINAL_MS = 150.0
 

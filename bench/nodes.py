@@ -23,8 +23,8 @@ import uvloop
 from bench.netns import Process, delayed
 from bench.report import table
 from ropeway.graph.base import Sample
-from ropeway.graph.dds import DdsGraph
 from ropeway.iort import AsyncNode, Packet, Parser, Value, pack
+from ropeway.networks.dds import DdsGraph
 from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
 

@@ -32,13 +32,13 @@ from cryptography.hazmat.primitives.asymmetric import ed25519
 
 from bench.netns import Process, delayed
 from bench.report import table
-from ropeway.gateway.allocator import keep_freed_memory
+from ropeway.gateway.process.allocator import keep_freed_memory
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample
-from ropeway.graph.overlay import OverlayGraph
-from ropeway.overlay.fleet import Fleet
-from ropeway.overlay.identity import Identity, write_private
-from ropeway.overlay.node import OverlayNode
-from ropeway.overlay.seal import Opener, Sealer
+from ropeway.networks.overlay.crypto.identity import Identity, write_private
+from ropeway.networks.overlay.crypto.seal import Opener, Sealer
+from ropeway.networks.overlay.fleet import Fleet
+from ropeway.networks.overlay.graph import OverlayGraph
+from ropeway.networks.overlay.node import OverlayNode
 from ropeway.qos import QoS
 
 TYPE = "std_msgs/msg/UInt8MultiArray"

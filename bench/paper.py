@@ -16,8 +16,8 @@ from typing import Any
 from bench.netns import Network, Process, network
 from bench.peers import messages
 from bench.report import table
+from ropeway.networks.rosbridge.protocol import codec
 from ropeway.types import TypeRegistry
-from ropeway.wire import codec
 
 TOPICS = {"/camera/color/image_raw": "rgb", "/camera/depth/image_rect_raw": "depth"}
 ENCODINGS = ("none", "cbor", "cbor-raw", "zip", "rawzip", "zstd", "auto")

@@ -24,7 +24,7 @@ import uvloop
 
 from bench.images import IMAGE, frames, matrix
 from ropeway.graph.base import SEQ_NONE, Sample
-from ropeway.graph.dds import DdsGraph
+from ropeway.networks.dds import DdsGraph
 from ropeway.qos import QoS
 
 CLOUD, STRING, TWIST = (

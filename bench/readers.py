@@ -19,8 +19,8 @@ from bench.netns import Process
 from bench.paper import config
 from bench.report import table
 from ropeway.errors import ConnectFailed
-from ropeway.link.connection import Connection, Limits
-from ropeway.link.websocket import connect
+from ropeway.listener.connection import Connection, Limits
+from ropeway.listener.websocket import connect
 
 PORT, DOMAIN, HZ = 19292, 67, 30
 

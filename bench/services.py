@@ -23,7 +23,7 @@ from bench.paper import config
 from bench.report import table
 from ropeway.errors import CallError
 from ropeway.graph.calls import Request
-from ropeway.graph.dds import DdsGraph
+from ropeway.networks.dds import DdsGraph
 from ropeway.types import TypeRegistry
 
 DOMAIN_A, DOMAIN_B, PORT = 64, 65, 19393

@@ -16,7 +16,7 @@ from bench.netns import Process
 from bench.paper import config
 from bench.report import table
 from ropeway.graph.base import SEQ_NONE, Sample
-from ropeway.graph.dds import DdsGraph
+from ropeway.networks.dds import DdsGraph
 from ropeway.qos import QoS
 
 STRING = "std_msgs/msg/String"

@@ -21,9 +21,9 @@ LOWER: Final[Mapping[str, float]] = {
     "cli/demo/": 30.0,  # the whole demos are slow tests
     "cli/demo_iort/": 0.0,
     "gateway/__init__.py": 50.0,  # imports on first use
-    "graph/dds/fast/census.py": 40.0,  # in the helper's process, which is ended hard
-    "graph/dds/fast/worker.py": 0.0,
-    "graph/ros2/": 20.0,  # needs a sourced ROS 2
+    "networks/dds/fastdds/discovery.py": 40.0,  # in the helper's process, which is ended hard
+    "networks/dds/fastdds/worker.py": 0.0,
+    "networks/ros2/": 20.0,  # needs a sourced ROS 2
 }
 """Modules with another floor, by the beginning of their path."""
 

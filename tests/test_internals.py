@@ -19,13 +19,13 @@ import pytest
 import zenoh
 from rosbags.rosbag1 import Reader, Writer
 
-from ropeway.graph.dds import DdsGraph
-from ropeway.graph.dds.raw import WHEEL_VERSION
-from ropeway.link.connection import Connection, Limits
-from ropeway.link.websocket import connect, listen
-from ropeway.overlay import link_sockets
-from ropeway.overlay.zenoh_config import gateway_config, gateway_id, router_config
-from tests.overlay.fleet import member
+from ropeway.listener.connection import Connection, Limits
+from ropeway.listener.websocket import connect, listen
+from ropeway.networks.dds import DdsGraph
+from ropeway.networks.dds.raw import WHEEL_VERSION
+from ropeway.networks.overlay import link_sockets
+from ropeway.networks.overlay.zenoh_config import gateway_config, gateway_id, router_config
+from tests.networks.overlay.fleet import member
 from tests.support.isolation import isolated_dds
 from tests.support.ports import free_port
 from tests.support.until import until
@@ -83,8 +83,8 @@ async def test_cyclonedds_layouts() -> None:
 def test_cyclonedds_hook() -> None:
     """The hook for services of Fast DDS calls itself through the network."""
     program = (
-        "from ropeway.graph.dds import raw; raw.load('canary')\n"
-        "from ropeway.graph.dds.fast import selfcall; print(selfcall.wrong())"
+        "from ropeway.networks.dds import raw; raw.load('canary')\n"
+        "from ropeway.networks.dds.fastdds import selfcall; print(selfcall.wrong())"
     )
     with relied_on("cyclonedds", "Cyclone DDS"):
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50, check=True)

@@ -20,7 +20,7 @@ from picows import WSFrame, WSListener, WSMsgType, WSTransport, ws_connect
 
 from bench.peers import STAMP, messages, restamp
 from ropeway.graph.base import SEQ_NONE, Sample
-from ropeway.graph.dds import DdsGraph
+from ropeway.networks.dds import DdsGraph
 from ropeway.qos import QoS
 
 __all__ = ["Topic", "quiet_end", "window"]

@@ -11,8 +11,8 @@ from typing import Any
 from bench.netns import Process
 from bench.wan.ends import Topic
 from bench.wan.link import FAR, NEAR, Link
-from ropeway.overlay.fleet import Fleet
-from ropeway.overlay.identity import write_private
+from ropeway.networks.overlay.crypto.identity import write_private
+from ropeway.networks.overlay.fleet import Fleet
 
 __all__ = ["ENCODINGS", "MODES", "Carrier", "start"]
 

@@ -12,8 +12,8 @@ from fuzz.target import Target
 from fuzz.targets.nested import NESTED_CBOR, NESTED_JSON
 from fuzz.targets.types import CODECS, chosen
 from ropeway.errors import DecodeError, InvalidFrame, MessageTooBig, ValueMismatch
-from ropeway.wire import codec as wire
-from ropeway.wire.frames import cbor_loads, json_loads
+from ropeway.networks.rosbridge.protocol import codec as wire
+from ropeway.types.untrusted import cbor_loads, json_loads
 
 __all__ = ["TARGETS"]
 

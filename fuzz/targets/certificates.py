@@ -13,10 +13,10 @@ from fuzz.target import Target
 from fuzz.targets.fleet import FLEET, MEMBER
 from fuzz.targets.nested import NESTED_JSON
 from ropeway.errors import IdentityError, SealError
-from ropeway.overlay.certificate import DENIED, RIGHTS, Certificate
-from ropeway.overlay.identity import Identity
-from ropeway.overlay.rights import EVERYTHING, Rights
-from ropeway.overlay.trust import Trust
+from ropeway.networks.overlay.crypto.certificate import DENIED, RIGHTS, Certificate
+from ropeway.networks.overlay.crypto.identity import Identity
+from ropeway.networks.overlay.crypto.trust import Trust
+from ropeway.networks.overlay.rights import EVERYTHING, Rights
 
 __all__ = ["TARGETS"]
 

@@ -11,8 +11,8 @@ from fuzz.target import Target
 from fuzz.targets.nested import NESTED_JSON
 from ropeway.cli.server.rosargs import split
 from ropeway.errors import ConfigError
-from ropeway.gateway import config
-from ropeway.gateway.document import read_json, read_yaml
+from ropeway.gateway.config import config
+from ropeway.gateway.config.document import read_json, read_yaml
 
 __all__ = ["TARGETS"]
 

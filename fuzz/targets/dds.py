@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from fuzz.target import Target
-from ropeway.graph.dds import nodes, rpc
-from ropeway.graph.dds.fast import identity
+from ropeway.networks.dds import nodes, rpc
+from ropeway.networks.dds.fastdds import identity
 
 __all__ = ["TARGETS"]
 

@@ -9,8 +9,8 @@ import zstandard
 
 from fuzz.target import Target
 from fuzz.targets.types import CODECS
+from ropeway.delivery.compression import filters
 from ropeway.errors import DecodeError, MessageTooBig
-from ropeway.wire import filters
 
 __all__ = ["TARGETS"]
 

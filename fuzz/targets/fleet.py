@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ropeway.overlay.fleet import Fleet
-from ropeway.overlay.identity import Identity
+from ropeway.networks.overlay.crypto.identity import Identity
+from ropeway.networks.overlay.fleet import Fleet
 
 __all__ = ["FLEET", "MEMBER"]
 

@@ -6,7 +6,7 @@ from typing import Final
 
 from fuzz.target import Target
 from ropeway.errors import InvalidFrame
-from ropeway.link.http import parse_head
+from ropeway.listener.http import parse_head
 
 __all__ = ["TARGETS"]
 

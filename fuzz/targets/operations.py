@@ -11,9 +11,9 @@ import cbor2
 from fuzz.target import Target
 from fuzz.targets.nested import NESTED_CBOR, NESTED_JSON
 from ropeway.errors import InvalidFrame, InvalidOperation
-from ropeway.wire import ops
-from ropeway.wire.fragment import Defragmenter
-from ropeway.wire.frames import JsonAssembler, loads
+from ropeway.networks.rosbridge.protocol import ops
+from ropeway.networks.rosbridge.protocol.fragment import Defragmenter
+from ropeway.networks.rosbridge.protocol.frames import JsonAssembler, loads
 
 __all__ = ["OPERATIONS", "TARGETS"]
 

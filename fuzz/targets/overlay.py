@@ -11,14 +11,16 @@ import cbor2
 from fuzz.target import Target
 from fuzz.targets.fleet import FLEET, MEMBER
 from fuzz.targets.nested import NESTED_CBOR
+from ropeway.delivery.compression import filters
 from ropeway.errors import SealError
-from ropeway.overlay import advert, channel, note
-from ropeway.overlay.feed import read_item
-from ropeway.overlay.item import RAW, ZSTD, Item, pack
-from ropeway.overlay.names import Metadata, global_name
-from ropeway.overlay.seal import ContentKey, Grant, Opener, Sealer
-from ropeway.overlay.trust import Trust
-from ropeway.wire import filters
+from ropeway.networks.overlay import advert
+from ropeway.networks.overlay import announcement as note
+from ropeway.networks.overlay.crypto import channel
+from ropeway.networks.overlay.crypto.seal import ContentKey, Grant, Opener, Sealer
+from ropeway.networks.overlay.crypto.trust import Trust
+from ropeway.networks.overlay.feed import read_item
+from ropeway.networks.overlay.item import RAW, ZSTD, Item, pack
+from ropeway.networks.overlay.names import Metadata, global_name
 
 __all__ = ["TARGETS"]
 

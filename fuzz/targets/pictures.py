@@ -8,7 +8,7 @@ from typing import Final
 
 from fuzz.target import Target
 from ropeway.errors import DecodeError, MessageTooBig
-from ropeway.wire import png
+from ropeway.networks.rosbridge.protocol import png
 
 __all__ = ["TARGETS"]
 

@@ -6,7 +6,7 @@ from typing import Final
 
 from fuzz.target import Target
 from ropeway.errors import InvalidFrame
-from ropeway.wire.records import RecordReader, RecordWriter
+from ropeway.networks.rosbridge.protocol.records import RecordReader, RecordWriter
 
 __all__ = ["TARGETS"]
 

@@ -8,8 +8,8 @@ from typing import Final, cast
 
 from fuzz.target import Target
 from ropeway.errors import DecodeError, InvalidFrame
-from ropeway.graph.ros1 import action_wire, tcpros
-from ropeway.graph.ros1 import xmlrpc as ours
+from ropeway.networks.ros1 import action_wire, tcpros
+from ropeway.networks.ros1 import xmlrpc as ours
 
 __all__ = ["TARGETS"]
 

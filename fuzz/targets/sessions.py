@@ -15,21 +15,21 @@ from typing import Any, Final
 
 import cbor2
 from tests.iort.servers import Raw
-from tests.server.client import Client, ClosedByServer
+from tests.networks.rosbridge.server.client import Client, ClosedByServer
 
 from fuzz.target import Target
 from fuzz.targets.operations import OPERATIONS
-from ropeway.graph.hub import Hub
-from ropeway.graph.iort import Space
-from ropeway.graph.memory import MemoryGraph
+from ropeway.hub.hub import Hub
 from ropeway.iort import pack
-from ropeway.link.connection import Limits
-from ropeway.server import RosbridgeServer
-from ropeway.server.iort import IortServer
+from ropeway.listener.connection import Limits
+from ropeway.networks.iort import Space
+from ropeway.networks.iort.server import IortServer
+from ropeway.networks.memory.graph import MemoryGraph
+from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
+from ropeway.networks.rosbridge.protocol.records import RecordWriter
+from ropeway.networks.rosbridge.server import RosbridgeServer
 from ropeway.store import Store, make_backend
 from ropeway.types import TypeRegistry
-from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
-from ropeway.wire.records import RecordWriter
 
 __all__ = ["TARGETS"]
 

@@ -8,17 +8,17 @@ from typing import Final
 from fuzz.target import Target
 from fuzz.targets.nested import NESTED_CBOR, NESTED_JSON
 from ropeway.errors import InvalidFrame, InvalidName, InvalidTypeName, TypesError
-from ropeway.gateway.address import parse_graph, parse_link, parse_listen
-from ropeway.gateway.auth_model import parse_glob
+from ropeway.gateway.config.address import parse_graph, parse_link, parse_listen
+from ropeway.gateway.config.auth_model import parse_glob
 from ropeway.graph.base import resolve_name
-from ropeway.graph.iort.forms import FORMS, Form, make_form
 from ropeway.graph.parameters import ParameterType, to_message
-from ropeway.graph.rosbridge.notes import read_note
+from ropeway.networks.iort.forms import FORMS, Form, make_form
+from ropeway.networks.rosbridge.client.notes import read_note
+from ropeway.networks.rosbridge.rosapi.params import _fitted, from_json, to_json
 from ropeway.qos import QoS
-from ropeway.server.rosapi.params import _fitted, from_json, to_json
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
-from ropeway.wire.frames import cbor_loads, json_loads
+from ropeway.types.untrusted import cbor_loads, json_loads
 
 __all__ = ["TARGETS"]
 

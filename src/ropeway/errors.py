@@ -313,7 +313,7 @@ class IdentityError(OverlayError):
 
 
 class SealError(OverlayError):
-    """What came sealed or signed is refused; ``reason`` is a ``ropeway.overlay.refusal.Refusal``."""
+    """What came sealed or signed is refused; ``reason`` is a ``ropeway.networks.overlay.refusal.Refusal``."""
 
     def __init__(self, reason: enum.Enum, detail: str = "") -> None:
         self.reason, self.detail = reason, detail
@@ -351,7 +351,7 @@ class WaitTimeout(RopewayError, TimeoutError):
 class AccessDenied(RopewayError):
     """A rule of the server does not allow what a client asks for.
 
-    ``verb`` is one of ``ropeway.server.access.VERBS``, ``name`` the topic, service or action, ``rule`` what denied it.
+    ``verb`` is one of ``authorization.VERBS``, ``name`` the topic, service or action, ``rule`` what denied it.
     """
 
     def __init__(self, verb: str, name: str, rule: str) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import ropeway
 from ropeway import ConfigError, ConnectFailed
-from ropeway.gateway.config import parse
+from ropeway.gateway.config.config import parse
 from tests.api.conftest import new_network
 
 

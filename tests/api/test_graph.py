@@ -10,7 +10,7 @@ import pytest
 
 import ropeway
 from ropeway import ConnectFailed, GraphUnavailable, InvalidDefinition, UnknownType
-from ropeway.graph.rosbridge import RosbridgeGraph
+from ropeway.networks.rosbridge.client import RosbridgeGraph
 from tests.api.conftest import new_network
 from tests.support.until import until
 

@@ -14,7 +14,7 @@ from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.errors import CallFailed, CallTimeout, GoalRejected, NotServed
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
-from ropeway.graph.memory import MemoryGraph
+from ropeway.networks.memory.graph import MemoryGraph
 from tests.support.actions import FIBONACCI
 from tests.support.until import PATIENCE_S, until
 

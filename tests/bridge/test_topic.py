@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from ropeway.bridge.pipeline import Drop
 from ropeway.bridge.topic import TopicBridge
+from ropeway.delivery.pipeline import Drop
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Delivery, Sample
-from ropeway.graph.memory import MemoryGraph
+from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from ropeway.cli.session import Session
-from ropeway.graph.memory import MemoryGraph
+from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.types import TypeRegistry
 from tests.support.until import PATIENCE_S
 

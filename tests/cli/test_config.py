@@ -8,7 +8,7 @@ from pathlib import Path
 from typer.testing import CliRunner
 
 from ropeway.cli import app
-from ropeway.gateway.config import Config
+from ropeway.gateway.config.config import Config
 
 GOOD = [
     {

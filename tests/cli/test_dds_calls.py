@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from ropeway.cli import app
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, Request, ServerGoal
-from ropeway.graph.dds import DdsGraph
+from ropeway.networks.dds import DdsGraph
 from tests.graph.parameter_node import ParameterNode
 from tests.support.actions import FIBONACCI, sequence
 from tests.support.services import ADD

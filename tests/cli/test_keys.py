@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from ropeway.cli import app
-from ropeway.overlay.identity import Identity
-from ropeway.overlay.names import global_name
-from ropeway.overlay.trust import Trust
+from ropeway.networks.overlay.crypto.identity import Identity
+from ropeway.networks.overlay.crypto.trust import Trust
+from ropeway.networks.overlay.names import global_name
 
 
 @pytest.fixture(autouse=True)

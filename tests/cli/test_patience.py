@@ -10,7 +10,7 @@ import pytest
 from ropeway.cli.patience import Patience, patiently, served_within, why_silent
 from ropeway.cli.session import Session
 from ropeway.graph.calls import Request
-from ropeway.graph.memory import MemoryGraph
+from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA, QoS
 from tests.support.messages import STRING
 from tests.support.services import ADD, add, addends, total

@@ -12,13 +12,13 @@ from ropeway.cli.topic.pub import publish
 from ropeway.cli.topic.watch import meter
 from ropeway.cli.topic.window import Rate
 from ropeway.errors import Refused
-from ropeway.graph.hub import Hub
-from ropeway.graph.memory import MemoryGraph
-from ropeway.graph.rosbridge import RosbridgeGraph
-from ropeway.server import RosbridgeServer
-from ropeway.server.access import EVERYTHING, Role
-from ropeway.server.door import Door, TokenRule
-from ropeway.server.entrance import Entrance
+from ropeway.hub.hub import Hub
+from ropeway.listener.authentication import Door, TokenRule
+from ropeway.listener.authorization import EVERYTHING, Role
+from ropeway.listener.entrance import Entrance
+from ropeway.networks.memory.graph import MemoryGraph
+from ropeway.networks.rosbridge.client import RosbridgeGraph
+from ropeway.networks.rosbridge.server import RosbridgeServer
 from ropeway.types import TypeRegistry
 from tests.support.messages import STRING
 from tests.support.until import until

@@ -19,10 +19,10 @@ from ropeway.cli.server.own import declared
 from ropeway.cli.server.parameters import WITHOUT_EFFECT, arguments, notes
 from ropeway.cli.server.rosargs import split
 from ropeway.errors import ConfigError
-from ropeway.gateway.config import Config
+from ropeway.gateway.config.config import Config
 from tests.cli.conftest import Ropeway
 from tests.gateway.test_tls import Authority
-from tests.server.client import Client, fetch
+from tests.networks.rosbridge.server.client import Client, fetch
 from tests.support.until import PATIENCE_S
 
 Start = Callable[..., subprocess.Popen[str]]

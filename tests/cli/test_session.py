@@ -10,8 +10,8 @@ import typer
 
 from ropeway.cli.session import Session, default_graph, find_topic, qos_of, settle, topic_name
 from ropeway.errors import GraphUnavailable
-from ropeway.graph.memory import MemoryGraph
-from ropeway.graph.rosbridge import RosbridgeGraph
+from ropeway.networks.memory.graph import MemoryGraph
+from ropeway.networks.rosbridge.client import RosbridgeGraph
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from tests.support.clock import Stopwatch
 from tests.support.messages import STRING

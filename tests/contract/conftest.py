@@ -14,22 +14,22 @@ from typing import Any
 import pytest
 
 from ropeway.graph.base import Graph
-from ropeway.graph.dds import DdsGraph
-from ropeway.graph.hub import Hub
-from ropeway.graph.iort import IortGraph, LocalLink, RemoteLink, Space
-from ropeway.graph.memory import MemoryGraph
-from ropeway.graph.overlay import OverlayGraph
-from ropeway.graph.ros1 import Ros1Graph
-from ropeway.graph.ros2 import Ros2Graph
-from ropeway.graph.rosbridge import RosbridgeGraph
-from ropeway.overlay.node import OverlayNode
-from ropeway.server import RosbridgeServer
-from ropeway.server.iort import IortServer
+from ropeway.hub.hub import Hub
+from ropeway.networks.dds import DdsGraph
+from ropeway.networks.iort import IortGraph, LocalLink, RemoteLink, Space
+from ropeway.networks.iort.server import IortServer
+from ropeway.networks.memory.graph import MemoryGraph
+from ropeway.networks.overlay.graph import OverlayGraph
+from ropeway.networks.overlay.node import OverlayNode
+from ropeway.networks.ros1 import Ros1Graph
+from ropeway.networks.ros2 import Ros2Graph
+from ropeway.networks.rosbridge.client import RosbridgeGraph
+from ropeway.networks.rosbridge.server import RosbridgeServer
 from ropeway.store import Store, StoreLimits, make_backend
 from ropeway.types import TypeRegistry
-from tests.graph.ros1.network import HAS_MASTER, RosMaster
-from tests.graph.ros2.network import isolated_ros2
-from tests.overlay.fleet import member
+from tests.networks.overlay.fleet import member
+from tests.networks.ros1.network import HAS_MASTER, RosMaster
+from tests.networks.ros2.network import isolated_ros2
 from tests.support.ports import free_endpoint
 from tests.support.until import until
 

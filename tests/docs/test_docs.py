@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 import ropeway
-from ropeway.gateway import config
-from ropeway.wire.codec import ENCODINGS
+from ropeway.gateway.config import config
+from ropeway.networks.rosbridge.protocol.codec import ENCODINGS
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [ROOT / "README.md", ROOT / "examples" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

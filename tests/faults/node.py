@@ -27,12 +27,12 @@ if order.get("ahead_s"):
     time.time = lambda: _true_time() + order["ahead_s"]
 
 from ropeway.errors import CallError, GraphUnavailable  # noqa: E402
-from ropeway.gateway import config  # noqa: E402  # with the clock as it is to be
+from ropeway.gateway.config import config  # noqa: E402  # with the clock as it is to be
 from ropeway.gateway.gateway import Gateway  # noqa: E402
 from ropeway.graph.base import SEQ_NONE, Graph, Sample  # noqa: E402
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal  # noqa: E402
-from ropeway.graph.factory import open_graph  # noqa: E402
-from ropeway.graph.rosbridge import RosbridgeGraph  # noqa: E402
+from ropeway.networks.factory import open_graph  # noqa: E402
+from ropeway.networks.rosbridge.client import RosbridgeGraph  # noqa: E402
 from ropeway.qos import QoS  # noqa: E402
 from tests.faults.node_types import ACTION, SERVICE  # noqa: E402
 from tests.support.clock import queued_s  # noqa: E402

@@ -159,8 +159,8 @@ async def test_stalled_reader(pair: MakePair) -> None:
     cloud = await net.machine("b", name="cloud", listen=["ws://127.0.0.1:9090"], publish={"/image": 30.0}, size=300_000)
     script = f"""
 import asyncio, json, sys, time
-from tests.server.client import Client
-from tests.server.test_session import listen
+from tests.networks.rosbridge.server.client import Client
+from tests.networks.rosbridge.server.test_session import listen
 from tests.support.clock import queued_s
 
 def elapsed():  # without the time in which this process or the server waited for a processor

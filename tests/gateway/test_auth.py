@@ -13,15 +13,15 @@ from typing import Any
 import pytest
 
 from ropeway.errors import ConfigError
-from ropeway.gateway import config
 from ropeway.gateway.auth import make_door
-from ropeway.gateway.auth_model import parse_glob
+from ropeway.gateway.config import config
+from ropeway.gateway.config.auth_model import parse_glob
 from ropeway.gateway.gateway import Gateway
-from ropeway.gateway.supervisor import Supervisor
-from ropeway.link.http import Request
-from ropeway.server.access import EVERYTHING, Role
+from ropeway.gateway.process.supervisor import Supervisor
+from ropeway.listener.authorization import EVERYTHING, Role
+from ropeway.listener.http import Request
 from tests.gateway.test_tls import Authority, gateway, url
-from tests.server.client import Client, fetch
+from tests.networks.rosbridge.server.client import Client, fetch
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
 from tests.support.ports import free_port

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from ropeway.gateway.automatic import Automatic
-from ropeway.gateway.model import RemoteConfig
+from ropeway.gateway.config.model import RemoteConfig
 from ropeway.graph.base import EndpointInfo, TopicInfo
-from ropeway.graph.memory import MemoryGraph
+from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.qos import DEFAULT
 from tests.support.messages import STRING
 from tests.support.until import until

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from ropeway.gateway.config import parse
+from ropeway.gateway.config.config import parse
 from ropeway.gateway.gateway import Gateway
 from ropeway.graph.base import SEQ_NONE, Sample, new_origin
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
-from ropeway.graph.dds import DdsGraph
+from ropeway.networks.dds import DdsGraph
 from ropeway.types import TypeRegistry
 from tests.support.inbox import Inbox
 from tests.support.isolation import isolated_dds

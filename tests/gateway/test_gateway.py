@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from ropeway.gateway import config
+from ropeway.gateway.config import config
 from ropeway.gateway.gateway import Gateway
 from ropeway.graph.base import Sample
-from ropeway.graph.memory import MemoryGraph, _networks
+from ropeway.networks.memory.graph import MemoryGraph, _networks
 from ropeway.qos import LATCHED, QoS
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text

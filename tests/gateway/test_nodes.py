@@ -14,14 +14,14 @@ from typing import Any
 import pytest
 
 from ropeway.errors import ConfigError
-from ropeway.gateway import config
+from ropeway.gateway.config import config
+from ropeway.gateway.config.iort_model import robots
 from ropeway.gateway.gateway import Gateway
-from ropeway.gateway.iort_model import robots
-from ropeway.gateway.keep import Keeper
+from ropeway.gateway.last_value import Keeper
 from ropeway.graph.base import Sample
-from ropeway.graph.memory import MemoryGraph
-from ropeway.graph.rosbridge import RosbridgeGraph
 from ropeway.iort import AsyncNode
+from ropeway.networks.memory.graph import MemoryGraph
+from ropeway.networks.rosbridge.client import RosbridgeGraph
 from ropeway.qos import LATCHED, QoS
 from ropeway.types import TypeRegistry
 from tests.gateway.test_gateway import World

@@ -8,15 +8,15 @@ from typing import Any
 import pytest
 
 from ropeway.errors import ConfigError
-from ropeway.gateway import config
+from ropeway.gateway.config import config
 from ropeway.gateway.gateway import Gateway
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
-from ropeway.graph.memory import MemoryGraph
-from ropeway.overlay.identity import write_private
+from ropeway.networks.memory.graph import MemoryGraph
+from ropeway.networks.overlay.crypto.identity import write_private
 from ropeway.qos import LATCHED, QoS
-from tests.overlay.conftest import Site
-from tests.overlay.conftest import site as site
-from tests.overlay.fleet import member
+from tests.networks.overlay.conftest import Site
+from tests.networks.overlay.conftest import site as site
+from tests.networks.overlay.fleet import member
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample
 from tests.support.until import PATIENCE_S, until

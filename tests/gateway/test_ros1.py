@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from ropeway.gateway import config
+from ropeway.gateway.config import config
 from ropeway.gateway.gateway import Gateway
-from ropeway.graph.memory import MemoryGraph
+from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
-from tests.graph.ros1.network import HAS_ROSPY, RosMaster, rospy
+from tests.networks.ros1.network import HAS_ROSPY, RosMaster, rospy
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, joined, sample, text
 from tests.support.until import PATIENCE_S, until

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from ropeway.graph.base import SEQ_NONE, Sample
-from ropeway.graph.dds import DdsGraph
+from ropeway.networks.dds import DdsGraph
 from ropeway.qos import QoS
 from tests.faults.conftest import Machine
 from tests.support.messages import STRING, text

@@ -21,14 +21,14 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 from ropeway.errors import ConfigError, ConnectFailed
-from ropeway.gateway import config
+from ropeway.gateway.config import config
+from ropeway.gateway.config.model import ListenTls, RemoteTls
 from ropeway.gateway.gateway import Gateway
-from ropeway.gateway.model import ListenTls, RemoteTls
 from ropeway.gateway.tls import certificate_names, client_context, server_context
-from ropeway.graph.memory import MemoryGraph
-from ropeway.graph.rosbridge import RosbridgeGraph
-from ropeway.link.connection import Limits
-from ropeway.link.websocket import connect
+from ropeway.listener.connection import Limits
+from ropeway.listener.websocket import connect
+from ropeway.networks.memory.graph import MemoryGraph
+from ropeway.networks.rosbridge.client import RosbridgeGraph
 from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
 from tests.support.inbox import Inbox

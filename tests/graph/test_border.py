@@ -11,8 +11,8 @@ from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import SEQ_NONE, Sample, new_origin
 from ropeway.graph.border import Border
 from ropeway.graph.calls import Request
-from ropeway.graph.factory import make_graph
-from ropeway.graph.rosbridge import RosbridgeGraph
+from ropeway.networks.factory import make_graph
+from ropeway.networks.rosbridge.client import RosbridgeGraph
 from ropeway.types import TypeRegistry
 from tests.support.rosbridge import FakeServer
 from tests.support.until import until

@@ -7,10 +7,10 @@ import weakref
 
 import pytest
 
-from ropeway.graph.action import ComposedActionServer
+from ropeway.graph.actions import ComposedActionServer
 from ropeway.graph.calls import ActionHandlers, Outcome, ServerGoal
 from ropeway.graph.kept import Kept
-from ropeway.graph.memory import MemoryGraph
+from ropeway.networks.memory.graph import MemoryGraph
 
 pytestmark = pytest.mark.jumping
 

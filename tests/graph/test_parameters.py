@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ropeway.errors import InvalidName, NotServed, UnknownType, ValueMismatch
-from ropeway.graph.memory import MemoryGraph
 from ropeway.graph.parameters import (
     ParameterType,
     ParameterValue,
@@ -27,6 +26,7 @@ from ropeway.graph.parameters import (
     to_message,
     type_of,
 )
+from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.types import TypeRegistry
 from tests.graph.parameter_node import REGISTRY, ParameterNode
 from tests.support.until import until

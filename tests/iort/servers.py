@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
-from ropeway.graph.iort import Space
 from ropeway.iort import Fault, Packet, Parser
-from ropeway.server.door import Door
-from ropeway.server.entrance import Entrance
-from ropeway.server.iort import IortServer
+from ropeway.listener.authentication import Door
+from ropeway.listener.entrance import Entrance
+from ropeway.networks.iort import Space
+from ropeway.networks.iort.server import IortServer
 from ropeway.store import Store, StoreLimits, make_backend, make_mirror
 from tests.support.until import PATIENCE_S
 
@@ -105,8 +105,8 @@ class Raw:
 
 _PROGRAM = """
 import asyncio, sys
-from ropeway.graph.iort import Space
-from ropeway.server.iort import IortServer
+from ropeway.networks.iort import Space
+from ropeway.networks.iort.server import IortServer
 from ropeway.store import Store, make_backend
 
 async def main(path, port):

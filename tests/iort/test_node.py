@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 
 from ropeway import iort
-from ropeway.gateway.model import ListenTls
+from ropeway.gateway.config.model import ListenTls
 from ropeway.gateway.tls import server_context
 from ropeway.iort import AsyncNode, Node, NodeError, Value, text_of
-from ropeway.server.access import EVERYTHING
-from ropeway.server.door import CertificateRule, Door
+from ropeway.listener.authentication import CertificateRule, Door
+from ropeway.listener.authorization import EVERYTHING
 from ropeway.store import StoreLimits
 from tests.gateway.test_tls import Authority
 from tests.iort.servers import ServerProcess, old_python, serving

@@ -18,7 +18,7 @@ from typing import Any
 import psutil
 import uvloop
 
-from ropeway.gateway import config
+from ropeway.gateway.config import config
 from ropeway.gateway.gateway import Gateway
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
 
-from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
+from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
 from tests.gateway.test_tls import Authority
-from tests.server.client import Client
+from tests.networks.rosbridge.server.client import Client
 from tests.soak.megabytes import GATEWAY, PLAIN, SENT_BYTES, Make, a_megabyte
 from tests.soak.nodes import PACKETS
 from tests.soak.strangers import STRANGERS, Strangers, abort

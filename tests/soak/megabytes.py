@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import cbor2
 
-from ropeway.wire.records import RecordWriter
-from tests.server.client import BINARY, CONTINUATION, TEXT, frame
+from ropeway.networks.rosbridge.protocol.records import RecordWriter
+from tests.networks.rosbridge.server.client import BINARY, CONTINUATION, TEXT, frame
 
 __all__ = ["GATEWAY", "PLAIN", "SENT_BYTES", "Make", "a_megabyte", "operation"]
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.server.client import Client
+from tests.networks.rosbridge.server.client import Client
 from tests.soak.process import Held, Served, serving
 
 SECONDS = float(os.environ.get("ROPEWAY_SOAK_SECONDS", "30"))

@@ -10,10 +10,10 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from ropeway.iort import pack
-from ropeway.wire.dialect import ROPEWAY_SUBPROTOCOL
-from ropeway.wire.records import RecordWriter
+from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
+from ropeway.networks.rosbridge.protocol.records import RecordWriter
 from tests.iort.servers import Raw
-from tests.server.client import Client, fetch
+from tests.networks.rosbridge.server.client import Client, fetch
 
 __all__ = ["VISITS", "Visit"]
 

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from contextlib import AsyncExitStack
 from typing import Any, Final
 
-from ropeway.graph.hub import Hub
-from ropeway.graph.memory import MemoryGraph
-from ropeway.link.connection import Connection, Limits
-from ropeway.link.listener import Listener
-from ropeway.link.websocket import listen
-from ropeway.server import RosbridgeServer
+from ropeway.hub.hub import Hub
+from ropeway.listener.connection import Connection, Limits
+from ropeway.listener.listener import Listener
+from ropeway.listener.websocket import listen
+from ropeway.networks.memory.graph import MemoryGraph
+from ropeway.networks.rosbridge.server import RosbridgeServer
 from ropeway.types import TypeRegistry
 from tests.support.until import until
 

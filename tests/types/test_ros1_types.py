@@ -9,7 +9,7 @@ import pytest
 from ropeway.errors import InvalidDefinition, TypeConflict, UnknownType
 from ropeway.types import TypeRegistry
 from ropeway.types.ros1_types import Ros1Types
-from tests.graph.ros1.network import HAS_ROSPY, PYTHON
+from tests.networks.ros1.network import HAS_ROSPY, PYTHON
 
 PACKAGES = [
     *("std_msgs", "sensor_msgs", "geometry_msgs", "nav_msgs", "actionlib_msgs", "actionlib", "rosgraph_msgs"),

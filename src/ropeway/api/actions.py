@@ -26,8 +26,8 @@ from ropeway.tasks import Chores
 from ropeway.types import TypeRegistry
 
 if TYPE_CHECKING:
-    from ropeway.graph.hub import View
-    from ropeway.graph.hub_actions import ViewActionClient, ViewActionServer
+    from ropeway.hub.actions import ViewActionClient, ViewActionServer
+    from ropeway.hub.hub import View
 
 __all__ = [
     "AcceptGoal",

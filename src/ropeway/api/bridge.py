@@ -17,8 +17,8 @@ from ropeway.bridge.topic import TopicBridge
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import NO_HINTS, Delivery, resolve_name
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
-from ropeway.graph.factory import make_graph
-from ropeway.graph.hub import Hub, View
+from ropeway.hub.hub import Hub, View
+from ropeway.networks.factory import make_graph
 from ropeway.qos import QoS
 
 __all__ = ["AsyncBridge", "open_bridge"]

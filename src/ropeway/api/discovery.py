@@ -12,7 +12,7 @@ from ropeway.graph.base import GraphEvent
 from ropeway.types.definition import canonical_name
 
 if TYPE_CHECKING:
-    from ropeway.graph.hub import View
+    from ropeway.hub.hub import View
 
 __all__ = ["type_of"]
 

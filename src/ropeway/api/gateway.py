@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from ropeway.api.opening import Closing, Opening
 
 if TYPE_CHECKING:
-    from ropeway.gateway.config import Config
+    from ropeway.gateway.config.config import Config
     from ropeway.gateway.gateway import Gateway
-    from ropeway.gateway.supervisor import Supervisor
+    from ropeway.gateway.process.supervisor import Supervisor
 
 __all__ = ["AsyncGateway", "open_gateway"]
 
@@ -52,8 +52,8 @@ def open_gateway(config: Mapping[str, Any] | Sequence[Any] | str | Path | Config
     """Run the gateway that ``config`` describes, until it is closed.
 
     ``config`` is what ``ropeway run`` takes: the path of a JSON or YAML file, or what stands in one (see
-    ``docs/configuration.md``), or a ``ropeway.gateway.config.Config``. Relative paths in a file start at the file,
-    others at the working directory.
+    ``docs/configuration.md``), or a ``Config``. Relative paths in a file start at the file, others
+    at the working directory.
 
     Raises ``ConfigError`` with every fault, ``GraphUnavailable`` for a graph and ``ConnectFailed`` for a listener that
     cannot be had.
@@ -62,7 +62,11 @@ def open_gateway(config: Mapping[str, Any] | Sequence[Any] | str | Path | Config
 
 
 async def _open(config: Mapping[str, Any] | Sequence[Any] | str | Path | Config) -> AsyncGateway:
-    from ropeway.gateway.config import Config, load, parse  # programs without a gateway need not wait for it
+    from ropeway.gateway.config.config import (  # programs without a gateway need not wait for it
+        Config,
+        load,
+        parse,
+    )
     from ropeway.gateway.making import make_gateway
 
     if not isinstance(config, Config):

@@ -30,9 +30,9 @@ from ropeway.api.topics import AsyncPublisher, AsyncSubscription
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import NO_HINTS, Delivery, Graph, Undelivered, resolve_name
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
-from ropeway.graph.factory import make_graph
-from ropeway.graph.hub import Hub, View
 from ropeway.graph.kept import Kept
+from ropeway.hub.hub import Hub, View
+from ropeway.networks.factory import make_graph
 from ropeway.qos import PROFILES, QoS
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name

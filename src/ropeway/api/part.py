@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from ropeway.api.opening import Closing
 
 if TYPE_CHECKING:
-    from ropeway.graph.hub import View
+    from ropeway.hub.hub import View
 
 __all__ = ["Part"]
 

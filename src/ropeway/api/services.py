@@ -14,8 +14,8 @@ from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request
 from ropeway.types import TypeRegistry
 
 if TYPE_CHECKING:
-    from ropeway.graph.hub import View
-    from ropeway.graph.hub_calls import ViewClient, ViewService
+    from ropeway.hub.calls import ViewClient, ViewService
+    from ropeway.hub.hub import View
 
 __all__ = ["AsyncClient", "AsyncService", "RequestHandler", "service_messages"]
 

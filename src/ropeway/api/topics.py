@@ -20,8 +20,8 @@ from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.qos import QoS
 
 if TYPE_CHECKING:
-    from ropeway.graph.hub import View
-    from ropeway.graph.hub_topics import ViewPublisher, ViewSubscription
+    from ropeway.hub.hub import View
+    from ropeway.hub.topics import ViewPublisher, ViewSubscription
 
 __all__ = ["AsyncPublisher", "AsyncSubscription"]
 

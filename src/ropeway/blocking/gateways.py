@@ -18,7 +18,7 @@ from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.qos import QoS
 
 if TYPE_CHECKING:
-    from ropeway.gateway.config import Config
+    from ropeway.gateway.config.config import Config
 
 __all__ = ["BlockingBridge", "BlockingGateway", "open_bridge", "open_gateway"]
 

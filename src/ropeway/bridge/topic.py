@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
-from ropeway.bridge.meter import Meter
-from ropeway.bridge.pipeline import Drop, Step, build
 from ropeway.bridge.upkeep import RETRY_S, Upkeep
+from ropeway.delivery.meter import Meter
+from ropeway.delivery.pipeline import Drop, Step, build
 from ropeway.graph.base import NO_HINTS, Delivery, Graph, Publisher, Sample, Subscription
 from ropeway.qos import DEFAULT, QoS, common_qos
 

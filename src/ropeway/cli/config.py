@@ -24,8 +24,8 @@ def check(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Check FILE: print its routes, or every fault with its path. The exit status is 2 where there is a fault."""
-    from ropeway.gateway.config import load
-    from ropeway.gateway.type_hints import known_types, type_hints
+    from ropeway.gateway.config.config import load
+    from ropeway.gateway.config.type_hints import known_types, type_hints
 
     try:
         config = load(file)
@@ -77,7 +77,7 @@ def schema(
     as_json: Annotated[bool, typer.Option("--json", help="On one line; the schema is JSON anyhow.")] = False,
 ) -> None:
     """Print the JSON Schema of configurations, for editors."""
-    from ropeway.gateway.config import Config
+    from ropeway.gateway.config.config import Config
 
     made = Config.schema()
     if as_json:

@@ -10,9 +10,9 @@ import typer
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.session import JsonOption, full_name
 from ropeway.errors import IdentityError, InvalidTypeName
-from ropeway.graph.action.parts import parts_of_action
-from ropeway.overlay.identity import Identity
-from ropeway.overlay.names import Metadata, global_name
+from ropeway.graph.actions.parts import parts_of_action
+from ropeway.networks.overlay.crypto.identity import Identity
+from ropeway.networks.overlay.names import Metadata, global_name
 from ropeway.types.definition import canonical_name
 
 __all__ = ["IdentityOption", "app"]

@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 from typing import Final
 
 from ropeway.cli.console import complain
-from ropeway.gateway.suggest import did_you_mean
+from ropeway.gateway.config.suggest import did_you_mean
 from ropeway.graph.base import EndpointInfo, Graph, TopicInfo
 from ropeway.graph.calls import ActionClient, Client
 from ropeway.qos import QoS, unmet

@@ -16,7 +16,7 @@ from ropeway.cli.console import fail, print_json
 from ropeway.cli.logs import LEVELS, set_up
 from ropeway.cli.loop import run
 from ropeway.cli.session import JsonOption
-from ropeway.overlay.identity import Identity
+from ropeway.networks.overlay.crypto.identity import Identity
 
 __all__ = ["app"]
 
@@ -70,7 +70,7 @@ def router_command(
 async def _serve(
     identity: Identity, state: Path, listen: list[str], connect: list[str], crl: Path | None, as_json: bool
 ) -> None:
-    from ropeway.overlay.router import Router
+    from ropeway.networks.overlay.router import Router
 
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

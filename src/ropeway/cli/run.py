@@ -12,7 +12,7 @@ from ropeway.cli.logs import LEVELS, set_up
 from ropeway.cli.loop import run
 
 if TYPE_CHECKING:
-    from ropeway.gateway.config import Config
+    from ropeway.gateway.config.config import Config
 
 __all__ = ["app"]
 
@@ -35,7 +35,7 @@ def run_command(
     """
     level = set_up("warning" if quiet else log_level)
     from ropeway.cli.serving import Serving, serve
-    from ropeway.gateway.config import load
+    from ropeway.gateway.config.config import load
 
     loaded = load(config)
     try:

@@ -19,9 +19,9 @@ from ropeway.errors import ConfigError, ConnectFailed
 from ropeway.gateway.making import make_gateway
 
 if TYPE_CHECKING:
-    from ropeway.gateway.config import Config
+    from ropeway.gateway.config.config import Config
     from ropeway.gateway.gateway import Gateway
-    from ropeway.gateway.supervisor import Supervisor
+    from ropeway.gateway.process.supervisor import Supervisor
 
 __all__ = ["Serving", "serve"]
 

@@ -96,7 +96,7 @@ def default_graph(environ: Mapping[str, str] = os.environ) -> str:
 @asynccontextmanager
 async def open_session(url: str = "", types: list[Path] | None = None) -> AsyncIterator[Session]:
     """The graph at ``url`` with a node of its own, closed at the end."""
-    from ropeway.graph import open_graph
+    from ropeway.networks import open_graph
 
     registry = TypeRegistry()
     registry.add_ament_prefix_path()
@@ -107,7 +107,7 @@ async def open_session(url: str = "", types: list[Path] | None = None) -> AsyncI
         graph = await open_graph(address, registry=registry, name=f"ropeway_{os.getpid()}")
     try:
         if graph.kind == "overlay":
-            from ropeway.graph.overlay import OverlayGraph
+            from ropeway.networks.overlay.graph import OverlayGraph
 
             assert isinstance(graph, OverlayGraph)
             async with patiently(lambda: f"waiting for a router, {_LINK_S:g} s at most"):

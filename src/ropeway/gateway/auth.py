@@ -9,12 +9,12 @@ from typing import Final
 from urllib.parse import urlsplit
 
 from ropeway.errors import ConfigError
-from ropeway.gateway.auth_model import ALL, AuthConfig, GlobsConfig, RoleConfig, Secret
-from ropeway.gateway.model import GatewayConfig
+from ropeway.gateway.config.auth_model import ALL, AuthConfig, GlobsConfig, RoleConfig, Secret
+from ropeway.gateway.config.model import GatewayConfig
 from ropeway.gateway.tls import certificate_names
-from ropeway.server.access import EVERYTHING, Globs, Role
-from ropeway.server.door import CertificateRule, Door, TokenRule
-from ropeway.server.hosts import Hosts, host_of, own_names
+from ropeway.listener.authentication import CertificateRule, Door, TokenRule
+from ropeway.listener.authorization import EVERYTHING, Globs, Role
+from ropeway.listener.hosts import Hosts, host_of, own_names
 
 __all__ = ["make_door", "read_secret"]
 

@@ -14,12 +14,12 @@ from fnmatch import fnmatchcase
 from typing import Any, Final
 
 from ropeway.bridge.topic import TopicBridge
+from ropeway.fault_log import Complaints
 from ropeway.gateway.bridges import make_topic_bridge
-from ropeway.gateway.check import route_key
-from ropeway.gateway.config import Route
-from ropeway.gateway.model import RemoteConfig
+from ropeway.gateway.config.check import route_key
+from ropeway.gateway.config.config import Route
+from ropeway.gateway.config.model import RemoteConfig
 from ropeway.graph.base import NO_HINTS, EndpointInfo, Graph, GraphEvent, TopicInfo, resolve_name
-from ropeway.link.complaints import Complaints
 from ropeway.tasks import Supervised, describe, end
 
 __all__ = ["Automatic", "wanted"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import Keep, TopicBridge
-from ropeway.gateway.config import Route
+from ropeway.gateway.config.config import Route
 from ropeway.graph.base import Graph
 
 __all__ = ["make_bridge", "make_topic_bridge"]

@@ -6,11 +6,11 @@ import logging
 import ssl
 from dataclasses import dataclass
 
-from ropeway.gateway.address import is_loopback, is_secure
 from ropeway.gateway.auth import read_secret
-from ropeway.gateway.model import RemoteConfig
+from ropeway.gateway.config.address import is_loopback, is_secure
+from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.tls import client_context, trusted_files
-from ropeway.link.http import without_token
+from ropeway.listener.http import without_token
 
 __all__ = ["Credentials", "read_credentials"]
 

@@ -11,34 +11,34 @@ from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import GraphUnavailable
-from ropeway.gateway.address import is_iort, is_loopback, is_secure
-from ropeway.gateway.allocator import keep_freed_memory
 from ropeway.gateway.auth import make_door
 from ropeway.gateway.automatic import Automatic
 from ropeway.gateway.bridges import make_bridge
-from ropeway.gateway.config import Config, Route
-from ropeway.gateway.counts import summed
+from ropeway.gateway.config.address import is_iort, is_loopback, is_secure
+from ropeway.gateway.config.config import Config, Route
+from ropeway.gateway.config.graph_model import GraphConfig
+from ropeway.gateway.config.iort_model import StoreConfig
+from ropeway.gateway.config.model import RemoteConfig
+from ropeway.gateway.config.overlay_model import OVERLAY
+from ropeway.gateway.config.type_hints import learn_types, type_hints
 from ropeway.gateway.credentials import read_credentials
-from ropeway.gateway.files import make_room
-from ropeway.gateway.graph_model import GraphConfig
-from ropeway.gateway.iort_model import StoreConfig
-from ropeway.gateway.keep import Keeper, key_of
-from ropeway.gateway.model import RemoteConfig
+from ropeway.gateway.last_value import Keeper, key_of
 from ropeway.gateway.nodes import Nodes
-from ropeway.gateway.overlay_model import OVERLAY
+from ropeway.gateway.process.allocator import keep_freed_memory
+from ropeway.gateway.process.counts import summed
+from ropeway.gateway.process.files import make_room
 from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote
 from ropeway.gateway.tls import server_context, trusted_files
-from ropeway.gateway.type_hints import learn_types, type_hints
 from ropeway.graph.border import Distributed
-from ropeway.graph.factory import open_graph
-from ropeway.graph.hub import Hub, View
-from ropeway.graph.rosbridge import RosbridgeGraph
-from ropeway.link.connection import Limits
-from ropeway.link.http import without_token
-from ropeway.link.listener import Listener
-from ropeway.server import RosbridgeServer
-from ropeway.server.entrance import Entrance
-from ropeway.server.store import StorePages
+from ropeway.hub.hub import Hub, View
+from ropeway.listener.connection import Limits
+from ropeway.listener.entrance import Entrance
+from ropeway.listener.http import without_token
+from ropeway.listener.listener import Listener
+from ropeway.listener.store_pages import StorePages
+from ropeway.networks.factory import open_graph
+from ropeway.networks.rosbridge.client import RosbridgeGraph
+from ropeway.networks.rosbridge.server import RosbridgeServer
 from ropeway.store import Store, default_path, make_backend, make_mirror
 from ropeway.tasks import Supervised, failing
 from ropeway.types import TypeRegistry
@@ -46,8 +46,8 @@ from ropeway.types.variant import make_network
 
 if TYPE_CHECKING:
     from ropeway.graph.base import Graph
-    from ropeway.graph.overlay import OverlayGraph
-    from ropeway.overlay.node import OverlayNode
+    from ropeway.networks.overlay.graph import OverlayGraph
+    from ropeway.networks.overlay.node import OverlayNode
 
 __all__ = ["Gateway"]
 
@@ -257,7 +257,7 @@ class Gateway:
         return Keeper(self.store, *key_of(route.name, self.config.gateway.name), route.type)
 
     def _iort_remote(self, config: RemoteConfig, index: int) -> IortRemote:
-        from ropeway.graph.iort import IortGraph, Maps, RemoteLink
+        from ropeway.networks.iort import IortGraph, Maps, RemoteLink
 
         shown = read_credentials(config, index)
         name = self.config.gateway.name
@@ -284,10 +284,10 @@ class Gateway:
         return LinkRemote(config, graph, shown)
 
     def _overlay_graph(self, config: RemoteConfig) -> OverlayGraph:
-        from ropeway.graph.overlay import OverlayGraph  # loads Zenoh, which others do not need
-        from ropeway.overlay.identity import Identity
-        from ropeway.overlay.names import Metadata
-        from ropeway.overlay.node import OverlayNode
+        from ropeway.networks.overlay.crypto.identity import Identity
+        from ropeway.networks.overlay.graph import OverlayGraph  # loads Zenoh, which others do not need
+        from ropeway.networks.overlay.names import Metadata
+        from ropeway.networks.overlay.node import OverlayNode
 
         settings = self.config.gateway.overlay
         assert settings is not None

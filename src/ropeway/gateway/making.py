@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ropeway.gateway.config import Config
+    from ropeway.gateway.config.config import Config
     from ropeway.gateway.gateway import Gateway
-    from ropeway.gateway.supervisor import Supervisor
+    from ropeway.gateway.process.supervisor import Supervisor
 
 __all__ = ["make_gateway"]
 
@@ -21,6 +21,6 @@ def make_gateway(config: Config, *, log_level: str = "INFO") -> Gateway | Superv
         from ropeway.gateway.gateway import Gateway  # a supervisor loads no kind of network
 
         return Gateway(config)
-    from ropeway.gateway.supervisor import Supervisor
+    from ropeway.gateway.process.supervisor import Supervisor
 
     return Supervisor(config, log_level=log_level)

@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.bridge.topic import TopicBridge
 from ropeway.errors import TypesError
+from ropeway.fault_log import Complaints
 from ropeway.graph.base import Graph, GraphEvent
-from ropeway.graph.iort import IortGraph, LocalLink, Maps, Space, TopicMap
-from ropeway.graph.iort.forms import default_form
-from ropeway.link.complaints import Complaints
+from ropeway.networks.iort import IortGraph, LocalLink, Maps, Space, TopicMap
+from ropeway.networks.iort.forms import default_form
+from ropeway.networks.iort.server import IortServer
 from ropeway.qos import LATCHED
-from ropeway.server.iort import IortServer
 from ropeway.tasks import Supervised, describe
 
 if TYPE_CHECKING:
     import ssl
     from collections.abc import AsyncIterator, Iterator
 
-    from ropeway.gateway.iort_model import IortConfig
-    from ropeway.server.entrance import Entrance
+    from ropeway.gateway.config.iort_model import IortConfig
+    from ropeway.listener.entrance import Entrance
     from ropeway.store import Entry, Store
     from ropeway.types import TypeRegistry
 

@@ -8,16 +8,16 @@ from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
 from ropeway.gateway.automatic import Automatic
-from ropeway.gateway.config import Route
+from ropeway.gateway.config.config import Route
+from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.credentials import Credentials
-from ropeway.gateway.model import RemoteConfig
 from ropeway.graph.base import Graph
-from ropeway.graph.rosbridge import LinkState, RosbridgeGraph
-from ropeway.link.http import without_token
+from ropeway.listener.http import without_token
+from ropeway.networks.rosbridge.client import LinkState, RosbridgeGraph
 
 if TYPE_CHECKING:
-    from ropeway.graph.iort import IortGraph, RemoteLink
-    from ropeway.graph.overlay import OverlayGraph
+    from ropeway.networks.iort import IortGraph, RemoteLink
+    from ropeway.networks.overlay.graph import OverlayGraph
 
 __all__ = ["Bridge", "IortRemote", "LinkRemote", "OverlayRemote", "Remote"]
 

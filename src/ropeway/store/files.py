@@ -20,7 +20,7 @@ from urllib.parse import quote
 
 from ropeway.errors import StoreUnavailable
 from ropeway.store.entry import Entry, Key, as_json, whole
-from ropeway.wire.frames import json_value
+from ropeway.types.untrusted import json_value
 
 __all__ = ["FilesBackend"]
 

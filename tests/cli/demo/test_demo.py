@@ -15,7 +15,7 @@ from ropeway.cli.demo.gateways import GatewayProcess, configurations, figures, f
 from ropeway.cli.demo.scene import recorded_parts, synthetic_parts
 from ropeway.cli.demo.table import FittingTable, brief, live_table, summary_table
 from ropeway.cli.session import Session
-from ropeway.gateway.config import parse
+from ropeway.gateway.config.config import parse
 from ropeway.graph.base import Sample
 from ropeway.types import TypeRegistry
 from tests.cli.conftest import Ropeway

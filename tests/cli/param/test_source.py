@@ -12,10 +12,10 @@ import typer
 from ropeway.cli.param.list_ import list_all, list_one
 from ropeway.cli.param.source import AtMaster, AtNode, Parameters, label_of, parameters_of, place_name
 from ropeway.cli.session import Session
-from ropeway.graph.ros1 import Ros1Graph
+from ropeway.networks.ros1 import Ros1Graph
 from ropeway.types import TypeRegistry
 from tests.graph.parameter_node import ParameterNode
-from tests.graph.ros1.network import HAS_MASTER, RosMaster
+from tests.networks.ros1.network import HAS_MASTER, RosMaster
 
 
 @pytest.fixture

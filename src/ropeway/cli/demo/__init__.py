@@ -20,8 +20,8 @@ from ropeway.cli.demo.scene import Part, recorded_parts, synthetic_parts
 from ropeway.cli.demo.table import brief, live_table, summary_table
 from ropeway.cli.loop import run
 from ropeway.errors import RopewayError
-from ropeway.graph import open_graph
 from ropeway.graph.base import Graph
+from ropeway.networks import open_graph
 from ropeway.types import TypeRegistry
 
 __all__ = ["app"]

@@ -14,10 +14,10 @@ from typing import Any, Final
 from ropeway.cli.demo.gateways import free_port
 from ropeway.cli.demo_iort.robots import SPEED_M_S, TURN_RAD_S, TWIST, Alice, Ros2Robot, Track, Walker, ros1_robot
 from ropeway.errors import GraphUnavailable
-from ropeway.gateway.config import parse
+from ropeway.gateway.config.config import parse
 from ropeway.gateway.gateway import Gateway
-from ropeway.graph import open_graph
 from ropeway.iort import AsyncNode
+from ropeway.networks import open_graph
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
 

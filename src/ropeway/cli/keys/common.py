@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from ropeway.errors import IdentityError
-from ropeway.overlay.certificate import Certificate
-from ropeway.overlay.fleet import Fleet
-from ropeway.overlay.rights import VERBS, Rights
+from ropeway.networks.overlay.crypto.certificate import Certificate
+from ropeway.networks.overlay.fleet import Fleet
+from ropeway.networks.overlay.rights import VERBS, Rights
 
 __all__ = [
     "ConnectOption",

@@ -10,7 +10,7 @@ import typer
 from ropeway.cli.console import answer, print_json
 from ropeway.cli.keys.common import ConnectOption
 from ropeway.cli.session import JsonOption
-from ropeway.overlay.fleet import ALGORITHMS, Fleet
+from ropeway.networks.overlay.fleet import ALGORITHMS, Fleet
 
 __all__ = ["app"]
 

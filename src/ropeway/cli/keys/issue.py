@@ -24,7 +24,7 @@ from ropeway.cli.keys.common import (
 )
 from ropeway.cli.session import JsonOption
 from ropeway.errors import IdentityError
-from ropeway.overlay.identity import write_private
+from ropeway.networks.overlay.crypto.identity import write_private
 
 __all__ = ["app"]
 

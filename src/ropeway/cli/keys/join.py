@@ -11,8 +11,8 @@ import typer
 from ropeway.cli.console import answer, print_json
 from ropeway.cli.keys.common import about, describe
 from ropeway.cli.session import JsonOption
-from ropeway.overlay.identity import Identity, read_bundle, write_private
-from ropeway.overlay.material import read_material_text
+from ropeway.networks.overlay.crypto.identity import Identity, read_bundle, write_private
+from ropeway.networks.overlay.crypto.material import read_material_text
 
 __all__ = ["app"]
 

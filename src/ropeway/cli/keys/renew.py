@@ -11,7 +11,7 @@ from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.keys.common import DaysOption, FleetOption, about, describe, open_fleet
 from ropeway.cli.session import JsonOption
 from ropeway.errors import IdentityError
-from ropeway.overlay.identity import write_private
+from ropeway.networks.overlay.crypto.identity import write_private
 
 __all__ = ["app"]
 

@@ -10,8 +10,8 @@ import typer
 from ropeway.cli.console import answer, print_json
 from ropeway.cli.session import JsonOption
 from ropeway.errors import IdentityError
-from ropeway.overlay.fleet import ALGORITHMS, make_request, new_key
-from ropeway.overlay.identity import private_pem, write_private
+from ropeway.networks.overlay.crypto.identity import private_pem, write_private
+from ropeway.networks.overlay.fleet import ALGORITHMS, make_request, new_key
 
 __all__ = ["app"]
 

@@ -11,9 +11,9 @@ from ropeway.cli.console import answer, print_json
 from ropeway.cli.keys.common import about, describe
 from ropeway.cli.session import JsonOption
 from ropeway.errors import SealError
-from ropeway.overlay.fleet import Fleet
-from ropeway.overlay.identity import Identity
-from ropeway.overlay.trust import Trust
+from ropeway.networks.overlay.crypto.identity import Identity
+from ropeway.networks.overlay.crypto.trust import Trust
+from ropeway.networks.overlay.fleet import Fleet
 
 __all__ = ["app"]
 

@@ -22,8 +22,8 @@ from ropeway.cli.keys.common import (
 )
 from ropeway.cli.session import JsonOption
 from ropeway.errors import IdentityError
-from ropeway.overlay.identity import write_private
-from ropeway.overlay.material import read_material
+from ropeway.networks.overlay.crypto.identity import write_private
+from ropeway.networks.overlay.crypto.material import read_material
 
 __all__ = ["app"]
 

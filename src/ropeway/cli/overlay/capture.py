@@ -17,9 +17,9 @@ from ropeway.cli.name import IdentityOption
 from ropeway.cli.overlay.common import RoutersOption, joined
 from ropeway.cli.session import SpinOption, full_name
 from ropeway.limits import OVERLAY_ROUTED_BYTES
-from ropeway.overlay.advert import Advertisement
-from ropeway.overlay.audit import captured
-from ropeway.overlay.feed import data_key
+from ropeway.networks.overlay.advert import Advertisement
+from ropeway.networks.overlay.audit import captured
+from ropeway.networks.overlay.feed import data_key
 
 __all__ = ["app"]
 

@@ -11,9 +11,9 @@ from typing import Annotated, Final
 import typer
 
 from ropeway.cli.patience import patiently
-from ropeway.graph.overlay import OverlayGraph
-from ropeway.overlay.identity import Identity
-from ropeway.overlay.node import OverlayNode
+from ropeway.networks.overlay.crypto.identity import Identity
+from ropeway.networks.overlay.graph import OverlayGraph
+from ropeway.networks.overlay.node import OverlayNode
 
 __all__ = ["RoutersOption", "joined"]
 

@@ -12,9 +12,9 @@ from cryptography import x509
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.session import JsonOption
 from ropeway.errors import IdentityError
-from ropeway.overlay.audit import verdicts
-from ropeway.overlay.material import read_material, understood
-from ropeway.overlay.trust import Trust
+from ropeway.networks.overlay.audit import verdicts
+from ropeway.networks.overlay.crypto.material import read_material, understood
+from ropeway.networks.overlay.crypto.trust import Trust
 
 __all__ = ["app"]
 

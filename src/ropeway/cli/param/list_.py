@@ -19,7 +19,7 @@ from ropeway.cli.session import (
 )
 from ropeway.errors import CallError
 from ropeway.graph.parameters import nodes_with_parameters
-from ropeway.server.rosapi.master_params import ParameterServer
+from ropeway.networks.rosbridge.rosapi.master_params import ParameterServer
 
 __all__ = ["app", "list_all"]
 

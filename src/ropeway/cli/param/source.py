@@ -10,7 +10,7 @@ from ropeway.cli.session import Session, full_name
 from ropeway.errors import ValueMismatch
 from ropeway.graph import parameters as of_nodes
 from ropeway.graph.parameters import ParameterDescription, ParameterValue, type_of
-from ropeway.server.rosapi.master_params import ParameterServer
+from ropeway.networks.rosbridge.rosapi.master_params import ParameterServer
 
 __all__ = ["AtMaster", "AtNode", "Parameters", "label_of", "parameters_of", "place_name"]
 

@@ -15,7 +15,7 @@ from ropeway.cli.loop import run
 from ropeway.cli.server.parameters import NODE, arguments, notes
 
 if TYPE_CHECKING:
-    from ropeway.gateway.config import Config
+    from ropeway.gateway.config.config import Config
 
 __all__ = ["app"]
 
@@ -161,9 +161,9 @@ def server_command(
 
 def _config(given: dict[str, Any]) -> Config:
     """The options as a configuration. Raises ``ConfigError``, or ends with a sentence."""
-    from ropeway.gateway.address import is_loopback
-    from ropeway.gateway.config import parse
-    from ropeway.gateway.document import read_file
+    from ropeway.gateway.config.address import is_loopback
+    from ropeway.gateway.config.config import parse
+    from ropeway.gateway.config.document import read_file
 
     certfile, keyfile, cafile = given["certfile"], given["keyfile"], given["cafile"]
     if bool(certfile) != bool(keyfile):

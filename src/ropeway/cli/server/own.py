@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import yaml
 
 from ropeway.cli.server.parameters import WITHOUT_EFFECT
-from ropeway.server.own_parameters import OwnParameter, OwnParameters
+from ropeway.networks.rosbridge.server.own_parameters import OwnParameter, OwnParameters
 
 if TYPE_CHECKING:
     from ropeway.gateway.gateway import Gateway

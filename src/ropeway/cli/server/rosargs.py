@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ropeway.errors import ConfigError
-from ropeway.gateway.document import read_file, read_yaml
+from ropeway.gateway.config.document import read_file, read_yaml
 
 __all__ = ["RosArgs", "split"]
 

@@ -18,7 +18,7 @@ import typer
 
 from ropeway.errors import ConnectFailed, StoreUnavailable
 from ropeway.iort import Node, NodeError, kind_of
-from ropeway.link.http import without_token
+from ropeway.listener.http import without_token
 from ropeway.store import Entry, make_backend
 
 __all__ = ["AtOption", "CaOption", "Source", "TokenOption", "find_source", "key_of", "shown"]
@@ -271,7 +271,7 @@ class _Kept:
 
 
 def _as_json(entries: list[Entry]) -> list[dict[str, Any]]:
-    from ropeway.server.store_watcher import entry_json  # loads the message types, which other sources do not need
+    from ropeway.listener.store_watcher import entry_json  # loads the message types, which other sources do not need
     from ropeway.types import TypeRegistry
 
     registry = TypeRegistry()

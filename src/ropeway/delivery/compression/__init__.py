@@ -1,0 +1,1 @@
+"""Reversible filters that make images and arrays of numbers compress better."""

@@ -1,0 +1,379 @@
+"""A model of a link: how much may be on the way, so that the link is busy and no queue builds up.
+
+TCP queues what it is given: in its own buffer, in the network device, in every router on the way. A message behind
+such a queue is old before it leaves. So only as much is handed to TCP as the link needs to stay busy over its round
+trip, and a little more. Two figures bound it:
+
+* the **window**, what may be on the way. Its law is that of FAST TCP (Wei, Jin, Low and Hegde, 2006): while it holds
+  us back, ``window * (shortest round trip + target) / round trip`` leaves a queue of ``target`` seconds at the
+  narrowest place, whatever its rate. Where no queue builds up, the window is too small: it doubles at the start and
+  grows every other round trip later, little at first and then ever more, as a change shows a round trip after it was
+  made.
+* what is **unsent**, handed to the kernel and not yet on the way: only what the link carries away before we look again.
+
+The shortest round trip is forgotten after a while, as routes change; while we fill the link ourselves, a part of the
+window is left unused for three round trips every five seconds, to see it again. Whether a queue is ours at all,
+``ropeway.delivery.pacing.others`` tells.
+
+There is no input or output here: readings go in, bounds come out. A simulated link tests it.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from ropeway.delivery.pacing.others import Advice, Others, Situation
+from ropeway.delivery.pacing.pace import Pace
+
+__all__ = ["LinkModel", "Reading"]
+
+_FIRST_WINDOW_BYTES: Final = 16 * 1024  # what TCP itself begins with
+_LEAST_WINDOW_BYTES: Final = 4 * 1024
+_MOST_WINDOW_BYTES: Final = 64 << 20
+_LEAST_QUEUE_S: Final = 0.002  # timers have a resolution of 1 ms
+_MOST_QUEUE_S: Final = 0.005
+_QUEUE_SHARE: Final = 0.05  # of the round trip
+_MOST_QUEUE_SHARE: Final = 0.25  # where round trips vary
+_FIRST_STEP: Final = 0.05  # of the window, where no queue builds up; twice as much each time it still does not
+_LEAP: Final = 2.0  # where the pace says that there is room, and at most
+_LEAST_LEAP: Final = 1.25
+_LONG_ROUND_TRIP_S: Final = 0.005  # below, the window is what processors need
+_NEAR_S: Final = 0.001
+_SHORTEST_ROUND_S: Final = 0.01  # below, a round trip says more of the processor than of the link
+_SHORTEST_ROUND_SEGMENTS: Final = 16  # with fewer the smoothed round trip is still that of before
+_LONGEST_ROUND_TRIPS: Final = 4
+_BASE_MEMORY_S: Final = 5.0  # the shortest round trip is that of five to ten seconds
+_DRAIN_ROUNDS: Final = 3
+_LEAST_DRAINED: Final = 0.5  # of the window is used while we look for the shortest round trip
+_CUT: Final = 0.8  # of the window is left after a cut that should show
+_UNSENT_S: Final = 0.004  # what the kernel may hold back: four looks of the shortest kind
+_MOST_UNSENT_S: Final = 0.016  # where processors are busy, and we look late
+_LATE: Final = 1.25
+_FULL: Final = 2.0  # times the shortest round trip, and a long queue: the start has gone too far
+_FORGET: Final = 0.99  # per hand-over
+_LONG_QUEUE: Final = 3.0  # targets
+_LONG_SHARE: Final = 0.25  # of the round trip
+_LEAST_UNSENT_BYTES: Final = 8 * 1024
+_FIRST_UNSENT_BYTES: Final = 16 * 1024
+_SHORTEST_LOOK_S: Final = 0.001
+_LONGEST_LOOK_S: Final = 0.02
+_LOSSY_ROUNDS: Final = 3  # of the last sixteen: losses without a queue are no sign of a full link
+_LOSS_MEMORY: Final = 0xFFFF
+
+
+class Reading(NamedTuple):
+    """What is known of a connection at one moment; counts are since its beginning.
+
+    ``delivered_bytes`` have arrived (acknowledged, also selectively), ``in_flight_bytes`` are on the way,
+    ``unsent_bytes`` were handed over and wait in the kernel. ``rtt_s`` is the smoothed round trip.
+    """
+
+    now_s: float
+    delivered_bytes: int
+    in_flight_bytes: int
+    unsent_bytes: int
+    rtt_s: float
+    rtt_deviation_s: float
+    retransmissions: int
+    segment_bytes: int
+
+
+class LinkModel:
+    """The model of one connection.
+
+    Call ``handed`` for what is sent and ``observe`` with readings; ``room_bytes`` tells how much may be sent now, and
+    ``look_in_s`` when to read again.
+    """
+
+    def __init__(self, pace: Pace | None = None, *, part_bytes: int = 0) -> None:
+        self.pace = pace or Pace()
+        self._part_bytes = part_bytes  # what is handed over at once, at least, and not spread by the kernel
+        self.window_bytes = _FIRST_WINDOW_BYTES
+        self.room_bytes = _FIRST_UNSENT_BYTES
+        self.outstanding_bytes = 0
+        self.base_rtt_s: float | None = None
+        self.queue_s = 0.0
+        self.starting = True
+        """The link was never seen full: its pace is a lower bound."""
+        self.losing = False
+        """Messages are lost on a link that is not full: a congestion control that takes losses for a full link
+        wastes it."""
+        self._unsent_bytes = 0
+        self._unsent_s = _UNSENT_S
+        self._by_kernel = False  # it, and not the window, holds back what is sent
+        self._largest_bytes = 0.0  # of what was handed over at once
+        self._least_bytes = _LEAST_WINDOW_BYTES
+        self._quiet = 0
+        self._base_slots = [float("inf"), float("inf")]  # the shortest of the slot before and of this one
+        self._slot_ends_s = float("-inf")
+        self._held_in_slot = False
+        self._drain_rounds = 0
+        self._settling = 0
+        self._round: _Round | None = None
+        self._others = Others()
+        self._lossy_rounds = 0
+        self._retransmissions = 0
+
+    @property
+    def bytes_per_s(self) -> float | None:
+        """Return the pace of the link, ``None`` until it was seen full: before, the pace is what we have sent."""
+        return None if self.starting and self.near else self.pace.bytes_per_s
+
+    @property
+    def near(self) -> bool:
+        """Return whether the other end is on this machine or the next: processors are what takes time."""
+        return self.base_rtt_s is not None and self.base_rtt_s < _NEAR_S
+
+    @property
+    def wanted_bps(self) -> float | None:
+        """How fast what may be on the way can leave: at least the pace, and more where the window has grown beyond it.
+
+        What waits in the kernel must not hold back a window that grows: the pace would only show our own limit.
+        """
+        pace, base_s = self.pace.bytes_per_s, self.base_rtt_s
+        if pace is None or base_s is None or base_s < _LONG_ROUND_TRIP_S:
+            return pace
+        return max(pace, self.window_bytes / base_s)
+
+    @property
+    def unsent_limit_bytes(self) -> int:
+        """How much may wait in the kernel."""
+        least = max(_LEAST_UNSENT_BYTES, self._least_bytes)
+        pace = self.wanted_bps
+        if self.starting or pace is None:
+            least = max(_FIRST_UNSENT_BYTES, self.window_bytes // 4)
+        return least if pace is None else max(int(pace * self._unsent_s), least)
+
+    @property
+    def target_queue_s(self) -> float:
+        """The queue that keeps the link busy between two looks."""
+        pace, base_s = self.pace.bytes_per_s, self.base_rtt_s or 0.0
+        target_s = max(_LEAST_QUEUE_S, min(_QUEUE_SHARE * base_s, _MOST_QUEUE_S))
+        if pace is None:
+            return target_s
+        return max(target_s, max(self._part_bytes, self._least_bytes) / pace)  # segments go and are told of in pairs
+
+    @property
+    def _long_queue_s(self) -> float:
+        """A queue that we did not want."""
+        return max(_LONG_QUEUE * max(self.target_queue_s, _MOST_QUEUE_S), _LONG_SHARE * (self.base_rtt_s or 0.0))
+
+    @property
+    def look_in_s(self) -> float:
+        """When to read again, after the last ``observe``."""
+        pace = self.wanted_bps
+        if pace is None or self.starting:
+            return _SHORTEST_LOOK_S
+        excess = max(
+            self._unsent_bytes - self.unsent_limit_bytes // 2,
+            self.outstanding_bytes - self._allowed_bytes + max(self.unsent_limit_bytes // 2, 1),
+        )
+        return min(max(excess / pace, _SHORTEST_LOOK_S), _LONGEST_LOOK_S)
+
+    @property
+    def _allowed_bytes(self) -> int:
+        if not self._drain_rounds or self.base_rtt_s is None:
+            return self.window_bytes
+        base, target = self.base_rtt_s, self.target_queue_s
+        share = max((base - 2 * target) / (base + target), _LEAST_DRAINED)
+        return int(max(share * self.window_bytes, self._least_bytes))
+
+    def handed(self, size_bytes: int) -> None:
+        """Note what was handed to the kernel since the last reading."""
+        self.room_bytes -= size_bytes
+        self.outstanding_bytes += size_bytes
+        self._largest_bytes = max(size_bytes, self._largest_bytes * _FORGET)
+
+    def observe(self, reading: Reading) -> None:
+        """Take a reading: learn from it, and set ``room_bytes``."""
+        now = reading.now_s
+        self._least_bytes = max(_LEAST_WINDOW_BYTES, 2 * reading.segment_bytes)
+        self.window_bytes = max(self.window_bytes, self._least_bytes)
+        self._unsent_bytes = reading.unsent_bytes
+        self.outstanding_bytes = reading.in_flight_bytes + reading.unsent_bytes
+        if reading.rtt_s > 0:
+            self._note_round_trip(reading.rtt_s, now)
+            self._cut_at_once(reading.rtt_s)
+        held = self.room_bytes <= 0  # there was more to send than we let out
+        far = (self.base_rtt_s or 0.0) >= _LONG_ROUND_TRIP_S
+        if held and self._by_kernel and far and not reading.unsent_bytes:  # we looked too late, and the link was idle
+            self._unsent_s = min(_LATE * self._unsent_s, _MOST_UNSENT_S)
+        else:
+            self._unsent_s = max(_FORGET * self._unsent_s, _UNSENT_S)
+        by_window = self._allowed_bytes - self.outstanding_bytes
+        by_kernel = self.unsent_limit_bytes - reading.unsent_bytes
+        self.room_bytes = min(by_window, by_kernel)
+        self._by_kernel = by_kernel < by_window
+        self.pace.observe(
+            now,
+            reading.delivered_bytes,
+            in_flight_bytes=reading.in_flight_bytes,
+            busy=reading.unsent_bytes > 0 or (held and self._is_queued(reading.rtt_s)),
+            segment_bytes=reading.segment_bytes,
+        )
+        self._note_round(reading, by_window <= 0, by_kernel <= 0)
+
+    def _is_queued(self, rtt_s: float) -> bool:
+        return self.base_rtt_s is not None and rtt_s > self.base_rtt_s + self.target_queue_s / 2
+
+    # ── the shortest round trip ────────────────────────────────────────────────────────────────────────────────
+
+    def _note_round_trip(self, rtt_s: float, now: float) -> None:
+        slots = self._base_slots
+        if now >= self._slot_ends_s:
+            self._slot_ends_s = now + _BASE_MEMORY_S
+            slots[0], slots[1] = slots[1], rtt_s
+            drain = self._held_in_slot and not self._others.tested
+            self._drain_rounds, self._held_in_slot = (_DRAIN_ROUNDS if drain else 0), False
+        else:
+            slots[1] = min(slots[1], rtt_s)
+        before_s, self.base_rtt_s = self.base_rtt_s, min(slots)
+        if before_s is not None and self.base_rtt_s > before_s + _LONG_QUEUE * _MOST_QUEUE_S:
+            self._take(self._others.hold(now, self.pace.bytes_per_s or 0.0, before_s, self.base_rtt_s))
+
+    # ── rounds ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _note_round(self, reading: Reading, held: bool, kernel_holds: bool) -> None:
+        current = self._round
+        if current is None:
+            if self.outstanding_bytes:
+                self._round = _Round(reading, self.outstanding_bytes)
+            return
+        current.note(reading, held, kernel_holds)
+        if not current.is_over(reading):
+            return
+        self._end_round(current, reading)
+        self._round = _Round(reading, self.outstanding_bytes)
+
+    def _end_round(self, ended: _Round, reading: Reading) -> None:
+        lost = reading.retransmissions > self._retransmissions
+        self._retransmissions = reading.retransmissions
+        if lost:
+            self._others.lost()
+        base = self.base_rtt_s
+        if base is None:
+            return
+        queue_s = self.queue_s = max(0.0, ended.shortest_s - base)
+        target_s = self._tolerated_s(ended.deviation_s)
+        shallow_s = max(target_s, _MOST_QUEUE_SHARE * base)
+        self._lossy_rounds = (self._lossy_rounds << 1 | (lost and queue_s < shallow_s)) & _LOSS_MEMORY
+        self.losing = self._lossy_rounds.bit_count() >= _LOSSY_ROUNDS
+        if queue_s < shallow_s:
+            self._others.calm(self.pace.bytes_per_s or 0.0)
+        if self._drain_rounds:
+            self._drain_rounds -= 1
+            self._settling = 1
+        elif ended.held:
+            self._held_in_slot = True
+            if self.outstanding_bytes > 1.1 * self.window_bytes + self._least_bytes + self._largest_bytes:
+                self._settling = 1  # what was sent before a cut is still on the way
+            elif queue_s < (max(target_s, _MOST_QUEUE_S) if self.starting else target_s / 2):
+                self._grow(base + target_s)
+            elif self._settling:
+                self._settling -= 1  # what arrived was sent before the last change
+            else:
+                self._fit(reading.now_s, base, queue_s, target_s)
+        elif ended.kernel_held:  # the window must not lie in wait far above what the kernel uses
+            self._set_window(min(self.window_bytes, 2 * ended.most_bytes))
+
+    def _grow(self, busy_s: float) -> None:
+        """Widen the window: the link is not full."""
+        pace = self.pace.bytes_per_s
+        below = pace is None or self.window_bytes < pace * busy_s
+        if self._settling and not (below and self.starting):
+            self._settling -= 1
+            return
+        self._quiet += 1
+        step = _LEAP if below else min(1 + _FIRST_STEP * 2 ** (self._quiet - 1), _LEAP)
+        wider = step * self.window_bytes
+        if below and pace is not None:
+            wider = min(wider, max(pace * busy_s, _LEAST_LEAP * self.window_bytes))
+        self._set_window(wider)
+
+    def _cut_at_once(self, rtt_s: float) -> None:
+        """Cut a window that is far too wide, without waiting for the end of the round."""
+        base, pace, others = self.base_rtt_s, self.pace.bytes_per_s, self._others
+        if base is None or pace is None:
+            return
+        others.saw(rtt_s - base)
+        if rtt_s < base + self._long_queue_s:
+            return
+        if self.starting:
+            if rtt_s < _FULL * base + _LONG_QUEUE * _MOST_QUEUE_S:
+                return
+            self.starting = False
+        wanted = max(pace * (base + self.target_queue_s), self._least_bytes, others.least_cut_bytes())
+        if wanted < _CUT * self.window_bytes:
+            others.test(self.window_bytes, pace, rtt_s - base)
+            self._set_window(wanted)
+
+    def _tolerated_s(self, deviation_s: float) -> float:
+        """Return the queue that is left: more than the target where round trips vary."""
+        return max(self.target_queue_s, min(2 * deviation_s, _MOST_QUEUE_SHARE * (self.base_rtt_s or 0.0)))
+
+    def _fit(self, now_s: float, base_s: float, queue_s: float, target_s: float) -> None:
+        """Fit the window to a full link, so that a queue of ``target_s`` is left, or as others on it demand."""
+        self._quiet = 0
+        self.starting = False
+        window, pace, others = self.window_bytes, self.pace.bytes_per_s, self._others
+        if pace is not None:
+            now = Situation(now_s, window, self._least_bytes, pace, base_s, queue_s, target_s, self._long_queue_s)
+            advice = others.advise(now)
+            if advice is not None:
+                self._take(advice)
+                return
+        wanted = window * (base_s + target_s) / (base_s + queue_s)
+        self._set_window(max(wanted, others.kept_bytes(now_s, base_s)))
+
+    def _take(self, advice: Advice) -> None:
+        if advice.base_s is not None:
+            self._base_slots = [advice.base_s, advice.base_s]
+            self.base_rtt_s = advice.base_s
+        self._set_window(advice.window_bytes)
+
+    def _set_window(self, size_bytes: float) -> None:
+        self.window_bytes = int(min(max(size_bytes, self._least_bytes), _MOST_WINDOW_BYTES))
+        self._settling = 1
+
+
+class _Round:
+    """A round trip: what was on the way at its beginning has arrived at its end."""
+
+    __slots__ = (
+        "began_s",
+        "deviation_s",
+        "from_bytes",
+        "held",
+        "kernel_held",
+        "most_bytes",
+        "shortest_s",
+        "until_bytes",
+    )
+
+    def __init__(self, reading: Reading, outstanding_bytes: int) -> None:
+        self.began_s = reading.now_s
+        self.from_bytes = reading.delivered_bytes
+        self.until_bytes = reading.delivered_bytes + outstanding_bytes
+        self.held = self.kernel_held = False
+        self.shortest_s = float("inf")
+        self.deviation_s = reading.rtt_deviation_s
+        self.most_bytes = reading.in_flight_bytes
+
+    def is_over(self, reading: Reading) -> bool:
+        """Return whether what was on the way has arrived, and enough of it to know the round trip."""
+        seconds, arrived = reading.now_s - self.began_s, reading.delivered_bytes - self.from_bytes
+        if reading.delivered_bytes < self.until_bytes or seconds < _SHORTEST_ROUND_S:
+            return False
+        return (
+            arrived >= _SHORTEST_ROUND_SEGMENTS * reading.segment_bytes
+            or seconds >= _LONGEST_ROUND_TRIPS * reading.rtt_s
+            or not reading.in_flight_bytes
+        )
+
+    def note(self, reading: Reading, held: bool, kernel_holds: bool) -> None:
+        """Take a reading within the round."""
+        self.held = self.held or held
+        self.kernel_held = self.kernel_held or kernel_holds
+        self.shortest_s = min(self.shortest_s, reading.rtt_s)
+        self.deviation_s = min(self.deviation_s, reading.rtt_deviation_s)
+        self.most_bytes = max(self.most_bytes, reading.in_flight_bytes)

@@ -1,0 +1,412 @@
+"""Finds every fault of a configuration in one pass and says each in one line.
+
+First the shape (unknown keys, wrong types, bad names), by the models; then the sense (duplicate tasks, open listeners,
+graphs that are not there), on whatever parts are well-formed, so that one run reports all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final, TypeVar, get_args, get_origin
+
+from pydantic import AliasChoices, BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from ropeway.gateway.config.address import (
+    default_graph,
+    is_iort,
+    is_loopback,
+    is_secure,
+    parse_graph,
+    parse_link,
+    parse_listen,
+)
+from ropeway.gateway.config.auth_model import ALL
+from ropeway.gateway.config.model import OPERATIONS, Document, Item, RemoteConfig
+from ropeway.gateway.config.overlay_model import METADATA, OVERLAY
+from ropeway.gateway.config.suggest import did_you_mean, nearest, one_of, show, unknown_key
+
+__all__ = ["check", "json_path", "route_key"]
+
+Problem = tuple[str, str]
+T = TypeVar("T")
+
+_EXPECTED: Final = {
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "int_type": "a whole number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "tuple_type": "a list",
+    "model_type": "an object",
+    "dict_type": "an object",
+    "recursion_loop": "a value that does not contain itself",
+}
+_WHY_NOT: Final = {
+    "ros2": "ros2 has the types of the ROS 2 that is sourced",
+    "auto": "write dds:0 instead of auto, which may be ros2",
+    "ros1": "ROS 1 has its own types",
+    "memory": "a network in memory has the types of the gateway",
+}
+_BOUNDS: Final = {
+    "greater_than": ("a number above", "gt"),
+    "greater_than_equal": ("a number from", "ge"),
+    "less_than_equal": ("a number up to", "le"),
+}
+
+
+def check(obj: object, directory: Path) -> tuple[Document | None, list[Problem]]:
+    """The document, ``None`` where its shape is wrong, and every problem: those of shape first."""
+    full, problem = _full_form(obj)
+    if problem:
+        return None, [problem]
+    problems: list[Problem] = []
+    document: Document | None = None
+    try:
+        document = Document.model_validate(full, context={"directory": directory})
+    except ValidationError as error:
+        problems = [_say(fault) for fault in error.errors(include_url=False)]
+    problems += _sense(full)
+    return document, problems
+
+
+def route_key(operation: str, address: str, graph: str, name: str, remote_name: str, type: str) -> str:
+    """A stable hash of a task: its class and direction, address, names and type.
+
+    Direction, graph and remote name are part of it because a topic may go both ways, from two networks, or to two
+    names. ``publish`` and ``trans-publish`` are one direction.
+    """
+    digest = hashlib.sha256()
+    direction = operation.removeprefix("trans-")
+    for text in (OPERATIONS[operation], direction, address, graph, name, remote_name, type):
+        raw = text.encode()
+        digest.update(len(raw).to_bytes(4, "big") + raw)
+    return digest.hexdigest()[:32]
+
+
+def json_path(parts: Iterable[str | int]) -> str:
+    """``("remotes", 0, "publish")`` as ``remotes[0].publish``."""
+    out = ""
+    for part in parts:
+        if isinstance(part, int):
+            out += f"[{part}]"
+        elif re.fullmatch(r"[A-Za-z_][\w-]*", part):
+            out += f".{part}" if out else part
+        else:
+            out += f"[{json.dumps(part)}]"
+    return out or "(top level)"
+
+
+# ------------------------------------------------------------------------------------------------------ shape
+
+
+def _full_form(obj: object) -> tuple[Mapping[str, Any], Problem | None]:
+    """The three spellings as one."""
+    if isinstance(obj, list):
+        return {"remotes": obj}, None
+    if not isinstance(obj, Mapping):
+        what = "the file is empty; " if obj is None else ""
+        return {}, ("(top level)", f"{what}expected a list of remotes, or an object with gateway and remotes")
+    if not obj.keys() & {"gateway", "remotes"}:
+        keys = _keys(RemoteConfig)
+        meant = any(nearest(key, ("gateway", "remotes")) for key in obj if key not in keys)
+        if not meant and any(nearest(key, keys) for key in obj):
+            return {"remotes": [obj]}, None
+    return obj, None
+
+
+def _say(fault: ErrorDetails) -> Problem:
+    loc, kind, value = fault["loc"], fault["type"], fault["input"]
+    context = fault.get("ctx", {})
+    if kind == "extra_forbidden":
+        return json_path(loc), _unknown(loc)
+    if kind == "missing":
+        field = _field(loc)
+        return json_path(loc), f"this key is missing; expected {field}" if field else "this key is missing"
+    if kind == "invalid_key":
+        return json_path(loc[:-1]), f"the key {loc[-1]} is not a text"
+    if kind == "below":
+        return json_path((*loc, context["at"])), context["text"]
+    if kind == "value_error":
+        return json_path(loc), str(context["error"])
+    if kind in _BOUNDS:
+        words, limit = _BOUNDS[kind]
+        return json_path(loc), f"expected {words} {context[limit]:g}, got {show(value)}"
+    return json_path(loc), f"expected {_EXPECTED.get(kind) or fault['msg']}, got {show(value)}"
+
+
+def _unknown(loc: tuple[str | int, ...]) -> str:
+    model = _model_at(loc[:-1])
+    word = loc[-1]
+    names = _spellings(model)
+    if word in names:
+        return f'another spelling of "{names[str(word)]}", which is there too; keep one'
+    return unknown_key(word, _keys(model))
+
+
+def _field(loc: tuple[str | int, ...]) -> str:
+    for name, info in _model_at(loc[:-1]).model_fields.items():
+        if loc[-1] in (name, info.alias, *_aliases(info.validation_alias)):
+            return info.description or ""
+    return ""
+
+
+def _model_at(loc: Iterable[str | int]) -> type[BaseModel]:
+    """The model that stands at a location."""
+    model: type[BaseModel] = Document
+    parts = iter(loc)
+    for part in parts:
+        if isinstance(part, int):
+            continue
+        fields = model.model_fields.items()
+        info = next((i for n, i in fields if part in (n, i.alias, *_aliases(i.validation_alias))), None)
+        if info is None:
+            break
+        model = _inner_model(info.annotation) or model
+        if get_origin(info.annotation) is dict:
+            next(parts, None)  # the name of an entry, which is no field
+    return model
+
+
+def _inner_model(annotation: object) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for argument in get_args(annotation):
+        found = _inner_model(argument)
+        if found is not None:
+            return found
+    return None
+
+
+def _aliases(alias: object) -> list[str]:
+    if isinstance(alias, AliasChoices):
+        return [str(choice) for choice in alias.choices]
+    return [alias] if isinstance(alias, str) else []
+
+
+def _keys(model: type[BaseModel]) -> list[str]:
+    """The keys of a model, each in its first spelling."""
+    return [(_aliases(info.validation_alias) or [info.alias or name])[0] for name, info in model.model_fields.items()]
+
+
+def _spellings(model: type[BaseModel]) -> dict[str, str]:
+    """Every spelling of every key, with its first spelling."""
+    out: dict[str, str] = {}
+    for key, (name, info) in zip(_keys(model), model.model_fields.items(), strict=True):
+        for spelling in _aliases(info.validation_alias) or [info.alias or name]:
+            out[spelling] = key
+    return out
+
+
+# ------------------------------------------------------------------------------------------------------ sense
+
+
+def _attempt(make: Callable[[Any], T], value: object) -> T | None:
+    """``make(value)``, ``None`` where its shape is wrong, which is reported elsewhere."""
+    try:
+        return make(value)
+    except (ValueError, TypeError, AttributeError):
+        return None
+
+
+def _objects(value: object) -> Iterable[tuple[int, Mapping[str, Any]]]:
+    if isinstance(value, list):
+        yield from ((i, item) for i, item in enumerate(value) if isinstance(item, Mapping))
+
+
+def _sense(full: Mapping[str, Any]) -> list[Problem]:
+    gateway = full.get("gateway")
+    gateway = gateway if isinstance(gateway, Mapping) else {}
+    problems = [*_listeners(gateway), *_auth(gateway), *_store(gateway, full.get("remotes"))]
+    graphs = gateway.get("graphs")
+    if graphs is None:
+        try:
+            graphs = [default_graph()]
+        except ValueError as error:
+            problems.append(("gateway.graphs", str(error)))
+    graphs = [graph.get("address") if isinstance(graph, Mapping) else graph for graph in _list(graphs)]
+    problems += _graphs(gateway, graphs)
+    first_seen: dict[str, str] = {}
+    for index, remote in _objects(full.get("remotes")):
+        path = f"remotes[{index}]"
+        problems += _remote(remote, path, graphs)
+        problems += _overlay(remote, path, gateway)
+        problems += _iort(remote, path)
+        if _inactive(remote):
+            continue
+        for key, where, said in _tasks(remote, path, graphs):
+            if key in first_seen:
+                problems.append((where, f"the same task as {first_seen[key]} ({said}); keep one"))
+            else:
+                first_seen[key] = where
+    return problems
+
+
+def _graphs(gateway: Mapping[str, Any], addresses: list[Any]) -> Iterable[Problem]:
+    for number, graph in _objects(gateway.get("graphs")):
+        where, address = f"gateway.graphs[{number}]", _attempt(parse_graph, graph.get("address"))
+        for key in ("distro", "types"):
+            if address is not None and graph.get(key) is not None and not address.startswith("dds:"):
+                yield f"{where}.{key}", f"only dds graphs have this key; {_WHY_NOT[address.partition(':')[0]]}"
+        if graph.get("distro") is not None and address is not None and "distro=" in address:
+            yield f"{where}.distro", f"{address} says it, too; keep one"
+    for number, address in enumerate(addresses):
+        first = addresses.index(address)
+        if first != number:
+            yield f"gateway.graphs[{number}]", f"the same network as gateway.graphs[{first}]; keep one"
+
+
+def _list(value: object) -> list[Any]:
+    return list(value) if isinstance(value, list | tuple) else []
+
+
+def _listeners(gateway: Mapping[str, Any]) -> Iterable[Problem]:
+    listen, tls, auth = gateway.get("listen"), gateway.get("tls"), gateway.get("auth")
+    tls = tls if isinstance(tls, Mapping) else {}
+    certified = tls.get("ca") is not None and tls.get("client_certificates") != "optional"
+    identified = isinstance(auth, Mapping) and bool(auth.get("tokens") or auth.get("certificates"))
+    if identified and isinstance(auth, Mapping) and auth.get("default_role") == ALL:
+        identified = False
+    for number, text in enumerate(listen if isinstance(listen, list) else []):
+        address = _attempt(parse_listen, text)
+        if address is None:
+            continue
+        where = f"gateway.listen[{number}]"
+        if is_secure(address) and not tls:
+            scheme = address.partition(":")[0]
+            yield where, f'a {scheme}:// listener needs gateway.tls with "certificate" and "key"'
+        guarded = is_loopback(address) or identified or (is_secure(address) and certified)
+        if not guarded and gateway.get("insecure") is not True:
+            yield (
+                where,
+                f"{address} lets every machine that reaches it read and publish without authentication; listen on "
+                '127.0.0.1, name tokens under gateway.auth, or write "insecure": true under gateway if that is meant',
+            )
+
+
+def _auth(gateway: Mapping[str, Any]) -> Iterable[Problem]:
+    auth, tls = gateway.get("auth"), gateway.get("tls")
+    if not isinstance(auth, Mapping):
+        return
+    roles = auth.get("roles")
+    known = [*(roles if isinstance(roles, Mapping) else ()), ALL]
+    named = [
+        (f"gateway.auth.{key}[{i}].role", item.get("role"))
+        for key in ("tokens", "certificates")
+        for i, item in _objects(auth.get(key))
+    ]
+    for where, role in (*named, ("gateway.auth.default_role", auth.get("default_role"))):
+        if isinstance(role, str) and role not in known:
+            yield where, one_of(role, known)
+    if auth.get("certificates") and (not isinstance(tls, Mapping) or tls.get("ca") is None):
+        yield "gateway.auth.certificates", "needs gateway.tls with ca: only so are clients asked for certificates"
+
+
+def _remote(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable[Problem]:
+    address = _attempt(parse_link, remote.get("address"))
+    tls = remote.get("tls")
+    if isinstance(tls, Mapping):
+        if address is not None and not is_secure(address):
+            yield f"{path}.tls", f"needs a wss:// address, and {path}.address is {address}"
+        for one, other in (("certificate", "key"), ("key", "certificate")):
+            if tls.get(one) is not None and tls.get(other) is None:
+                yield f"{path}.tls.{other}", f"this key is missing; {one} is of no use without it"
+    for key in ("distro", "types"):
+        if remote.get(key) is None:
+            continue
+        if not isinstance(address, str) or not address.startswith("ws"):
+            if address is not None or remote.get("address") == OVERLAY:
+                yield f"{path}.{key}", f"only ws:// and wss:// remotes have this key, and this is {remote['address']}"
+        elif remote.get("ros") == 1:
+            yield f"{path}.{key}", 'a remote of ROS 1 has no layouts of ROS 2; leave this or "ros": 1 out'
+    graph = _attempt(parse_graph, remote.get("graph"))
+    if graph is not None and graphs and graph not in graphs:
+        near = did_you_mean(graph, [g for g in graphs if isinstance(g, str)])
+        yield f"{path}.graph", f"expected one of gateway.graphs ({', '.join(map(str, graphs))}), got {graph}{near}"
+
+
+def _overlay(remote: Mapping[str, Any], path: str, gateway: Mapping[str, Any]) -> Iterable[Problem]:
+    """What only a remote in the overlay has, and what it has not."""
+    there = remote.get("address") == OVERLAY
+    if there and gateway.get("overlay") is None and not _inactive(remote):
+        yield f"{path}.address", 'the overlay needs gateway.overlay with an "identity"; ropeway keys issue writes one'
+    for key in ("tls", "token") if there else ("unique", "readers", "callers", "automatic"):
+        if remote.get(key) is not None:
+            what = (
+                "is not for the overlay, where certificates say who is who" if there else 'needs "address": "overlay"'
+            )
+            yield f"{path}.{key}", what
+    if there:
+        return
+    for operation in OPERATIONS:
+        items = remote.get(operation)
+        for index, item in enumerate(items if isinstance(items, list | tuple) else ()):
+            for key in METADATA:
+                if isinstance(item, Mapping) and item.get(key) is not None:
+                    yield f"{path}.{operation}[{index}].{key}", 'needs "address": "overlay"'
+
+
+def _iort(remote: Mapping[str, Any], path: str) -> Iterable[Problem]:
+    """What a server of nodes has, and what it has not."""
+    address = _attempt(parse_link, remote.get("address"))
+    if address is None or not is_iort(address):
+        if remote.get("maps"):
+            yield f"{path}.maps", "needs an iort:// address; maps of listeners stand under gateway.iort"
+        return
+    for operation, kind in OPERATIONS.items():
+        if kind != "topic" and remote.get(operation):
+            yield f"{path}.{operation}", "IoRT nodes know neither services nor actions"
+
+
+def _store(gateway: Mapping[str, Any], remotes: object) -> Iterable[Problem]:
+    """One process keeps last values."""
+    if gateway.get("workers", 0) in (0, None):
+        return
+    listen = gateway.get("listen")
+    nodes = any(
+        (address := _attempt(parse_listen, text)) is not None and is_iort(address)
+        for text in (listen if isinstance(listen, list) else [])
+    )
+    stored = any(
+        item.get("store") is True
+        for _, remote in _objects(remotes)
+        for operation, kind in OPERATIONS.items()
+        if kind == "topic"
+        for _, item in _objects(remote.get(operation))
+    )
+    if nodes or stored or gateway.get("store") is not None:
+        yield (
+            "gateway.workers",
+            "last values and IoRT nodes need one process; write 0, or run a second gateway for them",
+        )
+
+
+def _inactive(remote: Mapping[str, Any]) -> bool:
+    active = remote.get("active", True)
+    return active is False or (isinstance(active, str) and active.lower() == "false")
+
+
+def _tasks(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable[tuple[str, str, str]]:
+    """``(key, path, words)`` of every well-formed task of one remote."""
+    frame = {k: remote[k] for k in ("address", "graph", "local_namespace", "remote_namespace") if k in remote}
+    shell = _attempt(RemoteConfig.model_validate, frame)
+    if shell is None:
+        return
+    default = graphs[0] if graphs else ""
+    for operation in OPERATIONS:
+        info = RemoteConfig.model_fields[operation.replace("-", "_")]
+        model = _inner_model(info.annotation)
+        assert model is not None
+        known = _spellings(model)
+        for number, raw in _objects(remote.get(operation)):
+            item = _attempt(model.model_validate, {k: v for k, v in raw.items() if k in known})
+            if not isinstance(item, Item):
+                continue
+            name, remote_name = shell.names(item)
+            key = route_key(operation, shell.address, shell.graph or str(default), name, remote_name, item.type)
+            said = f"{OPERATIONS[operation]} {name}, {item.type}, {shell.address}"
+            yield key, f"{path}.{operation}[{number}]", said

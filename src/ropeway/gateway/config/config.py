@@ -1,0 +1,149 @@
+"""What a gateway is told to do: the configuration, read strictly and brought to one form.
+
+Three spellings are accepted: the Gateway paper's list of remotes, one remote alone, and the full form
+``{"gateway": {...}, "remotes": [...]}``, each as JSON or YAML. All become a ``Config``, whose ``routes()`` are the
+tasks of the paper's Algorithm 1. Faults are collected and raised together as one ``ConfigError``. In every spelling
+``remotes[0]`` names the first remote.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from ropeway.errors import ConfigError
+from ropeway.gateway.config.address import is_iort
+from ropeway.gateway.config.check import check, route_key
+from ropeway.gateway.config.document import read_file
+from ropeway.gateway.config.model import (
+    OPERATIONS,
+    ActionItem,
+    GatewayConfig,
+    Item,
+    RemoteConfig,
+    ServiceItem,
+    TopicItem,
+)
+from ropeway.graph.base import Delivery
+from ropeway.qos import QoS
+
+__all__ = ["Config", "GatewayConfig", "RemoteConfig", "Route", "load", "parse"]
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """One task: a name on the local graph joined with a name at a remote.
+
+    ``path`` is where the configuration says so; ``key`` stays the same while class, address, name and type do.
+    """
+
+    remote: RemoteConfig
+    operation: str
+    kind: str  # "topic", "service" or "action"
+    name: str
+    remote_name: str
+    type: str
+    delivery: Delivery
+    qos: QoS | None
+    path: str
+    key: str
+    graph: str
+    timeout_s: float | None = None  # of a call or a goal
+    store: bool = False  # the last message is kept
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """A whole configuration, valid. ``source`` names the file it came from."""
+
+    gateway: GatewayConfig
+    remotes: tuple[RemoteConfig, ...] = ()
+    source: str = field(default="", compare=False)
+
+    def routes(self) -> list[Route]:
+        """The tasks of all active remotes, in order."""
+        return [
+            self._route(index, remote, operation, number, item)
+            for index, remote in enumerate(self.remotes)
+            if remote.active
+            for operation, number, item in remote.items()
+        ]
+
+    def _route(self, index: int, remote: RemoteConfig, operation: str, number: int, item: Item) -> Route:
+        name, remote_name = remote.names(item)
+        graph = remote.graph or self.gateway.graphs[0]
+        kind = OPERATIONS[operation]
+        return Route(
+            remote=remote,
+            operation=operation,
+            kind=kind,
+            name=name,
+            remote_name=remote_name,
+            type=item.type,
+            delivery=item.delivery(),
+            qos=item.qos if isinstance(item, TopicItem) else None,
+            path=f"remotes[{index}].{operation}[{number}]",
+            key=route_key(operation, remote.address, graph, name, remote_name, item.type),
+            graph=graph,
+            timeout_s=item.timeout_s if isinstance(item, (ServiceItem, ActionItem)) else None,
+            store=isinstance(item, TopicItem) and item.store,
+        )
+
+    @property
+    def stores(self) -> bool:
+        """True if last values are kept."""
+        return (
+            self.gateway.store is not None
+            or any(map(is_iort, self.gateway.listen))
+            or any(route.store for route in self.routes())
+        )
+
+    def slice(self, remotes: Iterable[int], *, listen: bool = True) -> Config:
+        """A part of this configuration for a worker: only the remotes with these indexes stay active.
+
+        The others stay in their places, so that every path and key is that of the whole. ``listen=False`` takes
+        the listeners away.
+        """
+        wanted = set(remotes)
+        kept = tuple(
+            remote if index in wanted else remote.model_copy(update={"active": False})
+            for index, remote in enumerate(self.remotes)
+        )
+        gateway = self.gateway if listen else self.gateway.model_copy(update={"listen": ()})
+        return replace(self, gateway=gateway, remotes=kept)
+
+    def to_json(self) -> dict[str, Any]:
+        """The full form, for ``parse`` in another process: paths are absolute and nothing is left to defaults."""
+        return {"gateway": _dump(self.gateway), "remotes": [_dump(remote) for remote in self.remotes]}
+
+    @staticmethod
+    def schema() -> dict[str, Any]:
+        """A JSON Schema of everything ``parse`` accepts, for editors."""
+        from ropeway.gateway.config.schema import build  # a tenth of a second that only this needs
+
+        return build()
+
+
+def _dump(model: BaseModel) -> dict[str, Any]:
+    dumped: dict[str, Any] = model.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return dumped
+
+
+def load(path: str | Path) -> Config:
+    """Read a JSON or YAML file. Raises ``ConfigError`` with every fault; relative paths start at the file."""
+    return parse(read_file(path), str(path), directory=Path(path).parent)
+
+
+def parse(obj: object, source: str = "", *, directory: str | Path = ".") -> Config:
+    """Make a ``Config`` of a parsed JSON value. Raises ``ConfigError`` with every fault.
+
+    ``source`` stands before each of them; relative paths in ``obj`` start at ``directory``.
+    """
+    document, problems = check(obj, Path(directory))
+    if document is None or problems:
+        raise ConfigError(problems, source)
+    return Config(document.gateway, document.remotes, source)

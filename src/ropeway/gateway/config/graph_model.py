@@ -1,0 +1,60 @@
+"""The local networks of a gateway, and whose definitions of types they have."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_serializer
+
+from ropeway.gateway.config.address import parse_graph
+from ropeway.gateway.config.fields import ExistingPath, Many, Model
+from ropeway.gateway.config.suggest import one_of, show
+from ropeway.types.distros import ROS2_DISTROS
+
+__all__ = ["Distro", "GraphConfig", "GraphItem"]
+
+
+def _distro(value: str) -> str:
+    if value not in ROS2_DISTROS:
+        raise ValueError(one_of(value, ROS2_DISTROS))
+    return value
+
+
+def _written_out(value: object) -> object:
+    if isinstance(value, str):
+        return {"address": parse_graph(value)}
+    if isinstance(value, Mapping | GraphConfig):
+        return value
+    raise ValueError(f"expected a graph such as dds:0, or an object with its address, got {show(value)}")
+
+
+Distro = Annotated[str, AfterValidator(_distro), WithJsonSchema({"enum": list(ROS2_DISTROS)})]
+
+
+class GraphConfig(Model):
+    """One local network."""
+
+    address: Annotated[str, AfterValidator(parse_graph)] = Field(description="as gateway.graphs lists them")
+    distro: Distro | None = Field(
+        None,
+        description="dds: the distribution of ROS 2 whose layouts of types the network has; left out: it is found out",
+    )
+    types: Many[ExistingPath] = Field(
+        (), description="dds: files and directories with definitions that count on this network alone"
+    )
+
+    @model_serializer
+    def _shortest(self) -> str | Mapping[str, Any]:
+        parts = {"address": self.address, "distro": self.distro, "types": list(self.types)}
+        return (
+            self.address if not self.distro and not self.types else {key: part for key, part in parts.items() if part}
+        )
+
+
+GraphItem = Annotated[
+    GraphConfig,
+    BeforeValidator(_written_out),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"$ref": "#/$defs/GraphConfig"}]}),
+]
+"""A network, of which the address alone may be written."""

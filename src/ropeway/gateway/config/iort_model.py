@@ -1,0 +1,224 @@
+"""What a configuration says of robots of other makes, and of the store of last values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WithJsonSchema,
+    WrapValidator,
+    model_validator,
+)
+
+from ropeway.errors import InvalidName, InvalidTypeName
+from ropeway.gateway.config.document import read_file
+from ropeway.gateway.config.fields import Many, Model
+from ropeway.gateway.config.suggest import did_you_mean, one_of, show
+from ropeway.graph.base import resolve_name
+from ropeway.iort import KINDS
+from ropeway.networks.iort.forms import FORMS
+from ropeway.networks.iort.maps import TopicMap
+from ropeway.store import StoreLimits
+from ropeway.types.definition import canonical_name
+
+__all__ = ["DIRECTIONS", "IortConfig", "MapItem", "MapList", "StoreConfig", "robots"]
+
+DIRECTIONS: Final = ("both", "in", "out")
+_MIB: Final = 1 << 20
+
+
+def robots() -> dict[str, Any]:
+    """The maps that come with Ropeway, by name: those of the IoRT paper's five robots."""
+    folder = resources.files("ropeway.iort") / "robots"
+    return {entry.name.removesuffix(".yaml"): entry for entry in folder.iterdir() if entry.name.endswith(".yaml")}
+
+
+def _read_maps(text: str, directory: Path) -> list[object]:
+    known = robots()
+    if text in known:
+        with resources.as_file(known[text]) as path:
+            found = read_file(path)
+    else:
+        path = directory / Path(text).expanduser()
+        if not path.is_file():
+            near = did_you_mean(text, known)
+            raise ValueError(
+                f"expected a map, the name of one that comes with Ropeway ({', '.join(sorted(known))}) or a file, "
+                f"got {show(text)}{near}"
+            )
+        found = read_file(path)
+    if isinstance(found, Mapping):
+        found = found.get("maps", found)
+    if not isinstance(found, list):
+        raise ValueError(f"expected a list of maps in {text}")
+    return found
+
+
+def _type(value: str) -> str:
+    try:
+        return canonical_name(value, "msg")
+    except InvalidTypeName:
+        raise ValueError(f"expected the type of a topic, pkg/msg/Name, got {show(value)}") from None
+
+
+def _name(value: str) -> str:
+    try:
+        return resolve_name(value)
+    except InvalidName as error:
+        raise ValueError(f"expected a ROS name such as /robot/cmd_vel, got {show(value)}: {error.reason}") from error
+
+
+def _one_of(choices: tuple[str, ...]) -> AfterValidator:
+    def check(value: str) -> str:
+        if value not in choices:
+            raise ValueError(one_of(value, [choice for choice in choices if choice]))
+        return value
+
+    return AfterValidator(check)
+
+
+def _identifier(value: str) -> str:
+    if len(value) != 2 or not (value.isascii() and value.isdigit()):
+        raise ValueError(f'expected the two digits that packets of a node begin with, such as "01", got {show(value)}')
+    return value
+
+
+def _codes(value: object) -> object:
+    """YAML reads the code 0 as a number."""
+    if isinstance(value, Mapping):
+        return {str(code): {} if fields is None else fields for code, fields in value.items()}
+    return value
+
+
+def _send(value: object) -> object:
+    return [str(code) for code in value] if isinstance(value, list | tuple) else value
+
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class MapItem(Model):
+    """One topic of IoRT nodes as a topic of ROS."""
+
+    system: str = Field(min_length=1, description="the system, or a pattern such as *")
+    topic: str = Field(min_length=1, description="the topic, or a pattern")
+    type: Annotated[str, AfterValidator(_type)] = Field("std_msgs/msg/String", description="the type in ROS")
+    form: Annotated[str, _one_of(("", *FORMS)), WithJsonSchema({"enum": ["", *FORMS]})] = Field(
+        "", description=f"how it is written: {', '.join(FORMS)}; left out: text for a String, else json"
+    )
+    name: Annotated[str, AfterValidator(_name)] | None = Field(
+        None, description="the name in ROS; left out: /SYSTEM/TOPIC"
+    )
+    direction: Annotated[str, _one_of(DIRECTIONS), WithJsonSchema({"enum": list(DIRECTIONS)})] = Field(
+        "both", description="in: nodes publish; out: ROS does"
+    )
+    latched: bool = Field(False, description="true: late joiners in ROS get the last value, too")
+    fields: Many[str] | dict[str, str] | None = Field(
+        None, description="floats: paths of the fields in order; json: paths in ROS to paths in JSON"
+    )
+    codes: Annotated[dict[str, dict[str, float]], BeforeValidator(_codes)] | None = Field(
+        None, description="codes: each with the fields it stands for"
+    )
+    send: Annotated[Many[str], BeforeValidator(_send)] | None = Field(
+        None, description="codes: those that are sent; left out: all"
+    )
+    deadband: Positive | None = Field(None, description="codes: values this close to zero are zero")
+    field: str | None = Field(None, description="angle: path of the rate; left out: angular.z")
+    rate_rad_s: Positive | None = Field(None, description="angle: how fast to turn (rad/s); left out: 0.5")
+    hold_s: Positive | None = Field(None, description="angle: how long a rate holds (s) without another; left out: 1")
+    step_deg: Positive | None = Field(None, description="angle: the smallest angle sent (degrees); left out: 5")
+
+    @model_validator(mode="after")
+    def _fits(self) -> MapItem:
+        if self.form == "codes" and not self.codes:
+            raise ValueError('the form codes needs "codes", such as {"0": {"linear.x": 0.2}, "4": {}}')
+        if self.form == "floats" and isinstance(self.fields, dict):
+            raise ValueError("the form floats has a list of fields")
+        if self.form == "json" and isinstance(self.fields, tuple):
+            raise ValueError('the form json has fields such as {"linear.x": "speed"}')
+        if self.name and any(c in self.system + self.topic for c in "*?["):
+            raise ValueError("a map of several topics cannot have one name")
+        return self
+
+    def as_map(self) -> TopicMap:
+        """As the graph has it."""
+        keys = ("fields", "codes", "send", "deadband", "field", "rate_rad_s", "hold_s", "step_deg")
+        options = {key: value for key in keys if (value := getattr(self, key)) is not None}
+        return TopicMap(
+            self.system, self.topic, self.type, self.form, self.name or "", self.direction, self.latched, options
+        )
+
+
+def _expanded(value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> tuple[MapItem, ...]:
+    """The maps that one item of a list stands for: itself, or those of the name or file that it is."""
+    if not isinstance(value, str):
+        return (handler(value),)
+    made: list[MapItem] = []
+    for number, raw in enumerate(_read_maps(value, Path((info.context or {}).get("directory", ".")))):
+        try:
+            made.append(MapItem.model_validate(raw))
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise ValueError(f"{value}: map {number}: {where}: {first['msg'].removeprefix('Value error, ')}") from None
+    return tuple(made)
+
+
+def _flat(value: tuple[object, ...]) -> tuple[object, ...]:
+    return tuple(map for maps in value for map in (maps if isinstance(maps, tuple) else (maps,)))
+
+
+def _or_text(schema: dict[str, Any]) -> None:
+    schema["items"] = {"anyOf": [schema["items"], {"type": "string"}]}
+
+
+MapList = Annotated[
+    Many[Annotated[MapItem, WrapValidator(_expanded)]], AfterValidator(_flat), Field(json_schema_extra=_or_text)
+]
+"""Maps, names of robots and files, as one list of maps."""
+
+
+class IortConfig(Model):
+    """Robots of any make, at listeners such as iort://127.0.0.1:7410."""
+
+    maps: MapList = Field(
+        (), description="topics that are shared with ROS: maps, files of them, or names of robots such as alice"
+    )
+    kinds: dict[Annotated[str, AfterValidator(_identifier)], Annotated[str, _one_of(KINDS)]] = Field(
+        default_factory=dict,
+        description="what plain nodes are, robot or pc, by their identifiers; those of the node library tell it",
+        json_schema_extra={"additionalProperties": {"enum": list(KINDS)}},
+    )
+    max_packet_bytes: int = Field(_MIB, ge=1024, description="a longer packet is refused")
+    max_nodes: int = Field(10_000, ge=1, description="how many may be connected at a time")
+
+
+class StoreConfig(Model):
+    """Last values: of nodes, and of topics with "store": true."""
+
+    path: str | None = Field(
+        None,
+        description="an SQLite file, or a directory (with a slash at its end) for JSON files; left out: "
+        "~/.local/state/ropeway/NAME.sqlite; memory: keeps nothing",
+    )
+    mongodb: str | None = Field(
+        None, description="mongodb://host/database that gets all values, too; it may come and go"
+    )
+    max_value_bytes: int = Field(_MIB, ge=1, description="a bigger value is refused")
+    max_values: int = Field(100_000, ge=1, description="how many topics have a value")
+    max_bytes: int = Field(1 << 30, ge=1, description="of all values together")
+    max_age_s: Positive | None = Field(None, description="older values (s) are forgotten; left out: never")
+    history: int = Field(0, ge=0, le=10_000, description="how many values before the last are kept of each topic")
+
+    def limits(self) -> StoreLimits:
+        """As the store has them."""
+        return StoreLimits(self.max_value_bytes, self.max_values, self.max_bytes, self.max_age_s, self.history)

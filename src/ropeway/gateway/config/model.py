@@ -1,0 +1,508 @@
+"""The parts of a configuration as frozen pydantic models: what each key may hold and how it is brought to one form."""
+
+from __future__ import annotations
+
+import re
+import socket
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Annotated, Final, Literal, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    WithJsonSchema,
+)
+from pydantic_core import PydanticCustomError
+
+from ropeway.budget import ACCOUNT_BYTES, PROCESS_BYTES, Budget
+from ropeway.errors import InvalidName, InvalidTypeName
+from ropeway.gateway.config.address import default_graph, parse_graph, parse_link, parse_listen
+from ropeway.gateway.config.auth_model import AuthConfig, GlobsConfig, Secret
+from ropeway.gateway.config.fields import ExistingPath, Many, Model
+from ropeway.gateway.config.graph_model import Distro, GraphConfig, GraphItem
+from ropeway.gateway.config.iort_model import IortConfig, MapList, StoreConfig
+from ropeway.gateway.config.overlay_model import (
+    METADATA,
+    METADATUM,
+    OVERLAY,
+    AutomaticConfig,
+    Metadatum,
+    OverlayConfig,
+)
+from ropeway.gateway.config.suggest import one_of, show, unknown_key
+from ropeway.graph.base import Delivery, resolve_name
+from ropeway.qos import QoS
+from ropeway.types.definition import canonical_name
+
+__all__ = [
+    "ENCODINGS",
+    "OPERATIONS",
+    "PRIORITIES",
+    "ActionItem",
+    "ClientsConfig",
+    "Document",
+    "GatewayConfig",
+    "Item",
+    "ListenTls",
+    "RemoteConfig",
+    "RemoteTls",
+    "RenamedTopicItem",
+    "ServiceItem",
+    "TopicItem",
+]
+
+ENCODINGS: Final = ("auto", "none", "png", "cbor", "cbor-raw", "zip", "rawzip", "zstd")
+POLICIES: Final = ("reliability", "durability", "history", "depth", "deadline", "lifespan")
+PRIORITIES: Final[Mapping[str, int]] = {"command": 0, "default": 4, "bulk": 7}
+OPERATIONS: Final[Mapping[str, str]] = {
+    "publish": "topic",
+    "subscribe": "topic",
+    "trans-publish": "topic",
+    "expose-service": "service",
+    "reserve-service": "service",
+    "expose-action": "action",
+    "reserve-action": "action",
+}
+"""Every operation and its class, as ``OpClassOf`` of the paper has it."""
+
+_MIB: Final = 1 << 20
+_MAX_WORKERS: Final = 256
+_PART: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_A: Final = {"topic": "a topic", "service": "a service", "action": "an action"}
+_INTERFACE: Final = {"topic": "msg", "service": "srv", "action": "action"}
+
+T = TypeVar("T")
+
+
+def _name(value: str) -> str:
+    try:
+        resolve_name(value)
+    except InvalidName as error:
+        raise ValueError(f"expected a ROS name such as /camera/image, got {show(value)}: {error.reason}") from error
+    return value
+
+
+def _namespace(value: str) -> str:
+    return "/" if value in ("", "/") else resolve_name(_name(value.removesuffix("/")))
+
+
+def _node_part(value: str) -> str:
+    if not _PART.fullmatch(value):
+        raise ValueError(f"expected letters, digits and _, not starting with a digit, got {show(value)}")
+    return value
+
+
+def _address(value: str) -> str:
+    return OVERLAY if value == OVERLAY else parse_link(value)
+
+
+def _url_path(value: str) -> str:
+    if not value.startswith("/") or any(c in value for c in "?# "):
+        raise ValueError(f"expected a path such as / or /ros, got {show(value)}")
+    return value
+
+
+def _type_of(kind: str) -> AfterValidator:
+    middle = _INTERFACE[kind]
+
+    def check(value: str) -> str:
+        wanted = ValueError(f"expected the type of {_A[kind]}, pkg/{middle}/Name, got {show(value)}")
+        try:
+            full = canonical_name(value, middle)
+        except InvalidTypeName:
+            raise wanted from None
+        if full.split("/")[1] != middle:
+            raise wanted
+        return full
+
+    return AfterValidator(check)
+
+
+def _encoding(value: str) -> str:
+    if value not in ENCODINGS:
+        raise ValueError(one_of(value, ENCODINGS))
+    return value
+
+
+def _priority(value: object) -> object:
+    if isinstance(value, str):
+        if value not in PRIORITIES:
+            raise ValueError(f"{one_of(value, PRIORITIES)} (or a number from 0, sent first, to 7)")
+        return PRIORITIES[value]
+    return value
+
+
+def _switch(value: object) -> object:
+    if isinstance(value, str) and value.lower() in ("true", "false"):
+        return value.lower() == "true"
+    return value
+
+
+def _israw(value: object) -> bool:
+    return bool(value) and not (isinstance(value, str) and value.lower() == "false")
+
+
+def _workers(value: object) -> object:
+    number = isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MAX_WORKERS
+    if not number and value != "per-remote":
+        wanted = f'0 (one process), up to {_MAX_WORKERS} processes or "per-remote"'
+        raise ValueError(f"expected {wanted}, got {show(value)}")
+    return value
+
+
+def _qos(value: object) -> QoS | None:
+    if value is None or isinstance(value, QoS):
+        return value
+    if not isinstance(value, Mapping):
+        raise ValueError('expected an object such as {"reliability": "best_effort"}')
+    for key in value:
+        if key not in POLICIES:
+            raise PydanticCustomError("below", "{text}", {"at": str(key), "text": unknown_key(key, POLICIES)})
+    return QoS.parse(value)
+
+
+def _not_empty(value: tuple[T, ...]) -> tuple[T, ...]:
+    if not value:
+        raise ValueError("expected at least one")
+    return value
+
+
+def _default_graphs() -> tuple[GraphConfig, ...]:
+    try:
+        address = default_graph()
+    except ValueError:
+        address = "dds:0"  # ``check`` tells what is wrong
+    return (GraphConfig.model_validate({"address": address}),)
+
+
+def _hostname() -> str:
+    name = re.sub(r"[^A-Za-z0-9_]", "_", socket.gethostname().partition(".")[0])
+    return name if _PART.fullmatch(name) else f"gateway_{name}".rstrip("_")
+
+
+Name = Annotated[str, AfterValidator(_name)]
+Namespace = Annotated[str, AfterValidator(_namespace)]
+Encoding = Annotated[str, AfterValidator(_encoding), WithJsonSchema({"enum": list(ENCODINGS)})]
+Priority = Annotated[
+    int,
+    Field(ge=0, le=7),
+    BeforeValidator(_priority),
+    WithJsonSchema({"anyOf": [{"type": "integer", "minimum": 0, "maximum": 7}, {"enum": list(PRIORITIES)}]}),
+]
+Switch = Annotated[
+    bool,
+    BeforeValidator(_switch),
+    WithJsonSchema({"anyOf": [{"type": "boolean"}, {"type": "string", "pattern": "^([Tt]rue|[Ff]alse|TRUE|FALSE)$"}]}),
+]
+IsRaw = Annotated[bool, BeforeValidator(_israw), WithJsonSchema({})]
+Profile = Annotated[
+    QoS | None,
+    PlainValidator(_qos),
+    PlainSerializer(lambda qos: qos and qos.to_json()),
+    WithJsonSchema(
+        {
+            "type": "object",
+            "additionalProperties": False,
+            "properties": {
+                "history": {"enum": ["keep_last", "keep_all"]},
+                "depth": {"type": "integer", "minimum": 0},
+                "reliability": {"enum": ["reliable", "best_effort", "best_available"]},
+                "durability": {"enum": ["volatile", "transient_local", "best_available"]},
+                "deadline": {"$ref": "#/$defs/Duration"},
+                "lifespan": {"$ref": "#/$defs/Duration"},
+            },
+        }
+    ),
+]
+Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+# ---------------------------------------------------------------------------------------------------- models
+
+
+class Item(Model):
+    """One name to bridge, with what all operations share."""
+
+    name: Name = Field(description="the name on the local graph; relative to local_namespace")
+    type: str = Field(description="its type: pkg/msg/Name, pkg/Name or pkg.msg.Name")
+    remote_name: Name | None = Field(None, description="the name on the remote side, where it differs")
+    compression: Encoding = Field(
+        "auto",
+        validation_alias=AliasChoices("compression", "encoding"),
+        description="how messages travel; auto takes the fastest that the other side understands",
+    )
+    israw: IsRaw = Field(False, description='true is another way to say "compression": "cbor-raw"')
+    priority: Priority = Field(4, description="lanes: 0 (command) is sent first, 4 is the default, 7 (bulk) last")
+
+    author: Metadatum = Field(None, description=METADATUM)
+    maintainer: Metadatum = Field(None, description="likewise")
+    description: Metadatum = Field(None, description="likewise")
+    unique: Metadatum = Field(None, description="likewise: tells deployments of one name apart")
+    node: Metadatum = Field(None, description="likewise: the name of the node that has it")
+
+    def delivery(self) -> Delivery:
+        """How the far side should treat this route."""
+        given = ((key, getattr(self, key)) for key in METADATA)
+        return Delivery(
+            encoding="cbor-raw" if self.israw else self.compression,
+            priority=self.priority,
+            metadata=tuple((key, text) for key, text in given if text is not None),
+        )
+
+
+class TopicItem(Item):
+    """A topic to ``publish`` or to ``subscribe``."""
+
+    type: Annotated[str, _type_of("topic")] = Field(
+        validation_alias=AliasChoices("type", "messageType"),
+        description="its type: pkg/msg/Name, pkg/Name or pkg.msg.Name",
+    )
+    rate_hz: Seconds | None = Field(None, description="at most so many messages per second; left out: no limit")
+    lifespan_s: Seconds | None = Field(None, description="older messages (seconds) are not sent; left out: no limit")
+    weight: float = Field(
+        1.0, ge=0.1, le=100, description="share of the link in bytes, beside other topics of the same priority"
+    )
+    depth: int | None = Field(None, ge=1, description="how many messages may wait; left out: as the publisher's QoS")
+    store: bool = Field(
+        False, description="true keeps the last message: late joiners get it, and it can be read from the store"
+    )
+    qos: Profile = Field(None, description="QoS on the local graph; left out: the publishers' own is adopted")
+
+    def delivery(self) -> Delivery:
+        """How the far side should treat this route."""
+        return replace(
+            super().delivery(),
+            rate_hz=self.rate_hz,
+            lifespan_s=self.lifespan_s,
+            depth=self.depth,
+            weight=self.weight,
+        )
+
+
+class RenamedTopicItem(TopicItem):
+    """A topic to ``trans-publish``: published remotely under another name."""
+
+    remote_name: Name = Field(description="the name on the remote side")
+
+
+class ServiceItem(Item):
+    """A service to expose or to reserve."""
+
+    timeout_s: Seconds | None = Field(None, description="how long a call may take (seconds); left out: 60")
+
+    name: Name = Field(
+        validation_alias=AliasChoices("name", "service"),
+        description="the name on the local graph; relative to local_namespace",
+    )
+    type: Annotated[str, _type_of("service")] = Field(
+        validation_alias=AliasChoices("type", "serviceType"),
+        description="its type: pkg/srv/Name, pkg/Name or pkg.srv.Name",
+    )
+
+
+class ActionItem(Item):
+    """An action to expose or to reserve."""
+
+    timeout_s: Seconds | None = Field(
+        None, description="a goal that takes longer (seconds) is cancelled and aborted; left out: no limit"
+    )
+
+    name: Name = Field(
+        validation_alias=AliasChoices("name", "action"),
+        description="the name on the local graph; relative to local_namespace",
+    )
+    type: Annotated[str, _type_of("action")] = Field(
+        validation_alias=AliasChoices("type", "actionType"),
+        description="its type: pkg/action/Name, pkg/Name or pkg.action.Name",
+    )
+
+
+class RemoteTls(Model):
+    """TLS towards one remote."""
+
+    ca: ExistingPath | None = Field(None, description="file of the authorities to trust instead of the system's")
+    certificate: ExistingPath | None = Field(None, description="this gateway's own certificate, where the remote asks")
+    key: ExistingPath | None = Field(None, description="the key of the certificate")
+    verify: bool = Field(True, description="false accepts any certificate: for tests only")
+
+
+class ListenTls(Model):
+    """TLS of the listeners."""
+
+    certificate: ExistingPath = Field(description="certificate chain, PEM")
+    key: ExistingPath = Field(description="its private key, PEM")
+    ca: ExistingPath | None = Field(None, description="clients must show a certificate of these authorities")
+    crl: ExistingPath | None = Field(
+        None, description="with ca: list of the certificates that their authorities revoked, PEM"
+    )
+    client_certificates: Literal["required", "optional"] = Field(
+        "required", description="with ca: whether a client without a certificate may come in by a token"
+    )
+
+
+class RemoteConfig(Model):
+    """One other gateway (or rosbridge server) and what crosses to and from it."""
+
+    address: Annotated[str, AfterValidator(_address)] = Field(
+        description="ws://host:port or wss://host:port, overlay: everybody in the overlay, or iort://host:port: a "
+        "server of IoRT nodes"
+    )
+    title: str = Field("", description="for people")
+    active: Switch = Field(True, description="false: parsed and checked, but not started")
+    graph: Annotated[str, AfterValidator(parse_graph)] | None = Field(
+        None, description="which of gateway.graphs; left out: the first"
+    )
+    ros: Literal[1, 2] | None = Field(
+        None, description="ws, wss: which ROS a rosbridge server there belongs to; left out: it is found out"
+    )
+    distro: Distro | None = Field(
+        None,
+        description="ws, wss: the distribution of ROS 2 whose layouts of types are used there; left out: that of here. "
+        "Gateways need none",
+    )
+    types: Many[ExistingPath] = Field(
+        (), description="ws, wss: files and directories with definitions that count for this remote alone"
+    )
+    local_namespace: Namespace = Field("/", description="stands before every local name")
+    remote_namespace: Namespace = Field("/", description="stands before every remote name")
+    tls: RemoteTls | None = None
+    unique: str | None = Field(
+        None, description="overlay: makes other global names of the same names, for a deployment that stands apart"
+    )
+    readers: Many[str] | None = Field(
+        None, description="overlay: patterns of the members that may read what is published; left out: all"
+    )
+    callers: Many[str] | None = Field(
+        None, description="overlay: patterns of the members that may call what is exposed; left out: all"
+    )
+    maps: MapList = Field((), description="iort: how topics of nodes are topics of ROS, as in gateway.iort.maps")
+    automatic: AutomaticConfig | None = Field(
+        None, description="overlay: topics are offered and fetched as the local graph needs"
+    )
+    token: Secret | None = Field(None, description='shown to the remote: {"env": "NAME"} or {"file": "PATH"}')
+    publish: Many[TopicItem] = Field((), description="topics sent to the remote")
+    subscribe: Many[TopicItem] = Field((), description="topics fetched from the remote")
+    trans_publish: Many[RenamedTopicItem] = Field(
+        (), alias="trans-publish", description="topics sent to the remote under another name"
+    )
+    expose_service: Many[ServiceItem] = Field((), alias="expose-service", description="local services offered there")
+    reserve_service: Many[ServiceItem] = Field((), alias="reserve-service", description="remote services offered here")
+    expose_action: Many[ActionItem] = Field((), alias="expose-action", description="local actions offered there")
+    reserve_action: Many[ActionItem] = Field((), alias="reserve-action", description="remote actions offered here")
+
+    def items(self) -> Iterable[tuple[str, int, Item]]:
+        """Every ``(operation, index, item)``, in the order of ``OPERATIONS``."""
+        for operation in OPERATIONS:
+            for index, item in enumerate(getattr(self, operation.replace("-", "_"))):
+                yield operation, index, item
+
+    def names(self, item: Item) -> tuple[str, str]:
+        """The absolute local and remote names of an item.
+
+        Namespaces stand before ``name``, with or without its leading slash; a ``remote_name`` with a leading slash
+        is taken as it is.
+        """
+        shared = item.name.lstrip("/")
+        remote = item.remote_name or shared
+        return resolve_name(shared, self.local_namespace), resolve_name(remote, self.remote_namespace)
+
+
+class ClientsConfig(Model):
+    """How the listeners treat rosbridge clients."""
+
+    path: Annotated[str, AfterValidator(_url_path)] = Field("/", description="the path of the WebSocket")
+    max_clients: int = Field(1000, ge=1, description="how many may be connected at a time, per worker")
+    unregister_timeout_s: float = Field(
+        10.0, ge=0, allow_inf_nan=False, description="how long a topic stays advertised after its last client"
+    )
+    call_timeout_s: float = Field(
+        5.0, ge=0, allow_inf_nan=False, description="of a service call that names none; 0: as long as may be"
+    )
+    params_timeout_s: float = Field(5.0, gt=0, allow_inf_nan=False, description="how long rosapi waits for a node")
+    ping_interval_s: Seconds = Field(5.0, description="how often a client is pinged; gateways are every second")
+    silence_s: Seconds = Field(30.0, description="a client that was not heard of for so long is given up")
+    cancel_goals: bool = Field(True, description="the goals of a client that leaves are cancelled; false: they go on")
+    publish_clients: bool = Field(True, description="/client_count and /connected_clients are published")
+    publish_rosout: bool = Field(True, description="warnings and errors of the gateway are published on /rosout")
+
+
+class GatewayConfig(Model):
+    """The gateway itself."""
+
+    name: Annotated[str, AfterValidator(_node_part)] = Field(
+        default_factory=_hostname, description="how others see it; left out: from the host name"
+    )
+    networks: Annotated[Many[GraphItem], AfterValidator(_not_empty)] = Field(
+        default_factory=_default_graphs,
+        alias="graphs",
+        description="the local networks: dds:<domain> (without ROS), ros2 or ros2:<domain> (through the sourced ROS 2, "
+        "any RMW), auto (ros2 where ROS 2 is sourced, else dds), ros1 or ros1:http://host:11311 (a ROS 1 master); left "
+        "out: dds with ROS_DOMAIN_ID. An object with address, distro and types says more of a network",
+    )
+    listen: Many[Annotated[str, AfterValidator(parse_listen)]] = Field(
+        ("ws://127.0.0.1:9090",),
+        description="where other gateways and rosbridge clients connect (ws, wss) and IoRT nodes (iort, iorts); "
+        "[] for nowhere",
+    )
+    insecure: bool = Field(False, description="true allows listeners that other machines reach without authentication")
+    tls: ListenTls | None = Field(None, description="for wss:// listeners")
+    auth: AuthConfig = Field(
+        default_factory=lambda: AuthConfig.model_validate({}), description="who may connect, and do what"
+    )
+    globs: GlobsConfig = Field(
+        default_factory=lambda: GlobsConfig.model_validate({}), description="rosbridge's globs, for all clients"
+    )
+    overlay: OverlayConfig | None = Field(None, description="membership of the overlay, for remotes with that address")
+    iort: IortConfig = Field(default_factory=lambda: IortConfig.model_validate({}), description="robots of other makes")
+    store: StoreConfig | None = Field(
+        None,
+        description='last values; there also without this where a listener is iort:// or a topic has "store": true',
+    )
+    clients: ClientsConfig = Field(
+        default_factory=lambda: ClientsConfig.model_validate({}), description="how rosbridge clients are served"
+    )
+    workers: Annotated[
+        Annotated[int, Field(ge=0, le=_MAX_WORKERS)] | Literal["per-remote"], BeforeValidator(_workers)
+    ] = Field(0, description='0: one process; a number of processes; or "per-remote"')
+    types: Many[ExistingPath] = Field((), description="files and directories with .msg, .srv and .action definitions")
+    max_message_bytes: int = Field(64 * _MIB, ge=1024, description="a longer message closes its connection")
+    max_connection_bytes: int | None = Field(
+        None,
+        ge=1 << 20,
+        description="what one connection may have the gateway hold in memory (128 MiB, or twice the longest message); "
+        "more closes it",
+    )
+    max_held_bytes: int | None = Field(
+        None,
+        ge=1 << 20,
+        description="what all connections of a process may have it hold in memory (512 MiB, or eight times the longest "
+        "message): then nobody else may connect, and who holds the most is closed",
+    )
+
+    @property
+    def graphs(self) -> tuple[str, ...]:
+        """The addresses of the local networks."""
+        return tuple(network.address for network in self.networks)
+
+    def budget(self) -> Budget:
+        """Return the bounds on what connections may have a process hold."""
+        largest = self.max_message_bytes
+        return Budget(
+            limit_bytes=self.max_held_bytes or max(PROCESS_BYTES, 8 * largest),
+            account_limit_bytes=self.max_connection_bytes or max(ACCOUNT_BYTES, 2 * largest),
+        )
+
+
+class Document(Model):
+    """The full form."""
+
+    schema_: str = Field("", alias="$schema", description="for editors; ignored")
+    gateway: GatewayConfig = Field(
+        default_factory=lambda: GatewayConfig.model_validate({}), description="the gateway itself"
+    )
+    remotes: Many[RemoteConfig] = Field((), description="the other gateways and what crosses to them")

@@ -1,0 +1,64 @@
+"""What a configuration says of the overlay."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Final
+
+from pydantic import AfterValidator, Field
+
+from ropeway.gateway.config.fields import ExistingPath, Many, Model
+from ropeway.gateway.config.suggest import show
+from ropeway.limits import OVERLAY_METADATA_CHARACTERS
+
+__all__ = ["METADATA", "METADATUM", "OVERLAY", "AutomaticConfig", "Metadatum", "OverlayConfig"]
+
+OVERLAY: Final = "overlay"
+"""The address of everybody in the overlay."""
+
+METADATA: Final = ("author", "maintainer", "description", "unique", "node")
+"""What an item may have that goes into its global name beside its name and type."""
+
+METADATUM: Final = "overlay: goes into the global name; left out: that of gateway.overlay, or of the remote"
+"""What each of them is for."""
+
+_ENDPOINT: Final = re.compile(r"(tls|quic)/(\[[0-9a-fA-F:]+\]|[A-Za-z0-9._-]+):\d{1,5}")
+
+
+def _endpoint(value: str) -> str:
+    if not _ENDPOINT.fullmatch(value):
+        raise ValueError(f"expected a Zenoh endpoint such as tls/router.example:7447 (or quic/…), got {show(value)}")
+    return value
+
+
+def _pattern(value: str) -> str:
+    if not value.startswith(("/", "*")):
+        raise ValueError(f"expected a pattern of absolute names such as /camera/*, got {show(value)}")
+    return value
+
+
+Endpoint = Annotated[str, AfterValidator(_endpoint)]
+Metadatum = Annotated[str | None, Field(max_length=OVERLAY_METADATA_CHARACTERS)]
+Pattern = Annotated[str, AfterValidator(_pattern)]
+
+
+class OverlayConfig(Model):
+    """Membership of the overlay."""
+
+    identity: ExistingPath = Field(description="its bundle, as ropeway keys issue writes it")
+    routers: Many[Endpoint] | None = Field(None, description="where to connect; left out: the routers of the bundle")
+    listen: Many[Endpoint] = Field(
+        ("tls/0.0.0.0:0",),
+        description="where other members may link directly, with certificates both ways; [] for nowhere",
+    )
+    author: str = Field("", description="metadata that goes into every global name: all who share a name agree on it")
+    maintainer: str = Field("", description="likewise")
+    description: str = Field("", description="likewise")
+    node: str = Field("", description="likewise: the name of the node that has them; left out: it goes into no name")
+
+
+class AutomaticConfig(Model):
+    """Topics that are offered or fetched as the local graph needs (FogROS2-SGC thesis, 3.6)."""
+
+    allow: Many[Pattern] = Field((), description="patterns of topic names that may be shared; none: nothing is")
+    deny: Many[Pattern] = Field((), description="patterns of those that may not, though allowed")

@@ -1,0 +1,85 @@
+"""The JSON Schema of a configuration, made from the models, for editors and other tools."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from pydantic import AliasChoices, BaseModel
+from pydantic.json_schema import GenerateJsonSchema, models_json_schema
+
+from ropeway.gateway.config import model as m
+from ropeway.gateway.config.auth_model import GlobsConfig, Patterns, RoleConfig
+from ropeway.gateway.config.graph_model import GraphConfig
+
+__all__ = ["build"]
+
+_DURATION: Final = {
+    "anyOf": [
+        {"type": "number", "minimum": 0},
+        {"enum": ["infinite", "best_available", None]},
+        {
+            "type": "object",
+            "required": ["secs", "nsecs"],
+            "properties": {"secs": {"type": "number"}, "nsecs": {"type": "number"}},
+        },
+    ]
+}
+_ITEMS: Final[tuple[type[BaseModel], ...]] = (
+    m.TopicItem,
+    m.RenamedTopicItem,
+    m.ServiceItem,
+    m.ActionItem,
+    Patterns,
+    RoleConfig,
+    GlobsConfig,
+)
+
+
+class _Plain(GenerateJsonSchema):
+    """Without the generated titles, which editors would show instead of the descriptions."""
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False
+
+
+def build() -> dict[str, Any]:
+    """The schema of all three forms: the full object, a list of remotes, one remote."""
+    models: tuple[type[BaseModel], ...] = (m.Document, GraphConfig, *_ITEMS)
+    _, made = models_json_schema([(model, "validation") for model in models], schema_generator=_Plain)
+    definitions: dict[str, Any] = made["$defs"]
+    for model in _ITEMS:
+        _spell(definitions[model.__name__], model)
+    for definition in definitions.values():
+        definition.pop("title", None)
+    definitions["Duration"] = _DURATION
+    document = definitions.pop("Document")
+    gateway = definitions["GatewayConfig"]["properties"]
+    gateway["name"]["pattern"] = "^[A-Za-z_][A-Za-z0-9_]*$"
+    remote = {"$ref": "#/$defs/RemoteConfig"}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Ropeway configuration",
+        "anyOf": [{"type": "array", "items": remote}, remote, document],
+        "$defs": definitions,
+    }
+
+
+def _spell(definition: dict[str, Any], model: type[BaseModel]) -> None:
+    """Add the other spellings of keys, of which one at most may stand."""
+    properties, required = definition["properties"], definition.setdefault("required", [])
+    rules: list[dict[str, Any]] = []
+    for info in model.model_fields.values():
+        if not isinstance(info.validation_alias, AliasChoices):
+            continue
+        first, *others = [str(choice) for choice in info.validation_alias.choices]
+        for other in others:
+            properties[other] = {**properties[first], "description": f'another spelling of "{first}"'}
+        one_of = [{"required": [spelling]} for spelling in (first, *others)]
+        if first in required:
+            required.remove(first)
+            rules.append({"oneOf": one_of})
+        else:
+            rules.append({"not": {"required": [first, *others]}})
+    definition["allOf"] = rules
+    if not required:
+        del definition["required"]

@@ -1,0 +1,90 @@
+"""A worker process: runs one slice of a configuration that comes on standard input, until that ends.
+
+Lines of JSON on standard output tell the supervisor: ``{"ready": true}`` once, then ``{"status": {...}}`` about once
+a second, or ``{"error": "..."}`` before a failed start ends the process.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import signal
+import sys
+from typing import Any
+
+from ropeway.errors import ConfigError, RopewayError
+from ropeway.gateway.config.config import parse
+from ropeway.gateway.gateway import Gateway
+from ropeway.logs import LimitedHandler, line_format
+
+__all__ = ["main"]
+
+log = logging.getLogger("ropeway.gateway")
+
+_STATUS_S = 1.0
+
+
+def _say(message: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(message) + "\n")
+    sys.stdout.flush()
+
+
+def _reload(gateway: Gateway) -> None:
+    try:
+        gateway.reload()
+    except ConfigError as error:
+        log.error("SIGHUP: nothing has changed: %s", error)
+
+
+async def _run(order: dict[str, Any], stdin: asyncio.StreamReader) -> int:
+    gateway = Gateway(
+        parse(order["config"], order.get("source", "")),
+        gateway_id=order["gateway_id"],
+        node=order["node"],
+        reuse_port=order["reuse_port"],
+    )
+    try:
+        async with gateway:
+            asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, _reload, gateway)
+            _say({"ready": True})
+            gone = asyncio.create_task(stdin.read())
+            while not gone.done():
+                _say({"status": gateway.status()})
+                await asyncio.wait([gone], timeout=_STATUS_S)
+    except RopewayError as error:
+        _say({"error": str(error)})
+        return 1
+    return 0
+
+
+async def _main() -> int:
+    reader = asyncio.StreamReader(limit=64 << 20)
+    loop = asyncio.get_running_loop()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    line = await reader.readline()
+    if not line:
+        return 0  # a spare that was never needed
+    order = json.loads(line)
+    handler = LimitedHandler(sys.stderr)
+    handler.setFormatter(line_format(f" [{order['node']}]".replace("%", "%%")))
+    logging.basicConfig(level=order.get("log_level", "INFO"), handlers=[handler])
+    return await _run(order, reader)
+
+
+def main() -> int:
+    """The entry of the process."""
+    import uvloop
+
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # until there is something to read again
+    with (
+        contextlib.suppress(KeyboardInterrupt, BrokenPipeError),
+        asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner,
+    ):
+        return runner.run(_main())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,5 +1,0 @@
-"""The ``ros1`` graph: a ROS 1 master and its nodes over XML-RPC and TCPROS, without a ROS installation."""
-
-from ropeway.graph.ros1.graph import Ros1Graph
-
-__all__ = ["Ros1Graph"]

@@ -1,0 +1,389 @@
+"""One WebSocket connection, either role, over picows.
+
+A ``Connection`` delivers whole messages (continuation frames joined, bounded), tells when it can take more
+(``writable``), notices a dead peer, and closes with a code and a reason. What the bytes mean is not its concern.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from picows import WSCloseCode, WSFrame, WSListener, WSMsgType, WSTransport
+
+from ropeway.budget import Budget
+from ropeway.delivery.pacing.flow import Flow
+from ropeway.delivery.pacing.tcp import tcp_info
+from ropeway.limits import UNREAD_S, UNREAD_STATUS_BYTES
+from ropeway.listener.http import Request
+from ropeway.tasks import describe
+
+__all__ = ["Connection", "Limits", "peer_address"]
+
+log = logging.getLogger("ropeway.link")
+
+
+_TCP_RTO_MAX_MS: Final = 44  # Linux 6.15
+_LOOKS_PER_PING: Final = 4
+_RETRANSMIT_MS: Final = 1000  # what was lost is sent again so often at least, and goes soon after a cut has ended
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Bounds of a connection.
+
+    ``max_message_bytes``: inbound; more closes with 1009 (64 MiB carries a 60 MB point cloud).
+    ``ping_interval_s``: a ping is sent this long after the last one; ``silence_s``: the peer is given up after so
+    long without a byte (the two defaults notice a cut within 5 s). ``None`` turns the watch off.
+    ``budget`` bounds what this connection and all others that share it may have us hold.
+    """
+
+    max_message_bytes: int = 64 << 20
+    ping_interval_s: float | None = 1.0
+    silence_s: float | None = 4.0
+    open_timeout_s: float = 5.0
+    budget: Budget = field(default_factory=Budget, compare=False)
+
+
+class Connection(WSListener):
+    """A WebSocket connection.
+
+    Set ``on_text``, ``on_binary``, ``on_writable`` and ``on_closed`` before the first await after it was made.
+    ``peer`` is the address of the other side, ``subprotocol`` what both agreed on; ``server`` and ``dated`` tell what
+    the answer of a server gave as its name, and whether it gave a date. On the server's side ``handshake`` is the
+    request that the client began with, and ``grant`` what whoever admitted it wants to remember.
+    """
+
+    def __init__(self, limits: Limits, *, peer: str = "") -> None:
+        self.limits = limits
+        self.silence_s = limits.silence_s
+        self.ping_interval_s = limits.ping_interval_s
+        self.peer = peer
+        self.subprotocol = ""
+        self.server = ""
+        self.dated = False
+        self.flow = Flow(self._on_free)
+        self.on_connected: Callable[[], None] = _nothing
+        self.on_text: Callable[[bytes], None] = _ignore
+        self.on_binary: Callable[[bytes | memoryview], None] = _ignore
+        self.on_writable: Callable[[], None] = _nothing
+        self.on_closed: Callable[[int, str], None] = _ignore_close
+        self.on_look: Callable[[], None] = _nothing
+        self.bytes_in = self.bytes_out = self.frames_in = self.frames_out = 0
+        self.secure = False
+        self.handshake: Request | None = None
+        self.grant: object = None
+        self._open = False
+        self._transport: WSTransport | None = None
+        self._socket: Any = None
+        self._unfinished: bytearray | None = None  # a message in continuation frames, as far as it came
+        self._unfinished_text = False
+        self._heard_before_frame = 0  # what the operating system had received when no message was half here
+        self._frames_seen = 0
+        self._taken_bytes = 0  # what the operating system had taken when it took something last …
+        self._taken_s = time.monotonic()  # … and when that was
+        self.account = limits.budget.open(self._ended_by_budget)
+        self._pong: bytes | None = None  # the answer to the last ping, which waits until the link takes it
+        self._last_heard = time.monotonic()
+        self._heard_bytes = 0
+        self._watch: asyncio.Task[None] | None = None
+        self._close_code, self._close_reason = 1006, "the connection was lost"
+        self._closed = asyncio.Event()
+        self._closing: asyncio.TimerHandle | None = None
+
+    # ── sending ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def send_text(self, data: bytes | str) -> None:
+        """Send a text frame now; look at ``writable`` first for anything that can wait."""
+        self._send(WSMsgType.TEXT, data)
+
+    def send_binary(self, data: bytes | bytearray | memoryview) -> None:
+        """Send a binary frame now; look at ``writable`` first for anything that can wait."""
+        self._send(WSMsgType.BINARY, data)
+
+    def _send(self, kind: Any, data: Any) -> None:
+        transport = self._transport
+        if transport is None or self._closed.is_set():
+            return
+        size = len(data)
+        self.bytes_out += size
+        self.frames_out += 1
+        transport.send(kind, data)
+        self.flow.sent(size)
+
+    @property
+    def writable(self) -> bool:
+        """True while what is sent now goes out soon."""
+        return self._open and self.flow.free
+
+    def _on_free(self) -> None:
+        if not self._open:
+            return
+        if self._pong is not None:
+            ping, self._pong = self._pong, None
+            self._answer(ping)
+        if self.writable:
+            self.on_writable()
+
+    @property
+    def unsent_bytes(self) -> int:
+        """What the operating system has not taken yet."""
+        transport = self._transport
+        if transport is None:
+            return 0
+        return int(transport.underlying_transport.get_write_buffer_size())
+
+    def pause_reading(self) -> None:
+        """Take no more from the peer for now; the operating system's window then holds it back."""
+        if self._transport is not None and not self._closed.is_set():
+            self._transport.underlying_transport.pause_reading()
+
+    def resume_reading(self) -> None:
+        """Take from the peer again."""
+        if self._transport is not None and not self._closed.is_set():
+            self._transport.underlying_transport.resume_reading()
+
+    def close(self, code: int = 1000, reason: str = "") -> None:
+        """Start the closing handshake; the transport goes within a second whatever the peer does."""
+        transport = self._transport
+        if transport is None or self._closing is not None or self._closed.is_set():
+            return
+        self._close_code, self._close_reason = code, reason
+        self._open = False
+        self._unfinished = None
+        try:
+            close_code = WSCloseCode(code)
+        except ValueError:
+            close_code = WSCloseCode.OK
+        transport.send_close(close_code, reason.encode("ascii", "replace")[:120])
+        self._closing = asyncio.get_running_loop().call_later(1.0, transport.disconnect, False)
+
+    def abort(self, reason: str) -> None:
+        """Drop the connection without a word to the peer."""
+        self._close_code, self._close_reason = 1006, reason
+        if self._transport is not None:
+            self._transport.disconnect(False)
+
+    async def wait_closed(self) -> tuple[int, str]:
+        """Wait for the end; gives the close code and the reason."""
+        await self._closed.wait()
+        return self._close_code, self._close_reason
+
+    @property
+    def closed(self) -> bool:
+        """True once nothing can be sent or received."""
+        return self._closed.is_set()
+
+    # ── picows callbacks ───────────────────────────────────────────────────────────────────────────────────────
+
+    def on_ws_connected(self, transport: WSTransport) -> None:
+        """Called by picows after the handshake."""
+        self._transport = transport
+        underlying = transport.underlying_transport
+        underlying.set_write_buffer_limits(high=0, low=0)
+        self._socket = underlying.get_extra_info("socket")
+        with contextlib.suppress(OSError, AttributeError):
+            self._socket.setsockopt(socket.IPPROTO_TCP, _TCP_RTO_MAX_MS, _RETRANSMIT_MS)
+        self.secure = underlying.get_extra_info("sslcontext") is not None
+        if not self.peer:
+            self.peer = peer_address(underlying.get_extra_info("peername"))
+        if transport.response is not None:
+            headers = transport.response.headers  # the client's side
+            self.subprotocol = headers.get("Sec-WebSocket-Protocol", "")
+            self.server, self.dated = headers.get("Server", ""), "Date" in headers
+        self.flow.open(self._socket)
+        self._open = True
+        self.account.hold("unfinished messages", self._unfinished_bytes)
+        self.account.hold("what it does not read", lambda: self.unsent_bytes)
+        self._last_heard = time.monotonic()
+        if self.limits.ping_interval_s is not None:
+            self._watch = asyncio.get_running_loop().create_task(self._watch_peer(), name=f"watch {self.peer}")
+            self._watch.add_done_callback(self._watched)
+        self.on_connected()
+
+    def on_ws_frame(self, transport: WSTransport, frame: WSFrame) -> None:
+        """Called by picows for every frame."""
+        kind = frame.msg_type
+        self._last_heard = time.monotonic()
+        size = frame.payload_size
+        self.bytes_in += size
+        if frame.rsv1 or frame.rsv2 or frame.rsv3:
+            if self._closing is None:
+                self._fail(1002, "a frame with reserved bits came, whose extension nobody asked for")
+            return
+        if kind == WSMsgType.BINARY or kind == WSMsgType.TEXT:
+            if self._closing is not None:
+                return
+            if self._unfinished is not None:
+                self._fail(1002, "a new message began before the last one ended")
+            elif frame.fin:
+                self.frames_in += 1
+                if kind == WSMsgType.BINARY:
+                    self.on_binary(frame.get_payload_as_memoryview())
+                else:
+                    self.on_text(frame.get_payload_as_bytes())
+                self.account.received(self.bytes_in)
+            else:
+                self._unfinished = bytearray(frame.get_payload_as_memoryview())
+                self._unfinished_text = kind == WSMsgType.TEXT
+        elif kind == WSMsgType.CONTINUATION:
+            if self._closing is None:
+                self._continue(frame)
+        elif kind == WSMsgType.PING:
+            self._answer(frame.get_payload_as_bytes())
+        elif kind == WSMsgType.CLOSE:
+            code = frame.get_close_code()
+            if self._closing is None:
+                self._close_code = _number(code) or 1005
+                self._close_reason = (
+                    frame.get_close_message().decode(errors="replace") if frame.payload_size > 2 else ""
+                )
+            transport.send_close(code if _number(code) else WSCloseCode.OK)
+            transport.disconnect()
+
+    def _continue(self, frame: WSFrame) -> None:
+        message = self._unfinished
+        if message is None:
+            self._fail(1002, "a continuation came without a beginning")
+            return
+        if len(message) + frame.payload_size > self.limits.max_message_bytes:
+            self._fail(1009, f"a message may have {self.limits.max_message_bytes} bytes at most")
+            return
+        message += frame.get_payload_as_memoryview()
+        self.account.received(self.bytes_in)
+        if self._unfinished is None:
+            return
+        if frame.fin:
+            self.frames_in += 1
+            self._unfinished = None
+            data = bytes(message)
+            if self._unfinished_text:
+                self.on_text(data)
+            else:
+                self.on_binary(data)
+
+    def _answer(self, ping: bytes) -> None:
+        if self.writable:
+            assert self._transport is not None
+            self._transport.send_pong(ping)
+        else:
+            self._pong = ping  # only the last one needs an answer, and a peer that does not read gets no more
+
+    def on_ws_disconnected(self, transport: WSTransport) -> None:
+        """Called by picows when the transport is gone."""
+        self._open = False
+        self.flow.close()
+        handshake = transport.close_handshake
+        if handshake is not None and handshake.sent is not None and self._close_code == 1006:
+            sent = handshake.sent
+            self._close_code = _number(sent.code)
+            self._close_reason = sent.reason or self._close_reason
+            log.warning("%s: closed: %s", self.peer, self._close_reason)
+        if self._closing is not None:
+            self._closing.cancel()
+        if self._watch is not None and self._watch is not asyncio.current_task():
+            self._watch.cancel()
+        self.account.close()
+        if not self._closed.is_set():
+            self._closed.set()
+            self.on_closed(self._close_code, self._close_reason)
+        self._unfinished = self._transport = None  # with all that the transport holds: no cycle keeps it
+
+    def pause_writing(self) -> None:
+        """Called by the transport when it holds bytes that the operating system did not take."""
+        self.flow.full()
+
+    def resume_writing(self) -> None:
+        """Called by the transport when the operating system took everything."""
+        self.flow.drained()
+
+    def _fail(self, code: int, reason: str) -> None:
+        log.warning("%s: closed: %s", self.peer, reason)
+        self.close(code, reason)
+
+    # ── the watch ──────────────────────────────────────────────────────────────────────────────────────────────
+
+    def look(self) -> None:
+        """See whether the connection still does what it should; called about once a second."""
+        if self._closing is not None or self._closed.is_set():
+            return
+        self.on_look()
+        self._look_at_unread()
+        self.account.look()
+
+    def _look_at_unread(self) -> None:
+        """Close a connection that reads nothing of much that waits for it."""
+        unsent, now = self.unsent_bytes, time.monotonic()
+        taken = self.bytes_out - unsent
+        if unsent <= UNREAD_STATUS_BYTES or taken > self._taken_bytes:
+            self._taken_bytes, self._taken_s = taken, now
+        elif now - self._taken_s > UNREAD_S:
+            self._fail(1008, f"nothing of {unsent} bytes was read for {UNREAD_S:g} s")
+
+    def _unfinished_bytes(self) -> int:
+        """Return what is here of a message that is not complete: in continuation frames, and in a single one."""
+        unfinished = len(self._unfinished) if self._unfinished is not None else 0
+        received = self._received_bytes()
+        if self.frames_in != self._frames_seen or received < self._heard_before_frame:
+            self._frames_seen, self._heard_before_frame = self.frames_in, received
+        return unfinished + min(received - self._heard_before_frame, self.limits.max_message_bytes)
+
+    def _ended_by_budget(self, reason: str) -> None:
+        self._fail(1008, reason)
+
+    async def _watch_peer(self) -> None:
+        looked_at = time.monotonic()
+        while self._transport is not None and not self._closed.is_set():
+            self._transport.send_ping()
+            interval = self.ping_interval_s
+            assert interval is not None
+            for _ in range(_LOOKS_PER_PING):
+                await asyncio.sleep(interval / _LOOKS_PER_PING)
+                received = self._received_bytes()
+                if received != self._heard_bytes:  # part of a message counts as a sign of life
+                    self._heard_bytes = received
+                    self._last_heard = max(self._last_heard, looked_at)
+                self.look()
+                looked_at = time.monotonic()
+                silence = self.silence_s
+                if silence is not None and looked_at - self._last_heard > silence:
+                    self.abort(f"nothing was heard for {silence:g} s")
+                    return
+
+    def _watched(self, watch: asyncio.Task[None]) -> None:
+        if not watch.cancelled() and (error := watch.exception()) is not None:
+            log.error("%s: it cannot be watched any more: %s", self.peer, describe(error), exc_info=error)
+            self.abort("its silence cannot be watched")
+
+    def _received_bytes(self) -> int:
+        info = tcp_info(self._socket)
+        return info.bytes_received if info is not None else 0
+
+
+def _ignore(_: object) -> None:
+    return None
+
+
+def _ignore_close(_code: int, _reason: str) -> None:
+    return None
+
+
+def _nothing() -> None:
+    return None
+
+
+def _number(code: Any) -> int:
+    return int(getattr(code, "value", code))
+
+
+def peer_address(name: Any) -> str:
+    """The name of a socket's other end as people write it: ``10.1.2.3:4711``, ``[::1]:4711``."""
+    if isinstance(name, tuple) and len(name) >= 2:
+        return f"[{name[0]}]:{name[1]}" if ":" in str(name[0]) else f"{name[0]}:{name[1]}"
+    return str(name or "unknown")

@@ -1,0 +1,89 @@
+"""The entrance that all listeners of a gateway share: who comes in as what, and what others are told."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+
+from ropeway.fault_log import Complaints
+from ropeway.listener.authentication import Door, Refusal, given_token, refusal
+from ropeway.listener.authorization import Role
+from ropeway.listener.http import Request
+from ropeway.listener.lobby import Lobby, network_of
+from ropeway.listener.lockout import Lockout
+from ropeway.listener.presence import ip_address
+
+__all__ = ["Entrance"]
+
+
+class Entrance:
+    """Asks the door, slows down who guesses tokens, counts who is refused and says so in the log.
+
+    ``door`` may be replaced at any time. ``lobby`` has the connections that are not let in yet.
+    """
+
+    def __init__(self, door: Door | None = None, *, lobby: Lobby | None = None, lockout: Lockout | None = None) -> None:
+        self.door, self.lockout = door or Door(), lockout or Lockout()
+        self.lobby = Lobby() if lobby is None else lobby
+        self.refused: Counter[str] = Counter()  # by status and reason
+        self._inside: Counter[str] = Counter()  # by role
+        self._room: int | None = None  # clients that there are open files for
+        self._complaints = Complaints("server")
+
+    def admit(self, request: Request) -> Role | Refusal:
+        """Return the role of who sent this, or the answer that refuses it, which is counted and logged."""
+        sender = network_of(ip_address(request.peer))
+        if self.door.tokens and given_token(request):
+            locked_s = self.lockout.locked_s(sender)
+            if locked_s > 0:
+                return self.refuse(request, _locked_out(locked_s))
+        role = self.door.role_of(request)
+        if isinstance(role, Role):
+            return role
+        if role.wrong_token:
+            role = role.later(self.lockout.wrong(sender))
+        return self.refuse(request, role)
+
+    def admit_page(self, request: Request) -> Refusal | None:
+        """Return the answer that refuses a request for what everybody may read, or ``None``."""
+        found = self.door.refuses(request)
+        return None if found is None else self.refuse(request, found)
+
+    def set_room(self, *, clients: int, pending: int) -> None:
+        """Let in no more than ``clients``, of all listeners together, and have no more than ``pending`` wait."""
+        self._room = clients
+        self.lobby.set_limit(pending)
+
+    def full(self, role: Role) -> str:
+        """Return why there is no place for one more of this role, ``""`` where there is one."""
+        if self._room is not None and self._inside.total() >= self._room:
+            return f"there are {self._room} clients and nodes, and the system has no open files for more"
+        if role.max_clients is not None and self._inside[role.name] >= role.max_clients:
+            return f"there are {role.max_clients} clients of this role, and no more may come"
+        return ""
+
+    def came(self, role: Role) -> None:
+        """Count one more of a role, until ``left``."""
+        self._inside[role.name] += 1
+
+    def left(self, role: Role) -> None:
+        """Count one less."""
+        self._inside[role.name] -= 1
+
+    def refuse(self, request: Request, found: Refusal) -> Refusal:
+        """Count and log a refusal; return it."""
+        self.refused[found.reason] += 1
+        text = json.loads(found.body)["error"]
+        self._complaints.note(found.kind, "", f"{request.peer} is refused: {found.status} {text}")
+        return found
+
+    def status(self) -> dict[str, dict[str, int]]:
+        """Return who was refused, and how many wait to be let in, as JSON."""
+        return {"refused": dict(self.refused), "tokens": self.lockout.status(), "pending": self.lobby.status()}
+
+
+def _locked_out(seconds: float) -> Refusal:
+    left = str(math.ceil(seconds))
+    text = f"too many wrong tokens came from this address; try again in {left} s"
+    return refusal(429, text, reason="429 too many wrong tokens", kind="token guesses", Retry_After=left)

@@ -1,0 +1,69 @@
+"""TLS handshakes that fail: clients' faults, which the event loop is told of as if they were ours."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from ropeway.fault_log import Complaints
+
+__all__ = ["explain_handshake", "watch_handshakes"]
+
+
+class _Handler:
+    """The exception handler of a loop while TLS listeners are open on it; all else goes to the one that was there."""
+
+    def __init__(self, others: Callable[[asyncio.AbstractEventLoop, dict[str, Any]], object] | None) -> None:
+        self.others = others
+        self.listeners: dict[Complaints, int] = {}  # with the port of each
+
+    def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Tell the listener, or the handler that was there before."""
+        if context.get("message") == "SSL handshake failed" and self.listeners:
+            error = context.get("exception")
+            text = explain_handshake(error)
+            self._listener(context.get("transport")).note("handshake", "", text)
+        elif self.others is not None:
+            self.others(loop, context)
+        else:
+            loop.default_exception_handler(context)
+
+    def _listener(self, transport: Any) -> Complaints:
+        name = transport.get_extra_info("sockname") if transport is not None else None
+        port = name[1] if isinstance(name, tuple) else 0
+        found = (complaints for complaints, known in self.listeners.items() if known == port)
+        return next(found, next(iter(self.listeners)))
+
+
+def watch_handshakes(complaints: Complaints, port: int) -> Callable[[], None]:
+    """Have handshakes that fail on ``port`` noted in ``complaints``; return what ends that.
+
+    With the last listener of a loop its exception handler is what it was before.
+    """
+    loop = asyncio.get_running_loop()
+    handler = loop.get_exception_handler()
+    if not isinstance(handler, _Handler):
+        handler = _Handler(handler)
+        loop.set_exception_handler(handler)
+    handler.listeners[complaints] = port
+
+    def end() -> None:
+        handler.listeners.pop(complaints, None)
+        if not handler.listeners and loop.get_exception_handler() is handler:
+            loop.set_exception_handler(handler.others)
+
+    return end
+
+
+def explain_handshake(error: object) -> str:
+    """Return why a handshake failed, in words for whoever has to mend the client."""
+    reason = getattr(error, "reason", None)
+    if reason in ("HTTP_REQUEST", "WRONG_VERSION_NUMBER"):
+        return "a client speaks ws:// or http:// without TLS, and this listener wss:// or iorts://"
+    if reason == "PEER_DID_NOT_RETURN_A_CERTIFICATE":
+        return "a client showed no certificate, and tls.ca asks for one"
+    kind = error if isinstance(error, type) else type(error)
+    if issubclass(kind, ConnectionError):
+        return "a client left before TLS was agreed upon: it does not trust the certificate, or speaks something else"
+    return str(error) or kind.__name__

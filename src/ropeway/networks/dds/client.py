@@ -1,0 +1,296 @@
+"""A service of others that we call over DDS, in the mapping of rmw_cyclonedds."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+from ropeway.errors import (
+    CallError,
+    CallFailed,
+    CallTimeout,
+    GraphUnavailable,
+    NotServed,
+    ProviderLost,
+    TypesError,
+    ValueMismatch,
+)
+from ropeway.graph.base import Sample, Undelivered
+from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Client, Request
+from ropeway.logs import failed
+from ropeway.networks.dds.in_flight import Window
+from ropeway.networks.dds.matching import paired
+from ropeway.networks.dds.records import Peer
+from ropeway.networks.dds.rpc import MAX_SEQ, Header, join, split
+from ropeway.networks.dds.service_endpoints import Ends
+from ropeway.networks.dds.vendors import speaks_header, vendor_name
+from ropeway.tasks import background, end
+
+if TYPE_CHECKING:
+    from ropeway.networks.dds.graph import DdsGraph
+
+__all__ = ["DdsClient"]
+
+log = logging.getLogger("ropeway.dds")
+
+# We match a server a little before it matches us, and what it gets before that is lost.
+_SETTLE_S: Final = 0.2
+# Ropeway's own services run a request once however often it comes, so that the first ones need not wait …
+_AGAIN_S: Final = (0.05, 0.2, 0.5, 1.0)
+# … but come again while the match is so fresh.
+_FRESH_S: Final = 2.0
+_NOBODY_S: Final = 1.0
+_RETRY_S: Final = 0.005  # after a write that the network has no room for
+_CALLS_LIMIT: Final = 16_384
+_DEFERRED: Final = "/_action/get_result"
+
+
+class _Call:
+    """A call under way: who may answer it, and how it ended."""
+
+    __slots__ = ("outcome", "servers")
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, servers: set[bytes]) -> None:
+        self.servers = servers
+        self.outcome: asyncio.Future[bytes | CallError | GraphUnavailable | TimeoutError] = loop.create_future()
+
+    def finish(self, outcome: bytes | CallError | GraphUnavailable | TimeoutError) -> None:
+        if not self.outcome.done():
+            self.outcome.set_result(outcome)
+
+    @property
+    def is_answered(self) -> bool:
+        outcome = self.outcome
+        return outcome.done() and not outcome.cancelled() and not isinstance(outcome.result(), TimeoutError)
+
+
+class DdsClient(Ends):
+    """Calls ``service``: any number of calls at a time on one pair of endpoints.
+
+    A request goes out when a server is matched in both directions and has had time to match us. Servers of another
+    mapping are called through the graph's ``helper``, where it has one.
+    """
+
+    def __init__(self, graph: DdsGraph, service: str, type: str) -> None:
+        super().__init__(graph, service, type)
+        self.late = 0  # answers that nobody waited for any more, or that another server gave, too
+        self._seq = 0
+        self._calls: dict[int, _Call] = {}
+        self._waiting = 0
+        self._window = Window(deferred=self.service.endswith(_DEFERRED))
+        self._servers: dict[bytes, float] = {}  # ours to call, and when each was matched
+        self._all_ours = False
+        self._others: tuple[Peer, ...] = ()
+        self._lost: set[bytes] = set()
+        self._losing: asyncio.Task[None] | None = None
+        self._helped: Client | None = None
+        self._helping = asyncio.Lock()
+
+    # Calling ----------------------------------------------------------------------------------------------------
+
+    @property
+    def available(self) -> bool:
+        """True if somebody whom we can call serves it now."""
+        return not self.closed and bool(self._servers or (self._others and self._graph.helper is not None))
+
+    async def wait_available(self, timeout_s: float) -> bool:
+        """See ``Client``."""
+        until = self._loop.time() + timeout_s
+        while not self.available and not self.closed and self._loop.time() < until:
+            await self._change(until)
+        return self.available
+
+    async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
+        """See ``Client``. ``CallFailed`` also where only servers of another mapping are there and nobody helps."""
+        self._check_open()
+        if self._waiting >= _CALLS_LIMIT:
+            raise CallFailed(self.service, f"{self._waiting} calls of {self.service} are under way, which is the limit")
+        self._waiting += 1
+        try:
+            payload = self._graph.layouts.write("server", self.service, f"{self.type}_Request", request.payload)
+            if payload is not request.payload:
+                request = replace(request, payload=payload)
+            response = await self._call(request, self._loop.time() + timeout_s)
+            return self._graph.layouts.read("server", self.service, f"{self.type}_Response", response)
+        except ValueMismatch as error:
+            raise CallFailed(self.service, f"the server's layout cannot hold the request: {error}") from error
+        except TimeoutError:
+            raise CallTimeout(self.service, timeout_s) from None
+        finally:
+            self._waiting -= 1
+
+    async def _call(self, request: Request, until: float) -> bytes:
+        while True:
+            if not await self._served(until):
+                return await self._call_other(request, until)
+            if self._window.is_free:
+                ticket = await self._window.enter()
+            else:
+                async with asyncio.timeout_at(until):
+                    ticket = await self._window.enter()
+            if self._servers:
+                break
+            self._window.leave(ticket, answered=False)
+        seq = self._seq = self._seq % MAX_SEQ + 1
+        call = self._calls[seq] = _Call(self._loop, set(self._servers))
+        try:
+            self._check_open()
+            message = join(Header(self._id, seq), request.payload)
+            await self._write(message, until)
+            for pause in _AGAIN_S if self._is_fresh() else ():
+                await asyncio.wait((call.outcome,), timeout=max(0.0, min(until - self._loop.time(), pause)))
+                if call.outcome.done() or not self._all_ours:
+                    break
+                await self._write(message, until)
+            expiry = self._loop.call_at(until, call.finish, TimeoutError())
+            try:
+                outcome = await call.outcome
+            finally:
+                expiry.cancel()
+        finally:
+            answered = call.is_answered
+            self._calls.pop(seq, None)
+            self._window.leave(ticket, answered=answered)
+        if isinstance(outcome, bytes):
+            return outcome
+        raise outcome
+
+    async def _served(self, until: float) -> bool:
+        """Wait for a server; false where there are only servers of another mapping."""
+        nobody = min(until, self._loop.time() + _NOBODY_S)
+        while True:
+            self._check_open()
+            now = self._loop.time()
+            if self._servers:
+                ready = min(self._servers.values()) + (0.0 if self._all_ours else _SETTLE_S)
+                if ready <= now:
+                    return True
+                if now >= until:
+                    raise TimeoutError
+                await self._change(min(ready, until))
+            elif self._others and (self._graph.helper is not None or now >= nobody):
+                return False
+            elif now >= nobody:
+                raise NotServed(self.service)
+            else:
+                await self._change(nobody)
+
+    async def _call_other(self, request: Request, until: float) -> bytes:
+        helper = self._graph.helper
+        if helper is None:
+            who = self._others[0].guid if self._others else b""
+            raise CallFailed(
+                self.service,
+                f"{self.service} is served over {vendor_name(who)} only, whose requests this graph cannot make; "
+                "run the server with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or use the ros2 graph",
+            )
+        async with asyncio.timeout_at(until):
+            async with self._helping:
+                self._check_open()
+                if self._helped is None:
+                    self._helped = await helper.create_client(self.service, self.type)
+        return await self._helped.call(request, max(0.0, until - self._loop.time()))
+
+    async def _write(self, message: bytes, until: float) -> None:
+        while (reason := await self._writer.send(message)) is not None:
+            if reason is Undelivered.CLOSED:
+                self._check_open()
+            if reason is not Undelivered.WRITE:
+                self._graph.drops[self.service, reason] += 1
+                raise CallFailed(self.service, f"the request of {len(message)} bytes cannot be sent: {reason.value}")
+            if self._loop.time() >= until:
+                self._graph.drops[self.service, reason] += 1
+                raise TimeoutError
+            await asyncio.sleep(_RETRY_S)
+
+    def _is_fresh(self) -> bool:
+        """True where all servers are Ropeway's, and one of them was matched just now."""
+        return self._all_ours and self._loop.time() - max(self._servers.values(), default=0.0) < _FRESH_S
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise GraphUnavailable(self._graph.name, f"the client of {self.service} is closed")
+
+    async def _change(self, until: float) -> None:
+        """Wait for a change of the servers, at most until then."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(until):
+                await self._changed.wait()
+
+    # From DDS ---------------------------------------------------------------------------------------------------
+
+    def on_samples(self, batch: Sequence[Sample]) -> None:
+        """What servers answer, on the loop: our own answers and those of everybody else."""
+        for sample in batch:
+            if not speaks_header(sample.origin):
+                continue
+            reply = split(sample.payload)
+            if reply is None:
+                self._graph.drops[self.service, Undelivered.DECODE] += 1
+                continue
+            if reply.header.client != self._id:
+                continue
+            call = self._calls.get(reply.header.seq)
+            if call is None or call.outcome.done():
+                self.late += 1
+                log.debug("%s: %s: answer %d came late", self._graph.name, self.service, reply.header.seq)
+                continue
+            try:
+                call.finish(self._graph.little_endian(f"{self.type}_Response", reply.payload))
+            except TypesError as error:
+                self._graph.drops[self.service, Undelivered.DECODE] += 1
+                call.finish(CallFailed(self.service, f"the answer cannot be read: {error}"))
+
+    def on_match(self) -> None:
+        """Other servers are there now."""
+        found = paired(
+            (reader for reader in self._readers if not reader.helper),
+            (writer for writer in self._writers if not writer.helper),
+        )
+        now = self._loop.time()
+        mine = {guid: peer for guid, peer in found.items() if speaks_header(guid)}
+        self._lost |= self._servers.keys() - mine.keys()
+        self._servers = {guid: self._servers.get(guid, now) for guid in mine}
+        self._all_ours = all(peer.ours for peer in mine.values())
+        self._others = tuple(peer for guid, peer in found.items() if guid not in mine)
+        if self._others and not mine and self._graph.helper is not None:
+            self._graph.helper.wake()
+        if mine:
+            self._window.resize(min(peer.depth for peer in mine.values()))
+        if self._lost and self._losing is None:
+            self._losing = background(self._lose(), f"lost servers of {self.service}")
+
+    async def _lose(self) -> None:
+        """Fail the calls that nobody is left to answer, after what has arrived."""
+        while self._lost:
+            lost, self._lost = self._lost, set()
+            try:
+                await self._graph.participant.pump.call(self._reader.on_data)
+            except GraphUnavailable:
+                pass
+            except Exception:  # what had arrived cannot be read; the calls fail all the same
+                failed(log, "%s: reading answers of %s failed", self._graph.name, self.service)
+            for call in self._calls.values():
+                call.servers -= lost
+                if not call.servers:
+                    call.finish(ProviderLost(self.service, "its server has left"))
+        self._losing = None
+
+    async def close(self) -> None:
+        """See ``Client``."""
+        if self.closed:
+            return
+        self.closed = True
+        self._changed.set()
+        for call in self._calls.values():
+            call.finish(GraphUnavailable(self._graph.name, f"the client of {self.service} was closed in mid-call"))
+        self._window.close()
+        await end(self._losing)
+        async with self._helping:
+            if self._helped is not None:
+                await self._helped.close()
+        await self._graph.remove(self)

@@ -1,0 +1,391 @@
+"""Services of Fast DDS nodes, from the gateway's side: clients and services whose endpoints live in the helper."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import itertools
+import logging
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from ropeway.errors import (
+    CallError,
+    CallFailed,
+    CallTimeout,
+    GraphUnavailable,
+    NotServed,
+    ProviderLost,
+    TypesError,
+)
+from ropeway.graph.base import Undelivered
+from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
+from ropeway.logs import failed
+from ropeway.networks.dds.fastdds.frames import MAX_BODY_BYTES, Frame, Op, Spec
+from ropeway.networks.dds.fastdds.process import Helper, Unfit
+from ropeway.networks.dds.in_flight import Window
+from ropeway.networks.dds.pace import Pace
+from ropeway.networks.dds.profile import Profile
+from ropeway.tasks import Chores
+
+__all__ = ["FastClient", "FastRpc", "FastService", "Surroundings"]
+
+log = logging.getLogger("ropeway.dds")
+
+_NOBODY_S: Final = 1.0
+_FRESH_S: Final = 4.0  # Fast DDS may take that long to find a participant that is new
+_RUNNING_LIMIT: Final = 1024
+_CALLS_LIMIT: Final = 16_384
+_DEFERRED: Final = "/_action/get_result"
+_LOST: Final = "the helper process for Fast DDS has ended"
+_request_head = struct.Struct("<16sq")
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What the gateway's own side of the graph knows and keeps.
+
+    ``little_endian(type, payload)`` turns what big-endian machines send, and may raise ``TypesError``; ``type_hash``
+    gives ``RIHS01_…`` of a type or ``""``; ``node_of(guid)`` names the node of an endpoint; ``drop(service, reason,
+    count)`` counts what got lost; ``neighbours()`` gives the GUIDs of the endpoints of Fast DDS nodes, which services
+    then wait for, and some time more.
+    """
+
+    little_endian: Callable[[str, bytes], bytes] = lambda type, payload: payload
+    type_hash: Callable[[str], str] = lambda type: ""
+    node_of: Callable[[bytes], str] = lambda guid: ""
+    drop: Callable[[str, Undelivered, int], None] = lambda service, reason, count: None
+    neighbours: Callable[[], Iterable[bytes]] | None = None
+
+
+class FastRpc:
+    """Calls and serves Fast DDS nodes (rmw_fastrtps_cpp) in domain ``domain``, through a helper process.
+
+    ``graph`` is what messages call it. ``gateway_id`` marks the endpoints as ours. With ``everyone`` it is for nodes of
+    other vendors that speak this mapping, too; those of Cyclone DDS, which do not, would get nonsense.
+    """
+
+    def __init__(
+        self,
+        graph: str,
+        domain: int,
+        profile: Profile,
+        *,
+        gateway_id: str = "",
+        around: Surroundings | None = None,
+        everyone: bool = False,
+    ) -> None:
+        self.graph, self.gateway_id = graph, gateway_id
+        self.reason = "it was not started"
+        self.around = around or Surroundings()
+        self._available = False
+        self._closed = False
+        self._ends: dict[int, FastClient | FastService] = {}
+        self._numbers = itertools.count(1)
+        order = {
+            "domain": domain,
+            "xml": profile.xml,
+            "interface": profile.interface,
+            "gateway_id": gateway_id,
+            "everyone": everyone,
+        }
+        self.helper = Helper(graph, order, self._on_up, self._on_frame, self._on_down)
+
+    @property
+    def available(self) -> bool:
+        """True once the self-test has passed; ``reason`` says why not."""
+        return self._available
+
+    async def start(self) -> bool:
+        """Start the helper and have it test itself, which takes about a second; tells whether it can be used."""
+        try:
+            await self.helper.start()
+        except Unfit as error:
+            self.reason = str(error)
+            log.warning(
+                "%s: services of Fast DDS nodes (rmw_fastrtps_cpp) cannot be used here: %s. The ros2 graph (rclpy) "
+                "can; services of rmw_cyclonedds_cpp and all topics work.",
+                self.graph,
+                self.reason,
+            )
+        else:
+            self._available, self.reason = True, ""
+        return self._available
+
+    async def close(self) -> None:
+        """End the helper, with all clients and services."""
+        self._closed = True
+        await asyncio.gather(*(part.close() for part in list(self._ends.values())))
+        self._available, self.reason = False, "it was closed"
+        await self.helper.close()
+
+    async def create_client(self, service: str, type: str) -> FastClient:
+        """Call ``service`` of ``type``. Raises ``GraphUnavailable``."""
+        self._check()
+        client = FastClient(self, next(self._numbers), service, type)
+        self._add(client, Op.OPEN_CLIENT)
+        return client
+
+    async def create_service(self, service: str, type: str, handler: ServiceHandler) -> FastService:
+        """Serve ``service`` of ``type``. Raises ``GraphUnavailable``."""
+        self._check()
+        provider = FastService(self, next(self._numbers), service, type, handler)
+        self._add(provider, Op.OPEN_SERVICE)
+        return provider
+
+    def remove(self, part: FastClient | FastService) -> None:
+        """A client or service was closed."""
+        if self._ends.pop(part.number, None) is not None:
+            self.helper.send(Frame(Op.CLOSE, part.number))
+
+    def send(self, op: Op, part: FastClient | FastService, number: int, body: bytes = b"") -> bool:
+        """Tell the helper something about a part; false where that is not possible now."""
+        return self.helper.send(Frame(op, part.number, number, body))
+
+    def _check(self) -> None:
+        if not self._available:
+            raise GraphUnavailable(self.graph, f"services of Fast DDS nodes cannot be used: {self.reason}")
+
+    def _add(self, part: FastClient | FastService, op: Op) -> None:
+        self._ends[part.number] = part
+        self._open(part, op)
+
+    def _open(self, part: FastClient | FastService, op: Op) -> None:
+        hashes = (self.around.type_hash(part.type + half) for half in ("_Request", "_Response"))
+        self.helper.send(Frame(op, part.number, body=Spec(part.service, part.type, *hashes).encode()))
+
+    # From the helper --------------------------------------------------------------------------------------------
+
+    def _on_up(self) -> None:
+        if self.around.neighbours is not None:
+            self.helper.send(Frame(Op.EXPECT, body=b"".join(self.around.neighbours())))
+        for part in self._ends.values():
+            if isinstance(part, FastClient):
+                part.on_up()
+            self._open(part, Op.OPEN_CLIENT if isinstance(part, FastClient) else Op.OPEN_SERVICE)
+
+    def _on_down(self) -> None:
+        for part in self._ends.values():
+            part.on_down()
+
+    def _on_frame(self, frame: Frame) -> None:
+        if frame.op == Op.FAULTS:
+            text = frame.body.decode(errors="replace")
+            log.warning("%s: Fast DDS: %d times could not be done: %s", self.graph, frame.number, text)
+            return
+        part = self._ends.get(frame.endpoint)
+        if part is None:  # it was closed meanwhile
+            return
+        if frame.op == Op.DROPPED:
+            self.around.drop(part.service, Undelivered[frame.body.decode()], frame.number)
+        elif frame.op == Op.REFUSED:
+            log.warning("%s: %s cannot be made for Fast DDS: %s", self.graph, part.service, frame.body.decode())
+        else:
+            part.on_frame(frame)
+
+
+class FastClient:
+    """Calls ``service``; see ``Client``. Servers that are no Fast DDS nodes do not count."""
+
+    def __init__(self, rpc: FastRpc, number: int, service: str, type: str) -> None:
+        self.service, self.type, self.number = service, type, number
+        self.closed = False
+        self._rpc = rpc
+        self._loop = asyncio.get_running_loop()
+        self._window = Window(deferred=service.endswith(_DEFERRED))
+        self._servers = 0
+        self._opened = self._loop.time()
+        self._changed = asyncio.Event()
+        self._calls: dict[int, asyncio.Future[bytes | CallError | GraphUnavailable]] = {}
+        self._numbers = itertools.count(1)
+        self._waiting = 0
+
+    @property
+    def available(self) -> bool:
+        """True if a Fast DDS node serves it now."""
+        return not self.closed and self._servers > 0
+
+    async def wait_available(self, timeout_s: float) -> bool:
+        """See ``Client``."""
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not self.available and not self.closed:
+                    await self._changed.wait()
+        except TimeoutError:
+            pass
+        return self.available
+
+    async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
+        """See ``Client``; ``ProviderLost`` also where the helper process ends in mid-call."""
+        self._check_open()
+        if self._waiting >= _CALLS_LIMIT:
+            raise CallFailed(self.service, f"{self._waiting} calls of {self.service} are under way, which is the limit")
+        if len(request.payload) > MAX_BODY_BYTES // 2:
+            raise CallFailed(self.service, f"a request of {len(request.payload)} bytes is too long for DDS")
+        self._waiting += 1
+        try:
+            until = self._loop.time() + timeout_s
+            nobody = max(_NOBODY_S, self._opened + _FRESH_S - self._loop.time())
+            if not await self.wait_available(min(timeout_s, nobody)):
+                self._check_open()
+                if timeout_s < nobody:  # it is only made where a server is known
+                    raise TimeoutError
+                raise NotServed(self.service)
+            async with asyncio.timeout_at(until):
+                ticket = await self._window.enter()
+            return await self._call(ticket, request.payload, until)
+        except TimeoutError:
+            raise CallTimeout(self.service, timeout_s) from None
+        finally:
+            self._waiting -= 1
+
+    async def _call(self, ticket: int, payload: bytes, until: float) -> bytes:
+        number = next(self._numbers)
+        call = self._calls[number] = self._loop.create_future()
+        try:
+            self._check_open()
+            if not self._rpc.send(Op.CALL, self, number, payload):
+                raise ProviderLost(self.service, _LOST)
+            async with asyncio.timeout_at(until):
+                outcome = await call
+        finally:
+            answered = call.done() and not call.cancelled()
+            del self._calls[number]
+            self._window.leave(ticket, answered=answered)
+            if not answered:
+                self._rpc.send(Op.FORGET, self, number)
+        if isinstance(outcome, bytes):
+            try:
+                return self._rpc.around.little_endian(f"{self.type}_Response", outcome)
+            except TypesError as error:
+                raise CallFailed(self.service, f"the answer cannot be read: {error}") from error
+        raise outcome
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise GraphUnavailable(self._rpc.graph, f"the client of {self.service} is closed")
+
+    def on_frame(self, frame: Frame) -> None:
+        """What the helper says about us."""
+        if frame.op == Op.MATCHED:
+            self._servers = frame.number
+            self._tell_changed()
+            return
+        call = self._calls.get(frame.number)
+        if call is None or call.done():
+            return
+        if frame.op == Op.RESPONSE:
+            call.set_result(frame.body)
+        elif frame.op == Op.LOST:
+            call.set_result(ProviderLost(self.service, frame.body.decode(errors="replace")))
+        elif frame.op == Op.FAILED:
+            call.set_result(CallFailed(self.service, frame.body.decode(errors="replace")))
+
+    def on_up(self) -> None:
+        """The helper is there, or there again."""
+        self._opened = self._loop.time()
+
+    def on_down(self) -> None:
+        """The helper has ended."""
+        self._servers = 0
+        self._tell_changed()
+        self._finish(ProviderLost(self.service, _LOST))
+
+    def _tell_changed(self) -> None:
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    def _finish(self, outcome: CallError | GraphUnavailable) -> None:
+        for call in self._calls.values():
+            if not call.done():
+                call.set_result(outcome)
+
+    async def close(self) -> None:
+        """See ``Client``."""
+        if self.closed:
+            return
+        self.closed = True
+        self._tell_changed()
+        self._finish(GraphUnavailable(self._rpc.graph, f"the client of {self.service} was closed in mid-call"))
+        self._window.close()
+        self._rpc.remove(self)
+
+
+class FastService:
+    """Serves ``service`` to Fast DDS nodes, and to nobody else; see ``Service``.
+
+    A handler that fails leaves its caller without an answer: the mapping has no errors.
+    """
+
+    def __init__(self, rpc: FastRpc, number: int, service: str, type: str, handler: ServiceHandler) -> None:
+        self.service, self.type, self.number = service, type, number
+        self.closed = False
+        self.clients = 0
+        self._rpc = rpc
+        self._handler = handler
+        self._serving = Chores()
+        self._paces: dict[bytes, Pace] = {}
+
+    def on_frame(self, frame: Frame) -> None:
+        """What the helper says about us."""
+        if frame.op == Op.MATCHED:
+            self.clients = frame.number
+        elif frame.op == Op.REQUEST and len(self._serving) >= _RUNNING_LIMIT:
+            self._leave_out(frame.number, Undelivered.BACKLOG)
+        elif frame.op == Op.REQUEST:
+            guid, _ = _request_head.unpack_from(frame.body)
+            head, payload = frame.body[: _request_head.size], frame.body[_request_head.size :]
+            request = Request(payload, id=_call_id(head), caller=self._rpc.around.node_of(guid))
+            self._serving.start(self._serve(frame.number, request, guid), f"serve {self.service}")
+
+    async def _serve(self, number: int, request: Request, caller: bytes) -> None:
+        pace = self._paces.setdefault(caller, Pace())
+        pace.came()
+        try:
+            await self._serve_at(pace, number, request)
+        finally:
+            pace.went()
+            if pace.idle:
+                del self._paces[caller]
+
+    async def _serve_at(self, pace: Pace, number: int, request: Request) -> None:
+        life = self._rpc.helper.starts
+        try:
+            request.payload = self._rpc.around.little_endian(f"{self.type}_Request", request.payload)
+            response = await self._handler(request)
+        except (CallError, TypesError) as error:
+            log.warning("%s: %s: no answer to %s: %s", self._rpc.graph, self.service, request.caller or "a node", error)
+            self._leave_out(number, Undelivered.DECODE if isinstance(error, TypesError) else Undelivered.CALLBACK)
+        except Exception:
+            failed(log, "%s: the handler of %s failed", self._rpc.graph, self.service)
+            self._leave_out(number, Undelivered.CALLBACK)
+        else:
+            await pace.turn()
+            if life != self._rpc.helper.starts:  # numbers begin again with each helper
+                self._rpc.around.drop(self.service, Undelivered.LATE, 1)
+            elif len(response) > MAX_BODY_BYTES or not self._rpc.send(Op.REPLY, self, number, response):
+                self._leave_out(number, Undelivered.WRITE)
+
+    def _leave_out(self, number: int, reason: Undelivered) -> None:
+        self._rpc.around.drop(self.service, reason, 1)
+        self._rpc.send(Op.FORGET, self, number)
+
+    def on_down(self) -> None:
+        """The helper has ended: nobody hears the answers to what was asked through it."""
+        self.clients = 0
+        self._serving.cancel()
+
+    async def close(self) -> None:
+        """See ``Service``; requests under way are left without an answer."""
+        if self.closed:
+            return
+        self.closed = True
+        self._rpc.remove(self)
+        await self._serving.close()
+
+
+def _call_id(identity: bytes) -> bytes:
+    """The same for everyone who serves this request."""
+    return hashlib.blake2b(identity, digest_size=16).digest()

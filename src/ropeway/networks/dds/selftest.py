@@ -1,0 +1,80 @@
+"""The self-test of the raw path: every memory layout it assumes, against the library that is there."""
+
+from __future__ import annotations
+
+import ctypes as ct
+
+from ropeway.errors import GraphUnavailable
+from ropeway.networks.dds import raw
+from ropeway.networks.dds.raw import check, lib
+
+__all__ = ["verify"]
+
+_state: dict[str, bool] = {"verified": False}
+
+
+def verify(graph: str, participant: int, sertype: int) -> None:
+    """Check every memory layout this module assumes, once per process, without a packet on the network.
+
+    Raises ``GraphUnavailable`` with what differs.
+    """
+    if _state["verified"]:
+        return
+    for wrong in (_wrong_serdata(sertype), _wrong_info(participant)):
+        if wrong:
+            raise GraphUnavailable(
+                graph,
+                f"the library of cyclonedds {raw.WHEEL_VERSION} differs from the one this was written for ({wrong}); "
+                f"install the wheel from PyPI: pip install --force-reinstall cyclonedds=={raw.WHEEL_VERSION}",
+            )
+    _state["verified"] = True
+
+
+def _wrong_serdata(sertype: int) -> str:
+    for payload in (b"\0\1\0\0\x07", b"\0\1\0\0" + bytes(range(256)) * 5):
+        serdata = raw.make_serdata(sertype, payload)
+        if not serdata:
+            return "a serialised sample is refused"
+        try:
+            if lib.serdata_size(serdata) != len(payload):
+                return "serdata size"
+            if ct.c_uint32.from_address(serdata + raw.SERDATA_SIZE).value != len(payload) - 4:
+                return "serdata size offset"
+            out = raw.IoVecOut()
+            ref = lib.serdata_to_ser_ref(serdata, 0, len(payload), ct.byref(out))
+            same = out.base == serdata + raw.SERDATA_HEADER and ct.string_at(out.base, len(payload)) == payload
+            lib.serdata_to_ser_unref(ref, ct.byref(out))
+            if not same:
+                return "serdata payload offset"
+            if ct.c_int64.from_address(serdata + raw.SERDATA_TIMESTAMP).value != -(2**63):
+                return "serdata timestamp offset"
+        finally:
+            lib.serdata_unref(serdata)
+    if raw.make_serdata(sertype, b"\0\1") or raw.make_serdata(sertype, b"\x12\x34\0\0\0"):
+        return "what is no CDR is taken"
+    return ""
+
+
+def _wrong_info(participant: int) -> str:
+    reader = check(lib.create_reader(participant, raw.BUILTIN_PARTICIPANT, None, None), "create builtin reader")
+    try:
+        own = raw.handle_of(participant)
+        samples, infos = (ct.c_uint64 * 64)(), (raw.SampleInfo * 64)()
+        view = memoryview(infos).cast("B")
+        while True:
+            samples[0] = 0
+            count = check(lib.take(reader, samples, infos, 64, 64), "take builtin topic")
+            if not count:
+                return "builtin topics"
+            try:
+                for address, (state, valid, stamp, instance, _) in zip(
+                    samples[:count], raw.INFO.iter_unpack(view[: count * raw.INFO.size]), strict=True
+                ):
+                    if instance == own:
+                        key = bytes(raw.ParticipantData.from_address(address).key)
+                        fits = state == raw.ALIVE and valid and stamp > 0 and key == raw.guid_of(participant)
+                        return "" if fits else "sample info"
+            finally:
+                lib.return_loan(reader, samples, count)
+    finally:
+        lib.delete(reader)

@@ -1,0 +1,239 @@
+"""A service that we serve over DDS, in the mapping of rmw_cyclonedds."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+from ropeway.errors import CallError, GraphError, TypesError
+from ropeway.graph.base import Sample, Undelivered
+from ropeway.graph.calls import Request, Service, ServiceHandler
+from ropeway.logs import failed
+from ropeway.networks.dds.matching import paired
+from ropeway.networks.dds.pace import Pace
+from ropeway.networks.dds.records import Peer
+from ropeway.networks.dds.rpc import Header, join, split
+from ropeway.networks.dds.service_endpoints import Ends
+from ropeway.networks.dds.vendors import speaks_header, vendor_name
+from ropeway.tasks import Chores
+
+if TYPE_CHECKING:
+    from ropeway.networks.dds.graph import DdsGraph
+
+__all__ = ["DdsService"]
+
+log = logging.getLogger("ropeway.dds")
+
+_RUNNING_LIMIT: Final = 1024
+_SEEN_LIMIT: Final = 8192  # requests that are known as such; more than can be under way
+_MATCH_S: Final = 1.0  # how long an answer waits for its reader
+_SEND_S: Final = 5.0  # how long an answer waits for room on the network
+_RETRY_S: Final = 0.005
+_QUIET_S: Final = 60.0
+_TEXTS: Final = (("success", "message"), ("successful", "reason"))
+
+
+class DdsService(Ends):
+    """Serves ``service`` with ``handler``, each request in a task of its own, and each request once.
+
+    ROS 2 has no errors of services: a request that fails is answered with the default response, in which ``message``
+    or ``reason`` says why where the type has them beside ``success`` or ``successful``.
+    """
+
+    serves = True
+
+    def __init__(self, graph: DdsGraph, service: str, type: str, handler: ServiceHandler) -> None:
+        super().__init__(graph, service, type)
+        self.ignored = 0  # requests of another mapping, which the graph's helper serves where there is one
+        self._handler = handler
+        self._helped: Service | None = None
+        self._serving = Chores()
+        self._seen: dict[tuple[bytes, Header], None] = {}
+        self._callers: dict[bytes, Peer] = {}
+        self._paces: dict[bytes, Pace] = {}
+        self._warned: dict[str, float] = {}
+
+    async def get_help(self) -> None:
+        """Have the graph's helper serve those of another mapping; where it cannot, the others are served alone.
+
+        To be called before ``join``: so those do not take our endpoints for what they can call.
+        """
+        if self._graph.helper is None:
+            return
+        try:
+            self._helped = await self._graph.helper.create_service(self.service, self.type, self.answer)
+        except GraphError as error:
+            log.warning("%s: %s serves nodes of Cyclone DDS only: %s", self._graph.name, self.service, error)
+
+    async def end_help(self) -> None:
+        """Have them served no more."""
+        if self._helped is not None:
+            await self._helped.close()
+
+    # From DDS ---------------------------------------------------------------------------------------------------
+
+    def on_samples(self, batch: Sequence[Sample]) -> None:
+        """What clients ask, on the loop."""
+        if self.closed:
+            return
+        for sample in batch:
+            if not speaks_header(sample.origin):
+                self._ignore(sample.origin)
+                continue
+            message = split(sample.payload)
+            if message is None:
+                self._graph.drops[self.service, Undelivered.DECODE] += 1
+                log.debug("%s: %s: %d bytes are no request", self._graph.name, self.service, len(sample.payload))
+                continue
+            self._take(sample.origin, message.header, message.payload)
+
+    def on_match(self) -> None:
+        """Other clients are there now."""
+        self._callers = paired(self._writers, self._readers)
+        self._paces = {guid: pace for guid, pace in self._paces.items() if guid in self._callers or not pace.idle}
+
+    def _ignore(self, writer: bytes) -> None:
+        self.ignored += 1
+        if self.ignored == 1 and self._helped is None:
+            log.warning(
+                "%s: %s: %s asks over %s, whose requests this graph cannot answer; run it with "
+                "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or use the ros2 graph",
+                self._graph.name,
+                self.service,
+                self._graph.node_of(writer) or "a client",
+                vendor_name(writer),
+            )
+
+    def _take(self, writer: bytes, header: Header, payload: bytes) -> None:
+        key = (writer, header)
+        if key in self._seen:
+            log.debug("%s: %s: request %d came twice", self._graph.name, self.service, header.seq)
+            return
+        if len(self._serving) >= _RUNNING_LIMIT:
+            self._graph.drops[self.service, Undelivered.BACKLOG] += 1
+            self._warn("%s requests are under way; more are dropped", _RUNNING_LIMIT)
+            return
+        self._seen[key] = None
+        if len(self._seen) > _SEEN_LIMIT:
+            del self._seen[next(iter(self._seen))]
+        pace = self._paces.get(writer)
+        if pace is None:
+            pace = self._paces[writer] = Pace()
+        pace.came()
+        self._serving.start(self._serve(writer, header, payload, pace), f"serve {self.service}")
+
+    def _warn(self, text: str, value: object) -> None:
+        """Say so in the log, each kind of trouble once a minute; the counts are in ``drops``."""
+        now = self._loop.time()
+        if now - self._warned.get(text, float("-inf")) < _QUIET_S:
+            level = logging.DEBUG
+        else:
+            level, self._warned[text] = logging.WARNING, now
+        log.log(level, "%s: %s: %s", self._graph.name, self.service, text % value)
+
+    # Serving ----------------------------------------------------------------------------------------------------
+
+    async def _serve(self, writer: bytes, header: Header, payload: bytes, pace: Pace) -> None:
+        try:
+            await self._serve_at(pace, writer, header, payload)
+        finally:
+            pace.went()
+            if pace.idle and writer not in self._callers:
+                self._paces.pop(writer, None)
+
+    async def _serve_at(self, pace: Pace, writer: bytes, header: Header, payload: bytes) -> None:
+        try:
+            payload = self._graph.little_endian(f"{self.type}_Request", payload)
+        except TypesError as error:
+            self._graph.drops[self.service, Undelivered.DECODE] += 1
+            self._warn("a request cannot be read: %s", error)
+            return
+        request = Request(payload, id=_call_id(writer, header), caller=self._graph.node_of(writer))
+        try:
+            response = await self.answer(request, writer)
+        except TypesError as error:
+            self._graph.drops[self.service, Undelivered.ENCODE] += 1
+            self._warn("a request fails and cannot be answered: %s", error)
+            return
+        if writer not in self._callers and not await self._matched(writer):
+            return
+        if not self._callers[writer].ours:
+            await pace.turn()
+        await self._reply(join(header, response))
+
+    async def _matched(self, writer: bytes) -> bool:
+        """Wait until the one who asked reads answers; false for one that does not, or has left."""
+        try:
+            async with asyncio.timeout(_MATCH_S):
+                while writer not in self._callers:
+                    await self._changed.wait()
+        except TimeoutError:
+            if any(peer.guid == writer for peer in self._writers):
+                self._graph.drops[self.service, Undelivered.WRITE] += 1
+                self._warn("a client that asks reads no answers: %s", writer.hex())
+            return False  # who has left needs none
+        return True
+
+    async def answer(self, request: Request, writer: bytes | None = None) -> bytes:
+        """What the handler says, or the default response with its error, both in the layout of who asks.
+
+        The handler's failures are logged and counted here. Raises ``UnknownType`` where the default is not known,
+        ``ValueMismatch`` where the other layout cannot hold the response.
+        """
+        layouts, name = self._graph.layouts, self.service
+        payload = layouts.read("client", name, f"{self.type}_Request", request.payload, writer)
+        if payload is not request.payload:
+            request = replace(request, payload=payload)
+        return layouts.write("client", name, f"{self.type}_Response", await self._handled(request), writer)
+
+    async def _handled(self, request: Request) -> bytes:
+        try:
+            response = bytes(await self._handler(request))
+            if len(response) >= 4:
+                return response
+            text = f"a response of {len(response)} bytes is no CDR"
+            self._graph.drops[self.service, Undelivered.ENCODE] += 1
+            self._warn("answered with an empty response: %s", text)
+        except CallError as error:
+            text = str(error)
+            self._warn("answered with an empty response: %s", text)
+        except Exception as error:
+            text = str(error) or type(error).__name__
+            self._graph.drops[self.service, Undelivered.CALLBACK] += 1
+            failed(log, "%s: the handler of %s failed", self._graph.name, self.service)
+        return self._failure(text)
+
+    def _failure(self, text: str) -> bytes:
+        codec = self._graph.registry.codec(f"{self.type}_Response")
+        response = codec.default()
+        for flag, message in _TEXTS:
+            if response.get(flag) is False and response.get(message) == "":
+                response[message] = text
+        return codec.encode(response)
+
+    async def _reply(self, message: bytes) -> None:
+        until = self._loop.time() + _SEND_S
+        while (reason := await self._writer.send(message)) is not None:
+            if reason is not Undelivered.WRITE or self._loop.time() >= until:
+                self._graph.drops[self.service, reason] += 1
+                self._warn("an answer was not sent: %s", reason.value)
+                return
+            await asyncio.sleep(_RETRY_S)
+
+    async def close(self) -> None:
+        """See ``Service``: those who wait learn it from our leaving."""
+        if self.closed:
+            return
+        self.closed = True
+        await self.end_help()
+        await self._serving.close()
+        await self._graph.remove(self)
+
+
+def _call_id(writer: bytes, header: Header) -> bytes:
+    """The same for everyone who serves this request, so that a call taken by two gateways runs once behind them."""
+    return hashlib.blake2b(join(header, writer), digest_size=16).digest()

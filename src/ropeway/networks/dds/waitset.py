@@ -1,0 +1,309 @@
+"""The one thread of a participant: it waits for DDS, takes, and hands over to the event loop.
+
+The thread sleeps in a WaitSet. What triggers runs its handler there; handlers ``push`` batches for functions of the
+loop, and however many batches are pushed, at most one wake-up of the loop is under way. What waits for the loop is
+bounded in messages and bytes: beyond the bound ``room`` is false, handlers leave their data with DDS, and are run
+again when the loop has caught up.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ctypes as ct
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final, TypeVar
+
+from ropeway.errors import GraphUnavailable
+from ropeway.networks.dds.raw import INFINITY, check, lib
+from ropeway.tasks import keep_running
+
+__all__ = ["Pump", "run_in_thread"]
+
+log = logging.getLogger("ropeway.dds")
+
+_LIMIT_SAMPLES: Final = 4096
+_LIMIT_BYTES: Final = 32 << 20
+_MAX_TRIGGERS: Final = 256
+_GUARD_KEY: Final = 0
+_LONGEST_PAUSE_S: Final = 2.0  # calls of the loop wait for the thread
+
+T = TypeVar("T")
+
+
+class Pump:
+    """Runs handlers in a thread of its own and functions on ``loop``.
+
+    ``setup`` runs first in the thread and gives the participant's entity; ``teardown`` runs last. ``start`` and
+    ``stop`` are awaited on the loop, so that nothing slow of DDS ever blocks it.
+    """
+
+    def __init__(self, name: str, setup: Callable[[], int], teardown: Callable[[], None]) -> None:
+        self._name = name
+        self._setup, self._teardown = setup, teardown
+        self._loop = asyncio.get_running_loop()
+        self._thread = threading.Thread(target=self._main, name=f"ropeway {name}", daemon=True)
+        self._started: asyncio.Future[None] = self._loop.create_future()
+        self._stopped: asyncio.Future[None] = self._loop.create_future()
+        self._stopped.add_done_callback(lambda _: self._run_calls())  # one that came as the thread ended
+        self._stopping = False
+        self._ending = threading.Event()
+        self._waitset = 0
+        self._guard = 0
+        self._keys = _GUARD_KEY
+        self._handlers: dict[int, tuple[Callable[[], None], int]] = {}
+        self._calls: deque[Callable[[], None]] = deque()
+        self._backlog: dict[Callable[[], None], None] = {}
+        self._out: deque[tuple[Callable[[list[Any]], None], list[Any], int, int]] = deque()
+        self._scheduled = False
+        self._pushed_samples = self._pushed_bytes = 0
+        self._drained_samples = self._drained_bytes = 0
+        self._starved = False
+
+    # On the loop ------------------------------------------------------------------------------------------------
+
+    async def start(self) -> None:
+        """Start the thread and wait until ``setup`` is through; raises what it raised."""
+        self._thread.start()
+        try:
+            await self._started
+        except BaseException:
+            self._stopping = True
+            self._wake()
+            await self._join()
+            raise
+
+    async def stop(self) -> None:
+        """Run ``teardown`` in the thread and wait for its end. What was pushed and not yet run is dropped."""
+        self._stopping = True
+        self._ending.set()
+        self._wake()
+        await self._join()
+
+    def attach(self, entity: int, handler: Callable[[], None]) -> int:
+        """Run ``handler`` in the thread whenever ``entity`` triggers; gives the key for ``detach``."""
+        self._keys += 1
+        key = self._keys
+        self._handlers[key] = (handler, entity)
+        check(lib.waitset_attach(self._waitset, entity, key), "waitset_attach")
+        return key
+
+    def detach(self, key: int) -> None:
+        """Forget a handler; deleting its entity takes it from the WaitSet."""
+        self._handlers.pop(key, None)
+
+    def call(self, function: Callable[[], T]) -> asyncio.Future[T]:
+        """Run ``function`` in the thread; the future gives what it returned or raised."""
+        future: asyncio.Future[T] = self._loop.create_future()
+        if self._stopping:
+            future.set_exception(GraphUnavailable(self._name, "was closed"))
+            return future
+
+        def run() -> None:
+            try:
+                result = function()
+            except Exception as error:
+                self.push(_fail, [(future, error)])
+            else:
+                self.push(_succeed, [(future, result)])
+
+        self._calls.append(run)
+        self._wake()
+        return future
+
+    @property
+    def stopped(self) -> bool:
+        """True once the thread has ended, or is about to."""
+        return self._stopping
+
+    # In the thread ----------------------------------------------------------------------------------------------
+
+    @property
+    def room(self) -> bool:
+        """True while more may be pushed; a handler that finds it false asks for ``again``."""
+        samples, size = self.space()
+        return samples > 0 and size > 0
+
+    def space(self) -> tuple[int, int]:
+        """How many samples and bytes more may be pushed."""
+        return (
+            _LIMIT_SAMPLES - self._pushed_samples + self._drained_samples,
+            _LIMIT_BYTES - self._pushed_bytes + self._drained_bytes,
+        )
+
+    def again(self, handler: Callable[[], None]) -> None:
+        """Run ``handler`` once there is room."""
+        self._backlog[handler] = None
+
+    def push(self, function: Callable[[list[Any]], None], batch: list[Any], samples: int = 0, size: int = 0) -> None:
+        """Run ``function(batch)`` on the loop; batches pushed for one function are joined while they wait."""
+        self._pushed_samples += samples
+        self._pushed_bytes += size
+        self._out.append((function, batch, samples, size))
+        if not self._scheduled:
+            self._scheduled = True
+            try:
+                self._loop.call_soon_threadsafe(self._drain)
+            except RuntimeError:  # the loop was closed under an open graph
+                self._stopping = True
+
+    def _main(self) -> None:
+        try:
+            participant = self._setup()
+            self._waitset = check(lib.create_waitset(participant), "create_waitset")
+            self._guard = check(lib.create_guardcondition(participant), "create_guardcondition")
+            check(lib.waitset_attach(self._waitset, self._guard, _GUARD_KEY), "waitset_attach")
+        except BaseException as error:
+            self._finish(error)
+            return
+        self._tell(self._started, None)
+        keep_running(self._run, f"{self._name}: the DDS thread", self._ending, longest_pause_s=_LONGEST_PAUSE_S)
+        self._finish(None)
+
+    def _run(self) -> None:
+        triggers = (ct.c_ssize_t * _MAX_TRIGGERS)()
+        handlers, waitset, wait = self._handlers, self._waitset, lib.waitset_wait
+        self._run_calls()  # after a failure: what was asked for meanwhile
+        while not self._stopping:
+            count = check(wait(waitset, triggers, _MAX_TRIGGERS, INFINITY), "waitset_wait")
+            for key in triggers[: min(count, _MAX_TRIGGERS)]:
+                if key == _GUARD_KEY:
+                    self._on_guard()
+                elif key in handlers:
+                    self._handle(key)
+            if self._backlog:
+                self._catch_up()
+
+    def _handle(self, key: int) -> None:
+        """Run one handler; one that fails is not run again, and costs the others nothing."""
+        handler, entity = self._handlers.get(key, (None, 0))
+        if handler is None:
+            return
+        try:
+            handler()
+        except Exception:
+            log.exception("%s: reading from DDS failed; this endpoint is dead", self._name)
+            self._handlers.pop(key, None)
+            lib.waitset_detach(self._waitset, entity)
+
+    def _on_guard(self) -> None:
+        was_set = ct.c_bool()
+        check(lib.take_guardcondition(self._guard, ct.byref(was_set)), "take_guardcondition")
+        self._run_calls()
+
+    def _run_calls(self) -> None:
+        while self._calls:
+            self._calls.popleft()()
+
+    def _catch_up(self) -> None:
+        """Run handlers that wait for room; where there is none, have the loop wake us once it has drained."""
+        self._starved = True
+        if not self.room:
+            return
+        self._starved = False
+        waiting, self._backlog = self._backlog, {}
+        for handler in waiting:
+            try:
+                handler()
+            except Exception:  # of one endpoint; the others are read as ever
+                log.exception("%s: taking what waited failed", self._name)
+        if self._backlog:
+            self._starved = True
+            if self.room:
+                self._wake()
+
+    def _finish(self, error: BaseException | None) -> None:
+        self._stopping = True
+        try:
+            self._run_calls()
+            self._teardown()
+        except Exception:
+            log.exception("%s: closing failed", self._name)
+        if error is not None:
+            self._tell(self._started, error)
+        self._tell(self._stopped, None)
+
+    def _tell(self, future: asyncio.Future[None], error: BaseException | None) -> None:
+        try:
+            if error is None:
+                self._loop.call_soon_threadsafe(_succeed, [(future, None)])
+            else:
+                self._loop.call_soon_threadsafe(_fail, [(future, error)])
+        except RuntimeError:
+            log.debug("%s: the event loop closed first", self._name)
+
+    # Between the two --------------------------------------------------------------------------------------------
+
+    def _wake(self) -> None:
+        if self._guard:
+            lib.set_guardcondition(self._guard, True)
+
+    def _drain(self) -> None:
+        self._scheduled = False
+        out = self._out
+        joined: dict[Callable[[list[Any]], None], list[Any]] = {}
+        samples = size = 0
+        for _ in range(len(out)):
+            function, batch, count, byte_count = out.popleft()
+            samples += count
+            size += byte_count
+            known = joined.get(function)
+            if known is None:
+                joined[function] = batch
+            else:
+                known.extend(batch)
+        for function, batch in joined.items():
+            try:
+                function(batch)
+            except Exception:
+                log.exception("%s: taking in %d items failed", self._name, len(batch))
+        self._drained_samples += samples
+        self._drained_bytes += size
+        if self._starved and not self._stopping:
+            self._wake()
+
+    async def _join(self) -> None:
+        await asyncio.shield(self._stopped)
+        self._thread.join()
+        self._out.clear()
+
+
+def _succeed(pairs: list[tuple[asyncio.Future[Any], Any]]) -> None:
+    for future, result in pairs:
+        if not future.done():
+            future.set_result(result)
+
+
+def _fail(pairs: list[tuple[asyncio.Future[Any], BaseException]]) -> None:
+    for future, error in pairs:
+        if not future.done():
+            future.set_exception(error)
+
+
+async def run_in_thread(name: str, function: Callable[[], None]) -> None:
+    """Run ``function`` in a thread of its own and wait for its end; raises what it raised."""
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[None] = loop.create_future()
+
+    def run() -> None:
+        failure: BaseException | None = None
+        try:
+            function()
+        except Exception as error:
+            failure = error
+        with contextlib.suppress(RuntimeError):  # the loop closed first
+            if failure is None:
+                loop.call_soon_threadsafe(_succeed, [(done, None)])
+            else:
+                loop.call_soon_threadsafe(_fail, [(done, failure)])
+
+    thread = threading.Thread(target=run, name=name, daemon=True)
+    thread.start()
+    try:
+        await done
+    finally:
+        if done.done() and not done.cancelled():
+            thread.join()

@@ -1,0 +1,155 @@
+"""Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ros1``, ``ros1:http://host:11311``,
+``ws://host:9090``, ``memory:x``, ``overlay:robot1.ropeway``, ``iort://host:7410``.
+
+``ros2`` goes through the installed rclpy, in the domain of ``ROS_DOMAIN_ID`` unless it names one. ``auto`` is ``ros2``
+where rclpy can be imported, because ROS 2 is sourced, and else ``dds`` in the same domain. ``ros1`` is the master of
+``ROS_MASTER_URI``, ``ros1://host:11311`` another way to write one.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qsl, urlsplit
+
+from ropeway.errors import GraphUnavailable
+
+if TYPE_CHECKING:
+    from ropeway.graph.base import Graph
+    from ropeway.types import TypeRegistry
+
+__all__ = ["make_graph", "open_graph"]
+
+
+def make_graph(
+    url: str,
+    *,
+    registry: TypeRegistry | None = None,
+    name: str = "ropeway",
+    gateway_id: str = "",
+    distro: str | None = None,
+    types: Sequence[str] = (),
+    **options: object,
+) -> Graph:
+    """A graph that is not open yet. Raises ``GraphUnavailable`` for a URL of no known kind.
+
+    ``distro`` and ``types`` are for DDS: whose layouts of types the network has, and files with its own definitions.
+    ``options`` go to graphs of the ``ws`` kind (``ssl_context``, ``limits``, ``wait``, ``watch``, ``headers``).
+    """
+    if url == "auto":
+        url = _auto()
+    if url == "ros2":
+        url = f"ros2:{_domain(url)}"
+    parts = urlsplit(url)
+    scheme = parts.scheme
+    query = dict(parse_qsl(parts.query))
+    if scheme == "dds":
+        from ropeway.networks.dds import DdsGraph  # loads the DDS library, which a rosbridge client does not need
+
+        domain = parts.path or parts.netloc or "0"
+        if not domain.isdigit() or int(domain) > 232:
+            raise GraphUnavailable(url, f"{domain!r} is not a DDS domain; write dds:0 to dds:232")
+        interface, distro = query.pop("interface", None), query.pop("distro", distro)
+        _no_more(url, query)
+        network = None
+        if distro or types:
+            from ropeway.types import TypeRegistry
+            from ropeway.types.variant import make_network
+
+            registry = registry or TypeRegistry()
+            try:
+                network = make_network(registry, distro, types, label=url.partition("?")[0])
+            except ValueError as error:
+                raise GraphUnavailable(url, str(error)) from None
+        return DdsGraph(
+            int(domain), name=name, interface=interface, gateway_id=gateway_id, registry=registry, network=network
+        )
+    if scheme == "ros2":
+        from ropeway.networks.ros2 import Ros2Graph
+
+        domain = parts.path or parts.netloc
+        if not domain.isdigit() or int(domain) > 232:
+            raise GraphUnavailable(url, f"{domain!r} is not a ROS domain; write ros2, or ros2:0 to ros2:232")
+        _no_more(url, query)
+        return Ros2Graph(int(domain), name=name, gateway_id=gateway_id, registry=registry)
+    if scheme == "ros1" or url == "ros1":
+        from ropeway.networks.ros1 import Ros1Graph
+
+        master = url.removeprefix("ros1").removeprefix(":")
+        return Ros1Graph(master.removeprefix("//"), registry=registry, name=name)
+    if scheme in ("ws", "wss"):
+        from ropeway.networks.rosbridge.client import RosbridgeGraph
+
+        return RosbridgeGraph(url, registry=registry, gateway_id=gateway_id, name=name, **options)  # type: ignore[arg-type]
+    if scheme == "memory":
+        from ropeway.networks.memory.graph import MemoryGraph
+
+        return MemoryGraph(parts.path or "default", node=f"/{name}", registry=registry)
+    if scheme in ("iort", "iorts"):
+        return _iort(url, query, name, registry)
+    if scheme == "overlay":
+        return _overlay(url, parts.path or parts.netloc, query, registry)
+    raise GraphUnavailable(
+        url,
+        "is no graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, ros1, ros1:http://host:11311, "
+        "ws://host:9090, wss://host, iort://host:7410 or overlay:NAME.ropeway",
+    )
+
+
+def _iort(url: str, query: dict[str, str], name: str, registry: TypeRegistry | None) -> Graph:
+    """The topics of robots at a server; the token is that of ``ROPEWAY_TOKEN``."""
+    from ropeway.networks.iort import IortGraph, RemoteLink
+
+    _no_more(url, query)
+    address = url.partition("?")[0]
+    link = RemoteLink(address, name, token=os.environ.get("ROPEWAY_TOKEN") or None)
+    return IortGraph(link, name=address, registry=registry)
+
+
+def _overlay(url: str, bundle: str, query: dict[str, str], registry: TypeRegistry | None) -> Graph:
+    """The overlay as the owner of a bundle; ``?router=`` and ``?unique=`` stand behind it."""
+    from ropeway.networks.overlay.crypto.identity import Identity
+    from ropeway.networks.overlay.graph import OverlayGraph  # loads Zenoh
+    from ropeway.networks.overlay.names import Metadata
+    from ropeway.networks.overlay.node import OverlayNode
+
+    bundle = bundle or os.environ.get("ROPEWAY_IDENTITY", "")
+    if not bundle:
+        raise GraphUnavailable(url, "whose overlay? write overlay:NAME.ropeway, a bundle that ropeway keys issue wrote")
+    router, unique = query.pop("router", None), query.pop("unique", "")
+    _no_more(url, query)
+    node = OverlayNode(Identity.load(bundle), routers=None if router is None else router.split(","), listen=())
+    return OverlayGraph(node, metadata=Metadata(unique=unique), registry=registry, label=url)
+
+
+async def open_graph(
+    url: str, *, registry: TypeRegistry | None = None, name: str = "ropeway", gateway_id: str = "", **options: Any
+) -> Graph:
+    """Make a graph and open it; the caller closes it. Raises ``GraphUnavailable`` or ``ConnectFailed``."""
+    graph = make_graph(url, registry=registry, name=name, gateway_id=gateway_id, **options)
+    await graph.open()
+    return graph
+
+
+def _auto() -> str:
+    from ropeway.networks.ros2 import rclpy_fault
+
+    return f"{'dds' if rclpy_fault() else 'ros2'}:{_domain('auto')}"
+
+
+def _domain(url: str) -> int:
+    from ropeway.networks.ros2.environment import domain_of_environment
+
+    try:
+        return domain_of_environment()
+    except ValueError as error:
+        raise GraphUnavailable(url, str(error)) from error
+
+
+def _no_more(url: str, query: dict[str, str]) -> None:
+    if query:
+        known = {"dds": "; known are interface and distro", "overlay": "; known are router and unique"}.get(
+            url.partition(":")[0], ""
+        )
+        raise GraphUnavailable(url, f"{next(iter(query))!r} is no option of this kind of graph{known}")

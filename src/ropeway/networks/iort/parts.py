@@ -1,0 +1,268 @@
+"""Topics of the ``iort`` graph: publishers write text, subscriptions read it."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from ropeway.graph.base import Sample, SampleCallback, Undelivered
+from ropeway.networks.iort.forms import FAILURES, Form, Timed, default_form
+from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.store import CDR, Entry
+from ropeway.tasks import describe
+
+if TYPE_CHECKING:
+    from collections import Counter
+
+    from ropeway.fault_log import Complaints
+    from ropeway.graph.deduplication import Seen
+    from ropeway.networks.iort.links import Link
+    from ropeway.networks.iort.maps import TopicMap
+    from ropeway.types import TypeRegistry
+
+__all__ = ["ROS_ORIGIN", "Feed", "IortPublisher", "IortSubscription"]
+
+_NANOSECONDS: Final = 1 << 59  # a number above is a time stamp, not a count
+
+ROS_ORIGIN: Final = "ros:"
+"""What the origin of an entry begins with whose first publisher was one of ROS; 32 hexadecimal digits follow."""
+
+
+class Host(Protocol):
+    """What a publisher or a subscription needs of its graph."""
+
+    link: Link
+    registry: TypeRegistry
+    drops: Counter[tuple[str, Undelivered]]
+    complaints: Complaints
+    loop: asyncio.AbstractEventLoop
+
+    @property
+    def own_mark(self) -> str:
+        """What the origin of a message of ours ends with."""
+        ...
+
+    def resolved(self, topic: str, direction: str) -> list[tuple[str, str, TopicMap | None]]:
+        """Return where a ROS topic goes to or comes from, and by which map."""
+        ...
+
+    def offered(self, topic: str) -> list[QoS]:
+        """Return the profiles of those who publish a topic."""
+        ...
+
+    def had(self, system: str, topic: str) -> Seen:
+        """Return what has come from a topic of a robot, which need not go back."""
+        ...
+
+    def guard(self, topic: str, callback: Callable[..., None], *args: Any) -> bool:
+        """Call somebody's function, and return whether it did not fail."""
+        ...
+
+    async def withdraw(self, publisher: IortPublisher) -> None:
+        """Publish a topic no more."""
+        ...
+
+    async def forget(self, subscription: IortSubscription) -> None:
+        """Read a topic no more."""
+        ...
+
+
+class IortPublisher:
+    """A ROS topic published to the nodes behind it."""
+
+    def __init__(self, graph: Host, topic: str, type: str, qos: QoS) -> None:
+        self.topic, self.type, self.qos = topic, type, qos
+        self.closed = False
+        self._graph = graph
+        self.targets: list[tuple[str, str, Form, TopicMap | None]] = [
+            (system, name, map.make_form(graph.registry) if map else default_form(type, graph.registry), map)
+            for system, name, map in graph.resolved(topic, "out")
+        ]
+
+    def publish(self, sample: Sample) -> None:
+        """Convert and send; what cannot be converted is counted."""
+        graph = self._graph
+        if self.closed:
+            graph.drops[self.topic, Undelivered.CLOSED] += 1
+            return
+        stamp_ns = sample.seq if sample.seq > _NANOSECONDS else sample.stamp_ns or time.time_ns()
+        origin = f"{ROS_ORIGIN}{sample.origin.hex()}{graph.own_mark}"
+        for system, topic, form, map in self.targets:
+            if graph.had(system, topic).has(sample):
+                continue  # it came from there
+            try:
+                data = form.text(bytes(sample.payload))
+            except FAILURES as error:
+                graph.drops[self.topic, Undelivered.ENCODE] += 1
+                graph.complaints.note("message", f"{system}/{topic}", f"it is not passed on: {describe(error)}")
+                continue
+            if data is None:
+                continue
+            type = "" if map is not None else self.type
+            if not graph.link.publish(system, topic, data, type, stamp_ns, origin, ""):
+                graph.drops[self.topic, Undelivered.WRITE] += 1
+
+    @property
+    def subscribers(self) -> None:
+        """Unknown: nodes read when they like, from the store."""
+        return None
+
+    def on_demand(self, callback: Callable[[int], None]) -> None:
+        """Never called; see ``subscribers``."""
+
+    async def close(self) -> None:
+        """Withdraw the topic; its last value stays."""
+        if not self.closed:
+            self.closed = True
+            await self._graph.withdraw(self)
+
+
+class Feed:
+    """What comes of one topic of nodes, for all subscriptions that read it."""
+
+    def __init__(self, system: str, topic: str) -> None:
+        self.system, self.topic = system, topic
+        self.last: Entry | None = None
+        self.readers: list[tuple[IortSubscription, Form | None]] = []
+
+    def take(self, entry: Entry, latest: bool) -> None:
+        """A value came; ``latest``: it was there before."""
+        if self.last is None or self.last.order <= entry.order:
+            self.last = entry
+        for subscription, form in list(self.readers):
+            if not latest or subscription.qos.transient_local or subscription.had(self):
+                subscription.take(self, entry, form)
+
+
+class IortSubscription:
+    """A ROS topic that nodes publish."""
+
+    def __init__(self, graph: Host, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
+        self.topic, self.type = topic, type
+        self.closed = False
+        self._graph, self._callback = graph, callback
+        self._adopt = qos is None
+        self._qos = qos or DEFAULT
+        self._plain: Form | None = None
+        self._on_qos: list[Callable[[QoS], None]] = []
+        self._feeds: list[tuple[Feed, Form | None]] = []
+        self._had: dict[int, tuple[int, str]] = {}
+        self._batch: list[Sample] = []
+        self._scheduled = False
+        self._timers: dict[int, list[asyncio.TimerHandle]] = {}
+
+    @property
+    def qos(self) -> QoS:
+        """The profile in use."""
+        return self._qos
+
+    def on_qos(self, callback: Callable[[QoS], None]) -> None:
+        """Call with the profile, now and when the adopted one changes."""
+        self._on_qos.append(callback)
+        callback(self._qos)
+
+    def join(self, feed: Feed, form: Form | None) -> None:
+        """Read a topic of nodes; ``form`` is that of its map."""
+        feed.readers.append((self, form))
+        self._feeds.append((feed, form))
+        self._catch_up()
+
+    def had(self, feed: Feed) -> bool:
+        """True if it had a value of this topic: after a cut the newest comes again."""
+        return id(feed) in self._had
+
+    def readopt(self) -> None:
+        """Follow the publishers' profiles, where it was made to."""
+        if not self._adopt or self.closed:
+            return
+        qos = common_qos(self._graph.offered(self.topic), self._qos)
+        if qos != self._qos:
+            self._qos = qos
+            for callback in self._on_qos:
+                self._graph.guard(self.topic, callback, qos)
+        self._catch_up()
+
+    def _catch_up(self) -> None:
+        if self._qos.transient_local:
+            for feed, form in self._feeds:
+                if feed.last is not None:
+                    self.take(feed, feed.last, form)
+
+    def take(self, feed: Feed, entry: Entry, form: Form | None) -> None:
+        """Convert a value and hand it over in the next turn of the loop."""
+        if self.closed or self._had.get(id(feed), (-1, "")) >= entry.order:
+            return
+        self._had[id(feed)] = entry.order
+        try:
+            messages = self._messages(entry, form)
+        except FAILURES as error:
+            self._graph.drops[self.topic, Undelivered.DECODE] += 1
+            where = f"{entry.system}/{entry.topic}"
+            self._graph.complaints.note("value", where, f"it is not passed on to {self.topic}: {describe(error)}")
+            return
+        for timer in self._timers.pop(id(feed), ()):
+            timer.cancel()
+        for delay_s, payload in messages:
+            sample = Sample(payload, self.type, time.time_ns(), _origin(entry), entry.stamp_ns)
+            if delay_s:
+                timer = self._graph.loop.call_later(delay_s, self._later, feed, sample)
+                self._timers.setdefault(id(feed), []).append(timer)
+            else:
+                self._add(feed, sample)
+
+    def _messages(self, entry: Entry, form: Form | None) -> list[Timed]:
+        if entry.form == CDR:
+            if entry.type != self.type:
+                raise ValueError(f"{entry.type} is not {self.type}")
+            return [(0.0, entry.data)]
+        if form is None:
+            if self._plain is None:
+                self._plain = default_form(self.type, self._graph.registry)
+            form = self._plain
+        return form.messages(entry.data)
+
+    def _later(self, feed: Feed, sample: Sample) -> None:
+        sample.stamp_ns = sample.seq = time.time_ns()
+        self._add(feed, sample)
+
+    def _add(self, feed: Feed, sample: Sample) -> None:
+        self._graph.had(feed.system, feed.topic).add(sample)
+        self._batch.append(sample)
+        if not self._scheduled:
+            self._scheduled = True
+            self._graph.loop.call_soon(self._deliver)
+
+    def _deliver(self) -> None:
+        self._scheduled = False
+        batch, self._batch = self._batch, []
+        if self.closed or not batch:
+            return
+        if not self._graph.guard(self.topic, self._callback, batch):
+            self._graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
+
+    async def close(self) -> None:
+        """Stop reading."""
+        if self.closed:
+            return
+        self.closed = True
+        for timers in self._timers.values():
+            for timer in timers:
+                timer.cancel()
+        self._timers.clear()
+        await self._graph.forget(self)
+
+
+def _origin(entry: Entry) -> bytes:
+    """16 bytes: those of the first publisher, where it was a graph of ROS."""
+    text = entry.origin
+    if text.startswith(ROS_ORIGIN):
+        try:
+            raw = bytes.fromhex(text.removeprefix(ROS_ORIGIN)[:32])
+        except ValueError:
+            raw = b""
+        if len(raw) == 16 and any(raw):
+            return raw
+    return hashlib.sha256(text.encode()).digest()[:16]

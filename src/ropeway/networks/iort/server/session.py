@@ -1,0 +1,504 @@
+"""One node's connection: reads packets, answers what asks for an answer, and sends what the node subscribed to."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from ropeway.delivery.pacing.flow import Flow
+from ropeway.errors import AccessDenied, StoreUnavailable, TypesError, ValueRefused
+from ropeway.iort import KINDS, Fault, NodeError, Packet, Parser, identifier_of, is_http, origin_of, pack
+from ropeway.limits import HTTP_HEAD_BYTES, NODE_UNREAD_BYTES, WRONG_TOKENS_PER_CONNECTION
+from ropeway.listener.authorization import Access
+from ropeway.listener.lobby import Visit
+from ropeway.networks.iort.server.pushes import Pushes
+from ropeway.networks.iort.space import Endpoint, is_pattern
+from ropeway.store import Entry, as_json
+
+if TYPE_CHECKING:
+    from ropeway.networks.iort.server.server import IortServer
+
+__all__ = ["Session"]
+
+log = logging.getLogger("ropeway.iort")
+
+_OURS: Final = "00"  # the identifier of the server
+_IDENTIFIER_CHARACTERS: Final = 40  # of one that is shown in the status
+
+
+class Session(asyncio.Protocol):
+    """See the module. It is a member of the space."""
+
+    def __init__(self, server: IortServer, visit: Visit) -> None:
+        self.server, self.space = server, server.space
+        self._visit = visit
+        self._login: asyncio.TimerHandle | None = None
+        self._wrong_tokens = 0
+        self.node = ""
+        self.peer = ""
+        self.kind = ""  # one of KINDS, where the node or the configuration tells
+        self.identifier = ""  # of its packets
+        self.access: Access | None = None
+        self.upgraded = False
+        self.last_heard = time.monotonic()
+        self.began: float | None = None  # when the packet that is coming in began
+        self.origin = ""
+        self.superseded = 0
+        self._parser = Parser(min(server.max_packet_bytes, HTTP_HEAD_BYTES))  # until it is let in
+        self.transport: asyncio.Transport | None = None
+        self._items: deque[Packet | Fault] = deque()  # what came, while the node does not read our answers
+        self._out: list[bytes] = []
+        self._out_bytes = 0
+        self._scheduled = False
+        self._heard = self._paused = False
+        self._looking = False  # a value is looked up elsewhere, or deleted; what came after that request waits
+        self._flow = Flow(self._catch_up)
+        self._pushes = Pushes(self._superseded)
+        self._watching = False
+
+    # ── what the event loop calls ──────────────────────────────────────────────────────────────────────────────
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """A node connected."""
+        self.transport = cast(asyncio.Transport, transport)
+        self.transport.set_write_buffer_limits(high=NODE_UNREAD_BYTES)
+        self._flow.open(self.transport.get_extra_info("socket"))
+        self._visit.drop = self.transport.abort
+        self.server.welcome(self, self.transport)
+
+    def expect_login(self, seconds: float) -> None:
+        """Give the node up unless it is let in within ``seconds``."""
+        self._login = asyncio.get_running_loop().call_later(seconds, self.server.too_late, self)
+
+    def let_in(self, access: Access, max_packet_bytes: int) -> None:
+        """Have the node do what ``access`` allows, with packets of up to ``max_packet_bytes``."""
+        self.access = access
+        self._parser.max_bytes = max_packet_bytes
+        self._end_visit()
+
+    def _end_visit(self) -> None:
+        self._visit.leave()
+        if self._login is not None:
+            self._login.cancel()
+            self._login = None
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It is gone."""
+        self.transport = None
+        self._end_visit()
+        self._items.clear()
+        self._out.clear()
+        self._pushes.clear()
+        self._flow.close()
+        self.server.gone(self)
+
+    def pause_writing(self) -> None:
+        """The node reads slower than we send."""
+        self._paused = True
+        if self.transport is not None:
+            self.transport.pause_reading()
+
+    def resume_writing(self) -> None:
+        """Go on: the node caught up."""
+        self._paused = False
+        self._catch_up()
+        self._work()
+
+    def _catch_up(self) -> None:
+        """Send the newest value of each topic that waits, as far as the link takes it."""
+        while not self._paused and self._flow.free and (taken := self._pushes.take()) is not None:
+            self._pushed(*taken)
+            self.flush()
+
+    def data_received(self, data: bytes) -> None:
+        """Take what came; of a stranger packet by packet: one may let it in, and with it bigger ones."""
+        if not self._heard and is_http(data):
+            self.server.browser_came(self)
+            return
+        if not self._heard:
+            self._heard = True
+            if not self.server.heard(self):
+                return
+        while self.access is None and data:
+            cut = data.find(b"%") + 1 or len(data)
+            self._take(data[:cut])
+            data = data[cut:]
+        if data:
+            self._take(data)
+
+    def _take(self, data: bytes) -> None:
+        self.last_heard = now = time.monotonic()
+        self._items += self._parser.feed(data)
+        self.began = (self.began or now) if self._parser.unfinished else None
+        self._work()
+
+    def _work(self) -> None:
+        """Answer what came, as long as the node reads; what is left waits, and no more is read until then."""
+        items = self._items
+        while items and not self._paused and not self._looking:
+            item = items.popleft()
+            if isinstance(item, Packet):
+                self._packet(item)
+            else:
+                self._fault(item)
+            if self._out_bytes > NODE_UNREAD_BYTES:
+                self.flush()
+        self.flush()
+        if self.transport is None:
+            return
+        if self._looking:
+            self.transport.pause_reading()
+        elif not self._paused:
+            self.transport.resume_reading()
+
+    # ── sending ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def close(self, code: str = "", text: str = "") -> None:
+        """End the connection; ``code`` and ``text`` tell an upgraded node why."""
+        if code and self.upgraded:
+            self._error("", code, text)
+        self._items.clear()
+        self.flush()
+        if self.transport is not None:
+            self.transport.close()
+
+    def flush(self) -> None:
+        """Send what was collected, in one write."""
+        self._scheduled = False
+        if self._out and self.transport is not None and not self.transport.is_closing():
+            data = b"".join(self._out)
+            self.transport.write(data)
+            self._flow.sent(len(data))
+        self._out.clear()
+        self._out_bytes = 0
+
+    def _send(self, raw: bytes) -> None:
+        self._out.append(raw)
+        self._out_bytes += len(raw)
+        if not self._scheduled:
+            self._scheduled = True
+            asyncio.get_running_loop().call_soon(self.flush)
+
+    def _error(self, number: str, code: str, text: str) -> None:
+        head = {"n": number, "code": code} if number else {"code": code}
+        self._send(pack(_OURS, "-", "-", "+err", head, text.encode()))
+
+    def _ok(self, number: str, **head: object) -> None:
+        if number:
+            self._send(pack(_OURS, "-", "-", "+ok", {"n": number, **head}))
+
+    def _value(self, entry: Entry, latest: bool, number: str = "") -> bytes:
+        head: dict[str, object] = {"n": number} if number else {}
+        head |= {"t": entry.stamp_ns, "v": entry.version, "o": entry.origin}
+        if entry.type:
+            head["k"] = entry.type
+        if latest:
+            head["last"] = 1
+        return pack(_OURS, entry.system, entry.topic, "+val", head, self._text(entry))
+
+    def _text(self, entry: Entry) -> bytes:
+        """What a node is given. Raises ``NodeError`` where a message of ROS cannot be made text."""
+        if not entry.form:
+            return entry.data
+        try:
+            return self.server.render(entry)
+        except TypesError as error:
+            raise NodeError("conversion", str(error)) from None
+
+    def _pushed(self, entry: Entry, latest: bool) -> None:
+        """Send a value of a subscription."""
+        try:
+            self._send(self._value(entry, latest))
+        except NodeError as error:
+            self.server.counts[error.code] += 1
+
+    # ── what the space calls ───────────────────────────────────────────────────────────────────────────────────
+
+    def value(self, entry: Entry, latest: bool) -> None:
+        """A value of a topic that the node subscribed to."""
+        if self.access is None or not self.access.allows("subscribe", f"/{entry.system}/{entry.topic}"):
+            return
+        if not self._paused and self._flow.free and not self._pushes:
+            self._pushed(entry, latest)
+        else:
+            self._pushes.put(entry, latest)
+
+    def _superseded(self) -> None:
+        self.superseded += 1
+        self.server.counts["superseded"] += 1
+
+    def event(self, endpoint: Endpoint, there: bool) -> None:
+        """Somebody began or ceased to publish or read."""
+        if self.access is None or not self.access.allows("subscribe", f"/{endpoint.system}/{endpoint.topic}"):
+            return
+        head = {"kind": endpoint.kind, "here": int(there), "node": endpoint.node, "id": endpoint.id}
+        if endpoint.type:
+            head["k"] = endpoint.type
+        if endpoint.qos:
+            head["q"] = endpoint.qos
+        self._send(pack(_OURS, endpoint.system, endpoint.topic, "+evt", head))
+
+    def kept(self, tokens: list[Any], error: StoreUnavailable | None) -> None:
+        """The store tells which values survive a crash now."""
+        if error is None:
+            answers = [f"%00/-/-/+ok/n={number},v={version}%" for number, version in tokens]
+            self._send("".join(answers).encode())
+            return
+        self.server.counts["not-kept"] += len(tokens)
+        for number, _ in tokens:
+            self._error(number, "not-kept", f"the value is served but not kept yet: {error}")
+
+    # ── packets ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _fault(self, fault: Fault) -> None:
+        self.server.counts[fault.code] += 1
+        if self.upgraded:
+            self._error("", fault.code, fault.text)
+
+    def _packet(self, packet: Packet) -> None:
+        op = packet.op
+        self.server.counts["packets"] += 1
+        number = ""
+        if op[0] == "+":
+            self.upgraded = True
+            number = packet.head.get("n", "")
+            if "," in number or "=" in number or len(number) > 40:
+                self._error("", "malformed", "n is a short number")
+                return
+        try:
+            if self.access is None and op not in _FOR_STRANGERS:
+                raise NodeError("login", "who are you? +hello with a token, or a certificate, is needed here")
+            if op == "p":
+                self._publish_plain(packet)
+            elif op == "s":
+                self._read_plain(packet)
+            elif op == "d":
+                self.close()
+            elif op == "+pub":
+                self._publish(packet, number)
+            else:
+                handler = _HANDLERS.get(op)
+                if handler is None:
+                    raise NodeError("malformed", f"{op[:20]} is not known here")
+                handler(self, packet, number)
+        except NodeError as error:
+            self._refuse(packet, number, error.code, error.text)
+            if op == "+hello":
+                self._refused_hello()
+        except ValueRefused as error:
+            self._refuse(packet, number, error.code, str(error))
+        except AccessDenied as error:
+            self._refuse(packet, number, "denied", str(error))
+
+    def _refuse(self, packet: Packet, number: str, code: str, text: str) -> None:
+        self.server.counts[code] += 1
+        if packet.op == "s":
+            text = text.replace("%", "")
+            self._send(pack(_OURS, packet.system, packet.topic, "e", None, text.encode(), packet.system_type))
+        elif self.upgraded:
+            self._error(number, code, text)
+
+    def _refused_hello(self) -> None:
+        self._wrong_tokens += 1
+        if self._wrong_tokens >= WRONG_TOKENS_PER_CONNECTION:
+            self.close()
+
+    def _may(self, verb: str, packet: Packet) -> Access:
+        access = self.access
+        assert access is not None  # strangers do not get here
+        access.check(verb, f"/{packet.system}/{packet.topic}")
+        if access.limited:
+            access.spend(verb, f"/{packet.system}/{packet.topic}", len(packet.data))
+        return access
+
+    def _publish_plain(self, packet: Packet) -> None:
+        self._may("publish", packet)
+        self._known_as(packet.id)
+        origin = origin_of(packet.id, self.peer, self.kind)
+        self.space.publish(self, packet.system, packet.topic, packet.data, origin=origin)
+
+    def _known_as(self, identifier: str) -> None:
+        """Note the identifier of a plain packet; the configuration may say what kind of node has it."""
+        if identifier != self.identifier:
+            self.identifier = identifier[:_IDENTIFIER_CHARACTERS]
+            if not self.upgraded:
+                self.kind = self.server.kinds.get(identifier, "")
+
+    def _read_plain(self, packet: Packet) -> None:
+        self._known_as(packet.id)
+        self._answer_read(packet, partial(self._answer_plain, packet), "")
+
+    def _answer_plain(self, packet: Packet, entry: Entry) -> None:
+        data = self._text(entry)
+        id = identifier_of(entry.origin)
+        try:
+            answer = pack(id, packet.system, packet.topic, "p", None, data, packet.system_type)
+        except ValueError as error:
+            raise NodeError("conversion", str(error)) from None
+        self._send(answer)
+
+    def _answer_read(self, packet: Packet, answer: Callable[[Entry], None], number: str) -> None:
+        """Answer a read; a value that is not here is looked up in the database elsewhere, if there is one."""
+        self._may("subscribe", packet)
+        store = self.space.store
+        entry = store.get(packet.system, packet.topic)
+        if entry is not None:
+            answer(entry)
+        elif store.may_find(packet.system, packet.topic):
+            self._looking = True
+            self.server.spawn(self._look_further(packet, answer, number))
+        else:
+            raise self._no_value(packet, store.has_system(packet.system))
+
+    async def _look_further(self, packet: Packet, answer: Callable[[Entry], None], number: str) -> None:
+        store = self.space.store
+        try:
+            knows_system = await store.find(packet.system, packet.topic)
+            entry = store.get(packet.system, packet.topic)
+            if self.transport is None:
+                return
+            if entry is None:
+                raise self._no_value(packet, knows_system)
+            answer(entry)
+        except NodeError as error:
+            self._refuse(packet, number, error.code, error.text)
+        finally:
+            self._looking = False
+            self._work()
+
+    def _no_value(self, packet: Packet, knows_system: bool) -> NodeError:
+        if not knows_system:
+            return NodeError("unknown-system", f"no value of the system {packet.system} is there")
+        return NodeError("unknown-topic", f"no value of {packet.system}/{packet.topic} is there")
+
+    def _publish(self, packet: Packet, number: str) -> None:
+        head = packet.head
+        self._may("publish", packet)
+        try:
+            stamp_ns, version = int(head.get("t", "0")), int(head.get("v", "0"))
+        except ValueError:
+            raise NodeError("malformed", "t and v are whole numbers") from None
+        if not (0 <= stamp_ns < 1 << 63 and 0 <= version < 1 << 63):
+            raise NodeError("malformed", "t and v are whole numbers of up to 63 bits")
+        merge = head.get("m") == "1"
+        origin = head.get("o") or self.origin or origin_of(packet.id, self.peer, self.kind)
+        token = [number, version]
+        entry = self.space.publish(
+            self,
+            packet.system,
+            packet.topic,
+            packet.data,
+            origin=origin[:200],
+            stamp_ns=stamp_ns,
+            version=version,
+            merge=merge,
+            type=head.get("k", "")[:200],
+            sink=self if number else None,
+            token=token,
+        )
+        token[1] = entry.version
+
+    def _hello(self, packet: Packet, number: str) -> None:
+        note = self.server.hello(self, packet.system, packet.head.get("token"))
+        kind = packet.head.get("kind", "")
+        self.kind = kind if kind in KINDS else self.server.kinds.get(packet.id, "")
+        self.identifier = packet.id[:_IDENTIFIER_CHARACTERS]
+        self.origin = packet.head.get("o", "")[:200] or origin_of(packet.id, f"{packet.system}@{self.peer}", self.kind)
+        answer = {"n": number, "t": time.time_ns(), "max": self._parser.max_bytes}
+        self._send(pack(_OURS, "-", "-", "+ok", answer, note.encode()))
+
+    def _get(self, packet: Packet, number: str) -> None:
+        def answer(entry: Entry) -> None:
+            if number:
+                self._send(self._value(entry, False, number))
+
+        self._answer_read(packet, answer, number)
+
+    def _subscribe(self, packet: Packet, number: str) -> None:
+        if not (is_pattern(packet.system) or is_pattern(packet.topic)):  # else each value is looked at when it comes
+            self._may("subscribe", packet)
+        self.space.check_subscription(self, packet.system, packet.topic)
+        self._ok(number)
+        latest, head = packet.head.get("last", "1") == "1", packet.head
+        self.space.subscribe(
+            self, packet.system, packet.topic, latest=latest, type=head.get("k", ""), qos=head.get("q", "")
+        )
+
+    def _unsubscribe(self, packet: Packet, number: str) -> None:
+        self.space.unsubscribe(self, packet.system, packet.topic)
+        self._ok(number)
+
+    def _advertise(self, packet: Packet, number: str) -> None:
+        self._may("publish", packet)
+        head = packet.head
+        self.space.advertise(self, packet.system, packet.topic, head.get("k", "")[:200], head.get("q", "")[:2000])
+        self._ok(number)
+
+    def _withdraw(self, packet: Packet, number: str) -> None:
+        self.space.withdraw(self, packet.system, packet.topic)
+        self._ok(number)
+
+    def _watch(self, packet: Packet, number: str) -> None:
+        self._ok(number)
+        if not self._watching:
+            self._watching = True
+            self.space.watch(self)
+
+    def _list(self, packet: Packet, number: str) -> None:
+        access = self.access
+        assert access is not None
+        found = [
+            as_json(entry, age_s=round(entry.age_s(), 3))
+            for entry in self.space.store.entries(packet.system, packet.topic)
+            if access.allows("subscribe", f"/{entry.system}/{entry.topic}")
+        ]
+        if number:
+            self._send(pack(_OURS, "-", "-", "+val", {"n": number}, json.dumps(found).encode()))
+
+    def _delete(self, packet: Packet, number: str) -> None:
+        self._may("publish", packet)
+        self._looking = True
+        self.server.spawn(self._deleted(packet, number))
+
+    async def _deleted(self, packet: Packet, number: str) -> None:
+        try:
+            there = await self.space.store.remove(packet.system, packet.topic)
+        except StoreUnavailable as error:
+            self._error(number, "not-kept", str(error))
+        else:
+            if there:
+                self._ok(number)
+            else:
+                self._error(number, "unknown-topic", f"no value of {packet.system}/{packet.topic} is there")
+        finally:
+            self._looking = False
+            self._work()
+
+    def _ping(self, packet: Packet, number: str) -> None:
+        self._send(pack(_OURS, "-", "-", "+ok", {"n": number, "t": time.time_ns()} if number else None))
+
+    def _bye(self, packet: Packet, number: str) -> None:
+        self._ok(number)
+        self.close()
+
+
+_FOR_STRANGERS: Final = frozenset(("+hello", "+ping", "+bye", "d"))  # what a node may say that is not in
+_HANDLERS: Final[dict[str, Callable[[Session, Packet, str], None]]] = {
+    "+hello": Session._hello,
+    "+get": Session._get,
+    "+sub": Session._subscribe,
+    "+unsub": Session._unsubscribe,
+    "+adv": Session._advertise,
+    "+unadv": Session._withdraw,
+    "+watch": Session._watch,
+    "+list": Session._list,
+    "+del": Session._delete,
+    "+ping": Session._ping,
+    "+bye": Session._bye,
+}

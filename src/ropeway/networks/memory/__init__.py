@@ -1,0 +1,1 @@
+"""Graphs within one process, for tests, examples and demos: the smallest network there is."""

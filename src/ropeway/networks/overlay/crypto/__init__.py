@@ -1,0 +1,1 @@
+"""Certificates, keys and sealed packets of a fleet, without I/O."""

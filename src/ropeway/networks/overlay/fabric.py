@@ -1,0 +1,409 @@
+"""The data plane as the rest of the overlay sees it: one Zenoh session, on the event loop.
+
+Zenoh calls back in threads of its own. What comes is handed to the loop in batches; what goes out goes through one
+thread per lane, because a congested link blocks who writes to it, and only those of its own lane.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+from collections.abc import Callable, Collection
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any, Final, TypeVar
+
+import zenoh
+
+from ropeway.errors import GraphUnavailable
+from ropeway.limits import OVERLAY_NOTE_BYTES, OVERLAY_ROUTED_BYTES, OVERLAY_WAITING_NOTES_BYTES
+from ropeway.networks.overlay.inlet import Inlet, one_by_one
+from ropeway.networks.overlay.link_sockets import Losses, set_options
+from ropeway.networks.overlay.zenoh_config import MEMBER_DEAD_MS, ROUTER_DEAD_MS
+from ropeway.tasks import Supervised, end
+
+__all__ = ["CRL_KEY", "Asked", "Fabric", "Handle"]
+
+log = logging.getLogger("ropeway.overlay")
+
+CRL_KEY: Final = "rw/crl"
+"""Where the fleet's revocation list is told and asked for."""
+
+_CLOSE_S: Final = 5.0
+_LET_GO_S: Final = 0.3  # routers compute their maps within 0.1 s; who comes back earlier may be left off them
+_REOPEN_S: Final = 10.0  # what is sent waits so long for a new session
+_LOOK_S: Final = 2.0  # at what links lose
+_ANSWER_BYTES: Final = 100  # what an answer costs beside its payload
+_PRIORITIES: Final = (
+    zenoh.Priority.REAL_TIME,
+    zenoh.Priority.INTERACTIVE_HIGH,
+    zenoh.Priority.INTERACTIVE_LOW,
+    zenoh.Priority.DATA_HIGH,
+    zenoh.Priority.DATA,
+    zenoh.Priority.DATA_LOW,
+    zenoh.Priority.DATA_LOW,
+    zenoh.Priority.BACKGROUND,
+)
+
+T = TypeVar("T")
+Handle = Callable[[], None]
+"""Called to end what was declared; may be called again."""
+
+
+class Asked:
+    """A query that somebody asks us; answered at most once, and given up when it is let go."""
+
+    __slots__ = ("_query", "payload")
+
+    def __init__(self, query: zenoh.Query) -> None:
+        self._query: zenoh.Query | None = query
+        self.payload = bytes(query.payload) if query.payload is not None else b""
+
+    def part(self, payload: bytes) -> None:
+        """One answer of several."""
+        if self._query is not None:
+            with contextlib.suppress(zenoh.ZError):  # who asked has left
+                self._query.reply(self._query.key_expr, payload)
+
+    def done(self) -> None:
+        """No more answers come."""
+        query, self._query = self._query, None
+        if query is not None:
+            query.drop()  # type: ignore[no-untyped-call]
+
+    def answer(self, payload: bytes) -> None:
+        """The only answer."""
+        self.part(payload)
+        self.done()
+
+
+class _Declared:
+    """Something that is declared in a session, and how."""
+
+    def __init__(self, declare: Callable[[zenoh.Session], Any]) -> None:
+        self.declare = declare
+        self.made: Any = None
+
+
+class Fabric:
+    """One Zenoh session. ``gateway`` is its id, 16 bytes, which is also ours in the overlay.
+
+    A link whose far end acknowledges nothing is given up, one to a router later than one to another gateway:
+    ``routers`` are their endpoints.
+    """
+
+    def __init__(self, config: zenoh.Config, gateway: bytes, *, routers: Collection[str] = ()) -> None:
+        self._router_ports = {endpoint.rpartition(":")[2] for endpoint in routers}
+        self.gateway = gateway
+        self._config = config
+        self._session: zenoh.Session | None = None
+        self._lanes: dict[int, ThreadPoolExecutor] = {}
+        self._link_events: Any = None
+        self._watching: Supervised | None = None
+        self._declared: dict[_Declared, None] = {}
+        self._open = asyncio.Event()
+        self._ready = threading.Event()  # the same, for threads
+        self._changing = asyncio.Lock()
+        self._loop: asyncio.AbstractEventLoop
+
+    async def open(self) -> None:
+        """Start the session; it goes on trying to reach its routers. Raises ``GraphUnavailable``."""
+        self._loop = asyncio.get_running_loop()
+        async with self._changing:
+            await self._start()
+
+    async def _start(self) -> None:
+        try:
+            self._session = await asyncio.to_thread(zenoh.open, self._config)
+        except zenoh.ZError as error:
+            raise GraphUnavailable("overlay", f"Zenoh cannot start: {error}") from error
+        self._link_events = self._session.info.declare_link_events_listener(self._link_changed, history=True)
+        for declared in self._declared:
+            declared.made = declared.declare(self._session)
+        self._open.set()
+        self._ready.set()
+        if self._watching is None:
+            self._watching = Supervised(self._watch, "overlay: losses of links").start()
+
+    async def _watch(self) -> None:
+        """Have connections that lose packets use a congestion control that bears it."""
+        losses = Losses()
+        while True:
+            await asyncio.sleep(_LOOK_S)
+            if self._session is not None:
+                losses.look({(str(link.src), str(link.dst)) for link in self._session.info.links()})
+
+    async def reopen(self, config: zenoh.Config) -> None:
+        """Go on with another configuration: links are made anew, and what was declared is declared again.
+
+        What is sent meanwhile waits. Raises ``GraphUnavailable`` where the session cannot start; may be called again.
+        """
+        async with self._changing:
+            self._config = config
+            await self._stop()
+            await asyncio.sleep(_LET_GO_S)
+            await self._start()
+
+    async def close(self) -> None:
+        """End the session; nothing is delivered after this returns."""
+        async with self._changing:
+            self._declared.clear()
+            await end(self._watching)
+            self._watching = None
+            await self._stop()
+        for lane in self._lanes.values():
+            lane.shutdown(wait=False, cancel_futures=True)
+        self._lanes.clear()
+
+    async def _stop(self) -> None:
+        self._open.clear()
+        self._ready.clear()
+        session, self._session = self._session, None
+        listener, self._link_events = self._link_events, None
+        if listener is not None:
+            listener.undeclare()
+        if session is not None:
+            try:
+                async with asyncio.timeout(_CLOSE_S):
+                    await asyncio.to_thread(session.close)
+            except TimeoutError:
+                log.warning("overlay: Zenoh did not close within %g s", _CLOSE_S)
+        for declared in self._declared:
+            declared.made = None
+
+    def _link_changed(self, event: zenoh.LinkEvent) -> None:
+        """In a thread of Zenoh's."""
+        if event.kind == zenoh.SampleKind.PUT:
+            target = str(event.link.dst)
+            to_router = target.rpartition(":")[2] in self._router_ports
+            set_options(str(event.link.src), target, MEMBER_DEAD_MS if to_router else ROUTER_DEAD_MS)
+
+    def linked_with(self, names: Collection[str]) -> bool:
+        """Whether a link with one of these names in its certificate stands."""
+        links = self._session.info.links() if self._session is not None else []
+        return any(link.auth_identifier in names for link in links)
+
+    @property
+    def session(self) -> zenoh.Session:
+        """The session. Raises ``GraphUnavailable`` where there is none."""
+        if self._session is None:
+            raise GraphUnavailable("overlay", "it is not open")
+        return self._session
+
+    # ── hearing ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def subscribe(self, key: str, callback: Callable[[str, zenoh.ZBytes, zenoh.ZBytes | None], None]) -> Handle:
+        """Have ``callback(key, payload, attachment)`` called in Zenoh's thread for what is put under ``key``."""
+
+        def take(sample: zenoh.Sample) -> None:
+            callback(str(sample.key_expr), sample.payload, sample.attachment)
+
+        handler = zenoh.handlers.Callback(take, indirect=False)
+        return self._declare(lambda session: session.declare_subscriber(key, handler))
+
+    def hear(
+        self, key: str, callback: Callable[[str, bytes], None], *, limit_bytes: int = OVERLAY_NOTE_BYTES
+    ) -> Handle:
+        """The same on the loop, for payloads of ``limit_bytes`` at most."""
+        inlet: Inlet[tuple[str, bytes]] = Inlet(self._loop, one_by_one(lambda item: callback(*item)))
+
+        def take(key: str, payload: zenoh.ZBytes, _: object) -> None:
+            if len(payload) <= limit_bytes:
+                inlet.put((key, bytes(payload)), len(payload))
+            else:
+                inlet.lost += 1
+
+        end = self.subscribe(key, take)
+
+        def close() -> None:
+            inlet.closed = True
+            end()
+
+        return close
+
+    def watch(self, key: str, callback: Callable[[str, bool], None]) -> Handle:
+        """Have ``callback(key, alive)`` called on the loop for tokens that come and go, and are there now."""
+        inlet: Inlet[tuple[str, bool]] = Inlet(self._loop, one_by_one(lambda item: callback(*item)))
+
+        def take(sample: zenoh.Sample) -> None:
+            inlet.put((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+
+        handler = zenoh.handlers.Callback(take, indirect=False)
+        end = self._declare(lambda session: session.liveliness().declare_subscriber(key, handler, history=True))
+
+        def close() -> None:
+            inlet.closed = True
+            end()
+
+        return close
+
+    def serve(
+        self, key: str, callback: Callable[[Asked], None], *, limit_bytes: int = OVERLAY_WAITING_NOTES_BYTES
+    ) -> Handle:
+        """Have ``callback`` called on the loop for each query of ``key``; ``limit_bytes`` of them may wait for it."""
+        inlet: Inlet[Asked] = Inlet(self._loop, one_by_one(callback), limit_bytes=limit_bytes, on_lost=Asked.done)
+
+        def take(query: zenoh.Query) -> None:
+            asked = Asked(query)
+            inlet.put(asked, len(asked.payload))
+
+        handler = zenoh.handlers.Callback(take, indirect=False)
+        end = self._declare(lambda session: session.declare_queryable(key, handler, complete=True))
+
+        def close() -> None:
+            inlet.closed = True
+            end()
+
+        return close
+
+    def token(self, key: str) -> Handle:
+        """Show that we are alive under ``key``."""
+        return self._declare(lambda session: session.liveliness().declare_token(key))
+
+    def _declare(self, declare: Callable[[zenoh.Session], Any]) -> Handle:
+        """Declare something now, and again with every new session until it is ended."""
+        declared = _Declared(declare)
+        if not self._changing.locked():  # else it is declared with the rest
+            declared.made = declare(self.session)
+        self._declared[declared] = None
+
+        def end() -> None:
+            self._declared.pop(declared, None)
+            made, declared.made = declared.made, None
+            if made is not None:
+                with contextlib.suppress(zenoh.ZError):  # the session has closed
+                    made.undeclare()
+
+        return end
+
+    # ── telling ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def tell(self, key: str, payload: bytes) -> None:
+        """Put a small note; lost where the link is congested, and while the session is made anew."""
+        if self._session is None:
+            return
+        self._session.put(
+            key,
+            payload,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+        )
+
+    def short(self, key: str) -> zenoh.KeyExpr:
+        """A key that goes over each link once, and as a number from then on; see ``forget``."""
+        self._ready.wait(_REOPEN_S)
+        made: zenoh.KeyExpr = self.session.declare_keyexpr(key)
+        return made
+
+    def forget(self, key: zenoh.KeyExpr) -> None:
+        """Take a short key back."""
+        if self._session is not None:
+            with contextlib.suppress(zenoh.ZError):
+                self._session.undeclare(key)
+
+    def put(self, lane: int, key: str | zenoh.KeyExpr, payload: bytes, mark: bytes | None = None) -> None:
+        """Put data, with a mark beside it; waits while the link is congested, so call it in the lane's thread."""
+        self._ready.wait(_REOPEN_S)
+        self.session.put(
+            key,
+            payload,
+            attachment=mark,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=_PRIORITIES[lane],
+            express=True,
+        )
+
+    def in_lane(self, lane: int, work: Callable[[], T]) -> asyncio.Future[T]:
+        """Run ``work`` in the thread of a lane, in order."""
+        executor = self._lanes.get(lane)
+        if executor is None:
+            executor = self._lanes[lane] = ThreadPoolExecutor(1, thread_name_prefix=f"overlay-lane-{lane}")
+        return self._loop.run_in_executor(executor, work)
+
+    async def ask(
+        self,
+        key: str,
+        payload: bytes,
+        timeout_s: float,
+        *,
+        lane: int = 1,
+        limit_bytes: int = OVERLAY_ROUTED_BYTES,
+    ) -> list[bytes]:
+        """Every answer to a query, once all who can answer have; fewer, or none, after ``timeout_s``.
+
+        Answers beyond ``limit_bytes`` in all are not taken.
+        """
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(min(timeout_s, _REOPEN_S)):
+                await self._open.wait()
+        answers: list[bytes] = []
+        left = limit_bytes
+        done: asyncio.Future[None] = self._loop.create_future()
+
+        def finish() -> None:
+            if not done.done():
+                done.set_result(None)
+
+        def take(reply: zenoh.Reply) -> None:
+            nonlocal left
+            if reply.ok is None:
+                return
+            left -= len(reply.ok.payload) + _ANSWER_BYTES
+            if left >= 0:
+                answers.append(bytes(reply.ok.payload))
+
+        def dropped() -> None:
+            with contextlib.suppress(RuntimeError):  # the loop has closed
+                self._loop.call_soon_threadsafe(finish)
+
+        cancel = zenoh.CancellationToken()
+        get = partial(
+            self.session.get,
+            key,
+            zenoh.handlers.Callback(take, dropped, indirect=False),
+            payload=payload,
+            timeout=timeout_s,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=_PRIORITIES[lane],
+            express=True,
+            cancellation_token=cancel,
+        )
+        try:
+            if len(payload) > 1 << 16:
+                await asyncio.to_thread(get)
+            else:
+                get()
+            await done
+        finally:
+            if not done.done():
+                cancel.cancel()  # type: ignore[no-untyped-call]
+        return answers
+
+    async def linked(self, timeout_s: float) -> bool:
+        """Wait until a router or another gateway is linked with us; false when the time is over."""
+        changed = asyncio.Event()
+        changed.set()
+        inlet: Inlet[None] = Inlet(self._loop, lambda _: changed.set())
+        listener = self.session.info.declare_transport_events_listener(lambda _: inlet.put(None))
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not self.links():
+                    await changed.wait()
+                    changed.clear()
+        except TimeoutError:
+            return False
+        finally:
+            inlet.closed = True
+            if listener is not None:
+                listener.undeclare()  # type: ignore[no-untyped-call]
+        return True
+
+    # ── where ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def links(self) -> set[str]:
+        """The routers and gateways that we are linked with now, by Zenoh id."""
+        return {str(zid) for zid in self._session.info.routers_zid()} if self._session is not None else set()

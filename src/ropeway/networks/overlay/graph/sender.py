@@ -1,0 +1,370 @@
+"""Sends what publishers have: the freshest of every topic, decided when its path has room and not before.
+
+Where the gateways that read a topic acknowledge what came, no more is handed to Zenoh than is useful on the way, and
+big messages go in parts that small ones overtake. Where one does not, messages go whole, and Zenoh's queues decide.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Final, cast
+
+from ropeway.delivery.outbox import LANES, Outbox, Queue
+from ropeway.errors import GraphUnavailable
+from ropeway.graph.base import Sample, Undelivered
+from ropeway.networks.overlay.item import Item
+from ropeway.networks.overlay.mark import Mark
+from ropeway.networks.overlay.path import Path
+
+if TYPE_CHECKING:
+    from ropeway.networks.overlay.graph.graph import OverlayGraph
+    from ropeway.networks.overlay.graph.publisher import OverlayPublisher
+
+__all__ = ["Sender"]
+
+log = logging.getLogger("ropeway.overlay")
+
+_BATCH_BYTES: Final = 64 * 1024
+_BATCH: Final = 256
+_AHEAD_BYTES: Final = 2 * _BATCH_BYTES  # of small messages the next batch is made ready while one is sealed
+_ITEM_BYTES: Final = 64  # what a message costs beside its payload
+_PACKET_BYTES: Final = 200  # and what a packet costs
+_FLUSH_S: Final = 2.0
+_LOOK_S: Final = 0.25  # whether a path has stalled
+_OVERDRAFT_BYTES: Final = 4 * 1024
+_NO_LIMIT: Final = 1 << 40
+
+Job = tuple["OverlayPublisher", list[tuple[Item, bool]]]
+Lot = frozenset[bytes]
+"""The gateways that a message goes to."""
+
+
+class _Cursor:
+    """A message that goes in parts; ``packet`` is ``None`` while a thread seals it."""
+
+    __slots__ = ("at", "number", "packet", "publisher")
+
+    def __init__(self, publisher: OverlayPublisher, number: int) -> None:
+        self.publisher, self.number = publisher, number
+        self.packet: bytes | None = None
+        self.at = 0
+
+
+class _Group:
+    """The publishers that the same gateways read."""
+
+    def __init__(self, lot: Lot) -> None:
+        self.lot = lot
+        self.outbox: Outbox[Sample] = Outbox()
+        self.queues: set[Queue[Sample]] = set()
+        self.cursors: list[_Cursor | None] = [None] * LANES
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is in it any more."""
+        return not self.queues and not any(self.cursors)
+
+
+class Sender:
+    """Takes from the outboxes what may go now, and hands it to the threads of the lanes."""
+
+    def __init__(self, graph: OverlayGraph) -> None:
+        self._graph = graph
+        self._receipts = graph.node.receipts
+        self._groups: dict[Lot, _Group] = {}
+        self._group_of: dict[Queue[Sample], _Group] = {}
+        self._aims: dict[Queue[Sample], Lot] = {}  # of those that are to move once their message has gone
+        self._pending = [0] * LANES  # bytes on their way through the lanes' threads
+        self._sealing: set[asyncio.Future[bytes]] = set()
+        self._loop = asyncio.get_running_loop()
+        self._scheduled = self._pumping = self._closed = False
+        self._look: asyncio.TimerHandle | None = None
+        self._idle = asyncio.Event()
+        self._end = self._receipts.on_change(self.pump)
+
+    # ── publishers ─────────────────────────────────────────────────────────────────────────────────────────────
+
+    def open(self, queue: Queue[Sample]) -> None:
+        """Let a publisher use it."""
+        self._join(queue, frozenset())
+
+    def drop(self, queue: Queue[Sample]) -> None:
+        """A publisher has left; what waits is lost."""
+        self._aims.pop(queue, None)
+        group = self._group_of.pop(queue, None)
+        if group is not None:
+            group.outbox.close(queue)
+            self._leave(queue, group)
+
+    def aim(self, queue: Queue[Sample], gateways: Lot) -> None:
+        """Have what a publisher sends go to these gateways."""
+        group = self._group_of.get(queue)
+        if group is None:
+            return
+        self._aims.pop(queue, None)
+        if queue.under_way:
+            self._aims[queue] = gateways
+        elif gateways != group.lot:
+            waiting = group.outbox.release(queue)
+            self._leave(queue, group)
+            group = self._join(queue, gateways)
+            for sample in waiting:
+                group.outbox.put(queue, sample)
+            self._wake()
+
+    def _join(self, queue: Queue[Sample], lot: Lot) -> _Group:
+        group = self._groups.get(lot)
+        if group is None:
+            group = self._groups[lot] = _Group(lot)
+        group.queues.add(queue)
+        group.outbox.open(queue)
+        self._group_of[queue] = group
+        return group
+
+    def _leave(self, queue: Queue[Sample], group: _Group) -> None:
+        group.queues.discard(queue)
+        if group.idle:
+            self._groups.pop(group.lot, None)
+
+    def put(self, queue: Queue[Sample], sample: Sample) -> None:
+        """Let a message wait for its turn; what is full is sent first, if the path takes it."""
+        outbox = self._group_of[queue].outbox
+        if outbox.full(queue, len(sample.payload)):
+            self.pump()
+        outbox.put(queue, sample)
+        self._wake()
+
+    def slowest(self, queue: Queue[Sample]) -> float | None:
+        """Return the pace of the slowest path of a publisher, ``None`` where none acknowledges."""
+        group = self._group_of.get(queue)
+        paces = [] if group is None else [path.model.pace.bytes_per_s for path in self._paths(group)]
+        return min((pace for pace in paces if pace is not None), default=None)
+
+    async def flush(self, queue: Queue[Sample]) -> None:
+        """Wait until a publisher has nothing waiting, for a little while."""
+        try:
+            async with asyncio.timeout(_FLUSH_S):
+                while queue.waiting or queue.under_way or self._pending[queue.priority]:
+                    self._idle.clear()
+                    await self._idle.wait()
+        except TimeoutError:
+            log.debug("overlay: %s has left with %d messages unsent", self._graph.name, len(queue.waiting))
+
+    async def close(self) -> None:
+        """Send nothing more."""
+        self._closed = True
+        self._end()
+        if self._look is not None:
+            self._look.cancel()
+        for sealing in self._sealing:
+            sealing.cancel()
+        for group in self._groups.values():
+            group.outbox.clear()
+
+    # ── paths ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _paths(self, group: _Group) -> list[Path]:
+        paths = self._receipts.paths
+        return [paths[gateway] for gateway in group.lot if gateway in paths]
+
+    def _room_bytes(self, group: _Group) -> int:
+        """Return what the slowest path has room for; one that acknowledges nothing holds nobody up."""
+        now_s = time.monotonic()
+        return min((path.room_bytes(now_s) for path in self._paths(group)), default=_NO_LIMIT)
+
+    def _part_bytes(self, group: _Group) -> int:
+        """Return how large a packet may be that goes whole."""
+        paths = self._paths(group)
+        if not paths or len(paths) < len(group.lot):
+            return _NO_LIMIT  # somebody could not put the parts together
+        return min(path.part_bytes for path in paths)
+
+    # ── turns ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _wake(self) -> None:
+        if not self._scheduled:
+            self._scheduled = True
+            self._loop.call_soon(self._scheduled_pump)
+
+    def _scheduled_pump(self) -> None:
+        self._scheduled = False
+        self.pump()
+
+    def _look_again(self) -> None:
+        self._look = None
+        self.pump()
+
+    def pump(self) -> None:
+        """Hand over what may go now, the most urgent lane first. A call from inside goes on where it is."""
+        if self._pumping or self._closed:
+            return
+        self._pumping = True
+        try:
+            for lane in range(LANES):
+                while self._pending[lane] < _AHEAD_BYTES and self._turn(lane):
+                    pass
+        finally:
+            self._pumping = False
+        waits = any(group.outbox.messages or any(group.cursors) for group in self._groups.values())
+        if waits and self._look is None:
+            self._look = self._loop.call_later(_LOOK_S, self._look_again)
+
+    def _turn(self, lane: int) -> bool:
+        """Have the next group that can send something in a lane; return whether there was one."""
+        for lot, group in list(self._groups.items()):
+            waits = group.cursors[lane] or group.outbox.waits(lane)
+            if waits and self._send_within(self._room_bytes(group), lane, group):
+                if len(self._groups) > 1 and self._groups.get(lot) is group:  # to the end: the others are next
+                    self._groups[lot] = self._groups.pop(lot)
+                return True
+        return False
+
+    def _send_within(self, room_bytes: int, lane: int, group: _Group) -> bool:
+        """Send the next; small messages need not wait until the path has room, as they hardly take any."""
+        if room_bytes > 0:
+            return self._send_next(lane, group)
+        return room_bytes > -_OVERDRAFT_BYTES and self._send_whole(lane, group, small=True)
+
+    def _send_next(self, lane: int, group: _Group) -> bool:
+        cursor = group.cursors[lane]
+        if cursor is None or group.outbox.overtakes(lane, cursor.publisher.queue):
+            if self._send_whole(lane, group, small=cursor is not None):
+                return True
+            cursor = group.cursors[lane]
+        if cursor is None or cursor.packet is None:
+            return False
+        self._send_part(lane, group, cursor, cursor.packet)
+        return True
+
+    def _send_whole(self, lane: int, group: _Group, *, small: bool) -> bool:
+        jobs, size = self._gather(lane, group, small=small)
+        if jobs:
+            self._hand(lane, group, partial(self._send, lane, jobs, self._paths(group)), size, jobs)
+        return bool(jobs)
+
+    def _gather(self, lane: int, group: _Group, *, small: bool) -> tuple[list[Job], int]:
+        """Take what goes whole in one turn, by publisher; what goes in parts is begun."""
+        found: dict[OverlayPublisher, list[tuple[Item, bool]]] = {}
+        outbox, limit = group.outbox, self._part_bytes(group)
+        size = count = 0
+        while size < min(_BATCH_BYTES, limit) and count < _BATCH:
+            taken = outbox.take(lane, time.time_ns(), small=small)
+            if taken is None:
+                break
+            queue, sample = taken
+            publisher = cast("OverlayPublisher", queue.key)
+            length = len(sample.payload) + _ITEM_BYTES
+            piece = publisher.add(sample), publisher.packing.choose(length, queue.lost)
+            if length + _PACKET_BYTES > limit and not small:
+                self._begin(lane, group, publisher, piece)
+                break
+            found.setdefault(publisher, []).append(piece)
+            outbox.served(queue, length)
+            self._done(group, queue)
+            size += length
+            count += 1
+        return list(found.items()), size + _PACKET_BYTES * len(found)
+
+    def _done(self, group: _Group, queue: Queue[Sample]) -> None:
+        group.outbox.done(queue)
+        aim = self._aims.pop(queue, None)
+        if aim is not None:
+            self.aim(queue, aim)
+
+    # ── whole packets ──────────────────────────────────────────────────────────────────────────────────────────
+
+    def _hand(self, lane: int, group: _Group, work: Callable[[], None], size: int, jobs: Sequence[Job]) -> None:
+        """Have the lane's thread do something that sends about so many bytes."""
+        paths = self._paths(group)
+        self._pending[lane] += size
+        for path in paths:
+            path.hand(size)
+        future = self._graph.node.fabric.in_lane(lane, work)
+        future.add_done_callback(partial(self._handed, lane, paths, size, jobs))
+
+    def _handed(
+        self, lane: int, paths: Sequence[Path], size: int, jobs: Sequence[Job], future: asyncio.Future[None]
+    ) -> None:
+        self._pending[lane] -= size
+        for path in paths:
+            path.landed(size)
+        if not future.cancelled() and (error := future.exception()) is not None:
+            self._lost(jobs, error)
+        for publisher, items in jobs:
+            publisher.source.sent(items[-1][0].number)
+        self._idle.set()
+        self.pump()
+
+    def _lost(self, jobs: Sequence[Job], error: BaseException) -> None:
+        """Count what could not be sent: sealing and sending are libraries' work, and must not end the lane."""
+        closed = isinstance(error, GraphUnavailable)
+        if not closed:
+            log.error("overlay: %s cannot send", self._graph.name, exc_info=error)
+        for publisher, items in jobs:
+            self._graph.drops[publisher.topic, Undelivered.CLOSED if closed else Undelivered.WRITE] += len(items)
+
+    def _send(self, lane: int, jobs: Sequence[Job], paths: Sequence[Path]) -> None:
+        """In the lane's thread."""
+        for publisher, items in jobs:
+            packet = publisher.source.seal([publisher.packing.pack(item, on) for item, on in items])
+            began = time.perf_counter()
+            self._put(lane, publisher, packet, paths)
+            publisher.packing.taken(len(packet), time.perf_counter() - began)
+
+    def _put(
+        self, lane: int, publisher: OverlayPublisher, raw: bytes, paths: Sequence[Path], at: int = 0, size: int = 0
+    ) -> None:
+        """In the lane's thread."""
+        number = self._receipts.next_number(lane)
+        now_s = time.monotonic()
+        for path in paths:
+            path.sent(lane, number, len(raw), now_s)
+        mark = Mark(lane, number, at, size).to_bytes()
+        self._graph.node.fabric.put(lane, publisher.wire_key(), raw, mark)
+
+    # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _begin(self, lane: int, group: _Group, publisher: OverlayPublisher, piece: tuple[Item, bool]) -> None:
+        """Have a message sealed that goes in parts."""
+        cursor = group.cursors[lane] = _Cursor(publisher, piece[0].number)
+
+        def seal() -> bytes:
+            return publisher.source.seal([publisher.packing.pack(*piece)])
+
+        def sealed(future: asyncio.Future[bytes]) -> None:
+            self._sealing.discard(future)
+            if future.cancelled():
+                return
+            error = future.exception()
+            if error is None:
+                cursor.packet = future.result()
+            else:
+                self._lost([(publisher, [piece])], error)
+                self._finish(lane, group, cursor)
+            self.pump()
+
+        future = self._loop.run_in_executor(None, seal)
+        self._sealing.add(future)
+        future.add_done_callback(sealed)
+
+    def _send_part(self, lane: int, group: _Group, cursor: _Cursor, packet: bytes) -> None:
+        publisher, at, size = cursor.publisher, cursor.at, len(packet)
+        raw = packet[at : at + min(self._part_bytes(group), size)]
+        whole = len(raw) == size
+        work = partial(self._put, lane, publisher, raw, self._paths(group), at, 0 if whole else size)
+        self._hand(lane, group, work, len(raw), ())
+        cursor.at += len(raw)
+        group.outbox.served(publisher.queue, len(raw))
+        if cursor.at >= size:
+            self._finish(lane, group, cursor)
+
+    def _finish(self, lane: int, group: _Group, cursor: _Cursor) -> None:
+        group.cursors[lane] = None
+        cursor.publisher.source.sent(cursor.number)
+        self._done(group, cursor.publisher.queue)
+        if group.idle:
+            self._groups.pop(group.lot, None)

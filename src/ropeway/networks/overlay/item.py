@@ -1,0 +1,95 @@
+"""One message as it lies inside a sealed packet: whose it is and when it was received, then the payload.
+
+::
+
+    number u64 | stamp_ns i64 | seq u64 | origin 16 | flags u8 | encoding u8 | payload
+
+``number`` counts what a publisher sends, without gaps, so that a reader knows what it missed; ``stamp_ns``, ``origin``
+and ``seq`` are those of ``ropeway.graph.base.Sample``. Integers are big-endian.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+from ropeway.delivery.compression import filters
+from ropeway.errors import MessageTooBig, SealError
+from ropeway.limits import OVERLAY_BATCH_BYTES, OVERLAY_MESSAGE_BYTES
+from ropeway.networks.overlay.refusal import Refusal
+
+__all__ = ["RAW", "RELAYED", "ZSTD", "Item", "head", "pack", "read_item", "read_items", "unpack"]
+
+RELAYED: Final = 1
+"""The flag of a message whose origin was lost on the way here."""
+
+RAW: Final = 0
+ZSTD: Final = 1
+
+_HEAD: Final = struct.Struct(">QqQ16sBB")
+
+
+class Item(NamedTuple):
+    """A message of a packet."""
+
+    number: int
+    stamp_ns: int
+    seq: int
+    origin: bytes
+    flags: int
+    encoding: int
+    payload: bytes
+
+
+def head(item: Item) -> bytes:
+    """What stands before the payload."""
+    return _HEAD.pack(*item[:6])
+
+
+def pack(item: Item) -> bytes:
+    """The bytes of a message."""
+    return head(item) + item.payload
+
+
+def unpack(raw: bytes | memoryview) -> Item:
+    """The message of some bytes. Raises ``SealError``."""
+    if len(raw) < _HEAD.size:
+        raise SealError(Refusal.TRUNCATED, f"a message of {len(raw)} bytes")
+    number, stamp_ns, seq, origin, flags, encoding = _HEAD.unpack_from(raw)
+    if encoding not in (RAW, ZSTD):
+        raise SealError(Refusal.MALFORMED, f"a message in encoding {encoding}")
+    return Item(number, stamp_ns, seq, origin, flags, encoding, bytes(raw[_HEAD.size :]))
+
+
+def read_item(raw: bytes | memoryview, limit_bytes: int = OVERLAY_MESSAGE_BYTES) -> Item:
+    """Return a message with its payload as it was published, ``limit_bytes`` at most. Raises ``SealError``."""
+    if len(raw) > _HEAD.size + limit_bytes:
+        raise SealError(Refusal.TOO_BIG, f"a message may have {limit_bytes} bytes at most")
+    item = unpack(raw)
+    if item.encoding != ZSTD:
+        return item
+    try:
+        return item._replace(encoding=RAW, payload=filters.decode(item.payload, limit_bytes))
+    except MessageTooBig as error:
+        raise SealError(Refusal.TOO_BIG, str(error)) from error
+    except Exception as error:  # of a library that reads what others wrote
+        raise SealError(Refusal.MALFORMED, f"a compressed message ({error})") from error
+
+
+def read_items(
+    raws: Iterable[bytes | memoryview],
+    limit_bytes: int = OVERLAY_MESSAGE_BYTES,
+    more_bytes: int = OVERLAY_BATCH_BYTES,
+) -> list[Item]:
+    """Return the messages of a packet: one of ``limit_bytes``, and others of ``more_bytes`` in all, unpacked.
+
+    A message that would be above is refused before memory is taken for it, and with it the packet: ``SealError``.
+    """
+    items: list[Item] = []
+    left = limit_bytes + more_bytes
+    for raw in raws:
+        item = read_item(raw, min(limit_bytes, left))
+        left -= len(item.payload)
+        items.append(item)
+    return items

@@ -1,0 +1,71 @@
+"""What is known of another gateway, and the forms of what it tells."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from ropeway.errors import SealError
+from ropeway.limits import NAME_CHARACTERS
+from ropeway.networks.overlay.advert import Advertisement
+from ropeway.networks.overlay.announcement import NoteKey
+from ropeway.networks.overlay.crypto.certificate import Certificate
+from ropeway.networks.overlay.refusal import Refusal
+
+__all__ = ["SHAPES", "KnownGateway", "gateway_of", "read_told", "with_nodes"]
+
+SHAPES: Final[Mapping[str, Mapping[str, type]]] = {
+    "heartbeat": {"t": int, "v": int, "w": dict, "r": int},
+    "delta": {"v": int, "add": list, "del": list},
+    "hello": {"c": bytes, "n": str, "t": int, "v": int, "of": int},
+    "adverts": {"t": int, "a": list},
+}
+
+
+@dataclass(slots=True)
+class KnownGateway:
+    """What we know of another gateway."""
+
+    certificate: Certificate | None = None
+    name: str = ""
+    version: int = -1
+    told_ns: int = 0  # the sender's clock, of its newest heartbeat
+    heard: float = 0.0
+    suspect: float | None = None
+    sync: asyncio.Task[None] | None = None
+    wanted: int = -1
+    notes: NoteKey | None = None
+    synced: float = float("-inf")
+    unanswered: float = 0.0  # since when it does not answer
+
+
+def read_told(answer: Any) -> tuple[list[bytes], NoteKey]:
+    """What ``told_list`` of another gateway gave. Raises ``SealError``."""
+    notes = answer.get("n") if isinstance(answer, dict) else None
+    if not isinstance(notes, list) or any(type(note) is not bytes for note in notes):
+        raise SealError(Refusal.MALFORMED, "a list")
+    return notes, NoteKey.read(answer.get("k"), answer.get("i"))
+
+
+def with_nodes(found: Iterable[Advertisement | SealError], nodes: object) -> list[Advertisement | SealError]:
+    """Return advertisements with the names of the nodes that have them, where those were told as they should."""
+    known = nodes if isinstance(nodes, dict) else {}
+
+    def named(advert: Advertisement | SealError) -> Advertisement | SealError:
+        node = known.get(advert.endpoint) if isinstance(advert, Advertisement) else None
+        if not isinstance(advert, Advertisement) or not isinstance(node, str) or len(node) > NAME_CHARACTERS:
+            return advert
+        return replace(advert, node=node)
+
+    return list(map(named, found)) if known else list(found)
+
+
+def gateway_of(key: str) -> bytes | None:
+    """Return the gateway that a key names, ``None`` where it names none."""
+    try:
+        gateway = bytes.fromhex(key.rsplit("/", 1)[-1])
+    except ValueError:
+        return None
+    return gateway if len(gateway) == 16 else None

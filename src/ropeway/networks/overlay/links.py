@@ -1,0 +1,133 @@
+"""The links of one gateway: kept shut for who was revoked, made anew where Zenoh fails, and if there are none, why."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+from ropeway.errors import GraphUnavailable
+from ropeway.limits import OVERLAY_MESSAGE_BYTES, OVERLAY_ROUTED_BYTES
+from ropeway.networks.overlay.crypto.identity import Identity
+from ropeway.networks.overlay.crypto.trust import Trust
+from ropeway.networks.overlay.fabric import Fabric
+from ropeway.networks.overlay.probe import unreachable
+from ropeway.networks.overlay.zenoh_config import gateway_config
+from ropeway.tasks import Supervised, end
+
+if TYPE_CHECKING:
+    import zenoh
+
+__all__ = ["Links"]
+
+log = logging.getLogger("ropeway.overlay")
+
+_LOOK_S: Final = 5.0
+_LINK_S: Final = 5.0  # after which it is said that there is no link
+_FIRST_LINK_S: Final = 1.0  # without a router there is nobody to learn from, and the gateway starts all the same
+_MUTE: Final = 2  # requests in a row that not even we answered: Zenoh has failed
+_MEND_S: Final = 15.0  # between two sessions that are made anew because Zenoh failed; doubles
+_MEND_LIMIT_S: Final = 3600.0
+
+
+class Links:
+    """The session of a gateway, as ``trust`` has it. ``unlinked`` says why there is no link, if there is none."""
+
+    def __init__(
+        self,
+        identity: Identity,
+        trust: Trust,
+        gateway: bytes,
+        routers: Sequence[str],
+        listen: Sequence[str],
+        max_message_bytes: int,
+        *,
+        link_s: float = _LINK_S,
+    ) -> None:
+        self.unlinked = ""
+        self._identity, self._trust, self._gateway = identity, trust, gateway
+        self._routers, self._listen = routers, listen
+        self._max_bytes = max_message_bytes + OVERLAY_ROUTED_BYTES - OVERLAY_MESSAGE_BYTES
+        self._link_s = link_s
+        self._mute = 0
+        self._mended, self._mend_again_s = float("-inf"), _MEND_S
+        self._watching: Supervised | None = None
+        self.denied = self._to_deny()
+        self.fabric = Fabric(self._config(self.denied), gateway, routers=routers)
+
+    def watch(self) -> None:
+        """Say from now on why there is no link, whenever there is none."""
+        self._watching = Supervised(self._watch, "overlay links").start()
+
+    async def close(self) -> None:
+        """Say no more."""
+        await end(self._watching)
+        self._watching = None
+
+    async def wait(self, timeout_s: float) -> None:
+        """Wait for a link with a router or another gateway. Raises ``GraphUnavailable`` that says why there is none."""
+        if not await self.fabric.linked(timeout_s):
+            raise GraphUnavailable("overlay", await unreachable(self._identity, self._routers))
+
+    async def first(self) -> bool:
+        """Wait a moment for the first link; return whether there is one with whom to learn who was revoked."""
+        return bool(self._routers) and await self.fabric.linked(_FIRST_LINK_S)
+
+    async def _watch(self) -> None:
+        while self._routers:
+            if await self.fabric.linked(self._link_s):
+                if self.unlinked:
+                    log.info("overlay: linked")
+                self.unlinked = ""
+                await asyncio.sleep(_LOOK_S)
+                continue
+            why = await unreachable(self._identity, self._routers)
+            if why != self.unlinked:
+                log.warning("overlay: %s", why)
+            self.unlinked = why
+
+    # ── who was revoked ────────────────────────────────────────────────────────────────────────────────────────
+
+    def _to_deny(self) -> frozenset[str]:
+        """Whose links shall carry nothing; our own name among them would help nobody."""
+        return self._trust.denied - {self._identity.name}
+
+    def _config(self, denied: frozenset[str]) -> zenoh.Config:
+        return gateway_config(
+            self._identity,
+            gateway=self._gateway,
+            connect=self._routers,
+            listen=self._listen,
+            max_message_bytes=self._max_bytes,
+            denied=denied,
+        )
+
+    async def deny(self) -> None:
+        """Make links anew where they could carry something for who was revoked."""
+        denied = self._to_deny()
+        if denied != self.denied and (self._listen or self.fabric.linked_with(denied)):
+            log.info("overlay: links are made anew, to carry nothing for %s", ", ".join(sorted(denied)) or "nobody")
+            await self.fabric.reopen(self._config(denied))
+            self.denied = denied
+
+    # ── where Zenoh fails ──────────────────────────────────────────────────────────────────────────────────────
+
+    def heard(self, answers: int) -> bool:
+        """Count how many answered what we answer ourselves, too; return false where it is to be asked again."""
+        self._mute = 0 if answers else self._mute + 1
+        return bool(answers)
+
+    async def mend(self, lost: bytes | None) -> None:
+        """Make links anew where Zenoh answers nothing any more, or has lost the way to a gateway.
+
+        Ever more rarely, lest a member that invents gateways keep us busy.
+        """
+        now = asyncio.get_running_loop().time()
+        if (self._mute < _MUTE and lost is None) or now - self._mended < self._mend_again_s:
+            return
+        what = "Zenoh answers no more" if lost is None else f"there is no way to gateway {lost.hex()[:8]}"
+        log.warning("overlay: %s; links are made anew", what)
+        self._mended, self._mute = now, 0
+        self._mend_again_s = min(2 * self._mend_again_s, _MEND_LIMIT_S)
+        await self.fabric.reopen(self._config(self.denied))

@@ -1,0 +1,432 @@
+"""Who is in the overlay, and what each advertises: every gateway keeps a copy of everybody's list.
+
+A gateway shows a liveliness token, and each second puts a signed heartbeat with the version of its list. A change is
+put as a delta; who finds a version that it does not have asks for the whole list. Nothing is believed that is not
+signed by a certificate of the fleet; a gateway that was not heard of for ``LEASE_S`` is gone, whatever a router says.
+
+Once a member was revoked, a gateway tells its list only over sealed channels, to members in good standing, and with it
+the key of its notes (see ``ropeway.networks.overlay.announcement``).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any, Final
+
+from ropeway.errors import CallError, SealError
+from ropeway.limits import OVERLAY_GATEWAYS_PER_MEMBER, OVERLAY_LIST_BYTES, OVERLAY_STRANGERS
+from ropeway.networks.overlay.announcement import NoteKey, note_key_id
+from ropeway.networks.overlay.crypto.certificate import Certificate
+from ropeway.networks.overlay.crypto.identity import Identity
+from ropeway.networks.overlay.crypto.trust import Trust
+from ropeway.networks.overlay.fabric import Asked, Fabric, Handle
+from ropeway.networks.overlay.known import SHAPES as _SHAPES
+from ropeway.networks.overlay.known import KnownGateway, gateway_of, read_told, with_nodes
+from ropeway.networks.overlay.refusal import Refusal
+from ropeway.networks.overlay.rib import Rib
+from ropeway.tasks import Supervised, background, describe, end
+
+__all__ = ["LEASE_S", "Membership"]
+
+log = logging.getLogger("ropeway.overlay")
+
+LEASE_S: Final = 8.0
+"""A gateway that was not heard of for so long is gone."""
+
+_BEAT_S: Final = 1.0
+_AGAIN_S: Final = 0.02  # a way to a new gateway is there a moment after its token
+_SUSPECT_S: Final = 3.0  # a token that is gone may come back by another router
+_NO_WAY_S: Final = 4.0  # a way is there within tenths of a second, and a token goes within three
+_SKEW_NS: Final = 120 * 10**9
+_CHUNK: Final = 500  # advertisements in one note
+_ASK_SEALED: Final = b"rw-list2"
+"""Told in place of a list: it is told over sealed channels only."""
+_ASK_S: Final = 5.0
+_TAILS: Final = 512
+
+
+class Membership:
+    """Tells others what we advertise, and fills ``rib`` with what they do.
+
+    ``ask_list(gateway, timeout_s)`` asks another gateway for what ``told_list`` of its membership gives, over a sealed
+    channel. ``tails()`` gives the newest number of each reliable publisher of ours that was active lately; ``on_tails``
+    gets those of others, so that readers know what they miss. ``on_newer_crl`` is called where somebody has a newer
+    revocation list than we, ``on_gone`` with the id of each gateway that has left. ``refused`` is told of everything
+    that is not believed.
+    """
+
+    def __init__(
+        self,
+        fabric: Fabric,
+        identity: Identity,
+        trust: Trust,
+        rib: Rib,
+        *,
+        ask_list: Callable[[bytes, float], Awaitable[Any]],
+        tails: Callable[[], dict[bytes, int]],
+        on_tails: Callable[[bytes, dict[bytes, int]], None],
+        on_newer_crl: Callable[[], None],
+        on_gone: Callable[[bytes], None],
+        refused: Callable[[str, SealError], None],
+    ) -> None:
+        self._fabric, self._identity, self._trust = fabric, identity, trust
+        self._rib, self._ask_list = rib, ask_list
+        assert identity.name_secret is not None
+        self._fleet_notes = NoteKey(identity.name_secret)
+        self._notes = NoteKey.fresh() if trust.revokes else self._fleet_notes
+        self._tails, self._on_tails, self._refused = tails, on_tails, refused
+        self._on_newer_crl, self._on_gone = on_newer_crl, on_gone
+        self._own: dict[bytes, bytes] = {}  # endpoint: sealed advertisement
+        self._added: dict[bytes, bytes] = {}
+        self._removed: list[bytes] = []
+        self._nodes: dict[bytes, str] = {}  # that have what we advertise
+        self._version = 0
+        self._scheduled = False
+        self._known: dict[bytes, KnownGateway] = {}
+        self._ends: list[Handle] = []
+        self._beat = Supervised(self._keep_beating, "overlay heartbeat", longest_pause_s=_BEAT_S)
+        self._loop: asyncio.AbstractEventLoop
+        self._me = fabric.gateway.hex()
+        self._news = asyncio.Event()
+
+    async def open(self) -> None:
+        """Show ourselves, and look for others."""
+        self._loop = asyncio.get_running_loop()
+        fabric = self._fabric
+        self._ends += [
+            fabric.serve(f"rw/m/{self._me}", self._list),
+            fabric.hear("rw/h/*", self._heard),
+            fabric.hear("rw/a/*", self._changed),
+            fabric.token(f"rw/l/{self._me}"),
+            fabric.watch("rw/l/*", self._token),
+        ]
+        self._beat.start()
+
+    async def close(self) -> None:
+        """Say good-bye."""
+        await end(self._beat, *(known.sync for known in self._known.values()))
+        if self._ends:
+            self._fabric.tell(f"rw/h/{self._me}", self._note("heartbeat", self._heartbeat(bye=True)))
+        for handle in self._ends:
+            handle()
+        self._ends.clear()
+
+    async def settled(self) -> None:
+        """Wait until every gateway that is seen has told its list, and at least one was seen."""
+        while not self._known or any(known.certificate is None for known in self._known.values()):
+            self._news.clear()
+            await self._news.wait()
+
+    # ── what we tell ───────────────────────────────────────────────────────────────────────────────────────────
+
+    def advertise(self, endpoint: bytes, raw: bytes, node: str = "") -> None:
+        """Tell the others of an endpoint, with everything else that changes in this turn of the loop."""
+        self._own[endpoint] = self._added[endpoint] = raw
+        if node:
+            self._nodes[endpoint] = node
+        self._schedule()
+
+    def withdraw(self, endpoint: bytes) -> None:
+        """Tell the others that it is gone."""
+        self._nodes.pop(endpoint, None)
+        if self._own.pop(endpoint, None) is None:
+            return
+        if self._added.pop(endpoint, None) is None:
+            self._removed.append(endpoint)
+        self._schedule()
+
+    def _schedule(self) -> None:
+        if not self._scheduled:
+            self._scheduled = True
+            self._loop.call_soon(self._tell)
+
+    def _tell(self) -> None:
+        self._scheduled = False
+        if not self._ends:
+            return
+        added, removed = list(self._added.items()), self._removed
+        self._added, self._removed = {}, []
+        while added or removed:
+            self._version += 1
+            adverts = self._with_nodes(added[:_CHUNK])
+            body = {"v": self._version, "add": adverts.pop("a"), "del": removed[: 16 * _CHUNK], **adverts}
+            added, removed = added[_CHUNK:], removed[16 * _CHUNK :]
+            self._fabric.tell(f"rw/a/{self._me}", self._note("delta", body))
+
+    def _note(self, kind: str, body: object) -> bytes:
+        return self._notes.seal(self._fabric.gateway, kind, body, self._identity.sign)
+
+    def _heartbeat(self, *, bye: bool = False) -> dict[str, Any]:
+        tails = self._tails()
+        if len(tails) > _TAILS:
+            tails = dict(list(tails.items())[:_TAILS])
+        beat: dict[str, Any] = {"t": time.time_ns(), "v": self._version, "w": tails, "r": self._trust.crl_number}
+        if bye:
+            beat["bye"] = True
+        return beat
+
+    async def _keep_beating(self) -> None:
+        while True:
+            self._fabric.tell(f"rw/h/{self._me}", self._note("heartbeat", self._heartbeat()))
+            await asyncio.sleep(_BEAT_S)
+            self._expire()
+
+    def turn_over(self) -> None:
+        """Somebody was revoked: from now on notes are sealed with a key that it does not have."""
+        self._notes = NoteKey.fresh()
+        if self._ends:
+            self._fabric.tell(f"rw/h/{self._me}", self._note("heartbeat", self._heartbeat()))
+
+    def _list(self, asked: Asked) -> None:
+        """Somebody wants the whole list: it is told, or where to ask for it."""
+        if self._notes.id:
+            asked.answer(_ASK_SEALED)
+            return
+        for note in self._list_notes():
+            asked.part(note)
+        asked.done()
+
+    def told_list(self) -> dict[str, Any]:
+        """Return the whole list and the key of our notes, for a member in good standing."""
+        return {"k": self._notes.secret, "i": self._notes.id, "n": list(self._list_notes())}
+
+    def _list_notes(self) -> Iterator[bytes]:
+        adverts = list(self._own.items())
+        hello = {
+            "c": self._identity.certificate.der,
+            "n": self._identity.name,
+            "t": time.time_ns(),
+            "v": self._version - bool(self._added or self._removed),  # what waits comes as a delta, too
+            "of": len(adverts),
+        }
+        yield self._note("hello", hello)
+        for at in range(0, len(adverts), _CHUNK):
+            yield self._note("adverts", {"t": hello["t"], **self._with_nodes(adverts[at : at + _CHUNK])})
+
+    def _with_nodes(self, adverts: list[tuple[bytes, bytes]]) -> dict[str, Any]:
+        """Advertisements, and beside them the nodes that have them: members of before nodes were told read on."""
+        nodes = {endpoint: self._nodes[endpoint] for endpoint, _ in adverts if endpoint in self._nodes}
+        return {"a": [raw for _, raw in adverts], **({"x": nodes} if nodes else {})}
+
+    # ── what we hear ───────────────────────────────────────────────────────────────────────────────────────────
+
+    def gateways(self) -> dict[bytes, KnownGateway]:
+        """The others, by id; those without a certificate are being asked who they are."""
+        return {id: known for id, known in self._known.items() if known.certificate is not None}
+
+    def unreachable(self) -> bytes | None:
+        """Return a gateway that is heard of, but has not told who it is for so long that there must be no way to it."""
+        now = self._loop.time()
+        return next(
+            (
+                id
+                for id, known in self._known.items()
+                if known.certificate is None and known.unanswered and now - known.unanswered > _NO_WAY_S
+            ),
+            None,
+        )
+
+    def certificate(self, gateway: bytes) -> Certificate | None:
+        """Whose gateway it is, ``None`` where we do not know."""
+        known = self._known.get(gateway)
+        return known.certificate if known is not None else None
+
+    def _token(self, key: str, alive: bool) -> None:
+        gateway = gateway_of(key)
+        if gateway is None or gateway == self._fabric.gateway:
+            return
+        known = self._known.get(gateway)
+        if alive:
+            if known is None:
+                if self._crowded():
+                    return
+                self._sync(gateway, self._known.setdefault(gateway, KnownGateway(heard=self._loop.time())))
+            else:
+                known.suspect = None
+        elif known is not None:
+            known.suspect = self._loop.time()
+
+    def _crowded(self) -> bool:
+        """True where so many ids wait to be known that they are hardly gateways."""
+        return sum(known.certificate is None for known in self._known.values()) >= OVERLAY_STRANGERS
+
+    def _heard(self, key: str, raw: bytes) -> None:
+        gateway = gateway_of(key)
+        if gateway is None or gateway == self._fabric.gateway:
+            return
+        known = self._known.get(gateway)
+        if known is None:
+            if self._crowded():
+                return
+            known = self._known[gateway] = KnownGateway(heard=self._loop.time())
+        if known.certificate is None:
+            self._sync(gateway, known)
+            return
+        if self._turned_over(raw, gateway, known):
+            return
+        body = self._read(raw, gateway, "heartbeat", known)
+        if body is None:
+            return
+        told_ns, version = body["t"], body["v"]
+        if told_ns <= known.told_ns:
+            self._refused(known.name, SealError(Refusal.REPLAYED, "a heartbeat"))
+            return
+        if body.get("bye"):
+            self.gone(gateway)
+            return
+        known.told_ns, known.heard, known.suspect = told_ns, self._loop.time(), None
+        if version != known.version:
+            known.wanted = version
+            self._sync(gateway, known)
+        if body["r"] > self._trust.crl_number:
+            self._on_newer_crl()
+        if body["w"]:
+            self._on_tails(gateway, body["w"])
+
+    def _changed(self, key: str, raw: bytes) -> None:
+        gateway = gateway_of(key)
+        known = self._known.get(gateway) if gateway is not None else None
+        if gateway is None or known is None or known.certificate is None:
+            return  # it is being asked for everything
+        if known.sync is not None:
+            known.wanted = max(known.wanted, known.version + 1)
+            return
+        if self._turned_over(raw, gateway, known):
+            return
+        body = self._read(raw, gateway, "delta", known)
+        if body is None or body["v"] <= known.version:
+            return
+        if body["v"] != known.version + 1:
+            known.wanted = body["v"]
+            self._sync(gateway, known)
+            return
+        known.version = body["v"]
+        found = with_nodes(self._rib.read_all(gateway, known.certificate, body["add"]), body.get("x"))
+        self._rib.apply(gateway, known.certificate, found, body["del"])
+
+    def _turned_over(self, raw: bytes, gateway: bytes, known: KnownGateway) -> bool:
+        """True where a note is sealed with a key that we do not have: the gateway is asked for it, now and then."""
+        assert known.notes is not None
+        if note_key_id(raw) == known.notes.id:
+            return False
+        if self._loop.time() - known.synced > _BEAT_S / 2:
+            self._sync(gateway, known)
+        return True
+
+    def _read(self, raw: bytes, gateway: bytes, kind: str, known: KnownGateway) -> dict[str, Any] | None:
+        assert known.certificate is not None
+        assert known.notes is not None
+        certificate = known.certificate
+        try:
+            body = known.notes.open(raw, gateway, kind, _SHAPES[kind], lambda _: self._trust.check(certificate.der))
+        except SealError as error:
+            self._refused(known.name, error)
+            return None
+        return body
+
+    def _sync(self, gateway: bytes, known: KnownGateway) -> None:
+        if known.sync is None:
+            known.sync = background(self._ask(gateway, known), f"list of {gateway.hex()[:8]}")
+
+    async def _ask(self, gateway: bytes, known: KnownGateway) -> None:
+        """Ask a gateway for its whole list, until we have what it had when it was asked."""
+        pause_s = _AGAIN_S
+        try:
+            while self._known.get(gateway) is known:
+                key = f"rw/m/{gateway.hex()}"
+                answers, notes = await self._fabric.ask(key, b"", _ASK_S, limit_bytes=OVERLAY_LIST_BYTES), None
+                try:
+                    if answers == [_ASK_SEALED]:
+                        answers, notes = read_told(await self._ask_list(gateway, _ASK_S))
+                    version = await self._take_list(gateway, known, answers, notes or self._fleet_notes)
+                except CallError as error:  # it is not there, or does not answer us
+                    log.debug("overlay: gateway %s tells no list: %s", gateway.hex()[:8], error)
+                    version = None
+                except SealError as error:
+                    self._refused(known.name or f"gateway {gateway.hex()[:8]}", error)
+                    version = None
+                except Exception as error:  # whatever a gateway tells, it is asked again, and the others go on
+                    log.debug("overlay: a list cannot be used", exc_info=error)
+                    unforeseen = SealError(Refusal.MALFORMED, f"a list ({describe(error)})")
+                    self._refused(known.name or f"gateway {gateway.hex()[:8]}", unforeseen)
+                    version = None
+                known.synced = self._loop.time()
+                known.unanswered = 0.0 if answers else known.unanswered or known.synced
+                if version is not None:
+                    known.version = version
+                    if known.wanted <= version:
+                        return
+                else:
+                    await asyncio.sleep(pause_s)
+                    pause_s = min(2 * pause_s, _BEAT_S)
+        finally:
+            known.sync = None
+
+    async def _take_list(self, gateway: bytes, known: KnownGateway, answers: list[bytes], notes: NoteKey) -> int | None:
+        if not answers:
+            return None
+        hello = notes.open(answers[0], gateway, "hello", _SHAPES["hello"], lambda body: self._trust.check(body["c"]))
+        certificate = self._trust.check(hello["c"])
+        if abs(hello["t"] - time.time_ns()) > _SKEW_NS:
+            raise SealError(Refusal.TOO_OLD, f"{certificate.name} tells a time that is far from ours")
+        others = sum(other.name == certificate.name for other in self._known.values() if other is not known)
+        if others >= OVERLAY_GATEWAYS_PER_MEMBER:
+            raise SealError(Refusal.NO_RIGHT, f"{certificate.name} has {others} gateways already")
+        raws: list[bytes] = []
+        nodes: dict[Any, Any] = {}
+        for answer in answers[1:]:
+            body = notes.open(answer, gateway, "adverts", _SHAPES["adverts"], lambda _: certificate)
+            if body["t"] != hello["t"]:
+                raise SealError(Refusal.REPLAYED, "a list")
+            raws += body["a"]
+            nodes |= body["x"] if isinstance(body.get("x"), dict) else {}
+        if len(raws) != hello["of"]:
+            raise SealError(Refusal.TRUNCATED, "a list")
+        adverts = with_nodes(await asyncio.to_thread(self._rib.read_all, gateway, certificate, raws), nodes)
+        if self._known.get(gateway) is not known:
+            return None
+        first = known.certificate is None
+        known.certificate, known.name, known.notes = certificate, certificate.name, notes
+        known.told_ns = max(known.told_ns, hello["t"])
+        known.heard = self._loop.time()
+        self._rib.replace(gateway, certificate, adverts)
+        self._news.set()
+        if first:
+            log.info("overlay: %s has joined with %d names", known.name, self._rib.count(gateway))
+        return int(hello["v"])
+
+    # ── who goes ───────────────────────────────────────────────────────────────────────────────────────────────
+
+    def gone(self, gateway: bytes) -> None:
+        """Forget a gateway and what it advertised."""
+        known = self._known.pop(gateway, None)
+        if known is None:
+            return
+        if known.sync is not None:
+            known.sync.cancel()
+        if known.certificate is not None:
+            log.info("overlay: %s has left", known.name)
+        self._rib.gone(gateway)
+        self._on_gone(gateway)
+        self._news.set()
+
+    def recheck(self) -> None:
+        """Forget those whose certificates are good no longer."""
+        for gateway, known in list(self._known.items()):
+            if known.certificate is None:
+                continue
+            try:
+                self._trust.check(known.certificate.der)
+            except SealError as error:
+                self._refused(known.name, error)
+                self.gone(gateway)
+
+    def _expire(self) -> None:
+        now = self._loop.time()
+        for gateway, known in list(self._known.items()):
+            lost = known.suspect is not None and now - known.suspect > _SUSPECT_S
+            if lost or now - known.heard > LEASE_S:
+                self.gone(gateway)

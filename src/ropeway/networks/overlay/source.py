@@ -1,0 +1,136 @@
+"""The sending side of one publisher: it numbers messages, seals them, keeps the last ones and hands out its keys."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from ropeway.errors import SealError
+from ropeway.limits import OVERLAY_HISTORY_BYTES
+from ropeway.networks.overlay.crypto.certificate import Certificate
+from ropeway.networks.overlay.crypto.seal import Sealer
+from ropeway.networks.overlay.item import RAW, Item, head, pack
+from ropeway.networks.overlay.refusal import Refusal
+
+__all__ = ["Source"]
+
+_KEEP_BYTES: Final = 64 << 20  # above, the oldest go, whatever the depth; one message always stays
+_ON_THE_WAY_S: Final = 0.9  # a little less than the time between two heartbeats
+_KEEP_ALL: Final = 10_000
+
+
+class Source:
+    """One publisher. ``name`` is its global name, ``endpoint`` its own 16 bytes, ``topic`` its ROS name.
+
+    ``depth`` messages are kept for those who missed them or come late, ``None`` for as many as fit, 0 for none;
+    ``lifespan_s`` is how long. ``may`` decides, beyond certificates, who may read. ``rotate_s``: how long a content key
+    serves. Safe to use from several threads.
+    """
+
+    def __init__(
+        self,
+        name: bytes,
+        endpoint: bytes,
+        topic: str,
+        sign: Callable[[bytes], bytes],
+        *,
+        depth: int | None,
+        lifespan_s: float | None,
+        may: Callable[[Certificate], bool],
+        rotate_s: float = 600.0,
+    ) -> None:
+        self.name, self.endpoint, self.topic = name, endpoint, topic
+        self.number = 0
+        self.active = 0.0
+        self._sent = 0
+        self._tails = (0, 0, float("-inf"))  # what should have come, what may be on the way, and since when
+        self._sealer = Sealer(name, endpoint, sign)
+        self._depth = _KEEP_ALL if depth is None else depth
+        self._lifespan_ns = None if lifespan_s is None else int(lifespan_s * 1e9)
+        self._kept: deque[Item] = deque()
+        self._kept_bytes = 0
+        self._may = may
+        self._rotate_s = rotate_s
+        self._rotated = time.monotonic()
+        self._readers: dict[bytes, Certificate] = {}
+        self._lock = threading.Lock()
+
+    def add(self, stamp_ns: int, seq: int, origin: bytes, flags: int, payload: bytes) -> Item:
+        """A message with its number; it is kept."""
+        self.number += 1
+        item = Item(self.number, stamp_ns, seq, origin, flags, RAW, payload)
+        if self._depth:
+            self.active = time.monotonic()
+            kept = self._kept
+            kept.append(item)
+            self._kept_bytes += len(item.payload)
+            while len(kept) > 1 and (len(kept) > self._depth or self._kept_bytes > _KEEP_BYTES):
+                self._kept_bytes -= len(kept.popleft().payload)
+        return item
+
+    def sent(self, number: int) -> None:
+        """Note that the message with this number, and all before it, went out, or never will."""
+        self._sent = max(self._sent, number)
+
+    def tail(self) -> int:
+        """Return the newest number that readers should have: it went out a while ago, and not just now."""
+        come, coming, since_s = self._tails
+        now_s = time.monotonic()
+        if now_s - since_s >= _ON_THE_WAY_S:
+            come = coming
+            self._tails = come, self._sent, now_s
+        return come
+
+    def seal(self, items: Sequence[Item]) -> bytes:
+        """One packet."""
+        pieces = [(head(item), item.payload) for item in items]
+        with self._lock:
+            return self._sealer.seal(pieces)
+
+    def grant(self, reader: Certificate) -> dict[str, Any]:
+        """The keys, for somebody who may read. Raises ``SealError`` for others."""
+        if not reader.rights.may("subscribe", self.topic) or not self._may(reader):
+            raise SealError(Refusal.NO_RIGHT, f"{reader.name} may not read {self.topic}")
+        with self._lock:
+            self._readers[reader.fingerprint] = reader
+            return {"g": self._sealer.grant().to_cbor(), "n": self.number}
+
+    def history(self, reader: Certificate, after: int, upto: int | None) -> list[bytes]:
+        """What is kept of the messages after number ``after``, up to ``upto``. Raises ``SealError``."""
+        if reader.fingerprint not in self._readers:
+            raise SealError(Refusal.NO_RIGHT, f"{reader.name} has no key of {self.topic}")
+        self._expire()
+        found: list[bytes] = []
+        size = 0
+        for item in reversed(self._kept):
+            if item.number <= after or size > OVERLAY_HISTORY_BYTES:
+                break
+            if upto is None or item.number <= upto:
+                found.append(pack(item))
+                size += len(found[-1])
+        return found[::-1]
+
+    def _expire(self) -> None:
+        if self._lifespan_ns is None:
+            return
+        oldest = time.time_ns() - self._lifespan_ns
+        while self._kept and self._kept[0].stamp_ns < oldest:
+            self._kept_bytes -= len(self._kept.popleft().payload)
+
+    def recheck(self, good: Callable[[Certificate], bool]) -> bool:
+        """Make new keys where a reader lost its right, and where they have served their time; true if so."""
+        with self._lock:
+            lost = [mark for mark, reader in self._readers.items() if not good(reader)]
+            for mark in lost:
+                del self._readers[mark]
+            if lost:
+                self._sealer.renew()
+            elif time.monotonic() - self._rotated >= self._rotate_s:
+                self._sealer.rotate()
+            else:
+                return False
+            self._rotated = time.monotonic()
+            return True

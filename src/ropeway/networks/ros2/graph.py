@@ -1,0 +1,376 @@
+"""The ``ros2`` graph: a ROS 2 network through the rclpy of the sourced environment."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, Final, TypeVar
+
+from ropeway.errors import GraphUnavailable, InvalidName
+from ropeway.graph.actions import ComposedActionClient, ComposedActionServer, actions_of
+from ropeway.graph.base import (
+    NO_HINTS,
+    Changes,
+    Delivery,
+    GraphEvent,
+    NodeInfo,
+    SampleCallback,
+    TopicInfo,
+    Undelivered,
+    resolve_name,
+)
+from ropeway.graph.border import Border
+from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.qos_adoption import Following, settled
+from ropeway.networks.ros2.client import Ros2Client
+from ropeway.networks.ros2.discovery import Discovery
+from ropeway.networks.ros2.environment import MAX_DOMAIN
+from ropeway.networks.ros2.interfaces import loaded, message_class, service_class
+from ropeway.networks.ros2.origins import Origins
+from ropeway.networks.ros2.participant import Participant
+from ropeway.networks.ros2.profiles import service_profile, writer_profile
+from ropeway.networks.ros2.publisher import Ros2Publisher
+from ropeway.networks.ros2.readers import Readers, Ros2Subscription
+from ropeway.networks.ros2.senders import Lane
+from ropeway.networks.ros2.service import Ros2Service
+from ropeway.networks.ros2.snapshot import Picture
+from ropeway.qos import DEFAULT, QoS
+from ropeway.types import TypeRegistry
+from ropeway.types.definition import canonical_name
+
+__all__ = ["Ros2Graph", "Ros2Subscription"]
+
+log = logging.getLogger("ropeway.ros2")
+
+# Matching has no signal in every distribution: it is looked at so long after each change, and then every second.
+_LOOK_S: Final = (0.02, 0.05, 0.1, 0.25, 0.5)
+_LOOK_LATER_S: Final = 1.0
+
+
+T = TypeVar("T")
+_Part = Ros2Publisher | Ros2Subscription | Ros2Client | Ros2Service | ComposedActionClient | ComposedActionServer
+
+
+class Ros2Graph:
+    """The node ``namespace``/``name`` in domain ``domain``.
+
+    ``gateway_id`` names the gateway that it belongs to: its processes do not hear each other. ``registry`` knows the
+    types of actions; left out, those of ROS 2 and of the sourced environment.
+    """
+
+    kind = "ros2"
+
+    def __init__(
+        self,
+        domain: int = 0,
+        *,
+        name: str = "ropeway",
+        namespace: str = "/",
+        gateway_id: str = "",
+        registry: TypeRegistry | None = None,
+    ) -> None:
+        self.name = f"ros2:{domain}"
+        if not 0 <= domain <= MAX_DOMAIN:
+            raise GraphUnavailable(self.name, f"the domain must be a number from 0 to {MAX_DOMAIN}")
+        if "/" in name:
+            raise InvalidName(name, "a node name has no slash; give the namespace apart")
+        self.domain = domain
+        self.node = resolve_name(name, namespace)
+        self.drops: Counter[tuple[str, Undelivered]] = Counter()
+        self._gateway_id = gateway_id
+        self._registry = registry
+        self._changes = Changes()
+        self._participant: Participant | None = None
+        self._discovery: Discovery
+        self._origins: Origins
+        self._readers: Readers
+        self._parts: dict[_Part, None] = {}
+        self._lock = asyncio.Lock()
+        self._look_at: asyncio.TimerHandle | None = None
+        self._looks = 0
+
+    async def open(self) -> None:
+        """Join the domain. Raises ``GraphUnavailable`` with what to do."""
+        async with self._lock:
+            if self._participant is not None:
+                return
+            self._changes = Changes()
+            participant = Participant(self.name, self.domain, self.node, self._gateway_id)
+            self._discovery = Discovery(self.name, self._gateway_id, self._changes.emit, self._readopt)
+            await participant.open(self._on_picture)
+            self._origins = Origins(participant.rmw, self._discovery)
+            self._readers = Readers(self, participant, self._discovery, self._origins)
+            self._participant = participant
+            log.info("%s: joined as node %s over %s", self.name, self.node, participant.rmw)
+
+    async def close(self) -> None:
+        """Leave the domain with everything that was created here."""
+        async with self._lock:
+            participant = self._participant
+            if participant is None:
+                return
+            for kinds in ((ComposedActionClient, ComposedActionServer), (object,)):
+                await asyncio.gather(*(part.close() for part in list(self._parts) if isinstance(part, kinds)))
+            self._parts.clear()
+            self._participant = None
+            if self._look_at is not None:
+                self._look_at.cancel()
+                self._look_at = None
+            await participant.close()
+            self._changes.close()
+
+    # Topics -----------------------------------------------------------------------------------------------------
+
+    async def create_publisher(
+        self, topic: str, type: str, qos: QoS | None = None, *, delivery: Delivery = NO_HINTS
+    ) -> Ros2Publisher:
+        """Publish ``topic``; without a profile, reliable and volatile. ROS has its own way with ``delivery``."""
+        participant = self.participant
+        topic, type = resolve_name(topic), canonical_name(type)
+        cls = await loaded(message_class, type)
+        profile = settled(qos or DEFAULT, DEFAULT)
+        self._check_open()
+        raw = self.attempt(lambda: participant.node.create_publisher(cls, topic, writer_profile(profile)))
+        publisher = Ros2Publisher(self, topic, type, profile, raw)
+        with raw.handle:
+            self._origins.add_own(self.attempt(lambda: participant.rcl.gid_of(raw.handle.pointer)))
+        self._add(publisher)
+        return publisher
+
+    async def create_subscription(
+        self,
+        topic: str,
+        type: str,
+        qos: QoS | None,
+        callback: SampleCallback,
+        *,
+        delivery: Delivery = NO_HINTS,
+    ) -> Ros2Subscription:
+        """Read ``topic``; without a profile, with what all its publishers offer, also when they change."""
+        self._check_open()
+        topic, type = resolve_name(topic), canonical_name(type)
+        await loaded(message_class, type)
+        self._check_open()
+        subscription = Ros2Subscription(self._readers, topic, type, qos, callback)
+        subscription.follow(self._readers.adopted(subscription))
+        self._add(subscription)
+        return subscription
+
+    def topics(self) -> dict[str, TopicInfo]:
+        """Every topic in the domain, ours too; those that actions are made of stand under ``actions``."""
+        return self._discovery.topics() if self._participant is not None else {}
+
+    # Services and actions ---------------------------------------------------------------------------------------
+
+    async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> Ros2Client:
+        """Call ``service``; ROS has its own way with ``delivery``."""
+        participant = self.participant
+        service, type = resolve_name(service), canonical_name(type, "srv")
+        cls = await loaded(service_class, type)
+        self._check_open()
+        raw = self.attempt(lambda: participant.node.create_client(cls, service, qos_profile=service_profile()))
+        client = Ros2Client(self, service, type, raw, cls)
+        participant.spinner.add("client", raw.handle, client.take)
+        self._add(client)
+        return client
+
+    async def create_service(
+        self, service: str, type: str, handler: ServiceHandler, *, delivery: Delivery = NO_HINTS
+    ) -> Ros2Service:
+        """Serve ``service``; ROS has its own way with ``delivery``."""
+        participant = self.participant
+        service, type = resolve_name(service), canonical_name(type, "srv")
+        cls = await loaded(service_class, type)
+        self._check_open()
+        raw = self.attempt(lambda: participant.node.create_service(cls, service, _never, qos_profile=service_profile()))
+        served = Ros2Service(self, service, type, handler, raw, cls)
+        participant.spinner.add("service", raw.handle, served.take)
+        self._add(served)
+        return served
+
+    async def create_action_client(
+        self, action: str, type: str, *, delivery: Delivery = NO_HINTS
+    ) -> ComposedActionClient:
+        """Use ``action``; ROS has its own way with ``delivery``."""
+        self._check_open()
+        client = ComposedActionClient(self, action, type, self.registry)
+        await client.open()
+        self._add(client)
+        return client
+
+    async def create_action_server(
+        self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
+    ) -> ComposedActionServer:
+        """Serve ``action``; ROS has its own way with ``delivery``."""
+        self._check_open()
+        server = ComposedActionServer(self, action, type, handlers, self.registry)
+        await server.open()
+        self._add(server)
+        return server
+
+    @cached_property
+    def border(self) -> Border:
+        """Where messages get the layouts of the ROS 2 that is sourced, from whatever distribution they come."""
+        return Border(self.registry)
+
+    @property
+    def registry(self) -> TypeRegistry:
+        """The types that actions are made of."""
+        if self._registry is None:
+            self._registry = TypeRegistry()
+            self._registry.add_ament_prefix_path()
+        return self._registry
+
+    def services(self) -> dict[str, ServiceInfo]:
+        """Every service in the domain, ours too."""
+        if self._participant is None:
+            return {}
+        found = {
+            name: replace(info, servers=_of_others(info.servers), clients=_of_others(info.clients))
+            for name, info in self._discovery.services().items()
+        }
+        us = ProviderInfo(self.node, local=True)
+        for part in self._parts:
+            if isinstance(part, Ros2Service | Ros2Client) and not part.closed:
+                info = found.get(part.service) or ServiceInfo(part.service, ())
+                info = replace(info, types=tuple(dict.fromkeys((*info.types, part.type))))
+                if isinstance(part, Ros2Service):
+                    found[part.service] = replace(info, servers=(*info.servers, us))
+                else:
+                    found[part.service] = replace(info, clients=(*info.clients, us))
+        return {name: info for name, info in sorted(found.items()) if info.servers or info.clients}
+
+    def actions(self) -> dict[str, ActionInfo]:
+        """Every action in the domain, ours too."""
+        return actions_of(self.services())
+
+    def nodes(self) -> dict[str, NodeInfo]:
+        """Every node in the domain, ours too."""
+        return self._discovery.nodes() if self._participant is not None else {}
+
+    def changes(self) -> AsyncIterator[GraphEvent]:
+        """What others do, from now on."""
+        return self._changes.listen()
+
+    @property
+    def settled(self) -> bool:
+        """True once the network was looked at, and the nodes of all endpoints are known."""
+        return self._participant is None or self._discovery.settled
+
+    @property
+    def participant(self) -> Participant:
+        """The side of rclpy. Raises ``GraphUnavailable`` where the graph is not open."""
+        if self._participant is None:
+            raise GraphUnavailable(self.name, "is not open; call open() first")
+        return self._participant
+
+    # For the parts ----------------------------------------------------------------------------------------------
+
+    def guard(self, topic: str, callback: Callable[[T], None], value: T) -> None:
+        """Run a callback that may fail."""
+        try:
+            callback(value)
+        except Exception:
+            self.drops[topic, Undelivered.CALLBACK] += 1
+            log.exception("%s: a callback for %s failed", self.name, topic)
+
+    def attempt(self, create: Callable[[], T]) -> T:
+        """Do something with rclpy. Raises ``GraphUnavailable`` with what it says."""
+        try:
+            return create()
+        except (RuntimeError, ValueError) as error:
+            raise GraphUnavailable(self.name, str(error).splitlines()[0]) from error
+
+    def count_readers(self, publisher: Ros2Publisher) -> int:
+        """How many readers of others are matched with a publisher."""
+        return self._readers.count_others(publisher) if self._participant is not None else 0
+
+    def forget(self, subscription: Ros2Subscription) -> None:
+        """A subscription was closed."""
+        self._parts.pop(subscription, None)
+
+    async def withdraw(self, publisher: Ros2Publisher, lane: Lane) -> None:
+        """A publisher was closed."""
+        self._parts.pop(publisher, None)
+        if self._participant is not None:
+            await lane.finish(lambda: self._destroy("publisher", publisher.raw))
+            self.look_soon()
+
+    async def remove(self, part: Ros2Client | Ros2Service, raw: Any, lane: Lane) -> None:
+        """A client or service was closed."""
+        self._parts.pop(part, None)
+        if self._participant is not None:
+            self._participant.spinner.remove(raw.handle)
+            kind = "client" if isinstance(part, Ros2Client) else "service"
+            await lane.finish(lambda: self._destroy(kind, raw))
+            self.look_soon()
+
+    def _destroy(self, kind: str, raw: Any) -> None:
+        """Destroy an entity, in a thread."""
+        participant = self._participant
+        if participant is not None and participant.node is not None:
+            getattr(participant.node, f"destroy_{kind}")(raw)
+
+    # Discovery --------------------------------------------------------------------------------------------------
+
+    def _on_picture(self, picture: Picture) -> None:
+        if self._participant is not None:
+            self._discovery.apply(picture)
+            self._look()
+
+    def look_soon(self) -> None:
+        """Something changed here: look at once, and at the matches in a moment."""
+        if self._participant is not None:
+            self._participant.watcher.poke()
+            self._looks = 0
+            self._arm()
+
+    def _arm(self) -> None:
+        if self._look_at is not None:
+            self._look_at.cancel()
+        pause = _LOOK_S[self._looks] if self._looks < len(_LOOK_S) else _LOOK_LATER_S
+        self._look_at = asyncio.get_running_loop().call_later(pause, self._look_again)
+
+    def _look_again(self) -> None:
+        self._look_at = None
+        self._looks += 1
+        self._look_at_matches()
+        self._arm()
+
+    def _look(self) -> None:
+        self._look_at_matches()
+        self._looks = 0
+        self._arm()
+
+    def _look_at_matches(self) -> None:
+        for part in list(self._parts):
+            if isinstance(part, Ros2Publisher | Ros2Client):
+                part.look()
+
+    def _readopt(self, topics: set[str]) -> None:
+        for subscription in list(self._parts):
+            if isinstance(subscription, Following) and subscription.adopts and subscription.topic in topics:
+                try:
+                    subscription.follow(self._readers.adopted(subscription))
+                except GraphUnavailable as error:
+                    log.warning("%s: %s keeps its profile: %s", self.name, subscription.topic, error)
+
+    def _add(self, part: _Part) -> None:
+        self._parts = {known: None for known in self._parts if not known.closed}
+        self._parts[part] = None
+        self.look_soon()
+
+    def _check_open(self) -> None:
+        _ = self.participant
+
+
+def _of_others(providers: tuple[ProviderInfo, ...]) -> tuple[ProviderInfo, ...]:
+    return tuple(provider for provider in providers if not provider.local)
+
+
+def _never(*_: object) -> None:
+    """Asked for by rclpy; no executor that would call it ever sees our node."""

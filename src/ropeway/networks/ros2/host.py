@@ -1,0 +1,31 @@
+"""What the parts of a ``ros2`` graph need of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Protocol
+
+from ropeway.graph.base import Undelivered
+
+if TYPE_CHECKING:
+    from ropeway.graph.border import Border
+    from ropeway.networks.ros2.participant import Participant
+
+__all__ = ["Host"]
+
+
+class Host(Protocol):
+    """The graph, as all of its parts see it; each adds what it alone needs."""
+
+    name: str
+    drops: Counter[tuple[str, Undelivered]]
+
+    @property
+    def border(self) -> Border:
+        """The types of the network."""
+        ...
+
+    @property
+    def participant(self) -> Participant:
+        """The side of rclpy. Raises ``GraphUnavailable`` where the graph is not open."""
+        ...

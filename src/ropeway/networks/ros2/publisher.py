@@ -1,0 +1,139 @@
+"""One topic that we publish through rclpy."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final, Protocol, TypeVar
+
+from ropeway.graph.base import Sample, Undelivered
+from ropeway.networks.ros2.host import Host
+from ropeway.networks.ros2.rcl import RclError
+from ropeway.networks.ros2.senders import Lane
+from ropeway.qos import QoS
+
+__all__ = ["Ros2Publisher"]
+
+log = logging.getLogger("ropeway.ros2")
+T = TypeVar("T")
+
+_WAITING: Final = 256  # messages, where the profile keeps fewer: what a burst may bring
+_WAITING_ALL: Final = 8192
+_WAITING_BYTES: Final = 64 << 20
+_SHORTEST: Final = 4
+_ACKED_S: Final = 0.5  # how long what was published last may take to arrive once the topic is withdrawn
+
+
+class PublisherHost(Host, Protocol):
+    """What a publisher needs of its graph."""
+
+    def count_readers(self, publisher: Ros2Publisher) -> int:
+        """Return how many readers of others are matched with a publisher."""
+        ...
+
+    def guard(self, topic: str, callback: Callable[[T], None], value: T) -> None:
+        """Run a callback that may fail."""
+        ...
+
+    async def withdraw(self, publisher: Ros2Publisher, lane: Lane) -> None:
+        """Know a publisher no more."""
+        ...
+
+
+class Ros2Publisher:
+    """Publishes what it is given as it is, in a thread, since a slow reader may hold up whoever publishes."""
+
+    def __init__(self, graph: PublisherHost, topic: str, type: str, qos: QoS, raw: Any) -> None:
+        self.topic, self.type, self.qos = topic, type, qos
+        self.raw = raw
+        self.closed = False
+        self._graph = graph
+        participant = graph.participant
+        depth = _WAITING_ALL if qos.history == "keep_all" else max(_WAITING, qos.depth)
+        self._lane: Lane = participant.senders.lane(depth, _WAITING_BYTES, self._on_backlog)
+        self._rcl, self._invalid = participant.rcl, participant.invalid_handle
+        self._spinner = participant.spinner
+        self._translated = graph.border.touches(type)
+        self._subscribers = 0
+        self._demand: list[Callable[[int], None]] = []
+        self._warned = False
+        self._last = 0.0
+
+    def publish(self, sample: Sample) -> None:
+        """Send, without waiting; what does not fit is dropped, oldest first, and counted."""
+        if self.closed:
+            self._graph.drops[self.topic, Undelivered.CLOSED] += 1
+            return
+        payload = sample.payload if type(sample.payload) is bytes else bytes(sample.payload)
+        if self._translated:
+            payload = self._graph.border.outgoing(self.type, payload)
+        if len(payload) < _SHORTEST:
+            self._graph.drops[self.topic, Undelivered.ENCODE] += 1
+            return
+        self._last = time.monotonic()
+        self._lane.put(partial(self._send, payload), len(payload))
+
+    def _send(self, payload: bytes) -> None:
+        """Publish, in a thread."""
+        try:
+            with self.raw.handle:
+                self._rcl.publish(self.raw.handle.pointer, payload)
+        except self._invalid:
+            self._spinner.push(self._on_refused, [(Undelivered.CLOSED, "")])
+        except RclError as error:
+            self._spinner.push(self._on_refused, [(Undelivered.WRITE, str(error))])
+
+    def _on_refused(self, batch: list[tuple[Undelivered, str]]) -> None:
+        for reason, text in batch:
+            self._graph.drops[self.topic, reason] += 1
+            if text and not self._warned:
+                self._warned = True
+                log.warning("%s: %s cannot be published: %s", self._graph.name, self.topic, text)
+
+    def _on_backlog(self, count: int) -> None:
+        self._graph.drops[self.topic, Undelivered.WRITE] += count
+
+    @property
+    def subscribers(self) -> int:
+        """How many readers of others are matched; those of our own gateway do not count."""
+        self.look()
+        return self._subscribers
+
+    @property
+    def counted(self) -> int:
+        """The readers of others, as they were counted last."""
+        return self._subscribers
+
+    def on_demand(self, callback: Callable[[int], None]) -> None:
+        """Call with the number of subscribers, now and at each change."""
+        self.look()
+        self._demand.append(callback)
+        callback(self._subscribers)
+
+    def look(self) -> None:
+        """Count the readers again."""
+        count = 0 if self.closed else self._graph.count_readers(self)
+        if count == self._subscribers:
+            return
+        self._subscribers = count
+        for callback in self._demand:
+            self._graph.guard(self.topic, callback, count)
+
+    async def close(self) -> None:
+        """Withdraw the topic, once what was published is out."""
+        if self.closed:
+            return
+        self.closed = True
+        self._demand.clear()
+        self._subscribers = 0
+        if self.qos.reliable and time.monotonic() - self._last < 2 * _ACKED_S:
+            self._lane.put(self._settle)
+        await self._graph.withdraw(self, self._lane)
+
+    def _settle(self) -> None:
+        """Let what was published last arrive, in a thread: some middlewares forget it with its publisher."""
+        with contextlib.suppress(self._invalid), self.raw.handle:
+            self._rcl.wait_acked(self.raw.handle.pointer, _ACKED_S)

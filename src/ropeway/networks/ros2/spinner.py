@@ -1,0 +1,212 @@
+"""The thread that waits for ROS 2 and hands over to the event loop.
+
+It sleeps in a wait set of rclpy. What is ready has its handler run there; handlers ``push`` batches for functions of
+the loop, and however many batches are pushed, at most one wake-up of the loop is under way. What waits for the loop
+is bounded in messages and bytes: beyond the bound, subscriptions are left out of the wait set, so that the
+middleware applies their profiles, until the loop has caught up.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+from ropeway.tasks import keep_running
+
+__all__ = ["Spinner"]
+
+log = logging.getLogger("ropeway.ros2")
+
+_LIMIT_SAMPLES: Final = 4096
+_LIMIT_BYTES: Final = 32 << 20
+_FOREVER: Final = -1
+
+
+@dataclass(slots=True, eq=False)
+class _Entry:
+    kind: str
+    handle: Any
+    handler: Callable[[], None]
+
+
+class Spinner:
+    """Waits on ``subscription``, ``client`` and ``service`` handles of a context."""
+
+    def __init__(self, name: str, context: Any) -> None:
+        from rclpy.guard_condition import GuardCondition
+        from rclpy.impl.implementation_singleton import rclpy_implementation
+
+        self._name, self._context = name, context
+        self._rclpy = rclpy_implementation
+        self._guard = GuardCondition(None, None, context=context)
+        self._loop = asyncio.get_running_loop()
+        self._thread = threading.Thread(target=self._main, name=f"ropeway {name}", daemon=True)
+        self._ended: asyncio.Future[None] = self._loop.create_future()
+        self._stopping = False
+        self._ending = threading.Event()
+        self._entries: dict[int, _Entry] = {}
+        self._version = 0
+        self._lock = threading.Lock()
+        self._out: deque[tuple[Callable[[list[Any]], None], list[Any], int, int]] = deque()
+        self._scheduled = False
+        self._pushed_samples = self._pushed_bytes = 0
+        self._drained_samples = self._drained_bytes = 0
+        self._starved = False
+
+    # On the loop ------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    async def stop(self) -> None:
+        """End the thread. What was pushed and not yet run is dropped."""
+        self._stopping = True
+        self._ending.set()
+        self._guard.trigger()
+        await asyncio.shield(self._ended)
+        self._thread.join()
+        self._out.clear()
+        self._guard.destroy()
+
+    def add(self, kind: str, handle: Any, handler: Callable[[], None]) -> None:
+        """Run ``handler`` in the thread whenever there is something to take from ``handle``."""
+        with self._lock:
+            self._entries[handle.pointer] = _Entry(kind, handle, handler)
+            self._version += 1
+        self._guard.trigger()
+
+    def remove(self, handle: Any) -> None:
+        """Forget a handle, which is destroyed next."""
+        with self._lock:
+            known = [pointer for pointer, entry in self._entries.items() if entry.handle is handle]
+            for pointer in known:
+                del self._entries[pointer]
+            self._version += 1
+        self._guard.trigger()
+
+    # In the thread ----------------------------------------------------------------------------------------------
+
+    @property
+    def room(self) -> bool:
+        """True while more may be pushed."""
+        return (
+            self._pushed_samples - self._drained_samples < _LIMIT_SAMPLES
+            and self._pushed_bytes - self._drained_bytes < _LIMIT_BYTES
+        )
+
+    def push(self, function: Callable[[list[Any]], None], batch: list[Any], samples: int = 0, size: int = 0) -> None:
+        """Run ``function(batch)`` on the loop; batches pushed for one function are joined while they wait.
+
+        Other threads may push, too, what does not count: no ``samples`` and no ``size``.
+        """
+        self._pushed_samples += samples
+        self._pushed_bytes += size
+        self._out.append((function, batch, samples, size))
+        if not self._scheduled:
+            self._scheduled = True
+            try:
+                self._loop.call_soon_threadsafe(self._drain)
+            except RuntimeError:  # the loop was closed under an open graph
+                self._stopping = True
+
+    def _main(self) -> None:
+        keep_running(self._run, f"{self._name}: the thread that waits for ROS 2", self._ending)
+        with contextlib.suppress(RuntimeError):  # the loop closed first
+            self._loop.call_soon_threadsafe(_resolve, self._ended)
+
+    def _run(self) -> None:
+        while not self._stopping:
+            with self._entered() as (version, entries):
+                self._spin(version, entries)
+
+    @contextlib.contextmanager
+    def _entered(self) -> Iterator[tuple[int, list[_Entry]]]:
+        """The entries as they stand, which cannot be destroyed meanwhile."""
+        with self._lock:
+            version, wanted = self._version, list(self._entries.values())
+        with contextlib.ExitStack() as held:
+            entries = []
+            held.enter_context(self._context.handle)
+            held.enter_context(self._guard.handle)
+            for entry in wanted:
+                with contextlib.suppress(self._rclpy.InvalidHandle):
+                    held.enter_context(entry.handle)
+                    entries.append(entry)
+            yield version, entries
+
+    def _spin(self, version: int, entries: list[_Entry]) -> None:
+        """Wait and handle until the entries change."""
+        of = {kind: [e for e in entries if e.kind == kind] for kind in ("subscription", "client", "service")}
+        by_pointer = {entry.handle.pointer: entry for entry in entries}
+        counts = (len(of["subscription"]), 1, 0, len(of["client"]), len(of["service"]), 0)
+        wait_set = self._rclpy.WaitSet(*counts, self._context.handle)
+        subscriptions = [entry.handle for entry in of["subscription"]]
+        clients = [entry.handle for entry in of["client"]]
+        services = [entry.handle for entry in of["service"]]
+        while version == self._version and not self._stopping:
+            wait_set.clear_entities()
+            wait_set.add_guard_condition(self._guard.handle)
+            self._starved = True  # before looking, so that a loop that catches up now wakes us
+            if self.room:
+                self._starved = False
+                for handle in subscriptions:
+                    wait_set.add_subscription(handle)
+            for handle in clients:
+                wait_set.add_client(handle)
+            for handle in services:
+                wait_set.add_service(handle)
+            wait_set.wait(_FOREVER)
+            for kind, all_of_kind in of.items():
+                if all_of_kind:
+                    for pointer in wait_set.get_ready_entities(kind):
+                        self._handle(by_pointer[pointer])
+
+    def _handle(self, entry: _Entry) -> None:
+        """Run one handler; one that fails is not run again, and costs the others nothing."""
+        if self._entries.get(entry.handle.pointer) is not entry:
+            return
+        try:
+            entry.handler()
+        except Exception:
+            log.exception("%s: taking from a %s failed; it is dead", self._name, entry.kind)
+            with self._lock:
+                self._entries.pop(entry.handle.pointer, None)
+                self._version += 1
+
+    # Between the two --------------------------------------------------------------------------------------------
+
+    def _drain(self) -> None:
+        self._scheduled = False
+        out = self._out
+        joined: dict[Callable[[list[Any]], None], list[Any]] = {}
+        samples = size = 0
+        for _ in range(len(out)):
+            function, batch, count, byte_count = out.popleft()
+            samples += count
+            size += byte_count
+            known = joined.get(function)
+            if known is None:
+                joined[function] = batch
+            else:
+                known.extend(batch)
+        for function, batch in joined.items():
+            try:
+                function(batch)
+            except Exception:
+                log.exception("%s: taking in %d items failed", self._name, len(batch))
+        self._drained_samples += samples
+        self._drained_bytes += size
+        if self._starved and not self._stopping:
+            self._guard.trigger()
+
+
+def _resolve(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)

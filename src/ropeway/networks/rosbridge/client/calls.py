@@ -1,0 +1,312 @@
+"""The calls and goals on one link: who waits for what, and whose turn it is when something comes."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from ropeway.errors import GraphUnavailable, InvalidName, RopewayError, UnknownType
+from ropeway.graph.base import NO_HINTS, Delivery, Undelivered
+from ropeway.networks.rosbridge.client.notes import read_note
+from ropeway.networks.rosbridge.protocol import ops
+from ropeway.networks.rosbridge.protocol.codec import decode_value
+from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
+
+if TYPE_CHECKING:
+    from ropeway.networks.rosbridge.client.actions import RemoteActionClient, RemoteGoal
+    from ropeway.networks.rosbridge.client.graph import RosbridgeGraph
+    from ropeway.networks.rosbridge.client.servers import RemoteActionServer
+    from ropeway.networks.rosbridge.client.services import RemoteClient, RemoteService
+    from ropeway.networks.rosbridge.link.peer import Peer
+    from ropeway.types import MessageCodec
+
+__all__ = ["Calls", "RemoteCaller", "announced", "answer_encoding", "lane", "travelling"]
+
+_NOBODY_S: Final = 1.0  # where nobody can tell who serves what, a call that is not served is tried again for so long
+_RETRY_S: Final = 0.25
+_UNTOLD: Final = "/rosapi/"  # a gateway's own services: it answers them, and does not list them
+_OURS: Final = re.compile(r"(?:call_service|send_action_goal):\S+:\d+")
+
+
+class RemoteCaller(Protocol):
+    """A client of a service or an action."""
+
+    name: str
+
+    @property
+    def available(self) -> bool | None:
+        """See ``Client``."""
+
+
+class Calls:
+    """What ``RosbridgeGraph`` has of services and actions. It outlives connections."""
+
+    def __init__(self, graph: RosbridgeGraph) -> None:
+        self.graph = graph
+        self.pending: dict[str, asyncio.Future[ops.ServiceResponse]] = {}
+        self.goals: dict[str, RemoteGoal] = {}
+        self.services: dict[str, RemoteService] = {}
+        self.servers: dict[str, RemoteActionServer] = {}
+        self.clients: dict[RemoteClient | RemoteActionClient, None] = {}
+        self.peer: Peer | None = None  # once it can be called
+        self._numbers = itertools.count(1)
+        self._changed = asyncio.Event()
+        self._turns: dict[str, asyncio.Lock] = {}
+
+    # ── for the parts ──────────────────────────────────────────────────────────────────────────────────────────
+
+    def next(self) -> int:
+        """A number that no call or goal of this graph had."""
+        return next(self._numbers)
+
+    def turn(self, service: str) -> asyncio.Lock:
+        """Whose turn it is to call a service of a peer that answers one call at a time."""
+        return self._turns.setdefault(service, asyncio.Lock())
+
+    def codec(self, type: str) -> MessageCodec | None:
+        """The codec of a type, ``None`` if nobody knows its definition: gateways get raw bytes then."""
+        try:
+            return self.graph.spelling.codec(type)
+        except UnknownType:
+            return None
+
+    def read(self, type: str, value: object, encoding: str | None, peer: Peer) -> bytes:
+        """The CDR of what came, in our layout. Raises ``TypesError``, ``WireError``."""
+        payload = decode_value(value, encoding, self.codec(type), limit_bytes=peer.limit_bytes)
+        return self.graph.border.incoming(type, payload)
+
+    def written(self, type: str, payload: bytes) -> bytes:
+        """CDR of ours in the layout of the far graph. Raises ``ValueMismatch``."""
+        return self.graph.border.outgoing(type, payload)
+
+    async def link(self, deadline: float) -> Peer:
+        """The peer, as soon as it can be called. Raises ``GraphUnavailable`` at the deadline (time of the loop)."""
+        if (peer := self.peer) is not None:
+            return peer
+        try:
+            async with asyncio.timeout_at(deadline):
+                while (peer := self.peer) is None:
+                    await self._changed.wait()
+        except TimeoutError:
+            raise GraphUnavailable(
+                self.graph.name, f"the link is down ({self.graph.last_error or 'it is being made again'})"
+            ) from None
+        return peer
+
+    def available(self, kind: str, name: str) -> bool | None:
+        """Whether the far graph shows that somebody serves a name; ``kind`` is ``service`` or ``action``."""
+        peer = self.peer
+        if peer is None:
+            return False
+        if not self._told(peer):
+            return None
+        mirror = self.graph.mirror
+        info = mirror.services.get(name) if kind == "service" else mirror.actions.get(name)
+        if info is None and kind == "service" and name.startswith(_UNTOLD):
+            return None
+        return info is not None and bool(info.servers)
+
+    def _told(self, peer: Peer) -> bool:
+        return peer.dialect is ROPEWAY and self.graph.mirror.tells_calls
+
+    async def wait_available(self, caller: RemoteCaller, timeout_s: float) -> bool:
+        """Wait until somebody serves it, or nobody can tell."""
+        try:
+            async with asyncio.timeout(timeout_s):
+                while caller.available is False:
+                    await self._changed.wait()
+        except TimeoutError:
+            return False
+        return True
+
+    async def may_try_again(self, caller: RemoteCaller, began: float, deadline: float) -> bool:
+        """After a call that was not served: wait until another is worth it. False when it is not, within the time."""
+        loop = asyncio.get_running_loop()
+        if caller.available is None:
+            deadline = min(deadline, began + _NOBODY_S)
+        left = deadline - loop.time()
+        if left <= 0:
+            return False
+        if caller.available is not False:  # it comes and goes, or nobody can tell
+            try:
+                async with asyncio.timeout(min(left, _RETRY_S)):
+                    await self._changed.wait()
+            except TimeoutError:
+                pass
+            return loop.time() < deadline
+        return await self.wait_available(caller, left)
+
+    async def plain(self, service: str, args: Mapping[str, Any], timeout_s: float = 5.0) -> Mapping[str, Any]:
+        """Call a service by JSON and give its values. Raises ``GraphUnavailable`` with the server's text."""
+        name, peer = self.graph.name, self.graph.peer
+        if peer is None:
+            raise GraphUnavailable(name, "is not connected")
+        id = f"call_service:{service}:{self.next()}"
+        future: asyncio.Future[ops.ServiceResponse] = asyncio.get_running_loop().create_future()
+        self.pending[id] = future
+        try:
+            peer.send(ops.CallService(id=id, service=service, args=dict(args)))
+            async with asyncio.timeout(timeout_s):
+                response = await future
+        except TimeoutError:
+            raise GraphUnavailable(name, f"{service} did not answer within {timeout_s:g} s") from None
+        finally:
+            self.pending.pop(id, None)
+        if not response.result or not isinstance(response.values, Mapping):
+            raise GraphUnavailable(name, f"{service}: {response.values}")
+        return response.values
+
+    def changed(self) -> None:
+        """Who serves what has changed."""
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    def late(self, name: str) -> None:
+        """Count an answer for which nobody waits."""
+        self.graph.drops[name, Undelivered.LATE] += 1
+
+    def add(self, part: RemoteService | RemoteActionServer, table: dict[str, Any]) -> None:
+        """Keep a provider, and offer it. Raises ``InvalidName`` for a second one, and what the peer cannot take."""
+        if part.name in table:
+            raise InvalidName(part.name, f"it is served on {self.graph.name} by this program already")
+        table[part.name] = part
+        if self.graph.peer is not None:
+            try:
+                part.connected(self.graph.peer)
+            except RopewayError:
+                del table[part.name]
+                raise
+
+    def providers(self) -> list[RemoteService | RemoteActionServer]:
+        """What is served over this link."""
+        return [*self.services.values(), *self.servers.values()]
+
+    async def close(self) -> None:
+        """Close every part."""
+        for part in [*self.clients, *self.providers()]:
+            await part.close()
+        self.changed()
+
+    # ── the connection ─────────────────────────────────────────────────────────────────────────────────────────
+
+    def ready(self, peer: Peer) -> None:
+        """The peer can be called."""
+        self.peer = peer
+        self.changed()
+
+    def disconnected(self) -> None:
+        """The link is gone: nothing that is under way can be answered."""
+        self.peer = None
+        reason = f"the link to {self.graph.name} was lost"
+        pending, self.pending = self.pending, {}
+        for future in pending.values():
+            if not future.done():
+                future.set_exception(GraphUnavailable(self.graph.name, "the connection was lost during the call"))
+        goals, self.goals = self.goals, {}
+        for goal in goals.values():
+            goal.lost(reason)
+        for part in self.providers():
+            part.disconnected()
+        self.changed()
+
+    # ── what the peer says ─────────────────────────────────────────────────────────────────────────────────────
+
+    def operation(self, op: ops.Op, peer: Peer) -> bool:
+        """Take an operation of services and actions; false for others."""
+        match op:
+            case ops.ServiceResponse():
+                future = self.pending.pop(str(op.id), None)
+                if future is None:
+                    self._unasked(op.service, op.id, peer)
+                elif not future.done():
+                    future.set_result(op)
+            case ops.ActionFeedback():
+                if (goal := self.goals.get(str(op.id))) is not None:
+                    goal.fed(op)
+                else:
+                    self._unasked(op.action, op.id, peer)
+            case ops.ActionResult():
+                if (goal := self.goals.pop(str(op.id), None)) is not None:
+                    goal.ended(op)
+                else:
+                    self._unasked(op.action, op.id, peer)
+            case ops.CallService():
+                if (service := self.services.get(op.name)) is not None:
+                    service.called(op, peer)
+                else:
+                    text = f"Service {op.name} does not exist"
+                    peer.send_op(ops.ServiceResponse(id=op.id, service=op.service, values=text, result=False))
+            case ops.SendActionGoal():
+                if (server := self.servers.get(op.name)) is not None:
+                    server.asked(op, peer)
+                else:
+                    text = "No action server available"
+                    peer.send_op(ops.ActionResult(id=op.id, action=op.action, values=text, status=0, result=False))
+            case ops.CancelActionGoal():
+                if (server := self.servers.get(op.name)) is not None:
+                    server.cancel_asked(op, peer)
+                elif peer.dialect is ROPEWAY and ops.present(op.id):
+                    peer.send_op({"op": "cancelling", "id": op.id, "agreed": False})
+            case _:
+                return False
+        return True
+
+    def _unasked(self, name: str, id: object, peer: Peer) -> None:
+        """An answer came late, or for nothing."""
+        if any(client.name == name for client in self.clients):
+            self.late(name)
+        elif isinstance(id, str) and _OURS.fullmatch(id):  # of a client that was closed
+            self.late("")
+        else:
+            peer.complaints.note("answer", name, "nobody here asked for it")
+
+    def control(self, message: Mapping[str, Any]) -> bool:
+        """Take a message between gateways about services and actions; false for others."""
+        op, id = message.get("op"), message.get("id")
+        if op in ("accepted", "cancelling"):
+            goal = self.goals.get(id) if isinstance(id, str) else None
+            if goal is not None and op == "accepted":
+                goal.accept()
+            elif goal is not None:
+                goal.cancel_answered(message.get("agreed") is True)
+            return True
+        if op in ("refused", "granted"):
+            for kind, table in (("service", self.services), ("action", self.servers)):
+                name = message.get(kind)
+                if isinstance(name, str):
+                    part = table.get(name)
+                    if part is not None:
+                        reason = str(message.get("reason", "")) or "it was refused"
+                        part.held.tell("" if op == "granted" else reason[:1000])
+                    return True
+        return False
+
+
+def announced(delivery: Delivery, peer: Peer) -> str | None:
+    """Return the encoding to name when something is offered to a peer: what it may send requests in."""
+    dialect, encoding = peer.dialect, delivery.encoding
+    known = dialect is ROPEWAY or encoding in dialect.bodies
+    return encoding if dialect.names_compression and known and encoding != "auto" else None
+
+
+def answer_encoding(delivery: Delivery, peer: Peer, op: ops.CallService | ops.SendActionGoal) -> str:
+    """Return the encoding for answers to a request: what the peer asked for, or between gateways what is configured."""
+    if peer.dialect is not ROPEWAY:
+        return op.compression or "none"
+    wanted = read_note(op.ropeway).encoding
+    return delivery.encoding if wanted == "auto" else wanted
+
+
+def lane(delivery: Delivery) -> int | None:
+    """The priority of calls: what was configured, or what fits their size."""
+    return None if delivery.priority == NO_HINTS.priority else delivery.priority
+
+
+def travelling(delivery: Delivery, peer: Peer | None, asked: str | None) -> str:
+    """Return the encoding in which bodies travel: as configured between gateways, else as the peer ``asked`` for."""
+    if peer is None or peer.dialect is ROPEWAY:
+        return delivery.encoding
+    return asked if asked in peer.dialect.bodies else "none"

@@ -1,0 +1,401 @@
+"""Publishers and subscriptions on the far end of a link. They outlive connections: each new one announces them."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from ropeway.delivery.outbox import Lost
+from ropeway.errors import MessageTooBig, TypesError
+from ropeway.graph.answer import Answers
+from ropeway.graph.base import SEQ_NONE, Delivery, Sample, SampleCallback, Undelivered, new_origin
+from ropeway.graph.history import History
+from ropeway.logs import failed
+from ropeway.networks.rosbridge.protocol import codec as wire_codec
+from ropeway.networks.rosbridge.protocol import ops
+from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROSBRIDGE, ROSGW
+from ropeway.networks.rosbridge.protocol.records import Arrival
+from ropeway.qos import DEFAULT, QoS
+
+if TYPE_CHECKING:
+    from ropeway.networks.rosbridge.client.graph import RosbridgeGraph
+    from ropeway.networks.rosbridge.link.peer import Channel, Peer
+    from ropeway.types import MessageCodec
+
+__all__ = ["EchoFilter", "RemotePublisher", "RemoteSubscription"]
+
+log = logging.getLogger("ropeway.rosbridge")
+
+_ECHOES: Final = 256
+
+
+class EchoFilter:
+    """Recognises what a plain rosbridge server sends back of what we published to it."""
+
+    def __init__(self) -> None:
+        self._sent: deque[int] = deque(maxlen=_ECHOES)
+
+    def sent(self, payload: bytes) -> None:
+        """Remember a message that went out."""
+        self._sent.append(hash(payload))
+
+    def echoes(self, payload: bytes) -> bool:
+        """True, once, for a message that went out before."""
+        key = hash(payload)
+        if key in self._sent:
+            self._sent.remove(key)
+            return True
+        return False
+
+
+class RemotePublisher:
+    """A topic that we publish on the far graph."""
+
+    def __init__(self, graph: RosbridgeGraph, topic: str, type: str, qos: QoS, delivery: Delivery) -> None:
+        self.topic, self.type, self.qos, self.delivery = topic, type, qos, delivery
+        self.graph = graph
+        self.number = graph.next_number()
+        self.id = f"advertise:{topic}:{self.number}"
+        self.channel: Channel | None = None
+        self.lost: Counter[Lost] = Counter()
+        self.sent = self.sent_bytes = 0
+        self.answers = Answers()
+        self.remote_delay_s: float | None = None  # from this gateway's reception to the far one's
+        self._gid = new_origin()
+        self._seq = 0
+        self._count: int | None = 0  # None: connected to a server that cannot tell
+        self._demand: list[Callable[[int], None]] = []
+        self._history = History(qos)
+        self._translated = graph.border.touches(type)
+        self.closed = False
+
+    def publish(self, sample: Sample) -> None:
+        """Let a message wait for the link; with the link down it is lost and counted, unless it is latched."""
+        if self.closed:
+            self.graph.drops[self.topic, Undelivered.CLOSED] += 1
+            return
+        if sample.seq == SEQ_NONE:
+            self._seq = max(time.time_ns(), self._seq + 1)
+            sample = Sample(sample.payload, self.type, sample.stamp_ns or self._seq, self._gid, self._seq)
+        if self._translated:
+            try:
+                sample = sample.carrying(self.graph.border.outgoing(self.type, sample.payload))
+            except TypesError:
+                self.graph.drops[self.topic, Undelivered.ENCODE] += 1
+                return
+        if self.qos.transient_local:
+            self._history.add(sample)
+            if self.channel is None:
+                return  # sent when the link is back
+        elif self.channel is None:
+            self.lost[Lost.UNSENT] += 1
+            return
+        elif self._count == 0:
+            return  # nobody reads it there
+        echo = self.graph.echoes.get(self.topic)
+        if echo is not None:
+            echo.sent(sample.payload)
+        self.channel.put(sample)
+
+    @property
+    def subscribers(self) -> int | None:
+        """Readers on the far graph, where it can tell."""
+        return self._count
+
+    @property
+    def refused(self) -> str:
+        """Why the far side does not take the topic, ``""`` where it does."""
+        return self.answers.reason
+
+    def on_answer(self, callback: Callable[[str], None]) -> None:
+        """See ``Answering.on_answer``."""
+        self.answers.on_answer(callback)
+
+    def on_demand(self, callback: Callable[[int], None]) -> None:
+        """Call with the number of readers on the far graph, now and at each change."""
+        self._demand.append(callback)
+        if self._count is not None:
+            callback(self._count)
+
+    def demand(self, count: int | None) -> None:
+        """The far side told how many read, or (``None``) can tell no longer."""
+        if count == self._count:
+            return
+        self._count = count
+        for callback in self._demand:
+            callback(count or 0)
+
+    def connected(self, peer: Peer) -> None:
+        """Announce the topic on a new connection."""
+        delivery = self.delivery
+        plain = peer.dialect is not ROPEWAY
+        encoding = delivery.encoding
+        if plain:
+            encoding = self.graph.plain_server.encoding(peer, self.topic, self.type, encoding)
+            if self.graph.spelling.is_ros1:
+                encoding = "none"
+        extra: dict[str, Any] | None = None
+        self.demand(None if plain else 0)  # a gateway tells at once how many read
+        if not plain:
+            extra = {"channel": self.number, **self.graph.type_note(self.type)}
+        self.channel = peer.open_channel(
+            self.number,
+            self.topic,
+            self.type,
+            encoding=encoding,
+            priority=delivery.priority,
+            depth=queue_depth(delivery, self.qos),
+            lifespan_s=delivery.lifespan_s,
+        )
+        if self.channel.codec is not None:
+            self.channel.codec = self.graph.spelling.codec(self.type)
+        self.channel.queue.lost = self.lost
+        self.channel.queue.weight = delivery.weight
+        self.channel.queue.latched = self.qos.latched
+        rosgw = peer.dialect is ROSGW
+        peer.send(
+            ops.Advertise(
+                id=self.id,
+                topic=self.topic,
+                type=self.graph.spelling.type_name(self.type),
+                latch=plain and not rosgw and self.qos.latched,  # for servers that do not know qos
+                queue_size=max(self.qos.depth, 1) if plain and not rosgw else 100,
+                qos=None if rosgw else self.qos.to_json(),
+                compression=encoding if rosgw and encoding != "none" else None,
+                ropeway=extra,
+            )
+        )
+        for sample in self._history.replay():
+            self.channel.put(sample)
+        if plain:
+            self.answers.tell("")  # a server that has something against it does not say so
+
+    def disconnected(self) -> None:
+        """The connection is gone."""
+        self._collect()
+        self.channel = None
+        self.demand(0)
+
+    def statistics(self) -> tuple[int, int]:
+        """Messages and bytes sent, over all connections."""
+        live = (self.channel.sent, self.channel.sent_bytes) if self.channel is not None else (0, 0)
+        return self.sent + live[0], self.sent_bytes + live[1]
+
+    def _collect(self) -> None:
+        if self.channel is not None:
+            self.sent += self.channel.sent
+            self.sent_bytes += self.channel.sent_bytes
+
+    async def close(self) -> None:
+        """Withdraw the topic."""
+        if self.closed:
+            return
+        self.closed = True
+        self.graph.forget(self)
+        if self.channel is not None:
+            peer = self.graph.peer
+            assert peer is not None
+            peer.pump()
+            self._collect()
+            self.channel.close()
+            self.channel = None
+            peer.send(ops.Unadvertise(id=self.id, topic=self.topic))
+
+
+class RemoteSubscription:
+    """A topic that we read from the far graph."""
+
+    def __init__(
+        self,
+        graph: RosbridgeGraph,
+        topic: str,
+        type: str,
+        qos: QoS | None,
+        callback: SampleCallback,
+        delivery: Delivery,
+    ) -> None:
+        self.topic, self.type, self.delivery = topic, type, delivery
+        self.graph = graph
+        self.number = graph.next_number()
+        self.id = f"subscribe:{topic}:{self.number}"
+        self.answers = Answers()
+        self._asked = qos
+        self._qos = qos or DEFAULT
+        self._callback = callback
+        self._qos_callbacks: list[Callable[[QoS], None]] = []
+        self._codec: MessageCodec | None = None
+        self._plain_origin = new_origin()
+        self._plain_seq = 0
+        self._peer: Peer | None = None
+        self._translated = graph.border.touches(type)
+        self.used = "none"  # the encoding of the last message, or what is asked for
+        self.closed = False
+
+    @property
+    def qos(self) -> QoS:
+        """The profile in use on the far graph, as far as it is known."""
+        return self._qos
+
+    @property
+    def refused(self) -> str:
+        """Why the far side does not give the topic, ``""`` where it does."""
+        return self.answers.reason
+
+    def on_answer(self, callback: Callable[[str], None]) -> None:
+        """See ``Answering.on_answer``."""
+        self.answers.on_answer(callback)
+
+    def on_qos(self, callback: Callable[[QoS], None]) -> None:
+        """Call with the profile, now and when the far graph adopts another."""
+        self._qos_callbacks.append(callback)
+        callback(self._qos)
+
+    def adopted(self, qos: QoS) -> None:
+        """The far graph told which profile it uses."""
+        if self._asked is None and qos != self._qos:
+            self._qos = qos
+            for callback in self._qos_callbacks:
+                callback(qos)
+
+    def connected(self, peer: Peer) -> None:
+        """Ask for the topic on a new connection."""
+        delivery = self.delivery
+        self._peer = peer
+        encoding = delivery.encoding
+        extra: dict[str, Any] | None = None
+        if peer.dialect is ROPEWAY:
+            extra = {"channel": self.number, "priority": delivery.priority, **self.graph.type_note(self.type)}
+            if delivery.weight != 1.0:
+                extra["weight"] = delivery.weight
+            for key in ("rate_hz", "lifespan_s", "depth"):
+                if (value := getattr(delivery, key)) is not None:
+                    extra[key] = value
+            if not self.graph.registry.has(self.type):
+                extra["want_definition"] = True
+        elif encoding in ("auto", "zstd"):
+            encoding = "cbor-raw"
+        self.used = encoding
+        depth = queue_depth(delivery, self._qos)
+        peer.send(
+            ops.Subscribe(
+                id=self.id,
+                topic=self.topic,
+                type=self.graph.spelling.type_name(self.type),
+                throttle_rate=round(1000 / delivery.rate_hz) if delivery.rate_hz and extra is None else 0,
+                queue_length=depth if depth is not None and extra is None and delivery.rate_hz else 0,
+                compression=encoding,
+                qos=self._asked.to_json() if self._asked is not None else None,
+                ropeway=extra,
+            )
+        )
+
+    def disconnected(self) -> None:
+        """The connection is gone."""
+        self._peer = None
+
+    def arrived(self, arrivals: Sequence[Arrival]) -> None:
+        """Messages came in records."""
+        peer = self._peer
+        if peer is None or self.closed:
+            return
+        now = time.time_ns()
+        offset = peer.clock_offset_ns
+        batch: list[Sample] = []
+        for arrival in arrivals:
+            payload = arrival.body
+            if arrival.encoding != wire_codec.CBOR_RAW:
+                try:
+                    payload = peer.decode(arrival, self._codec_for(arrival.encoding))
+                except (TypesError, MessageTooBig) as error:
+                    self._undecodable(error)
+                    continue
+            self.used = wire_codec.encoding_name(arrival.encoding)
+            sent = arrival.stamp_ns - offset if arrival.stamp_ns and offset is not None else 0
+            batch.append(Sample(payload, self.type, now, arrival.origin, arrival.seq, arrival.relayed, sent))
+        self._deliver(batch)
+
+    def published(self, op: ops.Publish) -> None:
+        """A message came as a plain ``publish``."""
+        peer = self._peer
+        if peer is None or self.closed:
+            return
+        try:
+            payload = self.graph.spelling.read(
+                peer,
+                self.type,
+                lambda codec: wire_codec.decode_publish_msg(
+                    op.msg, op.compression, codec, limit_bytes=peer.limit_bytes
+                ),
+            )
+        except (TypesError, MessageTooBig) as error:
+            self._undecodable(error)
+            return
+        self.used = _encoding_of(op, self.used)
+        echo = self.graph.echoes.get(self.topic)
+        if echo is not None and echo.echoes(payload):
+            return
+        now = time.time_ns()
+        self._plain_seq = max(now, self._plain_seq + 1)
+        self._deliver([Sample(payload, self.type, now, self._plain_origin, self._plain_seq)])
+
+    def learned(self, note: Mapping[str, Any]) -> None:
+        """The far side sent the definition of the type."""
+        text = note.get("definition")
+        if isinstance(text, str):
+            self.graph.teller.tell(self.type, text)
+
+    def _codec_for(self, encoding: int) -> MessageCodec | None:
+        if wire_codec.encoding_name(encoding) in ("rawzip", "zstd"):
+            return None
+        if self._codec is None:
+            self._codec = self.graph.registry.codec(self.type)
+        return self._codec
+
+    def _undecodable(self, error: Exception) -> None:
+        self.graph.drops[self.topic, Undelivered.DECODE] += 1
+        if self._peer is not None:
+            self._peer.complaints.note("message", self.topic, error)
+
+    def _deliver(self, batch: list[Sample]) -> None:
+        if not batch:
+            return
+        if self._translated:
+            batch = [sample.carrying(self.graph.border.incoming(self.type, sample.payload)) for sample in batch]
+        try:
+            self._callback(batch)
+        except Exception:  # a callback is somebody else's code; the connection must not suffer
+            self.graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
+            failed(log, "%s: a callback for %s failed", self.graph.name, self.topic)
+
+    async def close(self) -> None:
+        """Stop reading."""
+        if self.closed:
+            return
+        self.closed = True
+        self.graph.forget(self)
+        if self._peer is not None:
+            self._peer.forget_inbound(self.number)
+            self._peer.send(ops.Unsubscribe(id=self.id, topic=self.topic))
+            self._peer = None
+
+
+def queue_depth(delivery: Delivery, qos: QoS) -> int | None:
+    """How many messages of a topic may wait on a link: as configured, else by its QoS; ``None`` keeps all."""
+    if delivery.depth is not None:
+        return delivery.depth
+    if qos.history == "keep_all" and qos.reliable:
+        return None
+    return max(qos.depth, 1)
+
+
+def _encoding_of(op: ops.Publish, asked: str) -> str:
+    """Return the encoding of a message that came; plain servers need not name it, and take unknown ones for none."""
+    if op.compression is not None:
+        return op.compression
+    raw = op.msg.get("bytes") if isinstance(op.msg, dict) else op.msg
+    if isinstance(raw, bytes):
+        return "cbor-raw"
+    return asked if asked in ROSBRIDGE.subscribe - {"cbor-raw"} else "none"

@@ -1,0 +1,246 @@
+"""Actions served over a link. They outlive connections: each new one announces them."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
+
+from ropeway.errors import CallFailed, GoalRejected, LinkError, ProviderLost, RopewayError
+from ropeway.graph.base import Delivery, Undelivered
+from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, ServerGoal
+from ropeway.logs import failed
+from ropeway.networks.rosbridge.client.calls import announced, answer_encoding, lane, travelling
+from ropeway.networks.rosbridge.client.notes import failure, read_note
+from ropeway.networks.rosbridge.client.services import CALLS_LIMIT, Held
+from ropeway.networks.rosbridge.protocol import ops
+from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROSGW
+from ropeway.tasks import Chores
+
+if TYPE_CHECKING:
+    from ropeway.networks.rosbridge.client.calls import Calls
+    from ropeway.networks.rosbridge.link.peer import Peer
+
+__all__ = ["RemoteActionServer"]
+
+log = logging.getLogger("ropeway.rosbridge")
+
+_WITHDRAWN: Final = "who offered it has withdrawn it"
+
+
+class _Goal:
+    """One goal under way; ``key`` is its id on the link."""
+
+    def __init__(self, op: ops.SendActionGoal, peer: Peer, key: str) -> None:
+        self.op, self.peer, self.key = op, peer, key
+        self.id = b""
+        self.goal: ServerGoal | None = None  # once it is accepted
+        self.decided = asyncio.Event()
+        self.ended = False
+
+
+class RemoteActionServer:
+    """An action that we serve on the far graph."""
+
+    def __init__(self, calls: Calls, action: str, type: str, handlers: ActionHandlers, delivery: Delivery) -> None:
+        self.action = self.name = action
+        self.type, self.delivery = type, delivery
+        self.id = f"advertise_action:{action}:{calls.next()}"
+        self.held = Held(calls.graph.name, "action", action)
+        self.closed = False
+        self._calls, self._handlers = calls, handlers
+        self._peer: Peer | None = None
+        self._asked: str | None = None  # the encoding that the last goal asked for
+        self._goals: dict[str, _Goal] = {}
+        self._tasks = Chores()
+
+    @property
+    def encoding(self) -> str:
+        """In what feedback and results travel."""
+        return travelling(self.delivery, self._peer, self._asked)
+
+    @property
+    def refused(self) -> str:
+        """Why the far gateway does not let us serve it now, ``""`` if it does."""
+        return self.held.by
+
+    def on_state(self, callback: Callable[[str], None]) -> None:
+        """Call with ``refused``, now and at each change."""
+        self.held.on_state(callback)
+
+    # ── the connection ─────────────────────────────────────────────────────────────────────────────────────────
+
+    def connected(self, peer: Peer) -> None:
+        """Announce the action on a new connection. Raises ``UnknownType`` if the peer needs the definition."""
+        registry = self._calls.graph.registry
+        gateway = peer.dialect is ROPEWAY
+        if not gateway:
+            for part in ("Goal", "Result", "Feedback"):
+                registry.codec(f"{self.type}_{part}")
+        self._peer = peer
+        self.held.tell("")
+        peer.send(
+            ops.AdvertiseAction(
+                id=self.id,
+                action=self.action,
+                type=self.type,
+                compression=announced(self.delivery, peer),
+                ropeway=(self._calls.graph.type_note(self.type) or None) if gateway else None,
+            )
+        )
+
+    def disconnected(self) -> None:
+        """The connection is gone: nobody follows the goals."""
+        self._peer = None
+        for goal in self._goals.values():
+            goal.ended = True
+        self._tasks.cancel()
+
+    # ── what the peer asks for ─────────────────────────────────────────────────────────────────────────────────
+
+    def asked(self, op: ops.SendActionGoal, peer: Peer) -> None:
+        """A goal came."""
+        self._asked = op.compression
+        goal = _Goal(op, peer, repr(op.id))
+        if goal.key in self._goals or len(self._goals) >= CALLS_LIMIT:
+            reason = "works at it already" if goal.key in self._goals else f"is busy with {CALLS_LIMIT} goals"
+            self._fail(goal, CallFailed(self.action, f"{self.action} {reason}"))
+            return
+        self._goals[goal.key] = goal
+        task = self._tasks.start(self._carry_out(goal), f"goal of {self.action}")
+        task.add_done_callback(lambda _: self._goals.pop(goal.key, None))
+
+    def cancel_asked(self, op: ops.CancelActionGoal, peer: Peer) -> None:
+        """The end of a goal is asked for."""
+        self._tasks.start(self._cancel(op, peer), f"cancel goal of {self.action}")
+
+    async def _carry_out(self, goal: _Goal) -> None:
+        try:
+            made = await self._accept(goal)
+            if goal.ended:
+                return
+            goal.goal = made
+            if goal.peer.dialect is ROPEWAY and ops.present(goal.op.id):
+                goal.peer.send_op({"op": "accepted", "id": goal.op.id})
+            goal.decided.set()
+            outcome = await self._handlers.execute(made)
+        except RopewayError as error:
+            self._fail(goal, error)
+        except Exception as error:  # a handler is somebody else's code; its failure is the goal's
+            failed(log, "%s: the handler of %s failed", self._calls.graph.name, self.action)
+            self._fail(goal, error)
+        else:
+            self._end(goal, outcome)
+        finally:
+            goal.decided.set()
+
+    async def _accept(self, goal: _Goal) -> ServerGoal:
+        op, note = goal.op, read_note(goal.op.ropeway)
+        if any(other.id == note.id for other in self._goals.values()):
+            raise GoalRejected(self.action)  # the same goal, by another way
+        goal.id = note.id
+        payload = self._calls.read(f"{self.type}_Goal", op.args, op.compression, goal.peer)
+        made = ServerGoal(payload, note.id, lambda data: self._feed(goal, data), note.via, note.caller)
+        if self._handlers.accept is not None and not await self._handlers.accept(made):
+            raise GoalRejected(self.action)
+        return made
+
+    async def _cancel(self, op: ops.CancelActionGoal, peer: Peer) -> None:
+        agreed = False
+        goal = self._goals.get(repr(op.id))
+        if goal is not None:
+            await goal.decided.wait()
+            made = goal.goal
+            if made is not None and not goal.ended:
+                agreed = await self._agrees(made)
+                if agreed:
+                    made.cancelled.set()
+        if peer.dialect is ROPEWAY and ops.present(op.id):
+            peer.send_op({"op": "cancelling", "id": op.id, "agreed": agreed})
+
+    async def _agrees(self, goal: ServerGoal) -> bool:
+        if self._handlers.cancel is None:
+            return True
+        try:
+            return await self._handlers.cancel(goal)
+        except RopewayError as error:
+            log.warning("%s: a goal of %s is not cancelled: %s", self._calls.graph.name, self.action, error)
+        except Exception:  # a handler is somebody else's code
+            failed(log, "%s: the handler of %s failed", self._calls.graph.name, self.action)
+        return False
+
+    # ── what the peer is told ──────────────────────────────────────────────────────────────────────────────────
+
+    def _feed(self, goal: _Goal, payload: bytes) -> None:
+        peer = goal.peer
+        if goal.ended or not (goal.op.feedback or peer.dialect is ROSGW):  # which does not ask, and wants it
+            return
+        try:
+            peer.send_op(
+                ops.ActionFeedback(id=goal.op.id, action=goal.op.action, values=None),
+                payload=self._calls.written(f"{self.type}_Feedback", payload),
+                field="values",
+                codec=self._calls.codec(f"{self.type}_Feedback"),
+                encoding=answer_encoding(self.delivery, peer, goal.op),
+                priority=lane(self.delivery),
+            )
+        except RopewayError as error:
+            reason = Undelivered.WRITE if isinstance(error, LinkError) else Undelivered.ENCODE
+            self._calls.graph.drops[self.action, reason] += 1
+            peer.complaints.note("feedback", self.action, error)
+
+    def _end(self, goal: _Goal, outcome: Outcome) -> None:
+        if goal.ended:
+            return
+        status = outcome.status if outcome.status.final else GoalStatus.ABORTED
+        if outcome.payload is None:
+            self._end_empty(goal, status, "failed", outcome.text)
+            return
+        try:
+            goal.peer.send_op(
+                self._result(goal, status, None),
+                payload=self._calls.written(f"{self.type}_Result", outcome.payload),
+                field="values",
+                codec=self._calls.codec(f"{self.type}_Result"),
+                encoding=answer_encoding(self.delivery, goal.peer, goal.op),
+                priority=lane(self.delivery),
+                on_unsent=lambda error: self._end_empty(goal, GoalStatus.ABORTED, "failed", str(error)),
+            )
+            goal.ended = True
+        except RopewayError as error:
+            self._end_empty(goal, GoalStatus.ABORTED, "failed", str(error))
+
+    def _fail(self, goal: _Goal, error: BaseException) -> None:
+        word, text = failure(error)
+        taken = goal.goal is not None
+        self._end_empty(goal, GoalStatus.ABORTED if taken else GoalStatus.UNKNOWN, word, text)
+
+    def _end_empty(self, goal: _Goal, status: GoalStatus, word: str, text: str) -> None:
+        """Tell of an end without a result: to gateways with the reason, to others with an empty one."""
+        goal.ended = True
+        if goal.peer.dialect is ROPEWAY:
+            made = self._result(goal, status, text)
+            made.result, made.ropeway = False, {"error": word}
+        else:
+            made = self._result(goal, status if status.final else GoalStatus.ABORTED, {})
+        goal.peer.send_op(made)
+
+    def _result(self, goal: _Goal, status: GoalStatus, values: object) -> ops.ActionResult:
+        rosgw = goal.peer.dialect is ROSGW  # it knows success and failure only
+        result = status is GoalStatus.SUCCEEDED if rosgw else True
+        return ops.ActionResult(id=goal.op.id, action=goal.op.action, values=values, status=int(status), result=result)
+
+    async def close(self) -> None:
+        """See ``ActionServer``."""
+        if self.closed:
+            return
+        self.closed = True
+        self._calls.servers.pop(self.action, None)
+        peer, self._peer = self._peer, None
+        if peer is not None:
+            for goal in list(self._goals.values()):
+                if not goal.ended:
+                    self._fail(goal, ProviderLost(self.action, _WITHDRAWN))
+            peer.send(ops.UnadvertiseAction(id=self.id, action=self.action))
+        await self._tasks.close()

@@ -1,0 +1,103 @@
+"""How a server writes messages and names types: one of rosbridge may belong to ROS 1, which does both otherwise."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Callable, Iterable
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from ropeway.errors import GraphUnavailable, TypesError
+from ropeway.networks.rosbridge.client.parts import RemotePublisher
+from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
+from ropeway.types.ros1_spelling import Ros1Spelling
+from ropeway.types.ros1_types import Ros1Types
+
+if TYPE_CHECKING:
+    from ropeway.networks.rosbridge.client.graph import RosbridgeGraph
+    from ropeway.networks.rosbridge.link.peer import Peer
+    from ropeway.types import MessageCodec
+
+__all__ = ["Spelling"]
+
+log = logging.getLogger("ropeway.rosbridge")
+
+
+class Spelling:
+    """What the server of ``graph`` speaks. ``ros1`` tells whether it belongs to ROS 1, ``None`` that it is to be seen.
+
+    It is seen in the names of types that rosapi tells, or in a message that makes sense in ROS 1 only. Gateways have
+    ROS 2's spelling always.
+    """
+
+    def __init__(self, graph: RosbridgeGraph, ros1: bool | None) -> None:
+        self._graph = graph
+        self._ros1 = ros1
+
+    @cached_property
+    def _theirs(self) -> Ros1Spelling:
+        """Made when it is needed: it reads all definitions of ROS 1."""
+        return Ros1Spelling(Ros1Types(self._graph.registry))
+
+    @property
+    def is_ros1(self) -> bool:
+        """True if the server belongs to ROS 1."""
+        peer = self._graph.peer
+        return bool(self._ros1) and (peer is None or peer.dialect is not ROPEWAY)
+
+    def codec(self, type: str) -> MessageCodec:
+        """How messages of a type are written there. Raises ``TypesError``."""
+        return self._theirs.codec(type) if self.is_ros1 else self._graph.registry.codec(type)
+
+    def type_name(self, type: str) -> str:
+        """The name of a type as it is written there."""
+        return self._theirs.name(type) if self.is_ros1 else type
+
+    async def find_out(self, peer: Peer) -> None:
+        """Ask a rosbridge server once for its types."""
+        if self._ros1 is not None or not self._graph.plain_server.is_rosbridge:
+            return
+        with contextlib.suppress(GraphUnavailable):
+            types = (await self._graph.calls.plain("/rosapi/topics", {})).get("types")
+            if isinstance(types, list):
+                self.seen(peer, [type for type in types if isinstance(type, str)])
+
+    def seen(self, peer: Peer, types: Iterable[str]) -> None:
+        """Learn from the names of types which ROS it is."""
+        if self._ros1 is not None:
+            return
+        parts = {type.count("/") for type in types if type}
+        if parts == {1}:
+            self._turn(peer)
+        elif 2 in parts:
+            self._ros1 = False
+
+    def read(self, peer: Peer, type: str, decode: Callable[[MessageCodec], bytes]) -> bytes:
+        """What ``decode`` makes of a message.
+
+        Raises what it does for one that makes no sense in ROS 2 nor, if that may be, in ROS 1.
+        """
+        try:
+            return decode(self.codec(type))
+        except TypesError as error:
+            if self._ros1 is not None:
+                raise
+            try:
+                payload = decode(self._theirs.codec(type))
+            except TypesError:
+                raise error from None
+        self._turn(peer)
+        return payload
+
+    def _turn(self, peer: Peer) -> None:
+        """It is ROS 1: announce everything anew, for types have other names there."""
+        self._ros1 = True
+        log.info("%s: this is a rosbridge server of ROS 1", self._graph.name)
+        for part in self._graph.parts():
+            if isinstance(part, RemotePublisher) and part.channel is not None:
+                part.channel.close()
+            part.disconnected()
+            part.connected(peer)
+        for provider in self._graph.calls.providers():
+            provider.connected(peer)

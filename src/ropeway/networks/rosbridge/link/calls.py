@@ -1,0 +1,290 @@
+"""Operations with a body, such as calls and answers, on their way to a peer: in order, bounded, none replaced.
+
+A Ropeway gateway gets them as CBOR in records, each priority on a channel of its own (``OP_CHANNELS``), so that a
+command goes before the images and a large answer in parts that urgent messages overtake. Everybody else gets JSON
+text, or CBOR where the peer named an encoding. What concerns one call or goal (operations with one ``id``) never
+overtakes itself.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+import orjson
+
+from ropeway.delivery.outbox import LANES, Lost, Queue
+from ropeway.errors import MessageTooBig, OutboxFull, RopewayError
+from ropeway.networks.rosbridge.link.channel import Channel, Outgoing
+from ropeway.networks.rosbridge.protocol import codec as wire_codec
+from ropeway.networks.rosbridge.protocol import ops
+from ropeway.types.cbor import dumps as cbor_dumps
+
+if TYPE_CHECKING:
+    from ropeway.networks.rosbridge.link.sender import Sender
+    from ropeway.networks.rosbridge.protocol.dialect import Dialect
+    from ropeway.types import MessageCodec
+
+__all__ = ["OP_CHANNELS", "ROOM_BYTES", "WAITING_LIMIT_BYTES", "OpSender", "Unsent"]
+
+OP_CHANNELS: Final = range(65536 - LANES, 65536)
+"""The channels of operations, the most urgent first; topics have smaller numbers."""
+
+WAITING_LIMIT_BYTES: Final = 64 << 20
+"""What may wait for one link; as much as the largest message."""
+
+ROOM_BYTES: Final = 1 << 20
+"""What waits for one link, above which nothing long is begun that can wait as well: a second on a slow one."""
+
+_URGENT_LANE: Final = 1
+_BULK_LANE: Final = 4
+_BULK_BYTES: Final = 64 << 10  # what takes longer than a command may, goes with the topics
+_THREAD_BYTES: Final = 1 << 20  # encoding this takes milliseconds, which the event loop has not
+_COPIED: Final = frozenset(("cbor-raw", "rawzip"))  # these take no time worth a thread
+_PACK_BYTES: Final = 4096
+_PACK_S: Final = 0.05  # a body that takes longer on the wire is compressed
+_ORIGIN: Final = bytes(16)
+
+Unsent = Callable[[RopewayError], None]
+
+
+class _OutgoingOp:
+    """An operation that waits; ``payload`` is its frame or record, or the CDR that a thread has yet to encode."""
+
+    __slots__ = ("fragment_size", "key", "make", "on_unsent", "origin", "payload", "ready", "relayed", "seq",
+                 "stamp_ns", "text", "type")  # fmt: skip
+
+    def __init__(
+        self,
+        payload: bytes,
+        make: Callable[[], bytes] | None,
+        key: str,
+        fragment_size: int | None,
+        on_unsent: Unsent | None,
+        *,
+        text: bool,
+    ) -> None:
+        self.text = text
+        self.payload, self.make, self.key = payload, make, key
+        self.ready = make is None
+        self.fragment_size, self.on_unsent = fragment_size, on_unsent
+        self.type, self.stamp_ns, self.seq, self.origin, self.relayed = "", 0, 0, _ORIGIN, False
+
+    def encoded(self) -> bytes:
+        """The frame or record. Raises ``TypesError``."""
+        return self.payload if self.make is None else self.make()
+
+    def cached(self, key: object, make: Callable[[], Any]) -> Any:
+        """Nothing is kept: an operation goes to one peer only."""
+        return make()
+
+
+class _OpChannel(Channel):
+    """The operations of one priority."""
+
+    __slots__ = ("done",)
+
+    def __init__(self, sender: Sender, number: int, lane: int, done: Callable[[_OutgoingOp], None]) -> None:
+        queue: Queue[Outgoing] = Queue("calls", priority=lane, depth=None, limit_bytes=1 << 62)
+        super().__init__(sender, number, "(calls)", "", "cbor" if sender.records else "none", queue, None)
+        self.done = done
+
+    def put(self, sample: Outgoing) -> None:
+        """Send what is small now, if nothing was sent in this turn of the event loop and the link takes it."""
+        if self.closed:
+            self.queue.lost[Lost.UNSENT] += 1
+        else:
+            small = not self.is_slow(sample, "") and len(sample.payload) <= _BULK_BYTES
+            self.sender.put(self, sample, at_once=small)
+
+    def pick(self, sample: Outgoing) -> str:
+        """Operations have their encoding inside."""
+        return self.used
+
+    @staticmethod
+    def is_slow(sample: Outgoing, encoding: str) -> bool:
+        """True for an operation that a thread should encode."""
+        assert isinstance(sample, _OutgoingOp)
+        return not sample.ready
+
+    def frame(self, sample: Outgoing, encoding: str) -> wire_codec.Frame:
+        """The frame for a plain peer. Raises ``TypesError``."""
+        assert isinstance(sample, _OutgoingOp)
+        return wire_codec.Frame(sample.text, sample.encoded())
+
+    def body(self, sample: Outgoing, encoding: str) -> bytes:
+        """The body of the record. Raises ``TypesError``."""
+        assert isinstance(sample, _OutgoingOp)
+        return sample.encoded()
+
+    def fragments(self, sample: Outgoing) -> int | None:
+        """See ``Channel.fragments``."""
+        assert isinstance(sample, _OutgoingOp)
+        return sample.fragment_size
+
+    def finished(self, sample: Outgoing, size_bytes: int) -> None:
+        """An operation has gone."""
+        super().finished(sample, size_bytes)
+        assert isinstance(sample, _OutgoingOp)
+        self.done(sample)
+
+    def failed(self, sample: Outgoing, error: BaseException) -> None:
+        """An operation cannot be encoded: its sender is told."""
+        super().failed(sample, error)
+        assert isinstance(sample, _OutgoingOp)
+        self.done(sample)
+        if sample.on_unsent is not None and isinstance(error, RopewayError):
+            sample.on_unsent(error)
+
+
+class OpSender:
+    """Sends operations to one peer.
+
+    ``records`` tells whether the peer reads them from records, ``limit_bytes`` what it takes at most in one message
+    (``None`` where it has not said); both are set once it has said hello.
+    """
+
+    def __init__(self, sender: Sender) -> None:
+        self._sender = sender
+        self.records = False
+        self.limit_bytes: int | None = None
+        self._channels: dict[int, _OpChannel] = {}
+        self._waiting: dict[str, tuple[int, int]] = {}  # by id: the lane and how many
+        self._room: asyncio.Future[None] | None = None  # of those who wait for it
+        self.count = 0  # of operations that wait
+        self.on_gone: Callable[[], None] = _nothing  # one of them has gone
+
+    @property
+    def waiting_bytes(self) -> int:
+        """What waits for the link."""
+        return sum(channel.queue.bytes for channel in self._channels.values())
+
+    async def room(self) -> None:
+        """Wait until no more than ``ROOM_BYTES`` wait for the link."""
+        while self.waiting_bytes > ROOM_BYTES:
+            if self._room is None:
+                self._room = asyncio.get_running_loop().create_future()
+            await asyncio.shield(self._room)
+
+    def send(
+        self,
+        message: dict[str, Any],
+        *,
+        payload: bytes | None,
+        field: str,
+        codec: MessageCodec | None,
+        encoding: str,
+        priority: int | None,
+        fragment_size: int | None,
+        on_unsent: Unsent | None,
+    ) -> None:
+        """See ``Peer.send_op``."""
+        size = len(payload) if payload is not None else 0
+        if self.limit_bytes is not None and size > self.limit_bytes:
+            raise MessageTooBig(size, self.limit_bytes)
+        if self.records:
+            used = self._encoding(encoding, size)
+            write = _write_cbor
+        else:
+            dialect = self._sender.dialect
+            used = encoding if encoding in dialect.bodies else "none"
+            write = _write_json if used == "none" or payload is None else partial(_write_plain_cbor, dialect)
+        make: Callable[[], bytes] | None = None
+        if payload is not None and size >= _THREAD_BYTES and used not in _COPIED:
+            data = payload
+
+            def make() -> bytes:
+                return write(message, data, field, codec, used)
+        else:
+            data = write(message, payload, field, codec, used)
+        waiting = self.waiting_bytes
+        if payload is not None and waiting and waiting + len(data) > WAITING_LIMIT_BYTES:
+            raise OutboxFull(self._sender.connection.peer, waiting, WAITING_LIMIT_BYTES)
+        id = message.get("id", ops.ABSENT)
+        key = repr(id) if ops.present(id) else ""
+        lane = self._lane(key, priority, len(data))
+        if key:
+            self._waiting[key] = (lane, self._waiting.get(key, (lane, 0))[1] + 1)
+        self.count += 1
+        text = write is _write_json
+        self._channel(lane).put(_OutgoingOp(data, make, key, fragment_size, on_unsent, text=text))
+
+    def _encoding(self, encoding: str, size: int) -> str:
+        if encoding != "auto":
+            return encoding if encoding in wire_codec.ENCODINGS and encoding != "png" else "none"
+        pace = self._sender.connection.flow.pace.bytes_per_s
+        slow = size >= _PACK_BYTES and pace is not None and size / pace > _PACK_S
+        return "zstd" if slow else "cbor-raw"
+
+    def _lane(self, key: str, priority: int | None, size: int) -> int:
+        """An operation waits behind those of its id."""
+        waiting = self._waiting.get(key)
+        if waiting is not None:
+            return waiting[0]
+        if priority is None:
+            return _URGENT_LANE if size <= _BULK_BYTES else _BULK_LANE
+        return min(max(priority, 0), LANES - 1)
+
+    def _channel(self, lane: int) -> _OpChannel:
+        channel = self._channels.get(lane)
+        if channel is None:
+            sender = self._sender
+            number = OP_CHANNELS[lane] if sender.records else -1 - lane  # nobody else's, in either case
+            channel = self._channels[lane] = _OpChannel(sender, number, lane, self._done)
+            sender.outbox.open(channel.queue)
+            sender.channels[number] = channel
+        return channel
+
+    def _done(self, op: _OutgoingOp) -> None:
+        self.count -= 1
+        self.on_gone()
+        if self._room is not None and self.waiting_bytes <= ROOM_BYTES:
+            self._room.set_result(None)
+            self._room = None
+        if op.key:
+            lane, count = self._waiting[op.key]
+            if count > 1:
+                self._waiting[op.key] = (lane, count - 1)
+            else:
+                del self._waiting[op.key]
+
+
+def _nothing() -> None:
+    """Nobody wants to know."""
+
+
+def _write_json(
+    message: Mapping[str, Any], payload: bytes | None, field: str, codec: MessageCodec | None, encoding: str
+) -> bytes:
+    if payload is None:
+        return ops.dumps(message)
+    return ops.dumps({**message, field: wire_codec.encode_value(payload, codec)})
+
+
+def _write_plain_cbor(
+    dialect: Dialect,
+    message: Mapping[str, Any],
+    payload: bytes,
+    field: str,
+    codec: MessageCodec | None,
+    encoding: str,
+) -> bytes:
+    body = wire_codec.encode_value(payload, codec, encoding, dialect=dialect, stamp_ns=time.time_ns())
+    return cbor_dumps({**message, field: body, "compression": encoding})
+
+
+def _write_cbor(
+    message: Mapping[str, Any], payload: bytes | None, field: str, codec: MessageCodec | None, encoding: str
+) -> bytes:
+    if payload is None:
+        return cbor_dumps(message)
+    message = {**message, "compression": encoding}
+    if encoding == "none":
+        return cbor_dumps({**message, field: orjson.loads(wire_codec.encode_msg("none", payload, codec))})
+    if encoding == "cbor":
+        return cbor_dumps({**message, field: wire_codec.encode_value(payload, codec, "cbor")})
+    body = wire_codec.encode_msg(encoding, payload, codec)
+    return wire_codec.cbor_with_bytes({k: v for k, v in message.items() if k != field}, field, body)

@@ -1,0 +1,209 @@
+"""A second connection beside a link, for the topics whose messages are small.
+
+On one connection a command waits for the images before it: in TCP for what was lost of them and is sent again, and
+always for the part that is being sent. So two Ropeway gateways use two connections. The listening one names a secret in
+its ``hello``; the one that dialled shows it in the header ``Ropeway-Express`` of a second handshake, with the same
+credentials. A topic goes by the second connection while its messages are small, and leaves it for good with the first
+large one. Before a topic changes its connection, everything that it sent on the old one has arrived: a ``ping`` goes
+after it, and nothing of the topic is sent until the ``pong`` is there. So the order within a topic holds.
+
+The second connection is a help and nothing depends on it: where it cannot be had, or is lost, everything goes on by the
+first. What was sent last is then sent once more, as nobody knows whether it arrived; receivers know a message again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import secrets
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from ropeway.networks.rosbridge.link.sender import RecordSender, Sender
+from ropeway.networks.rosbridge.protocol.records import RecordReader
+
+if TYPE_CHECKING:
+    from ropeway.listener.connection import Connection
+    from ropeway.networks.rosbridge.link.channel import Channel, Outgoing
+    from ropeway.networks.rosbridge.link.peer import Peer
+
+__all__ = ["EXPRESS_BYTES", "HEADER", "Express"]
+
+HEADER: Final = "Ropeway-Express"
+"""The header of the second handshake; its value is the secret that ``hello`` named."""
+
+EXPRESS_BYTES: Final = 4 * 1024
+"""The largest message that takes the second connection."""
+
+_FENCE_S: Final = 2.0  # a pong that takes longer is not waited for: the topic goes on
+_REMEMBERED: Final = 128  # messages: as many as a lost one holds up, and more
+
+
+class _ExpressSender(RecordSender):
+    """Sends on the second connection, and remembers what it sent last."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.recent: deque[tuple[Channel, Outgoing]] = deque(maxlen=_REMEMBERED)
+
+    def take(self, lane: int, *, small: bool = False) -> tuple[Channel, Outgoing, str] | None:
+        """See ``Sender.take``."""
+        taken = super().take(lane, small=small)
+        if taken is not None:
+            channel, sample, _ = taken
+            self.recent.append((channel, sample))
+        return taken
+
+
+class Express:
+    """The second connection of one peer, if there is one, and which topics take it."""
+
+    def __init__(self, peer: Peer) -> None:
+        self._peer = peer
+        self.offered = ""
+        """The secret that the peer's ``hello`` named."""
+        self._secret = ""
+        self._connection: Connection | None = None
+        self._sender: _ExpressSender | None = None
+        self._fences: dict[int, tuple[Channel, asyncio.TimerHandle, Sequence[Outgoing]]] = {}
+
+    @property
+    def open(self) -> bool:
+        """Return whether the second connection stands."""
+        return self._sender is not None
+
+    @property
+    def connection(self) -> Connection | None:
+        """The second connection, if it stands."""
+        return self._connection
+
+    def offer(self) -> str:
+        """Make the secret that lets the peer open the second connection."""
+        self._secret = self._secret or secrets.token_hex(16)
+        return self._secret
+
+    def knows(self, secret: str) -> bool:
+        """Return whether this is the secret that was offered."""
+        return bool(self._secret) and hmac.compare_digest(secret.encode(), self._secret.encode())
+
+    def attach(self, connection: Connection) -> None:
+        """Use a second connection; one that stands already is replaced."""
+        if self._connection is not None:
+            self._connection.close(1000, "replaced")
+            self._detach()
+        peer = self._peer
+        self._connection = connection
+        self._sender = sender = _ExpressSender(connection, peer.complaints, peer.dialect)
+        reader = RecordReader(peer.limit_bytes, peer.refused, peer.takes)
+        connection.on_text = peer.take_text
+        connection.on_binary = lambda data: peer.take_records(reader, data)
+        connection.on_writable = sender.pump
+        connection.on_closed = lambda code, reason: self._lost(connection)
+        connection.account.hold("messages in parts", lambda: reader.pending_bytes)
+        connection.account.hold("queues", lambda: sender.outbox.bytes)
+
+    def close(self) -> None:
+        """Close the second connection: the link is gone."""
+        connection = self._connection
+        if connection is not None:
+            self._connection = None
+            if self._sender is not None:
+                self._sender.close()
+                self._sender = None
+            connection.close(1000, "the link has closed")
+        for _, timer, _ in self._fences.values():
+            timer.cancel()
+        self._fences.clear()
+
+    def place(self, channel: Channel, size_bytes: int) -> None:
+        """Choose the connection for a message of a topic that is about to wait."""
+        express = self._sender
+        if size_bytes > EXPRESS_BYTES:
+            channel.large = True
+            if channel.sender is not self._peer.sender:
+                self._move(channel, self._peer.sender)
+        elif express is not None and not channel.large and channel.sender is not express:
+            self._move(channel, express)
+
+    def arrived(self, pong: Mapping[str, Any]) -> bool:
+        """Take a ``pong``; return whether a topic waited for it."""
+        key = pong.get("t")
+        if not isinstance(key, int) or key not in self._fences:
+            return False
+        self._pass(key)
+        return True
+
+    def _move(self, channel: Channel, to: Sender) -> None:
+        queue, old = channel.queue, channel.sender
+        back = queue.held and self._call_off(channel)
+        if queue.under_way and not back:
+            return  # a message is being sent: at the next one
+        waiting = old.outbox.release(queue)
+        old.channels.pop(channel.number, None)
+        channel.sender = to
+        to.channels[channel.number] = channel
+        to.outbox.adopt(queue, waiting)
+        if back or old.connection.closed:
+            self._go_on(channel)
+        else:  # also for what was never sent: that there is such a topic has to arrive first
+            self._fence(old.connection, channel)
+
+    def _call_off(self, channel: Channel) -> bool:
+        """Let a topic that waits for a pong go back: nothing of it was sent on the new connection."""
+        key = next((key for key, (other, _, again) in self._fences.items() if other is channel and not again), None)
+        if key is None:
+            return False
+        self._fences.pop(key)[1].cancel()
+        channel.sender.outbox.done(channel.queue)
+        return True
+
+    @staticmethod
+    def _go_on(channel: Channel) -> None:
+        channel.sender.outbox.done(channel.queue)
+        channel.sender.wake()
+
+    def _fence(self, connection: Connection, channel: Channel, again: Sequence[Outgoing] = ()) -> None:
+        """Let a topic go on when everything that was sent on a connection has arrived, or after a while.
+
+        What it is to send ``again`` goes first; it is not lost if the link is gone before.
+        """
+        key = time.time_ns()
+        while key in self._fences:
+            key += 1
+        timer = asyncio.get_running_loop().call_later(_FENCE_S, self._pass, key)
+        self._fences[key] = (channel, timer, again)
+        connection.send_text(b'{"op":"ping","t":%d}' % key)
+
+    def _pass(self, key: int) -> None:
+        channel, timer, again = self._fences.pop(key)
+        timer.cancel()
+        if again and channel.queue.held:
+            channel.sender.outbox.put_back(channel.queue, again)
+        self._go_on(channel)
+
+    def _lost(self, connection: Connection) -> None:
+        if connection is self._connection:
+            self._detach()
+
+    def _detach(self) -> None:
+        """Go on with the first connection alone."""
+        express, self._sender, self._connection = self._sender, None, None
+        if express is None:
+            return
+        for key in list(self._fences):  # no pong comes by a connection that is gone
+            self._pass(key)
+        main = self._peer.sender
+        recent: dict[Channel, list[Outgoing]] = {}
+        for channel, sample in express.recent:
+            recent.setdefault(channel, []).append(sample)
+        for channel in list(express.channels.values()):
+            express.withdraw(channel)
+            waiting = express.outbox.release(channel.queue)
+            channel.sender = main
+            main.channels[channel.number] = channel
+            main.outbox.adopt(channel.queue, waiting)
+            self._fence(main.connection, channel, recent.get(channel, ()))
+        express.channels.clear()
+        express.close()

@@ -1,0 +1,365 @@
+"""The server: listens, and gives every client a session."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import ssl
+import weakref
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from ropeway.errors import ConnectFailed, RopewayError
+from ropeway.graph.calls import DEFAULT_TIMEOUT_S
+from ropeway.listener.authentication import Refusal, refusal, subprotocol, unserved
+from ropeway.listener.authorization import EVERYTHING, Access, Role
+from ropeway.listener.connection import Connection, Limits
+from ropeway.listener.entrance import Entrance
+from ropeway.listener.globs import Globs
+from ropeway.listener.http import Request, Response
+from ropeway.listener.http_upgrade import Admission
+from ropeway.listener.listener import Listener
+from ropeway.listener.presence import Presence, ip_address
+from ropeway.listener.store_pages import StorePages
+from ropeway.listener.store_watcher import Watcher
+from ropeway.listener.websocket import listen
+from ropeway.networks.rosbridge.link.express import HEADER
+from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
+from ropeway.networks.rosbridge.rosapi import Rosapi
+from ropeway.networks.rosbridge.server.http import Pages
+from ropeway.networks.rosbridge.server.lingering import Lingering
+from ropeway.networks.rosbridge.server.names import Names
+from ropeway.networks.rosbridge.server.ros1 import ros1_spelling
+from ropeway.networks.rosbridge.server.rosout import Rosout
+from ropeway.networks.rosbridge.server.session import Session
+from ropeway.tasks import Supervised, end
+
+if TYPE_CHECKING:
+    from ropeway.hub.hub import Hub
+    from ropeway.types import TypeRegistry
+
+__all__ = ["RosbridgeServer"]
+
+log = logging.getLogger("ropeway.server")
+
+_CLIENT_SILENCE_S = 30.0  # a browser tab or a robot on Wi-Fi may pause; a gateway may not
+_CLIENT_PING_S = 5.0
+_STOPS = "the gateway stops"
+_GIVE_UP_S = 2.0  # for goals to be cancelled where they are carried out
+
+
+class RosbridgeServer:
+    """Serves the graph of ``hub`` to rosbridge clients and gateways.
+
+    ``unregister_timeout_s``: how long a topic stays advertised after its last client withdrew it or left (rosbridge's
+    default is 10 s), so that what it said last is heard. ``rosapi_globs`` limits what rosapi shows, and
+    ``params_timeout_s`` bounds what it asks of nodes. Private names of clients (``~/x``) are those of our
+    ``node``. ``publish_clients`` publishes ``/client_count`` and ``/connected_clients``, ``publish_rosout`` our own
+    warnings and errors on ``/rosout``, from the first ``listen`` on.
+    """
+
+    def __init__(
+        self,
+        hub: Hub,
+        registry: TypeRegistry,
+        *,
+        gateway_id: str = "",
+        name: str = "ropeway",
+        limits: Limits | None = None,
+        unregister_timeout_s: float = 10.0,
+        rosapi_globs: Globs | None = None,
+        params_timeout_s: float = 5.0,
+        publish_clients: bool = True,
+        publish_rosout: bool = True,
+        entrance: Entrance | None = None,
+        reasons: Callable[[], Sequence[str]] = tuple,
+        call_timeout_s: float = DEFAULT_TIMEOUT_S,
+        silence_s: float | None = _CLIENT_SILENCE_S,
+        ping_interval_s: float = _CLIENT_PING_S,
+        cancel_goals: bool = True,
+        pages: StorePages | None = None,
+        node: str = "",
+    ) -> None:
+        self.hub, self.registry = hub, registry
+        self.gateway_id, self.name = gateway_id, name
+        self._names = Names(f"/{node or name}", ros1=hub.graph.kind == "ros1")
+        self.limits = limits or Limits()
+        self.unregister_timeout_s = unregister_timeout_s
+        self.sessions: dict[Session, asyncio.Task[None]] = {}
+        self._connections: weakref.WeakSet[Connection] = weakref.WeakSet()  # also second ones, and those sent away
+        self.lingering = Lingering(unregister_timeout_s)
+        self.listeners: list[Listener] = []
+        self.entrance = entrance or Entrance()
+        self.denied: Counter[str] = Counter()  # by rule, of all clients
+        self.call_timeout_s, self.silence_s = call_timeout_s, silence_s
+        self.ping_interval_s, self.cancel_goals = ping_interval_s, cancel_goals
+        self._ros1 = ros1_spelling(hub.graph)
+        self.rosapi = Rosapi(
+            hub,
+            registry,
+            params_timeout_s=params_timeout_s,
+            globs=rosapi_globs or self.entrance.door.globs,
+            ros1=self._ros1,
+        )
+        self._pages = Pages(reasons, self.entrance.admit_page, self._more_pages)
+        self._store_pages = pages
+        self.watchers: set[Watcher] = set()
+        self.presence: Presence | None = None
+        self.rosout: Rosout | None = None
+        self._publish_clients, self._publish_rosout = publish_clients, publish_rosout
+        self._view = hub.view("server", alone=True)
+        self._ticker: Supervised | None = None
+
+    async def listen(
+        self, url: str, *, ssl_context: ssl.SSLContext | None = None, reuse_port: bool = False
+    ) -> Listener:
+        """Listen on ``ws://host:port`` or ``wss://host:port`` (9090 where the port is left out).
+
+        Raises ``ConnectFailed`` if the address cannot be bound.
+        """
+        parts = urlsplit(url)
+        if parts.scheme == "wss" and ssl_context is None:
+            raise ConnectFailed(url, "wss needs a certificate and a key", retryable=False)
+        port = 9090 if parts.port is None else parts.port
+        await self._appear()
+        server = await listen(
+            parts.hostname or "127.0.0.1",
+            port,
+            self._connected,
+            limits=self.limits,
+            ssl_context=ssl_context,
+            path=parts.path or "/",
+            reuse_port=reuse_port,
+            admit=self._admit,
+            http=self._pages,
+            lobby=self.entrance.lobby,
+        )
+        self.listeners.append(server)
+        if self._ticker is None:
+            self._ticker = Supervised(self._tick, "server meters").start()
+        log.info("listening on %s://%s:%d", parts.scheme, parts.hostname, server.port)
+        return server
+
+    async def _appear(self) -> None:
+        """Publish what rosbridge publishes about itself; a graph that does not take it is served without."""
+        try:
+            if self._publish_clients and self.presence is None:
+                presence = Presence(self._view, self.registry)
+                await presence.open()
+                self.presence = presence
+            if self._publish_rosout and self.rosout is None and self._ros1 is None:  # its log has another type there
+                rosout = Rosout(self._view, self.registry)
+                await rosout.open()
+                self.rosout = rosout
+        except RopewayError as error:
+            log.warning("%s does not take what the server tells about itself: %s", self.hub.graph.name, error)
+
+    def _more_pages(self, request: Request) -> Response | asyncio.Protocol | None:
+        """Pages beyond the server's own: what the store has, for who may read it."""
+        pages = self._store_pages
+        if pages is None or not pages.knows(request.path):
+            return None
+        role = self.entrance.admit(request)
+        if not isinstance(role, Role):
+            return role
+        found = pages(request, Access(role, self.entrance.door.globs, client=request.peer, tally=self.denied))
+        if not isinstance(found, Watcher):
+            return found
+        full = self._full(role)
+        if full:
+            return self.entrance.refuse(request, refusal(503, full, Retry_After="10"))
+        found.request = request
+        found.on_begin, found.on_end = self._watcher_came, self._watcher_left
+        return found
+
+    def _watcher_came(self, watcher: Watcher) -> None:
+        self.watchers.add(watcher)
+        self.entrance.came(watcher.access.role)
+
+    def _watcher_left(self, watcher: Watcher) -> None:
+        self.watchers.discard(watcher)
+        self.entrance.left(watcher.access.role)
+
+    def _admit(self, request: Request) -> Admission | Response:
+        role = self.entrance.admit(request)
+        if not isinstance(role, Role):
+            return role
+        if self._link_of(request) is None:
+            found = self._refusal(role, request)
+            if found is not None:
+                return self.entrance.refuse(request, found)
+        limits = self.limits
+        if role.max_message_bytes is not None:
+            size = min(role.max_message_bytes, limits.max_message_bytes)
+            limits = replace(limits, max_message_bytes=size)
+        return Admission(subprotocol(request), limits, role)
+
+    def _refusal(self, role: Role, request: Request) -> Refusal | None:
+        """The answer to a client of this role that may come in, but not now or not like this."""
+        if full := self._full(role):
+            return refusal(503, full, Retry_After="10")
+        offered = unserved(request)
+        return refusal(400, offered) if offered else None
+
+    def _full(self, role: Role) -> str:
+        """Return why there is no place for one more of this role, ``""`` where there is one."""
+        if full := self.limits.budget.full:
+            return full
+        most = self.entrance.door.max_clients
+        if most is not None and len(self.sessions) + len(self.watchers) >= most:
+            return f"there are {most} clients, and no more may come"
+        return self.entrance.full(role)
+
+    def recheck(self, *, certificates: bool = False) -> None:
+        """Close whoever would no longer come in with the same role (1008): the door is another now.
+
+        With ``certificates`` whoever showed one has to show it again. Globs of rosapi stay as they were.
+        """
+        door = self.entrance.door
+
+        def stays(request: Request | None, role: Role) -> bool:
+            if request is None or (certificates and request.fingerprint):
+                return False
+            return door.role_of(request) == role
+
+        for session in self.sessions:
+            connection = session.peer.connection
+            if not stays(connection.handshake, session.access.role):
+                connection.close(1008, "what this client may do has changed; connect again")
+        for watcher in list(self.watchers):
+            if not stays(watcher.request, watcher.access.role):
+                watcher.end()
+
+    def _access(self, role: Role, peer: str) -> Access:
+        ros1 = self.hub.graph.kind == "ros1"
+        return Access(
+            role,
+            self.entrance.door.globs,
+            client=peer,
+            tally=self.denied,
+            is_own=self.rosapi.serves,
+            ros1_actions=self.hub.graph.actions if ros1 else None,
+        )
+
+    def _link_of(self, request: Request | None) -> Session | None:
+        """Return the session whose second connection a request is for, if it shows the secret of one."""
+        secret = "" if request is None else request.headers.get(HEADER.lower(), "")
+        if not secret:
+            return None
+        return next((session for session in self.sessions if session.peer.express.knows(secret)), None)
+
+    def _connected(self, connection: Connection) -> None:
+        self._connections.add(connection)
+        request = connection.handshake
+        if request is not None and HEADER.lower() in request.headers:
+            link = self._link_of(request)
+            if link is not None and link.access.role == connection.grant and not link.peer.connection.closed:
+                link.peer.express.attach(connection)
+            else:
+                connection.close(1008, "there is no link with this secret")
+            return
+        if connection.subprotocol != ROPEWAY_SUBPROTOCOL:
+            connection.silence_s = self.silence_s
+            if connection.ping_interval_s is not None:
+                connection.ping_interval_s = self.ping_interval_s
+        role = connection.grant if isinstance(connection.grant, Role) else EVERYTHING
+        session = Session(
+            connection,
+            self.hub,
+            self.registry,
+            gateway_id=self.gateway_id,
+            name=self.name,
+            unregister_timeout_s=self.unregister_timeout_s,
+            on_advertised=self.lingering.advertised,
+            call_timeout_s=self.call_timeout_s,
+            cancel_goals=self.cancel_goals,
+            access=self._access(role, connection.peer),
+            rosapi=self.rosapi,
+            names=self._names,
+            ros1=self._ros1,
+        )
+        task = asyncio.create_task(session.run(), name=f"session {connection.peer}")
+        self.sessions[session] = task
+        self.entrance.came(role)
+        if self.presence is not None:
+            self.presence.joined(session, ip_address(connection.peer))
+        log.info(
+            "%s: client connected (%s), %d in total", connection.peer, session.peer.dialect.name, len(self.sessions)
+        )
+        task.add_done_callback(lambda finished: self._ended(session, finished))
+
+    def _ended(self, session: Session, task: asyncio.Task[None]) -> None:
+        self.sessions.pop(session, None)
+        self.entrance.left(session.access.role)
+        if self.presence is not None:
+            self.presence.left(session)
+        peer = session.peer.connection.peer
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.error("%s: the session failed: %s", peer, error, exc_info=error)
+            session.peer.connection.close(1011, "internal error")
+        log.info("%s: client disconnected, %d in total", peer, len(self.sessions))
+        if session.lingers:
+            self.lingering.add(session)
+
+    async def _tick(self) -> None:
+        while True:
+            await asyncio.sleep(1.0)
+            self._tick_all()
+
+    def _tick_all(self) -> None:
+        """Have every session look at its meters; a function of its own, so that none is held from one to the next."""
+        for session in list(self.sessions):
+            try:
+                session.tick()
+            except Exception:  # of one session: the others are served as ever
+                log.exception("%s: the session failed", session.peer.connection.peer)
+                session.peer.connection.close(1011, "internal error")
+
+    def status(self) -> dict[str, Any]:
+        """What was denied, and how many watch the store, as JSON."""
+        return {"denied": dict(self.denied), "clients": {"watchers": len(self.watchers)}}
+
+    async def close(self) -> None:
+        """Stop listening and end every session (1001, going away)."""
+        try:
+            await self._close_sessions()
+        finally:
+            await self._vanish()
+
+    async def _close_sessions(self) -> None:
+        for listener in self.listeners:
+            await listener.close()
+        for watcher in list(self.watchers):
+            watcher.end()
+        self.listeners.clear()
+        await end(self._ticker)
+        self._ticker = None
+        tasks = list(self.sessions.values())
+        connections = list(self._connections)
+        giving_up = [asyncio.create_task(session.give_up(_STOPS)) for session in self.sessions]
+        if giving_up:
+            await asyncio.wait(giving_up, timeout=_GIVE_UP_S)
+            await end(*giving_up)
+            await asyncio.sleep(0)  # answers are sent at the end of a turn of the loop
+        for connection in connections:
+            connection.close(1001, _STOPS)
+        for session in list(self.sessions):
+            session.lost(1001, _STOPS)
+        if tasks:
+            await asyncio.wait(tasks, timeout=5)
+        await self.lingering.close()
+        for connection in connections:
+            await connection.wait_closed()  # within a second, see ``Connection.close``
+
+    async def _vanish(self) -> None:
+        """Tell nothing more about ourselves."""
+        await self.rosapi.close()
+        if self.rosout is not None:
+            await self.rosout.finish()
+        if self.presence is not None:
+            await self.presence.close()
+        self.presence = self.rosout = None
+        await self._view.close()

@@ -1,0 +1,438 @@
+"""One client of the server: its operations, in order, on our graph."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from ropeway.errors import AccessDenied, CallTimeout, InvalidOperation, RopewayError, TypesError, WireError
+from ropeway.graph.calls import DEFAULT_TIMEOUT_S
+from ropeway.limits import SEARCHES_PER_CLIENT, UNREAD_STATUS_BYTES
+from ropeway.listener.authorization import Access
+from ropeway.networks.rosbridge.link.peer import Peer
+from ropeway.networks.rosbridge.protocol import ops
+from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
+from ropeway.networks.rosbridge.protocol.records import Arrival
+from ropeway.networks.rosbridge.server.action_ops import ActionOps
+from ropeway.networks.rosbridge.server.names import Names
+from ropeway.networks.rosbridge.server.service_ops import ServiceOps
+from ropeway.networks.rosbridge.server.topic_channels import TopicIn, TopicOut
+from ropeway.networks.rosbridge.server.topic_ops import Retire, TopicOps
+from ropeway.networks.rosbridge.server.turns import Turns
+from ropeway.networks.rosbridge.server.watch import Watch
+from ropeway.types.told import Teller
+
+if TYPE_CHECKING:
+    from ropeway.hub.hub import Hub
+    from ropeway.listener.connection import Connection
+    from ropeway.types import MessageCodec, TypeRegistry
+    from ropeway.types.ros1_spelling import Ros1Spelling
+
+__all__ = ["Rosapi", "Session"]
+
+log = logging.getLogger("ropeway.server")
+
+_LONG_CODECS: Final = 1024  # codecs for clients that want texts for numbers of 64 bits
+_RATED: Final[Mapping[type, tuple[str, str]]] = {
+    ops.Publish: ("publish", "topic"),
+    ops.Advertise: ("publish", "topic"),
+    ops.Subscribe: ("subscribe", "topic"),
+    ops.CallService: ("call_service", "service"),
+    ops.AdvertiseService: ("advertise_service", "service"),
+    ops.SendActionGoal: ("send_action_goal", "action"),
+    ops.AdvertiseAction: ("advertise_action", "action"),
+}
+
+
+class Rosapi(Protocol):
+    """Answers the services of rosapi; see ``ropeway.networks.rosbridge.rosapi``."""
+
+    def serves(self, name: str) -> bool:
+        """True for the name of a service that it answers."""
+
+    def question(self, name: str, args: Any) -> Callable[[], Any]:
+        """Return what finds the ``values`` of the response, as JSON has them. Raises ``RopewayError``."""
+
+
+class Session:
+    """What one client does here. Withdrawn as a whole when the client leaves.
+
+    A client that connects with ``?status=1`` in its URL is told what it did wrong, in ``status`` operations
+    (``{"op":"status","level":"error","msg":…}``, with the id of the operation where it had one). Others are not:
+    rosbridge for ROS 2 has no such operation, and some client libraries stumble over it.
+
+    With ``?int64=text`` in its URL, the JSON that a client gets has integers of 64 bits as texts: JavaScript rounds
+    numbers beyond 2**53.
+
+    ``ros1``: how messages are written for clients of a ROS 1 network; gateways get them as ROS 2 has them.
+    ``call_timeout_s``: how long a call waits whose client gives no ``timeout``, 0 and below for as long as may be.
+    ``cancel_goals``: the goals of a client that leaves are cancelled; those of a gateway always are.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        hub: Hub,
+        registry: TypeRegistry,
+        *,
+        gateway_id: str,
+        name: str,
+        unregister_timeout_s: float,
+        on_advertised: Callable[[str], Awaitable[None]],
+        call_timeout_s: float = DEFAULT_TIMEOUT_S,
+        cancel_goals: bool = True,
+        access: Access | None = None,
+        rosapi: Rosapi | None = None,
+        names: Names | None = None,
+        ros1: Ros1Spelling | None = None,
+    ) -> None:
+        self.registry = registry
+        self.gateway_id = gateway_id
+        self.access = access or Access(client=connection.peer, is_own=rosapi.serves if rosapi else None)
+        self.rosapi = rosapi
+        self.names = names or Names(f"/{name}")
+        self._ros1 = ros1
+        self.peer = Peer(connection, registry, self)
+        self.peer.on_invalid = self.invalid
+        self.gateway = self.peer.dialect is ROPEWAY
+        self.view = hub.view(connection.peer, echo=not self.gateway)
+        self.clock = time.time_ns
+        self.remote: dict[str, str] = {}
+        self.turns = Turns(self.peer, lambda: self.services.questions)
+        self.topics = TopicOps(self, unregister_timeout_s=unregister_timeout_s, on_advertised=on_advertised)
+        self.services = ServiceOps(self, call_timeout_s=call_timeout_s)
+        self.actions = ActionOps(self, cancel_goals=cancel_goals or self.gateway)
+        self._rated_bytes = 0
+        self._watch: Watch | None = None
+        self._teller = Teller(registry)
+        self._gone = False
+        self._requests_bytes = 0
+        self._searches = asyncio.Semaphore(SEARCHES_PER_CLIENT)  # for what nobody is known to serve
+        hold = connection.account.hold
+        hold("operations that wait", lambda: self.turns.bytes)
+        hold("requests under way", lambda: self._requests_bytes)
+        hold("topics and what they keep", lambda: self.topics.held_bytes)
+        hold("definitions", lambda: self._teller.held_bytes)
+        query = connection.handshake.query if connection.handshake is not None else {}
+        self._tells_status = query.get("status", ["0"])[-1].lower() not in ("0", "", "false", "no", "none")
+        self._long_texts = query.get("int64", [""])[-1] == "text"
+        self._long_codecs: dict[str, MessageCodec] = {}
+        if self._tells_status:
+            self.peer.complaints.on_note = lambda kind, text, id: self._send_status("error", f"{kind}: {text}", id)
+        if self.gateway:
+            self.peer.hello(gateway_id, name, express=True)
+            self.peer.ping()
+
+    @property
+    def inputs(self) -> dict[str, TopicIn]:
+        """The topics that a plain client publishes."""
+        return self.topics.inputs
+
+    @property
+    def outputs(self) -> dict[str, TopicOut]:
+        """The topics that a plain client reads."""
+        return self.topics.outputs
+
+    # ── lifecycle ──────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def run(self) -> None:
+        """Carry out the client's operations until it leaves, then take back what it created."""
+        try:
+            while not self._gone:
+                await self.turns.wait()
+                while self.turns.ready and not self._gone:
+                    await self._carry_out(self.turns.waiting[0])
+                    self.turns.done()
+                    await asyncio.sleep(0)  # others have their turn, however much this client asks for
+        finally:
+            self._gone = True
+            await self._leave()
+            if not self.lingers:
+                await self.withdraw()
+
+    async def give_up(self, reason: str) -> None:
+        """Answer what the client waits for, before its connection is closed."""
+        self.turns.waiting.clear()
+        await self.services.give_up(reason)
+        await self.actions.give_up(reason)
+
+    async def _leave(self) -> None:
+        """Take back everything but the topics that linger; ``withdraw`` takes those back."""
+        self.turns.waiting.clear()
+        if self._watch is not None:
+            await self._watch.close()
+        await self.services.leave()
+        await self.actions.leave()
+        await self.topics.leave()
+        self._teller.leave()
+
+    @property
+    def lingers(self) -> bool:
+        """True if the client, which has left, published topics that may still be wanted."""
+        return self.topics.lingers
+
+    async def withdraw(self, name: str | None = None) -> None:
+        """The client has left for good: take back its topics, or with ``name`` this one."""
+        await self.topics.withdraw(name)
+        if not self.topics.inputs:
+            await self.view.close()
+
+    # ── what the peer says ─────────────────────────────────────────────────────────────────────────────────────
+
+    def operation(self, op: ops.Op) -> None:
+        """An operation came. What takes no time is done at once, unless something waits; all else has its turn."""
+        if self.access.limited and not self._within_rates(op):
+            return
+        turns = self.turns
+        if turns.waiting or turns.paused or not self._done_at_once(op):
+            turns.push(op)
+        turns.look()
+
+    def _done_at_once(self, op: ops.Op) -> bool:
+        try:
+            return self._at_once(op)
+        except (RopewayError, ValueError) as error:
+            self._failed(op, error)
+            return True
+
+    def _within_rates(self, op: ops.Op) -> bool:
+        """True unless the client sends more than its role may; then a request is refused, and all else dropped."""
+        verb, field = _RATED.get(type(op), ("", ""))
+        if not verb:
+            return True  # an answer, or something taken back: others wait for it
+        before, self._rated_bytes = self._rated_bytes, self.peer.connection.bytes_in
+        try:
+            self.access.spend(verb, getattr(op, field), self._rated_bytes - before)
+        except AccessDenied as error:
+            if isinstance(op, ops.CallService):
+                self.services.refuse(op, error)
+            elif isinstance(op, ops.SendActionGoal):
+                self.actions.refuse(op, error)
+            else:
+                self._failed(op, error)
+            return False
+        return True
+
+    @contextlib.contextmanager
+    def holding(self, size: int) -> Iterator[None]:
+        """Count a request of the client that is under way."""
+        self._requests_bytes += size
+        try:
+            yield
+        finally:
+            self._requests_bytes -= size
+
+    @contextlib.asynccontextmanager
+    async def searching(self, name: str, timeout_s: float) -> AsyncIterator[None]:
+        """Look for a name that nobody is known to serve, when few others are looked for. Raises ``CallTimeout``."""
+        try:
+            async with asyncio.timeout(timeout_s):
+                await self._searches.acquire()
+        except TimeoutError:
+            raise CallTimeout(name, timeout_s) from None
+        try:
+            yield
+        finally:
+            self._searches.release()
+
+    def control(self, message: Mapping[str, Any]) -> None:
+        """A message of the Ropeway dialect came."""
+        op = message.get("op")
+        if op == "hello":
+            self.remote = {k: message[k][:256] for k in ("gateway", "name") if isinstance(message.get(k), str)}
+            if self.remote.get("name"):
+                self.view.user = f"gateway {self.remote['name']} ({self.peer.connection.peer})"
+        elif op == "watch" and self._watch is None:
+            self._watch = Watch(self.view, self.peer.send, self.access)
+        elif op == "accepted" or op == "cancelling":
+            self.actions.control(message)
+
+    def invalid(self, message: Mapping[str, Any], error: WireError) -> None:
+        """Something came that is no operation. Where an answer is awaited, this is it."""
+        op = message.get("op")
+        if op == "call_service":
+            self.services.invalid_call(message, error)
+        elif op == "service_response":
+            self.services.invalid_response(message, error)
+        elif op == "send_action_goal":
+            self.actions.invalid_goal(message, error)
+        elif op == "action_result":
+            self.actions.invalid_result(message, error)
+        name = message.get("topic", message.get("service", message.get("action", "")))
+        self.complain(
+            "operation", str(name)[:200], error, error.id if isinstance(error, InvalidOperation) else ops.ABSENT
+        )
+
+    def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
+        """Messages came on a channel."""
+        if self.access.limited:
+            arrivals = [arrival for arrival in arrivals if self._may_arrive(channel, arrival)]
+        self.topics.arrived(channel, arrivals, self.turns.waiting)
+
+    def _may_arrive(self, channel: int, arrival: Arrival) -> bool:
+        topic = self.topics.input_channels.get(channel)
+        try:
+            self.access.spend("publish", topic.topic if topic is not None else f"channel {channel}", len(arrival.body))
+        except AccessDenied:
+            return False
+        return True
+
+    def takes(self, channel: int) -> bool:
+        """Return whether the client has advertised a channel, or is about to."""
+        return self.topics.takes(channel, self.turns.waiting)
+
+    def lost(self, code: int, reason: str) -> None:
+        """The connection is gone."""
+        self._gone = True
+        self.turns.wake()
+
+    @property
+    def gone(self) -> bool:
+        """True once the client has left: nothing new begins."""
+        return self._gone
+
+    # ── what is said of it ─────────────────────────────────────────────────────────────────────────────────────
+
+    def complain(self, kind: str, name: str, error: object, id: object = ops.ABSENT) -> None:
+        """Count and log something that the client did wrong, and tell it, if it wants to know."""
+        if not isinstance(error, AccessDenied):
+            self.peer.complaints.note(kind, name, error, id=id)
+        elif self._tells_status:  # it is counted and logged by ``access``
+            self._send_status("error", str(error), id)
+
+    def inform(self, text: str, id: object = ops.ABSENT) -> None:
+        """Log something that the client may want to know, and tell it, if it does."""
+        log.info("%s: %s", self.peer.connection.peer, text)
+        if self._tells_status:
+            self._send_status("info", text, id)
+
+    def _send_status(self, level: str, text: str, id: object) -> None:
+        if self.peer.connection.unsent_bytes < UNREAD_STATUS_BYTES:
+            self.peer.send(ops.Status(level=level, msg=text, id=id))
+
+    def tick(self) -> None:
+        """Bring the meters up to date, and tell a gateway how its topics arrive; called about once a second."""
+        self.topics.tick()
+        self.turns.tick()
+        self.peer.connection.look()
+        if self.gateway:
+            self.peer.ping()
+
+    def status(self) -> dict[str, Any]:
+        """What the client does here, for people and programs."""
+        connection = self.peer.connection
+        return {
+            "peer": connection.peer,
+            "gateway": self.remote.get("name", ""),
+            "dialect": self.peer.dialect.name,
+            "role": self.access.role.name,
+            "denied": dict(self.access.denied),
+            "bytes_in": connection.bytes_in,
+            "bytes_out": connection.bytes_out,
+            "complaints": {f"{kind} {topic}".strip(): n for (kind, topic), n in self.peer.complaints.counts.items()},
+            "topics": list(self.topics.status()),
+            "services": list(self.services.status()),
+            "actions": list(self.actions.status()),
+        }
+
+    # ── operations ─────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _at_once(self, op: ops.Op | Retire) -> bool:
+        """Carry out an operation that needs no waiting; false for others. What answers a request answers failures."""
+        match op:
+            case ops.Publish():
+                return self.topics.published(op)
+            case ops.CallService():
+                self.services.call(op)
+            case ops.ServiceResponse():
+                self.services.response(op)
+            case ops.SendActionGoal():
+                self.actions.send(op)
+            case ops.CancelActionGoal():
+                self.actions.cancel(op)
+            case ops.ActionFeedback():
+                self.actions.feedback(op)
+            case ops.ActionResult():
+                self.actions.result(op)
+            case _:
+                return False
+        return True
+
+    async def _carry_out(self, op: ops.Op | Retire) -> None:
+        try:
+            if self._at_once(op):
+                return
+            match op:
+                case ops.Advertise():
+                    await self.topics.advertise(op)
+                case ops.Unadvertise():
+                    await self.topics.unadvertise(op)
+                case Retire():
+                    await self.topics.retire(op.topic)
+                case ops.Publish():
+                    await self.topics.publish(op)
+                case ops.Subscribe():
+                    await self.topics.subscribe(op)
+                case ops.Unsubscribe():
+                    await self.topics.unsubscribe(op)
+                case ops.AdvertiseService():
+                    await self.services.advertise(op)
+                case ops.UnadvertiseService():
+                    await self.services.unadvertise(op)
+                case ops.AdvertiseAction():
+                    await self.actions.advertise(op)
+                case ops.UnadvertiseAction():
+                    await self.actions.unadvertise(op)
+                case _:
+                    self.complain(
+                        "operation", "", f"{op.op} is not served here", op.id if hasattr(op, "id") else ops.ABSENT
+                    )
+        except (RopewayError, ValueError) as error:
+            self._failed(op, error)
+
+    def _failed(self, op: ops.Op | Retire, error: RopewayError | ValueError) -> None:
+        kind = next((k for k in ("topic", "service", "action") if hasattr(op, k)), "")
+        name = getattr(op, kind, "")
+        self.complain(op.op, name, error, getattr(op, "id", ops.ABSENT))
+        if not self.gateway:
+            return
+        channel = (getattr(op, "ropeway", None) or {}).get("channel")
+        if isinstance(channel, int):
+            self.peer.send({"op": "refused", "channel": channel, "reason": str(error)})
+        elif isinstance(op, (ops.AdvertiseService, ops.AdvertiseAction)):
+            self.peer.send({"op": "refused", kind: name, "reason": str(error)})
+
+    def codec(self, type: str) -> MessageCodec:
+        """How messages are written for the client. Raises ``TypesError``."""
+        codec = self.registry.codec(type) if self._ros1 is None or self.gateway else self._ros1.codec(type)
+        if not self._long_texts:
+            return codec
+        known = self._long_codecs.get(type)
+        if known is None:
+            if len(self._long_codecs) >= _LONG_CODECS:
+                self._long_codecs.clear()
+            known = self._long_codecs[type] = codec.with_long_texts()
+        return known
+
+    @property
+    def is_ros1(self) -> bool:
+        """True if the client gets messages as ROS 1 writes them."""
+        return self._ros1 is not None and not self.gateway
+
+    def knows(self, type: str) -> bool:
+        """True if messages of the type can be taken apart."""
+        try:
+            self.codec(type)
+        except TypesError:
+            return False
+        return True
+
+    def learn(self, type: str, extra: Mapping[str, Any] | None) -> None:
+        """Take the definition of a type that a gateway sent along. Raises ``RopewayError`` for one that is no good."""
+        text = (extra or {}).get("definition")
+        if self.gateway and isinstance(text, str):
+            self._teller.tell(type, text)

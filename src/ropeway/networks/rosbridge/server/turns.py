@@ -1,0 +1,109 @@
+"""The operations of one client that wait for their turn, and whether its socket is read meanwhile.
+
+What a client asks for is kept until it is carried out, and so is what it is told until it has read it. Where either is
+much, its socket is not read: the operating system's window then holds the client back, and nobody else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
+
+from ropeway.limits import UNREAD_S, WAITING_ANSWERS, WAITING_OPERATIONS, WAITING_OPERATIONS_BYTES
+
+if TYPE_CHECKING:
+    from ropeway.networks.rosbridge.link.peer import Peer
+    from ropeway.networks.rosbridge.protocol import ops
+    from ropeway.networks.rosbridge.server.topic_ops import Retire
+
+__all__ = ["Turns"]
+
+_RESUME_AT: Final = 32  # operations that still wait when the socket is read again
+
+
+class Turns:
+    """See the module. ``questions`` returns how many calls of rosapi are not answered."""
+
+    def __init__(self, peer: Peer, questions: Callable[[], int]) -> None:
+        self.waiting: deque[ops.Op | Retire] = deque()
+        self.paused = False
+        self._peer, self._questions = peer, questions
+        self._idle_bytes = 0  # what had been received before operations had to wait
+        self._wake = asyncio.Event()
+        self._moved_s = time.monotonic()  # when an answer went last
+        peer.on_answer_gone(self._answer_gone)
+
+    @property
+    def bytes(self) -> int:
+        """How much was received while operations waited."""
+        return self._peer.connection.bytes_in - self._idle_bytes if self.waiting else 0
+
+    def push(self, op: ops.Op | Retire) -> None:
+        """Let an operation wait for its turn."""
+        if not self.waiting:
+            self._idle_bytes = self._peer.connection.bytes_in
+        self.waiting.append(op)
+        self._wake.set()
+
+    def wake(self) -> None:
+        """Have ``wait`` return, also if nothing waits."""
+        self._wake.set()
+
+    async def wait(self) -> None:
+        """Wait until there may be something to do."""
+        await self._wake.wait()
+        self._wake.clear()
+
+    @property
+    def ready(self) -> bool:
+        """True if an operation has its turn: none has while too many answers wait."""
+        return bool(self.waiting) and self._peer.answers_waiting <= WAITING_ANSWERS
+
+    def done(self) -> None:
+        """Forget the first operation: it was carried out."""
+        self.waiting.popleft()
+        self.ease()
+
+    def look(self) -> None:
+        """Read the client's socket no more, if too much waits."""
+        if not self.paused and (
+            len(self.waiting) > WAITING_OPERATIONS
+            or self._heavy
+            or self._questions() > WAITING_OPERATIONS
+            or self._peer.answers_waiting > WAITING_ANSWERS
+        ):
+            self.paused = True
+            self._peer.connection.pause_reading()
+
+    def ease(self) -> None:
+        """Read the client's socket again, if there is room."""
+        if (
+            self.paused
+            and len(self.waiting) <= (0 if self._heavy else _RESUME_AT)
+            and self._questions() <= _RESUME_AT
+            and self._peer.answers_waiting <= WAITING_ANSWERS // 2
+        ):
+            self.paused = False
+            self._peer.connection.resume_reading()
+
+    def tick(self) -> None:
+        """Close a client that takes none of many answers; called about once a second."""
+        if self.paused and self._peer.answers_waiting > WAITING_ANSWERS // 2:
+            if time.monotonic() - self._moved_s > UNREAD_S:
+                self._peer.connection.close(1008, "answers are not read")
+        else:
+            self._moved_s = time.monotonic()
+
+    def _answer_gone(self) -> None:
+        if self.paused:
+            self._moved_s = time.monotonic()
+            if self.ready:
+                self._wake.set()
+            self.ease()
+
+    @property
+    def _heavy(self) -> bool:
+        return self.bytes > WAITING_OPERATIONS_BYTES

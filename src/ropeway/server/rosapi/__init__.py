@@ -1,8 +1,0 @@
-"""rosapi, answered by the server itself: web clients ask it what there is, and no node of that name has to run."""
-
-from __future__ import annotations
-
-from ropeway.server.rosapi.globs import Globs
-from ropeway.server.rosapi.rosapi import SERVICES, Rosapi
-
-__all__ = ["SERVICES", "Globs", "Rosapi"]

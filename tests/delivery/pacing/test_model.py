@@ -1,0 +1,189 @@
+"""model over simulated links: rate, delay, buffer, jitter, loss, others, and changes of all of them."""
+
+from __future__ import annotations
+
+import random
+from typing import Final
+
+import pytest
+
+from ropeway.delivery.pacing.model import LinkModel, Reading
+from tests.delivery.pacing.simulated import HEADERS_BYTES, SEGMENT_BYTES, Path, share, simulate
+
+_GOODPUT: Final = SEGMENT_BYTES / (SEGMENT_BYTES + HEADERS_BYTES)
+_PART_BYTES: Final = SEGMENT_BYTES
+_MBIT: Final = 125_000
+
+
+def allowed_queue_s(path: Path) -> float:
+    """A quarter of the round trip, or a part and the two segments that keep a slow link busy."""
+    serial = 2 * (_PART_BYTES + 2 * SEGMENT_BYTES) / (path.rate * (1 - path.cross))
+    return max(0.5 * path.delay_s + 2 * path.jitter_s, serial, 0.006)
+
+
+def check(path: Path, congestion: str = "open", *, warm: float = 45, seconds: float = 3.0) -> None:
+    """Let a greedy sender fill the link, and see that it is full and has no queue."""
+    round_trip = 2 * path.delay_s + 2 * SEGMENT_BYTES / path.rate
+    skip = 1.0 + warm * round_trip
+    outcome = simulate(path, congestion=congestion, seconds=skip + max(seconds, 30 * round_trip), skip_s=skip)
+    left = path.rate * (1 - path.cross) * _GOODPUT * (1 - path.loss)
+    packets = 3 * SEGMENT_BYTES / max(seconds, 30 * round_trip)  # what the ends of the time may cut off
+    assert outcome.rate >= 0.9 * left - packets, (path, outcome)
+    assert outcome.queue_s <= allowed_queue_s(path), (path, outcome)
+
+
+@pytest.mark.parametrize("congestion", ["open", "reno"])
+@pytest.mark.parametrize("delay_ms", [0.1, 10, 35])
+@pytest.mark.parametrize("mbit", [2, 20, 100])
+def test_full_and_without_a_queue(mbit: float, delay_ms: float, congestion: str) -> None:
+    """A link is full at any rate and delay, and nothing waits in its deep buffer."""
+    check(Path(mbit * _MBIT, delay_ms / 1e3), congestion)
+
+
+@pytest.mark.parametrize(("jitter_ms", "loss"), [(2, 0.0), (0, 0.01), (2, 0.03), (0, 0.05)])
+def test_jitter_and_losses(jitter_ms: float, loss: float) -> None:
+    """Packets that are late, early or lost leave the link full."""
+    check(Path(20 * _MBIT, 0.01, jitter_s=jitter_ms / 1e3, loss=loss))
+
+
+def test_a_shallow_buffer() -> None:
+    """A link that holds twenty packets is full all the same."""
+    check(Path(20 * _MBIT, 0.01, buffer=20))
+
+
+@pytest.mark.parametrize("cross", [0.5, 0.8])
+def test_others_use_the_link(cross: float) -> None:
+    """What others leave of a link is used."""
+    check(Path(20 * _MBIT, 0.02, cross=cross))
+
+
+def links(count: int, *, seed: int, most_mbit: float, most_ms: float, others: bool) -> list[Path]:
+    """Make links of any rate, delay, jitter and loss, the same ones every time."""
+    chance = random.Random(seed)
+    made = []
+    for number in range(count):
+        mbit, delay_s = chance.uniform(1.0, most_mbit), chance.uniform(1e-4, most_ms / 1e3)
+        jitter_s = chance.choice((0.0, 0.1, 0.2)) * delay_s
+        loss = chance.choice((0.0, 0.0, 0.01) if others else (0.0, 0.0, 0.01, 0.05))
+        cross = chance.choice((0.0, 0.0, 0.5)) if others else 0.0
+        made.append(Path(mbit * _MBIT, delay_s, jitter_s=jitter_s, loss=loss, seed=number, cross=cross))
+    return made
+
+
+@pytest.mark.parametrize("path", links(25, seed=2, most_mbit=60, most_ms=80, others=False))
+def test_random_links(path: Path) -> None:
+    """Any link is full and has no queue."""
+    check(path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_many_links() -> None:
+    """Any link is full and has no queue, a hundred times, also where others use half of it."""
+    for path in links(100, seed=3, most_mbit=60, most_ms=60, others=True):
+        check(path, seconds=1.0)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0, 5.0])
+@pytest.mark.parametrize("delay_ms", [10, 35])
+def test_a_change_of_rate(factor: float, delay_ms: float) -> None:
+    """Ten round trips after a change of the rate the link is full again, and a little later without a queue."""
+    delay_s = delay_ms / 1e3
+    for rounds in (10, 30):
+        path = Path(20 * _MBIT, delay_s)
+
+        def change(path: Path = path) -> None:
+            path.rate *= factor
+
+        after = 3.0 + rounds * 2 * delay_s
+        outcome = simulate(path, seconds=after + 1.0, skip_s=after, change=change, change_at=3.0)
+        assert outcome.rate >= 0.9 * path.rate * _GOODPUT, (rounds, outcome)
+        if rounds == 30:
+            assert outcome.queue_s <= allowed_queue_s(path), outcome
+
+
+@pytest.mark.parametrize(("before_ms", "after_ms"), [(10, 50), (50, 10), (5, 100)])
+def test_a_change_of_delay(before_ms: float, after_ms: float) -> None:
+    """A route that becomes longer or shorter is noticed, and the link is full again."""
+    path = Path(20 * _MBIT, before_ms / 1e3)
+
+    def change() -> None:
+        path.delay_s = after_ms / 1e3
+
+    after = 3.0 + 25 * 2 * after_ms / 1e3
+    outcome = simulate(path, seconds=after + 2.0, skip_s=after, change=change, change_at=3.0)
+    assert outcome.rate >= 0.9 * path.rate * _GOODPUT
+
+
+@pytest.mark.parametrize("delay_ms", [10, 60])
+def test_a_change_of_both(delay_ms: float) -> None:
+    """A route that becomes longer and four times as fast is full again soon."""
+    path = Path(5 * _MBIT, 0.01)
+
+    def change() -> None:
+        path.rate, path.delay_s = 20 * _MBIT, delay_ms / 1e3
+
+    after = 3.0 + 25 * 2 * delay_ms / 1e3
+    outcome = simulate(path, seconds=after + 2.0, skip_s=after, change=change, change_at=3.0)
+    assert outcome.rate >= 0.9 * path.rate * _GOODPUT, outcome
+
+
+@pytest.mark.parametrize("late_s", [0.0, 6.0])
+@pytest.mark.parametrize("congestion", ["open", "reno"])
+def test_beside_one_who_fills_the_link(congestion: str, late_s: float) -> None:
+    """Two senders whose pictures need less than their share get most of it beside one who fills a deep queue."""
+    need = 190_000 * 15
+    path = Path(100 * _MBIT, 0.01)
+    rates, rest = share(path, size=190_000, hz=15, count=2, congestion=congestion, seconds=30.0, late_s=late_s)
+    assert min(rates) >= (0.25 if late_s else 0.6) * need, (rates, rest)
+    assert rest >= 0.3 * 100 * _MBIT
+
+
+@pytest.mark.parametrize("late_s", [0.0, 6.0])
+@pytest.mark.parametrize("congestion", ["open", "reno"])
+def test_not_starved(congestion: str, late_s: float) -> None:
+    """A sender who could use the whole link keeps a part of it beside one who fills its deep queue."""
+    path = Path(20 * _MBIT, 0.01)
+    rates, rest = share(path, size=190_000, hz=15, count=1, congestion=congestion, seconds=40.0, late_s=late_s)
+    assert rates[0] >= 0.1 * 20 * _MBIT, (rates, rest)
+    assert rest >= 0.2 * 20 * _MBIT
+
+
+def reading(now: float, delivered: int, *, rtt: float = 0.02, lost: int = 0, unsent: int = 0) -> Reading:
+    """A reading of a link on which much is on the way."""
+    return Reading(now, delivered, 50_000, unsent, rtt, 0.0, lost, SEGMENT_BYTES)
+
+
+def test_losses_without_a_queue() -> None:
+    """Losses on a link without a queue say that it is no full link that loses; with a queue, or rare, they do not."""
+    for rtt, every, losing in ((0.02, 1, True), (0.2, 1, False), (0.02, 20, False)):
+        model = LinkModel()
+        model.observe(reading(0.0, 0))
+        for i in range(1, 60):
+            model.observe(reading(0.1 * i, 100_000 * i, rtt=rtt, lost=i // every, unsent=1 << 20))
+        assert model.losing is losing
+
+
+def test_the_pace_next_to_us() -> None:
+    """Next to us the pace is not known until the link was seen full: what is slow there is how fast we send."""
+    for rtt, known in ((0.0001, False), (0.02, True)):
+        model = LinkModel()
+        for i in range(60):
+            model.observe(reading(0.01 * i, 100_000 * i, rtt=rtt))
+        assert model.starting
+        assert (model.bytes_per_s is not None) is known
+
+
+def test_looks_that_come_late() -> None:
+    """Where the kernel has run dry whenever we look, it may hold more; later, when we look in time, less again."""
+    model = LinkModel()
+    model.starting = False
+    model.pace.carried(1_000_000, 1.0)
+    limits = []
+    for i in range(400):
+        late = i < 100
+        model.handed(1 << 20)
+        model.observe(reading(0.01 * i, 10_000 * i, unsent=0 if late else 4096))
+        limits.append(model.unsent_limit_bytes)
+    assert limits[99] > limits[0]
+    assert limits[-1] < limits[99]

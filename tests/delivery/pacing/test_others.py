@@ -1,0 +1,94 @@
+"""Whose queue it is, and what we keep beside those who fill a link."""
+
+from __future__ import annotations
+
+from ropeway.delivery.pacing.others import Others, Situation
+
+PACE = 1e6
+
+
+def situation(window: int, queue_s: float, now_s: float = 0.0, base_s: float = 0.02) -> Situation:
+    """A link of 1 MB/s, seen with this window and this queue."""
+    return Situation(now_s, window, 4096, PACE, base_s, queue_s, 0.005, 0.015)
+
+
+def test_no_long_queue() -> None:
+    """With the queue that we want, the usual law holds."""
+    others = Others()
+    assert all(others.advise(situation(25_000, 0.005)) is None for _ in range(100))
+    assert others.kept_bytes(0.0, 0.02) == 0
+
+
+def test_a_queue_of_ours() -> None:
+    """A long queue that is shorter with half of the window is ours: the usual law holds again."""
+    others = Others()
+    advice = others.advise(situation(80_000, 0.06))
+    assert advice is not None
+    assert (advice.window_bytes, advice.base_s) == (40_000, None)
+    assert others.tested
+    assert others.advise(situation(40_000, 0.02)) is None
+    assert not others.tested
+
+
+def test_a_queue_of_others() -> None:
+    """A long queue that stays as long is part of the path; half of the pace from before is kept for a while."""
+    others = Others()
+    others.calm(PACE)
+    others.advise(situation(80_000, 0.06))
+    advice = others.advise(situation(40_000, 0.06))
+    assert advice is not None
+    assert advice.base_s is not None
+    assert advice.base_s > 0.08
+    assert advice.window_bytes == PACE * advice.base_s
+    assert others.kept_bytes(1.0, 0.08) == PACE * 0.08 / 2
+    assert others.kept_bytes(100.0, 0.08) == 0
+
+
+def test_others_have_left() -> None:
+    """A queue that becomes shorter after all is ours: the shortest round trip is that of before."""
+    others = Others()
+    others.advise(situation(80_000, 0.06))
+    others.advise(situation(40_000, 0.06))
+    others.advise(situation(80_000, 0.06, 1.0, 0.08))
+    advice = others.advise(situation(40_000, 0.02, 1.0, 0.08))
+    assert advice is not None
+    assert advice.base_s == 0.02
+    assert others.kept_bytes(1.0, 0.02) == 0
+
+
+def test_the_least_window() -> None:
+    """A long queue with the least window there is cannot be ours."""
+    others = Others()
+    others.calm(PACE)
+    advice = others.advise(situation(4096, 0.06))
+    assert advice is not None
+    assert advice.base_s is not None
+    assert advice.window_bytes > 40_000
+
+
+def ask(others: Others, window: int, queue_s: float = 0.01) -> float:
+    """See a queue that stays until more is sent; return how much."""
+    for _ in range(100):
+        advice = others.advise(situation(window, queue_s))
+        if advice is not None:
+            return advice.window_bytes
+    raise AssertionError("nothing was tried")
+
+
+def test_a_queue_that_stays() -> None:
+    """Beside a queue that does not become longer as more is sent, ever more is sent; until it does, or is full."""
+    others = Others()
+    window = ask(others, 20_000)
+    assert 20_000 < window <= 40_000
+    advice = others.advise(situation(int(window), 0.01))
+    assert advice is not None
+    assert advice.window_bytes > window
+    assert advice.base_s == 0.03
+    advice = others.advise(situation(int(advice.window_bytes), 0.03, base_s=0.03))
+    assert advice is not None
+    assert advice.window_bytes == int(window)
+    window = ask(others, 20_000)
+    others.lost()
+    advice = others.advise(situation(int(window), 0.01))
+    assert advice is not None
+    assert advice.window_bytes == 20_000

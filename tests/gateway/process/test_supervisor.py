@@ -1,0 +1,238 @@
+"""ropeway.gateway.process.supervisor: slices of a configuration in processes that fall and come back."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import os
+import signal
+import socket
+import sys
+import time
+from contextlib import AsyncExitStack
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from ropeway.errors import ConnectFailed
+from ropeway.gateway.config import config
+from ropeway.gateway.process.supervisor import Supervisor, slices
+from ropeway.graph.base import SEQ_NONE, Sample
+from ropeway.hub.hub import Hub
+from ropeway.networks.dds import DdsGraph
+from ropeway.networks.memory.graph import MemoryGraph
+from ropeway.networks.rosbridge.server import RosbridgeServer
+from ropeway.qos import QoS
+from ropeway.types import TypeRegistry
+from tests.networks.rosbridge.server.client import Client
+from tests.support.messages import STRING, text
+from tests.support.ports import free_port
+from tests.support.until import PATIENCE_S, until
+
+_domains = itertools.cycle(range(100, 110))
+_numbers = itertools.count()
+HZ = 50.0
+
+
+def settings(graph: str, **more: Any) -> dict[str, Any]:
+    return {"name": "robot", "graphs": [graph], "listen": [], **more}
+
+
+class Cloud:
+    """A server far away, and which messages of a topic came there."""
+
+    def __init__(self) -> None:
+        self.heard: list[int] = []
+        self.url = ""
+
+    async def start(self, stack: AsyncExitStack, topic: str) -> None:
+        network = f"supervised-{next(_numbers)}"
+        graphs = [MemoryGraph(network, node=f"/{node}") for node in ("cloud", "reader")]
+        for graph in graphs:
+            await graph.open()
+            stack.push_async_callback(graph.close)
+        server = RosbridgeServer(Hub(graphs[0]), TypeRegistry())
+        stack.push_async_callback(server.close)
+        self.url = f"ws://127.0.0.1:{(await server.listen('ws://127.0.0.1:0')).port}"
+        await graphs[1].create_subscription(topic, STRING, QoS(depth=100), self._hear)
+
+    def _hear(self, batch: Any) -> None:
+        for sample in batch:
+            self.heard.append(int(bytes(sample.payload[8:]).split(b"\0")[0]))
+
+
+async def talker(stack: AsyncExitStack, domain: int, topic: str) -> None:
+    """A robot that publishes numbers over DDS."""
+    graph = DdsGraph(domain, name="talker", interface="lo")
+    await graph.open()
+    stack.push_async_callback(graph.close)
+    publisher = await graph.create_publisher(topic, STRING, QoS(depth=100))
+
+    async def talk() -> None:
+        began, number = time.monotonic(), 0
+        while True:
+            number += 1
+            publisher.publish(Sample(text(str(number)), STRING, time.time_ns(), bytes(16), SEQ_NONE))
+            await asyncio.sleep(max(0.0, began + number / HZ - time.monotonic()))
+
+    task = asyncio.create_task(talk())
+    stack.callback(task.cancel)
+
+
+# ── slices ─────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def parsed(workers: int | str, **more: Any) -> config.Config:
+    item = {"name": "/x", "type": STRING}
+    remotes = [{"address": f"ws://h{i}", "publish": [item], "active": i != 1} for i in range(4)]
+    return config.parse({"gateway": {**settings("memory:x"), "workers": workers, **more}, "remotes": remotes})
+
+
+def test_slices() -> None:
+    """Active remotes are dealt out to the workers; per-remote gives each its own, and the listeners one more."""
+
+    def addresses(parts: list[tuple[str, config.Config]]) -> dict[str, list[str]]:
+        return {name: [r.address.removeprefix("ws://h")[0] for r in part.remotes if r.active] for name, part in parts}
+
+    assert addresses(slices(parsed(2))) == {"worker0": ["0", "3"], "worker1": ["2"]}
+    assert addresses(slices(parsed("per-remote"))) == {"remote0": ["0"], "remote2": ["2"], "remote3": ["3"]}
+    listening = slices(parsed("per-remote", listen=["ws://127.0.0.1:9090"]))
+    assert {name: bool(part.gateway.listen) for name, part in listening} == {
+        "server": True,
+        "remote0": False,
+        "remote2": False,
+        "remote3": False,
+    }
+    assert all(part.gateway.listen for _, part in slices(parsed(3, listen=["ws://127.0.0.1:9090"])))
+
+
+# ── workers ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize("workers", [2, "per-remote"])
+async def test_killed_worker(stack: AsyncExitStack, workers: int | str, caplog: pytest.LogCaptureFixture) -> None:
+    """A worker that is killed is back at once with its routes, in the spare process; the others never notice."""
+    domain = next(_domains)
+    clouds = [Cloud(), Cloud()]
+    for cloud in clouds:
+        await cloud.start(stack, "/n")
+    item = {"name": "/n", "type": STRING}
+    remotes = [{"address": cloud.url, "publish": [item]} for cloud in clouds]
+    document = {"gateway": {**settings(f"dds:{domain}?interface=lo"), "workers": workers}, "remotes": remotes}
+    supervisor = await stack.enter_async_context(Supervisor(config.parse(document), log_level="WARNING", steady_s=0))
+    await talker(stack, domain, "/n")
+    await until(lambda: all(len(cloud.heard) > 10 for cloud in clouds))
+    first, second = (worker.process for worker in supervisor.workers)
+    assert first is not None
+    assert second is not None
+    for _ in range(2):
+        await until(lambda: supervisor.spare.pid)
+        killed, spare = supervisor.workers[0].process, supervisor.spare.pid
+        assert killed is not None
+        killed.send_signal(signal.SIGKILL)
+        await killed.wait()
+        heard = len(clouds[0].heard)
+        await until(lambda h=heard: len(clouds[0].heard) > h + 10)
+        back = supervisor.workers[0].process
+        assert back is not None
+        assert back.pid == spare  # which had loaded everything
+    assert [m for m in caplog.messages if "it is started again" in m] == [
+        f"worker {supervisor.workers[0].name} ended; it is started again"  # that is, without a pause
+    ] * 2
+    assert second.returncode is None
+    numbers = clouds[1].heard
+    assert numbers == list(range(numbers[0], numbers[-1] + 1))
+    assert [w.starts for w in supervisor.workers] == [3, 1]
+    assert clouds[0].heard == sorted(set(clouds[0].heard))
+
+
+async def test_status(stack: AsyncExitStack) -> None:
+    """The workers' status is told as that of one gateway, with every worker's process."""
+    port = free_port()
+    item = {"name": "/x", "type": STRING}
+    remotes = [{"address": f"ws://127.0.0.1:{free_port()}", "publish": [item]} for _ in range(2)]
+    document = {
+        "gateway": settings("memory:x", listen=[f"ws://127.0.0.1:{port}"], workers=2),
+        "remotes": remotes,
+    }
+    supervisor = await stack.enter_async_context(Supervisor(config.parse(document), log_level="WARNING"))
+    clients = [await stack.enter_async_context(Client(port)) for _ in range(6)]
+    for client in clients:
+        await client.done()
+    await until(lambda: len(supervisor.status()["sessions"]) == 6)
+    status = supervisor.status()
+    assert status["name"] == "robot"
+    assert [r["address"] for r in status["remotes"]] == [r["address"] for r in remotes]
+    assert [r["name"] for r in status["routes"]] == ["/x", "/x"]
+    assert [(w["name"], w["starts"]) for w in status["workers"]] == [("worker0", 1), ("worker1", 1)]
+    assert all(psutil.Process(w["pid"]).ppid() == os.getpid() for w in status["workers"])
+    (listener,) = status["listen"]
+    assert listener["clients"] == 6
+    json.dumps(status)
+    assert supervisor.workers[0].process is not None
+    supervisor.workers[0].process.kill()
+    await until(lambda: supervisor.workers[0].starts == 2)
+    async with Client(port) as another:  # the other worker takes it, or the new one
+        await another.done()
+
+
+async def test_start_failure(stack: AsyncExitStack) -> None:
+    """Where nothing can start, as the port is taken, the reason is told, and no process is left."""
+    taken = socket.socket()
+    stack.callback(taken.close)
+    taken.bind(("127.0.0.1", 0))
+    taken.listen()
+    listen = [f"ws://127.0.0.1:{taken.getsockname()[1]}"]
+    supervisor = Supervisor(config.parse({"gateway": settings("memory:x", listen=listen, workers=2)}))
+    with pytest.raises(ConnectFailed, match=r"is another gateway running\?"):
+        await supervisor.__aenter__()
+    assert not psutil.Process().children()
+
+
+async def test_worker_that_keeps_falling(stack: AsyncExitStack, caplog: pytest.LogCaptureFixture) -> None:
+    """A worker that falls again and again is started again, at growing intervals."""
+    document = {"gateway": settings("memory:x", workers=1)}
+    supervisor = await stack.enter_async_context(
+        Supervisor(config.parse(document), log_level="WARNING", steady_s=10 * PATIENCE_S)
+    )
+    (worker,) = supervisor.workers
+    times = []
+    for starts in (1, 2, 3):
+        await until(lambda n=starts: worker.starts == n and worker.process and worker.process.returncode is None)
+        process = worker.process
+        assert process is not None
+        began = time.monotonic()
+        process.kill()
+        await until(lambda n=starts: worker.starts > n)
+        times.append(time.monotonic() - began)
+    assert times[1] >= 1
+    assert times[2] >= 2
+    told = [message.partition("it is started again")[2] for message in caplog.messages]
+    assert told == ["", " in 1 s", " in 2 s"]
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+async def test_end_of_the_supervisor(tmp_path: Path, how: signal.Signals) -> None:
+    """When the supervisor goes, however it goes, its workers go."""
+    file = tmp_path / "gateway.json"
+    file.write_text(json.dumps({"gateway": settings("memory:x", workers=2)}))
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "ropeway", "run", str(file), "--quiet"),
+        stdout=asyncio.subprocess.DEVNULL,
+        stderr=asyncio.subprocess.DEVNULL,
+    )
+    try:
+        parent = psutil.Process(process.pid)
+        await until(lambda: len(parent.children()) == 3)  # one waits to step in
+        workers = parent.children()
+        process.send_signal(how)
+        await process.wait()
+        await until(lambda: not any(w.is_running() and w.status() != psutil.STATUS_ZOMBIE for w in workers))
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()

@@ -1,0 +1,105 @@
+"""The path to a gateway that acknowledges."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+
+import pytest
+
+from ropeway.networks.overlay.path import Path
+
+LANE = 4
+PART_BYTES = 4096
+
+
+class Link:
+    """A link of ``rate`` bytes a second and ``delay_s`` one way; what comes is acknowledged at once."""
+
+    def __init__(self, rate: float, delay_s: float) -> None:
+        self.rate, self.delay_s = rate, delay_s
+        self.free_at_s = 0.0
+        self.events: list[tuple[float, int]] = []
+        self.carried = 0
+        self.queues_s: list[float] = []
+
+    def send(self, now_s: float, number: int, size: int) -> None:
+        self.free_at_s = max(self.free_at_s, now_s) + size / self.rate
+        if now_s > 2.0:
+            self.queues_s.append(self.free_at_s - now_s)
+            self.carried += size
+        heapq.heappush(self.events, (self.free_at_s + 2 * self.delay_s, number))
+
+
+def greedy(path: Path, link: Link, until_s: float) -> None:
+    """Send as much as the path has room for."""
+    numbers = itertools.count(1)
+    now_s = 0.0
+    while now_s < until_s:
+        while path.room_bytes(now_s) > 0:
+            size, number = max(path.part_bytes, PART_BYTES), next(numbers)
+            path.hand(size)
+            path.sent(LANE, number, size, now_s)
+            path.landed(size)
+            link.send(now_s, number, size)
+        now_s, number = heapq.heappop(link.events)
+        path.acknowledged([(LANE, number)], now_s)
+
+
+@pytest.mark.parametrize(("rate", "delay_s"), [(625e3, 0.035), (2.5e6, 0.01), (12.5e6, 0.035), (12.5e6, 0.0)])
+def test_full_and_fresh(rate: float, delay_s: float) -> None:
+    """A link is filled, and little waits before it."""
+    path, link = Path(), Link(rate, delay_s)
+    greedy(path, link, 12.0)
+    assert link.carried > 0.9 * rate * 10
+    assert sum(link.queues_s) / len(link.queues_s) < max(0.025, 0.4 * 2 * delay_s)  # its own part is in it
+    assert path.model.pace.bytes_per_s == pytest.approx(rate, rel=0.15)
+
+
+def test_more_than_was_sent() -> None:
+    """Acknowledging what was not sent yet counts for what was."""
+    path = Path()
+    path.sent(LANE, 1, 1000, 0.0)
+    path.acknowledged([(LANE, 1 << 63), (200, 5), (0, 7)], 0.01)
+    assert path.in_flight_bytes == 0
+    path.sent(LANE, 2, 1000, 0.02)
+    assert path.in_flight_bytes == 1000
+
+
+def test_one_that_is_lost() -> None:
+    """A packet that never came is accounted for by one that came after it."""
+    path = Path()
+    for number in (1, 2, 3):
+        path.sent(LANE, number, 1000, 0.0)
+    path.acknowledged([(LANE, 1)], 0.01)
+    assert path.in_flight_bytes == 2000
+    path.acknowledged([(LANE, 3)], 0.02)
+    assert path.in_flight_bytes == 0
+
+
+def test_stalled() -> None:
+    """A path that acknowledges nothing holds nobody up after a while, and is heeded again once it does."""
+    path = Path()
+    now_s = 0.0
+    for number in itertools.count(1):
+        if path.room_bytes(now_s) <= 0:
+            break
+        path.hand(PART_BYTES)
+        path.sent(LANE, number, PART_BYTES, now_s)
+        path.landed(PART_BYTES)
+    assert path.room_bytes(0.5) <= 0
+    assert path.room_bytes(2.0) > 1 << 30
+    assert path.stalled
+    path.sent(LANE, 100, PART_BYTES, 2.0)
+    path.acknowledged([(LANE, 100)], 2.1)
+    assert not path.stalled
+    assert path.room_bytes(2.1) < 1 << 30
+
+
+def test_lanes_overtake() -> None:
+    """What is acknowledged in one lane says nothing of another."""
+    path = Path()
+    path.sent(4, 1, 5000, 0.0)
+    path.sent(0, 1, 100, 0.0)
+    path.acknowledged([(0, 1)], 0.01)
+    assert path.in_flight_bytes == 5000
