@@ -28,7 +28,8 @@ STANDING: Final[Mapping[str, str]] = {
     "networks.overlay.graph.sender": "networks.overlay.graph.graph networks.overlay.graph.publisher",
     "networks.overlay.graph.subscription": "networks.overlay.graph.graph",
     "networks.rosbridge.client.calls": (
-        "networks.rosbridge.client.actions networks.rosbridge.client.graph networks.rosbridge.client.servers networks.rosbridge.client.services"
+        "networks.rosbridge.client.actions networks.rosbridge.client.graph networks.rosbridge.client.servers "
+        "networks.rosbridge.client.services"
     ),
     "networks.rosbridge.client.parts": "networks.rosbridge.client.graph",
     "networks.rosbridge.client.refusals": "networks.rosbridge.client.calls",

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import cbor2
 from tests.iort.servers import Raw
-from tests.networks.rosbridge.server.client import Client, ClosedByServer
+from tests.support.websocket import Client, ClosedByServer
 
 from fuzz.target import Target
 from fuzz.targets.operations import OPERATIONS

@@ -22,8 +22,8 @@ from ropeway.errors import ConfigError
 from ropeway.gateway.config.config import Config
 from tests.cli.conftest import Ropeway
 from tests.gateway.test_tls import Authority
-from tests.networks.rosbridge.server.client import Client, fetch
 from tests.support.until import PATIENCE_S
+from tests.support.websocket import Client, fetch
 
 Start = Callable[..., subprocess.Popen[str]]
 

@@ -159,7 +159,7 @@ async def test_stalled_reader(pair: MakePair) -> None:
     cloud = await net.machine("b", name="cloud", listen=["ws://127.0.0.1:9090"], publish={"/image": 30.0}, size=300_000)
     script = f"""
 import asyncio, json, sys, time
-from tests.networks.rosbridge.server.client import Client
+from tests.support.websocket import Client
 from tests.networks.rosbridge.server.test_session import listen
 from tests.support.clock import queued_s
 

@@ -21,11 +21,11 @@ from ropeway.gateway.process.supervisor import Supervisor
 from ropeway.listener.authorization import EVERYTHING, Role
 from ropeway.listener.http import Request
 from tests.gateway.test_tls import Authority, gateway, url
-from tests.networks.rosbridge.server.client import Client, fetch
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
 from tests.support.ports import free_port
 from tests.support.until import until
+from tests.support.websocket import Client, fetch
 
 TOKEN = "a-token-that-must-not-be-seen"
 

@@ -8,6 +8,10 @@ from collections.abc import Callable
 import pytest
 import uvloop
 
+from tests.support.place import bare, place
+
+__all__ = ["bare", "place", "pytest_asyncio_loop_factories"]
+
 
 def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:
     """The event loops that a test runs on, one after the other."""

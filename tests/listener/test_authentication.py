@@ -12,7 +12,7 @@ from ropeway.listener.authentication import CertificateRule, Door, TokenRule, gi
 from ropeway.listener.authorization import EVERYTHING, Role
 from ropeway.listener.hosts import Hosts
 from ropeway.listener.http import Request, Response, parse_head
-from tests.networks.rosbridge.server.conftest import Place
+from tests.support.place import Place
 from tests.support.until import until
 
 OPERATOR = Role("operator", {"publish": ("*",), "call_service": ("*",)})

@@ -15,10 +15,10 @@ from ropeway.listener.authentication import Door
 from ropeway.listener.authorization import EVERYTHING, VERBS, Access, Globs, Role
 from ropeway.networks.rosbridge.rosapi import SERVICES
 from ropeway.qos import QoS
-from tests.networks.rosbridge.server.client import Client
-from tests.networks.rosbridge.server.conftest import Place
 from tests.support.messages import STRING
+from tests.support.place import Place
 from tests.support.until import until
+from tests.support.websocket import Client
 
 pytestmark = pytest.mark.jumping
 

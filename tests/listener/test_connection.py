@@ -17,7 +17,8 @@ from ropeway.errors import ConnectFailed
 from ropeway.listener.connection import Connection, Limits
 from ropeway.listener.listener import Listener
 from ropeway.listener.websocket import connect, listen
-from tests.networks.rosbridge.server.client import (
+from tests.support.until import PATIENCE_S, until
+from tests.support.websocket import (
     BINARY,
     CLOSE,
     CONTINUATION,
@@ -28,7 +29,6 @@ from tests.networks.rosbridge.server.client import (
     ClosedByServer,
     frame,
 )
-from tests.support.until import PATIENCE_S, until
 
 QUIET = Limits(ping_interval_s=None, max_message_bytes=100_000, open_timeout_s=1.0)
 

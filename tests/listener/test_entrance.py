@@ -10,8 +10,8 @@ from ropeway.limits import WRONG_TOKENS
 from ropeway.listener.authentication import Door, Refusal, TokenRule
 from ropeway.listener.authorization import EVERYTHING, Role
 from ropeway.listener.http import Request
-from tests.networks.rosbridge.server.client import fetch
-from tests.networks.rosbridge.server.conftest import Place
+from tests.support.place import Place
+from tests.support.websocket import fetch
 
 pytestmark = pytest.mark.jumping
 

@@ -20,8 +20,8 @@ from ropeway.listener.listener import Listener
 from ropeway.listener.lobby import Lobby
 from ropeway.listener.websocket import listen
 from tests.gateway.test_tls import Authority
-from tests.networks.rosbridge.server.client import CLOSE, Client
 from tests.support.until import PATIENCE_S, until
+from tests.support.websocket import CLOSE, Client
 
 UPGRADE = (
     "GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: {connection}\r\n"

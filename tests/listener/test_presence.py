@@ -13,7 +13,7 @@ from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.networks.rosbridge.server import RosbridgeServer
 from ropeway.qos import LATCHED
 from ropeway.types import TypeRegistry
-from tests.networks.rosbridge.server.conftest import Place
+from tests.support.place import Place
 from tests.support.until import until
 
 pytestmark = pytest.mark.jumping

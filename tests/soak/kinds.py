@@ -11,10 +11,10 @@ from typing import Any, Final, NamedTuple
 
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
 from tests.gateway.test_tls import Authority
-from tests.networks.rosbridge.server.client import Client
 from tests.soak.megabytes import GATEWAY, PLAIN, SENT_BYTES, Make, a_megabyte
 from tests.soak.nodes import PACKETS
 from tests.soak.strangers import STRANGERS, Strangers, abort
+from tests.support.websocket import Client
 
 __all__ = ["KINDS", "Kind"]
 

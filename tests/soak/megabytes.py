@@ -11,7 +11,7 @@ from typing import Any, Final
 import cbor2
 
 from ropeway.networks.rosbridge.protocol.records import RecordWriter
-from tests.networks.rosbridge.server.client import BINARY, CONTINUATION, TEXT, frame
+from tests.support.websocket import BINARY, CONTINUATION, TEXT, frame
 
 __all__ = ["GATEWAY", "PLAIN", "SENT_BYTES", "Make", "a_megabyte", "operation"]
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from tests.networks.rosbridge.server.client import Client
 from tests.soak.process import Held, Served, serving
+from tests.support.websocket import Client
 
 SECONDS = float(os.environ.get("ROPEWAY_SOAK_SECONDS", "30"))
 WARM_UP_S = 8.0

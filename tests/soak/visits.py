@@ -13,7 +13,7 @@ from ropeway.iort import pack
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.networks.rosbridge.protocol.records import RecordWriter
 from tests.iort.servers import Raw
-from tests.networks.rosbridge.server.client import Client, fetch
+from tests.support.websocket import Client, fetch
 
 __all__ = ["VISITS", "Visit"]
 

@@ -132,11 +132,12 @@ def new_origin() -> bytes:
 class Delivery:
     """How the far side of a link should treat a topic; graphs without a link ignore what they cannot do.
 
-    ``encoding``: one of rosbridge's ``ENCODINGS`` or ``auto``. ``priority``: lanes, 0 is sent first (commands), 4 is the default, 7 last. ``weight``: the topic's share of the link in bytes, beside others of its
-    lane; one that needs less than its share gets all it asks for. ``rate_hz``: at most so many per second.
-    ``lifespan_s``: older messages are not sent. ``depth``: how many may wait on the link, ``None`` takes the QoS's (1
-    for best effort, so that the newest replaces the one that waits). ``None`` anywhere means no limit. ``metadata``:
-    what goes into the global name in the overlay beside the name and the type, as pairs of a key and a text.
+    ``encoding``: one of rosbridge's ``ENCODINGS`` or ``auto``. ``priority``: lanes, 0 is sent first (commands), 4 is
+    the default, 7 last. ``weight``: the topic's share of the link in bytes, beside others of its lane; one that needs
+    less than its share gets all it asks for. ``rate_hz``: at most so many per second. ``lifespan_s``: older messages
+    are not sent. ``depth``: how many may wait on the link, ``None`` takes the QoS's (1 for best effort, so that the
+    newest replaces the one that waits). ``None`` anywhere means no limit. ``metadata``: what goes into the global name
+    in the overlay beside the name and the type, as pairs of a key and a text.
     """
 
     encoding: str = "auto"

@@ -1,4 +1,4 @@
-"""Reads JSON and CBOR of strangers: bounded in memory and time whatever they hold, and raising only ``InvalidFrame``."""
+"""Reads JSON and CBOR of strangers within bounds of memory and time; the only error it raises is ``InvalidFrame``."""
 
 from __future__ import annotations
 

@@ -27,10 +27,10 @@ from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.networks.rosbridge.server import RosbridgeServer
 from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
-from tests.networks.rosbridge.server.client import Client
 from tests.support.messages import STRING, text
 from tests.support.ports import free_port
 from tests.support.until import PATIENCE_S, until
+from tests.support.websocket import Client
 
 _domains = itertools.cycle(range(100, 110))
 _numbers = itertools.count()

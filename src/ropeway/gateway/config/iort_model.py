@@ -38,7 +38,7 @@ _MIB: Final = 1 << 20
 
 def robots() -> dict[str, Any]:
     """The maps that come with Ropeway, by name: those of the IoRT paper's five robots."""
-    folder = resources.files("ropeway.iort") / "robots"
+    folder = resources.files("ropeway.networks.iort") / "robots"
     return {entry.name.removesuffix(".yaml"): entry for entry in folder.iterdir() if entry.name.endswith(".yaml")}
 
 

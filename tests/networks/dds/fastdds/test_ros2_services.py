@@ -23,8 +23,8 @@ from ropeway.hub.hub import Hub
 from ropeway.networks.dds import DdsGraph
 from ropeway.networks.rosbridge.server import RosbridgeServer
 from ropeway.types import TypeRegistry
-from tests.networks.rosbridge.server.client import Client
 from tests.support.until import PATIENCE_S, until
+from tests.support.websocket import Client
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
 if importlib.util.find_spec("rclpy") is None:

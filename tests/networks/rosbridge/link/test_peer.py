@@ -24,9 +24,9 @@ from ropeway.networks.rosbridge.protocol.codec import ENCODING_NUMBERS
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL
 from ropeway.networks.rosbridge.protocol.records import HEADER_BYTES, Arrival
 from ropeway.types import TypeRegistry
-from tests.networks.rosbridge.server.client import Client, frame
 from tests.support.messages import STRING, text
 from tests.support.until import PATIENCE_S, until
+from tests.support.websocket import Client, frame
 
 pytestmark = pytest.mark.jumping
 

@@ -12,10 +12,10 @@ import pytest
 
 from ropeway.errors import GoalRejected
 from ropeway.graph.calls import ActionHandlers, ClientGoal, Goal, GoalStatus, Outcome, ServerGoal
-from tests.networks.rosbridge.server.client import Client
-from tests.networks.rosbridge.server.conftest import Place
 from tests.support.actions import FIBONACCI, Worker, count, order, ordered, sequence
+from tests.support.place import Place
 from tests.support.until import PATIENCE_S, until
+from tests.support.websocket import Client
 
 pytestmark = pytest.mark.jumping
 

@@ -16,12 +16,12 @@ import zstandard
 from ropeway.listener.connection import Limits
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.qos import QoS
-from tests.networks.rosbridge.server.client import BINARY, TEXT, Client, frame
-from tests.networks.rosbridge.server.conftest import Place
 from tests.networks.rosbridge.server.test_session import CHATTER, heard, listen, publishers, said
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
+from tests.support.place import Place
 from tests.support.until import until
+from tests.support.websocket import BINARY, TEXT, Client, frame
 
 pytestmark = pytest.mark.jumping
 

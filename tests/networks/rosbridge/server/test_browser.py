@@ -14,8 +14,8 @@ from ropeway.listener.authentication import Door
 from ropeway.listener.hosts import Hosts, own_names
 from ropeway.qos import LATCHED, QoS
 from tests.networks.rosbridge.server.browser import CHROMIUM, browser, pages
-from tests.networks.rosbridge.server.conftest import Place
 from tests.support.inbox import Inbox
+from tests.support.place import Place
 
 if CHROMIUM is None:
     pytest.skip("needs Chromium", allow_module_level=True)

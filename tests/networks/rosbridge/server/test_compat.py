@@ -19,15 +19,15 @@ from ropeway.graph.calls import ActionHandlers, Request
 from ropeway.listener.authorization import Access
 from ropeway.networks.memory.graph import MemoryPublisher
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
-from tests.networks.rosbridge.server.client import BINARY, Client
-from tests.networks.rosbridge.server.conftest import Place
 from tests.networks.rosbridge.server.test_session import CHATTER, heard, listen, said
 from tests.support.actions import FIBONACCI, count
 from tests.support.clock import Stopwatch
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
+from tests.support.place import Place
 from tests.support.services import ADD, add
 from tests.support.until import until
+from tests.support.websocket import BINARY, Client
 
 pytestmark = pytest.mark.jumping
 

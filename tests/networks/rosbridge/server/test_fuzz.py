@@ -21,10 +21,10 @@ from ropeway.networks.rosbridge.protocol import codec
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.networks.rosbridge.protocol.records import RecordWriter
 from ropeway.types import TypeRegistry
-from tests.networks.rosbridge.server.client import BINARY, TEXT, Client, ClosedByServer, frame
 from tests.networks.rosbridge.server.test_session import CHATTER, heard, listen, said
 from tests.support.messages import STRING, text
 from tests.support.until import PATIENCE_S
+from tests.support.websocket import BINARY, TEXT, Client, ClosedByServer, frame
 
 FRAMES: Final = 100_000
 CONNECTIONS: Final = 6

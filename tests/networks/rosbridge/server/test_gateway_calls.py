@@ -10,11 +10,11 @@ import pytest
 from ropeway.errors import CallFailed, GoalRejected, NotServed
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
-from tests.networks.rosbridge.server.client import Client
-from tests.networks.rosbridge.server.conftest import Place
 from tests.support.actions import FIBONACCI, Worker, count, order, sequence
+from tests.support.place import Place
 from tests.support.services import ADD, add, addends, total
 from tests.support.until import PATIENCE_S, until
+from tests.support.websocket import Client
 
 pytestmark = pytest.mark.jumping
 

@@ -11,8 +11,8 @@ from ropeway import __version__
 from ropeway.listener.authentication import Door, TokenRule
 from ropeway.listener.authorization import EVERYTHING
 from ropeway.listener.hosts import Hosts
-from tests.networks.rosbridge.server.client import fetch
-from tests.networks.rosbridge.server.conftest import Place
+from tests.support.place import Place
+from tests.support.websocket import fetch
 
 pytestmark = pytest.mark.jumping
 

@@ -6,8 +6,8 @@ import pytest
 
 from ropeway.errors import InvalidName
 from ropeway.networks.rosbridge.server.names import Names
-from tests.networks.rosbridge.server.conftest import Place
 from tests.support.messages import STRING
+from tests.support.place import Place
 from tests.support.until import until
 
 pytestmark = pytest.mark.jumping

@@ -14,8 +14,8 @@ from ropeway.networks.rosbridge.server.server import RosbridgeServer
 from ropeway.qos import LATCHED
 from ropeway.types.ros1_spelling import Ros1Spelling
 from ropeway.types.ros1_types import Ros1Types
-from tests.networks.rosbridge.server.conftest import Place
 from tests.support.messages import sample
+from tests.support.place import Place
 from tests.support.rosbridge import REGISTRY
 from tests.support.until import until
 

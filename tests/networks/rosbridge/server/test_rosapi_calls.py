@@ -7,9 +7,9 @@ import json
 import pytest
 
 from ropeway.graph.calls import Request
-from tests.networks.rosbridge.server.conftest import Place
 from tests.support.actions import FIBONACCI
 from tests.support.messages import STRING
+from tests.support.place import Place
 
 pytestmark = pytest.mark.jumping
 

@@ -14,10 +14,10 @@ import pytest
 from ropeway.graph.calls import ActionHandlers
 from tests.graph.parameter_node import ParameterNode
 from tests.networks.rosbridge.rosapi.test_rosapi import SET_BOOL, never, nothing
-from tests.networks.rosbridge.server.conftest import Place
 from tests.networks.rosbridge.server.peers import peers
 from tests.support.actions import FIBONACCI
 from tests.support.messages import STRING
+from tests.support.place import Place
 
 JS = Path(__file__).parents[3] / "js"
 NODE = shutil.which("node") if (JS / "node_modules").is_dir() else None

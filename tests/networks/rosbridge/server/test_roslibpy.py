@@ -18,10 +18,10 @@ import pytest
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.calls import ActionHandlers, Outcome, Request, ServerGoal
 from ropeway.qos import LATCHED, QoS
-from tests.networks.rosbridge.server.conftest import Place
 from tests.networks.rosbridge.server.peers import Peers, peers
 from tests.support.actions import FIBONACCI, Worker, count, ordered
 from tests.support.inbox import Inbox
+from tests.support.place import Place
 from tests.support.services import ADD, add, addends, total
 from tests.support.until import PATIENCE_S, until
 

@@ -14,7 +14,7 @@ from ropeway.graph.base import Sample
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.networks.rosbridge.server.rosout import LOG_QOS, LOG_TYPE, Rosout
 from ropeway.types import TypeRegistry
-from tests.networks.rosbridge.server.conftest import Place
+from tests.support.place import Place
 from tests.support.until import until
 
 pytestmark = pytest.mark.jumping

@@ -7,7 +7,7 @@ import pytest
 
 from ropeway.networks.rosbridge.link.express import HEADER
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
-from tests.networks.rosbridge.server.conftest import Place
+from tests.support.place import Place
 
 pytestmark = pytest.mark.jumping
 

@@ -14,10 +14,10 @@ from ropeway.errors import CallError, CallFailed, ProviderLost
 from ropeway.graph.calls import Client as GraphClient
 from ropeway.graph.calls import Request
 from ropeway.networks.rosbridge.protocol.codec import decode_value
-from tests.networks.rosbridge.server.client import BINARY, Client
-from tests.networks.rosbridge.server.conftest import Place
+from tests.support.place import Place
 from tests.support.services import ADD, add, addends, total
 from tests.support.until import PATIENCE_S, until
+from tests.support.websocket import BINARY, Client
 
 pytestmark = pytest.mark.jumping
 

@@ -14,12 +14,12 @@ import pytest
 
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
-from tests.networks.rosbridge.server.client import BINARY, Client, ClosedByServer
-from tests.networks.rosbridge.server.conftest import Place
 from tests.support.clock import Stopwatch
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
+from tests.support.place import Place
 from tests.support.until import until
+from tests.support.websocket import BINARY, Client, ClosedByServer
 
 CHATTER = {"op": "advertise", "topic": "/chatter", "type": "std_msgs/String"}
 

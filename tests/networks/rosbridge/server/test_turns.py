@@ -14,10 +14,10 @@ from ropeway.limits import SEARCHES_PER_CLIENT, WAITING_ANSWERS, WAITING_OPERATI
 from ropeway.networks.rosbridge.server import turns
 from ropeway.networks.rosbridge.server.rosapi_calls import RosapiCalls
 from ropeway.networks.rosbridge.server.service_ops import ServiceOps
-from tests.networks.rosbridge.server.client import TEXT, Client, ClosedByServer, frame
-from tests.networks.rosbridge.server.conftest import Place
 from tests.support.actions import FIBONACCI
+from tests.support.place import Place
 from tests.support.until import until
+from tests.support.websocket import TEXT, Client, ClosedByServer, frame
 
 CALLS = 2000
 

@@ -10,9 +10,10 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from ropeway.listener.subprotocols import ROPEWAY_SUBPROTOCOL
+
 if TYPE_CHECKING:
-    from ropeway.listener.subprotocols import ROPEWAY_SUBPROTOCOL
-from ropeway.networks.rosbridge.protocol.ops import Op
+    from ropeway.networks.rosbridge.protocol.ops import Op
 
 __all__ = [
     "DIALECTS",

@@ -1,0 +1,5 @@
+from __future__ import annotations
+
+from tests.networks.rosbridge.client.conftest import fake
+
+__all__ = ["fake"]
