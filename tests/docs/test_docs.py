@@ -71,3 +71,13 @@ def test_encodings_are_documented() -> None:
     text = (ROOT / "docs" / "configuration.md").read_text()
     for encoding in (*ENCODINGS, "auto"):
         assert f"`{encoding}`" in text
+
+
+def test_modules_of_the_architecture() -> None:
+    """Every module and folder that the page on the architecture names is there."""
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    sources = ROOT / "src" / "ropeway"
+    named = {path.rstrip("/") for path in re.findall(r"`([a-z][\w]*(?:/[\w.]+)+|[\w]+\.py)`", text)}
+    missing = [path for path in named if not (sources / path).exists() and not (ROOT / path).exists()]
+    assert named, "no module is named"
+    assert not [path for path in missing if path != "networks/NAME"], missing
