@@ -336,3 +336,6 @@ NODE_WAITING_BYTES: Final = 16 << 20
 
 ENDPOINTS_PER_NODE: Final = 4_096
 """Topics that one node publishes or subscribes to."""
+
+BROUGHT_TOPICS_PER_NODE: Final = 10_000
+"""The same of a node that brings values of a time when the server was away: as many as a local server keeps."""

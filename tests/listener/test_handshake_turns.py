@@ -49,6 +49,17 @@ async def test_long_ones_are_given_up() -> None:
     await other
 
 
+async def test_all_are_long() -> None:
+    """Where all take long, each ends in its turn, until nobody waits any more."""
+    peers = Peers(HandshakeTurns(limit=1, turn_s=0.0))
+    tasks = [asyncio.create_task(peers.shake(number)) for number in range(5)]
+    await until(lambda: len(peers.began) == 5)
+    assert peers.turns.given_up == 4
+    peers.done.set()
+    await asyncio.wait(tasks)
+    assert [task.cancelled() for task in tasks] == [True] * 4 + [False]
+
+
 async def test_who_leaves_while_it_waits() -> None:
     """One that is cancelled while it waits takes nobody's turn."""
     peers = Peers(HandshakeTurns(limit=1, turn_s=60.0))

@@ -10,6 +10,7 @@ import logging
 import resource
 import socket
 import ssl
+import weakref
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -108,6 +109,31 @@ async def test_what_a_dropped_handshake_held() -> None:
         for _, writer in opened:
             writer.transport.abort()
         await until(lambda: not lobby)
+
+
+async def test_what_a_failed_handshake_held() -> None:
+    """Nothing of a TLS handshake stays once it failed, also before the garbage collector comes by."""
+    made: list[weakref.ref[Echo]] = []
+
+    def make(visit: Visit) -> Echo:
+        protocol = Echo(visit)
+        made.append(weakref.ref(protocol))
+        return protocol
+
+    lobby = Lobby()
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    listener = await open_listener("test://x", "127.0.0.1", 0, make, lobby=lobby, handshake_s=5.0, context=context)
+    gc.disable()
+    try:
+        for said in (b"\x16\x03\x01\x02\x00\x01", b"no TLS"):
+            _, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+            writer.write(said)
+            await until(lambda: len(lobby) == 1 and len(made) == 1)
+            writer.transport.abort()
+            await until(lambda: not len(lobby) and made.pop()() is None)
+    finally:
+        gc.enable()
+        await listener.close()
 
 
 def _handshakes() -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
@@ -84,17 +85,21 @@ def _strangers(visit: Strangers) -> Visit:
     return come
 
 
-def _node(make: Make, reads: bool = True) -> Visit:
-    """A node of the IoRT listener."""
+def _node(make: Make, reads: bool = True, connections: int = 1) -> Visit:
+    """A node of the IoRT listener, with so many connections in turn."""
 
     async def visit(ports: list[int], stack: AsyncExitStack, first: bool) -> None:
-        reader, writer = await asyncio.open_connection("127.0.0.1", ports[-1])
-        stack.callback(abort, writer)
-        if reads or first:
-            reading = asyncio.create_task(_read_all(reader))
-            stack.callback(reading.cancel)
+        writers: list[asyncio.StreamWriter] = []
+        for _ in range(connections):
+            reader, writer = await asyncio.open_connection("127.0.0.1", ports[-1])
+            stack.callback(abort, writer)
+            writers.append(writer)
+            if reads or first:
+                reading = asyncio.create_task(_read_all(reader))
+                stack.callback(reading.cancel)
+        packets = a_megabyte(make, _WARM_UP_BYTES if first else SENT_BYTES)
         try:
-            for data in a_megabyte(make, _WARM_UP_BYTES if first else SENT_BYTES):
+            for data, writer in zip(packets, itertools.cycle(writers), strict=False):
                 writer.write(data)
                 async with asyncio.timeout(20):
                     await writer.drain()
@@ -119,6 +124,7 @@ def _listening(scheme: str) -> Prepare:
     return prepare
 
 
+_FROM_MANY: Final = 10  # connections, each of which may write some thousand topics
 _MEMORY: Final = _serving(_config("memory:memory"))
 _DDS: Final = _serving(_config("dds:77?interface=lo"))
 _ON_DDS: Final = (
@@ -145,5 +151,9 @@ KINDS: Final = [
     *(Kind(name, _listening(scheme), _strangers(visit)) for name, (scheme, visit) in STRANGERS.items()),
     *(Kind(f"node-{name}", _listening("iort"), _node(make)) for name, make in PACKETS.items()),
     *(Kind(f"node-{name}-unread", _listening("iort"), _node(make, False)) for name, make in PACKETS.items()),
+    *(
+        Kind(f"nodes-{name}", _listening("iort"), _node(PACKETS[name], connections=_FROM_MANY))
+        for name in ("plain", "systems", "brought", "subscriptions", "advertisements")
+    ),
     *(Kind(f"{name}-dds", _DDS, _client(PLAIN[name])) for name in _ON_DDS),
 ]

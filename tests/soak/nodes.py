@@ -18,6 +18,7 @@ PACKETS: Final[dict[str, Make]] = {
     "plain": lambda n: f"%01/S/t{n}/p/{'x' * 30}%".encode(),
     "values": lambda n: _asked("+pub", "S", f"t{n}", b"x" * 1000, n=n),
     "systems": lambda n: _asked("+pub", f"S{n}", "t", b"x", n=n),
+    "brought": lambda n: f"%01/S/t{n}/+pub/m=1,v={n + 1}/x%".encode(),
     "large": lambda n: _asked("+pub", "S", f"t{n}", b"x" * 500_000, n=n),
     "escaped": lambda n: _asked("+pub", "S", "t", b"~" * 500_000, n=n),
     "heads": lambda n: b"%01/S/t/+pub/" + b",".join(b"%x=" % i for i in range(180_000)) + b"/x%",

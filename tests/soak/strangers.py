@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import ssl
 import struct
 from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
@@ -14,6 +15,19 @@ __all__ = ["STRANGERS", "Strangers", "abort"]
 
 _FEW: Final = 20  # as many as come before it is measured
 _CLIENT_HELLO: Final = b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + bytes(500)  # its last bytes are missing
+
+
+def _whole_hello() -> bytes:
+    """What a client says first."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    sent = ssl.MemoryBIO()
+    with contextlib.suppress(ssl.SSLWantReadError):
+        context.wrap_bio(ssl.MemoryBIO(), sent).do_handshake()
+    return sent.read()
+
+
+_HELLO: Final = _whole_hello()
 
 Strangers = Callable[[int, AsyncExitStack, bool], Awaitable[None]]
 """Comes to a port, with a megabyte or if the last is true with little; the stack leaves."""
@@ -87,6 +101,7 @@ STRANGERS: Final[dict[str, tuple[str, Strangers]]] = {
     "watchers": ("ws", _silent(60, lambda _: _get("/store?watch=1"), most=1000)),
     "half-open-tls": ("wss", _silent(500, lambda _: _CLIENT_HELLO)),
     "half-open-tls-everywhere": ("wss", _silent(500, lambda _: _CLIENT_HELLO, addresses=400)),
+    "unfinished-tls": ("wss", _silent(len(_HELLO), lambda _: _HELLO, addresses=400)),
     "silent-nodes": ("iort", _silent(200, lambda _: b"", addresses=400)),
     "half-packets": ("iort", _silent(1000, lambda n: b"%01/S/t/p/" + b"x" * 990, addresses=400)),
     "resets": ("ws", _one_after_the_other(lambda _: struct.pack("!I", 5) * 50 + b"\r\n\r\n")),

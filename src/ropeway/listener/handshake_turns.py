@@ -38,6 +38,8 @@ class HandshakeTurns:
         finally:
             self._waiting -= 1
         self._under_way[task] = asyncio.get_running_loop().time()
+        if self._waiting:
+            self._watch()
         try:
             yield
         finally:

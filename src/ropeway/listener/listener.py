@@ -138,11 +138,11 @@ class Listener:
         try:
             await aiofastnet.connect_accepted_socket(loop, lambda: self._make(visit), connection, **secure)
             timers.keep()
-        except ssl.SSLError as error:  # which aiofastnet tells nobody else
+        except OSError as error:  # who has left by now needs nothing
             visit.leave()
-            self._complaints.note("handshake", "", explain_handshake(error))
-        except OSError:  # it is told, if it was TLS; who has left by now needs nothing
-            visit.leave()
+            error.__traceback__ = None  # it and the handshake would keep each other
+            if isinstance(error, ssl.SSLError):  # which aiofastnet tells nobody else
+                self._complaints.note("handshake", "", explain_handshake(error))
         except BaseException:
             visit.leave()
             timers.cancel()

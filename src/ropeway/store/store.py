@@ -336,31 +336,37 @@ class Store:
                 async with asyncio.timeout(_GATHER_S):
                     await self._asked.wait()
             self._asked.clear()
-            dirty, self._dirty = self._dirty, {}
-            self._writing = dirty
-            sinks, self._sinks = self._sinks, {}
-            error: StoreUnavailable | None = None
-            bad: dict[Key, str] = {}
-            if dirty or self.fault:
-                batch = [entry for entries in dirty.values() for entry in entries]
-                try:
-                    bad = await self._run(self.backend.write, batch, self.limits.history)
-                except StoreUnavailable as fault:
-                    error = fault
-            self._tell(sinks, error, bad)
-            if error is None:
-                self._kept(dirty)
-                self._writing = {}
+            if await self._write():
                 pause = _RETRY_S[0]
                 continue
-            if str(error) != self.fault:
-                log.error("values are not kept: %s", error)
-            self.fault = str(error)
-            self._restore(dirty)
-            self._writing = {}
             await asyncio.sleep(pause)
             pause = min(2 * pause, _RETRY_S[1])
             self._wake.set()
+
+    async def _write(self) -> bool:
+        """Write what is not kept; false if the backend could not, and it has to be tried again."""
+        dirty, self._dirty = self._dirty, {}
+        self._writing = dirty
+        sinks, self._sinks = self._sinks, {}
+        error: StoreUnavailable | None = None
+        bad: dict[Key, str] = {}
+        if dirty or self.fault:
+            batch = [entry for entries in dirty.values() for entry in entries]
+            try:
+                bad = await self._run(self.backend.write, batch, self.limits.history)
+            except StoreUnavailable as fault:
+                error = fault
+        self._tell(sinks, error, bad)
+        if error is None:
+            self._kept(dirty)
+            self._writing = {}
+            return True
+        if str(error) != self.fault:
+            log.error("values are not kept: %s", error)
+        self.fault = str(error)
+        self._restore(dirty)
+        self._writing = {}
+        return False
 
     def _kept(self, dirty: dict[Key, list[Entry]]) -> None:
         if self.fault:

@@ -151,3 +151,26 @@ async def test_endpoints_are_bounded(space: Space, monkeypatch: pytest.MonkeyPat
     with pytest.raises(ValueRefused, match="3 topics at most"):
         space.subscribe(person, "A", "d")
     assert space.refused["full"] == 1
+
+
+async def test_written_topics_are_bounded(space: Space, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One member cannot write values of names without end; what is refused is not in the store."""
+    monkeypatch.setattr(module, "ENDPOINTS_PER_NODE", 2)
+    monkeypatch.setattr(module, "BROUGHT_TOPICS_PER_NODE", 3)
+    person, other = Person("greedy"), Person("other")
+    space.join(person)
+    space.join(other)
+    for topic in ("a", "b", "a"):
+        space.publish(person, "A", topic, b"1", origin="g")
+    with pytest.raises(ValueRefused, match="2 topics at most"):
+        space.publish(person, "A", "c", b"1", origin="g")
+    assert space.store.get("A", "c") is None
+    space.publish(person, "A", "d", b"1", origin="g", merge=True, version=1)
+    with pytest.raises(ValueRefused, match="3 topics at most"):
+        space.publish(person, "A", "e", b"1", origin="g", merge=True, version=1)
+    assert space.store.get("A", "e") is None
+    space.publish(other, "A", "e", b"1", origin="o")
+    space.withdraw(person, "A", "d")
+    space.withdraw(person, "A", "a")
+    space.publish(person, "A", "c", b"1", origin="g")
+    assert space.refused["full"] == 2

@@ -316,7 +316,7 @@ class IortGraph:
             self._infos.pop(before, None)
         if is_pattern(endpoint.system) or is_pattern(endpoint.topic):
             return
-        info = self._info(endpoint)
+        info = self._infos.get(endpoint) or self._described(endpoint)  # which is kept once somebody asks
         if not there:
             self._infos.pop(endpoint, None)
         if endpoint.kind == "publisher":

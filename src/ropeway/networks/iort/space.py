@@ -17,7 +17,7 @@ from fnmatch import translate
 from typing import Any, Final, Protocol
 
 from ropeway.errors import ValueRefused
-from ropeway.limits import ENDPOINTS_PER_NODE, PATTERN_CHARACTERS, PATTERNS_PER_NODE
+from ropeway.limits import BROUGHT_TOPICS_PER_NODE, ENDPOINTS_PER_NODE, PATTERN_CHARACTERS, PATTERNS_PER_NODE
 from ropeway.store import Entry, Key, Sink, Store
 
 __all__ = ["Endpoint", "Member", "Space", "is_pattern"]
@@ -90,7 +90,7 @@ class Space:
         self.refused: Counter[str] = Counter()
         self.published = 0
         self._members: dict[Member, _Presence] = {}
-        self._exact: dict[Key, dict[Member, None]] = {}
+        self._exact: dict[Key, tuple[Member, ...]] = {}  # most topics have one reader, if any
         self._patterns: dict[tuple[str, str], _Pattern] = {}
         self._fitting: dict[Key, list[_Pattern]] = {}  # by topic: the patterns that fit, as far as was looked
         self._publisher: Member | None = None
@@ -157,8 +157,8 @@ class Space:
                 self._patterns[system, topic] = _Pattern(system, topic)
                 self._fitting.clear()
             self._patterns[system, topic].members[member] = None
-        else:
-            self._exact.setdefault((system, topic), {})[member] = None
+        elif member not in (readers := self._exact.get((system, topic), ())):
+            self._exact[system, topic] = (*readers, member)
         if latest:
             for entry in self.store.entries(system, topic):
                 member.value(entry, True)
@@ -196,23 +196,30 @@ class Space:
         before = presence.endpoints.get(key)
         if before == endpoint:
             return
-        if before is None and len(presence.endpoints) >= ENDPOINTS_PER_NODE:
-            self.refused["full"] += 1
-            raise ValueRefused(
-                endpoint.system, endpoint.topic, "full", f"a node has {ENDPOINTS_PER_NODE} topics at most, and no more"
-            )
-        if before is not None:
+        if before is None:
+            self._check_room(presence, endpoint.system, endpoint.topic, ENDPOINTS_PER_NODE)
+        else:
             self._tell(member, before, False)
-        presence.endpoints[key] = endpoint
+        self._set(member, presence, endpoint)
+
+    def _set(self, member: Member, presence: _Presence, endpoint: Endpoint) -> None:
+        presence.endpoints[endpoint.kind, endpoint.system, endpoint.topic] = endpoint
         self._tell(member, endpoint, True)
+
+    def _check_room(self, presence: _Presence, system: str, topic: str, most: int) -> None:
+        if len(presence.endpoints) >= most:
+            self.refused["full"] += 1
+            raise ValueRefused(system[:40], topic[:40], "full", f"a node has {most} topics at most, and no more")
 
     def _take_away(self, member: Member, presence: _Presence, endpoint: Endpoint) -> None:
         presence.endpoints.pop((endpoint.kind, endpoint.system, endpoint.topic), None)
         if endpoint.kind == "subscription":
             where = (endpoint.system, endpoint.topic)
-            exact, pattern = self._exact.get(where), self._patterns.get(where)
-            if exact is not None and exact.pop(member, member) is None and not exact:
-                del self._exact[where]
+            pattern = self._patterns.get(where)
+            if readers := self._exact.pop(where, ()):
+                others = tuple(reader for reader in readers if reader is not member)
+                if others:
+                    self._exact[where] = others
             if pattern is not None and pattern.members.pop(member, member) is None and not pattern.members:
                 del self._patterns[where]
                 self._fitting.clear()
@@ -245,16 +252,20 @@ class Space:
 
         Live values are the last in the order of their arrival: ``version`` is taken if it is later than what is there
         and not far in the future. With ``merge`` it was written while the server was away: its version decides, and
-        ``stale`` is raised where a later value is there. Raises ``ValueRefused``.
+        ``stale`` is raised where a later value is there. Raises ``ValueRefused``, also above the limit of endpoints,
+        which then leaves the store as it was.
         """
         store = self.store
+        presence = self._members.get(member) if member is not None else None
+        is_new = presence is not None and ("publisher", system, topic) not in presence.endpoints
+        if presence is not None and is_new:
+            self._check_room(presence, system, topic, BROUGHT_TOPICS_PER_NODE if merge else ENDPOINTS_PER_NODE)
         before = store.get(system, topic)
         if not merge or not version:
             last = before.version if before is not None else 0
             if version <= last or version > time.time_ns() // 1000 + _AHEAD_US:
                 version = store.versions.next(last)
         entry = Entry(system, topic, data, version, stamp_ns or time.time_ns(), origin, type, form)
-        presence = self._members.get(member) if member is not None else None
         self._publisher = member
         try:
             store.put(entry, sink, token)
@@ -264,9 +275,8 @@ class Space:
         finally:
             self._publisher = None
         self.published += 1
-        if presence is not None and ("publisher", system, topic) not in presence.endpoints:
-            assert member is not None
-            self._add(member, Endpoint("publisher", system, topic, type, "", member.node, presence.id))
+        if member is not None and presence is not None and is_new:
+            self._set(member, presence, Endpoint("publisher", system, topic, type, "", member.node, presence.id))
         return entry
 
     def _patterns_of(self, key: Key) -> list[_Pattern]:
@@ -285,7 +295,7 @@ class Space:
         readers = self._exact.get(key)
         if readers is None and not self._patterns:
             return
-        found = dict(readers) if readers is not None else {}
+        found = dict.fromkeys(readers or ())
         for pattern in self._patterns_of(key):
             found.update(pattern.members)
         if self._publisher is not None:

@@ -49,6 +49,7 @@ class Session(asyncio.Protocol):
         self.last_heard = time.monotonic()
         self.began: float | None = None  # when the packet that is coming in began
         self.origin = ""
+        self._named: tuple[tuple[str, str], str] = ("", ""), ""  # of values, and who is said to have written them
         self.superseded = 0
         self._parser = Parser(min(server.max_packet_bytes, HTTP_HEAD_BYTES))  # until it is let in
         self.transport: asyncio.Transport | None = None
@@ -320,8 +321,7 @@ class Session(asyncio.Protocol):
     def _publish_plain(self, packet: Packet) -> None:
         self._may("publish", packet)
         self._known_as(packet.id)
-        origin = origin_of(packet.id, self.peer, self.kind)
-        self.space.publish(self, packet.system, packet.topic, packet.data, origin=origin)
+        self.space.publish(self, packet.system, packet.topic, packet.data, origin=self._origin_of(packet.id))
 
     def _known_as(self, identifier: str) -> None:
         """Note the identifier of a plain packet; the configuration may say what kind of node has it."""
@@ -329,6 +329,13 @@ class Session(asyncio.Protocol):
             self.identifier = identifier[:_IDENTIFIER_CHARACTERS]
             if not self.upgraded:
                 self.kind = self.server.kinds.get(identifier, "")
+
+    def _origin_of(self, identifier: str) -> str:
+        """Return who wrote a value that does not say so; all values of a node have the same text."""
+        about = (identifier, self.kind)
+        if self._named[0] != about:
+            self._named = about, origin_of(identifier, self.peer, self.kind)
+        return self._named[1]
 
     def _read_plain(self, packet: Packet) -> None:
         self._known_as(packet.id)
@@ -387,7 +394,7 @@ class Session(asyncio.Protocol):
         if not (0 <= stamp_ns < 1 << 63 and 0 <= version < 1 << 63):
             raise NodeError("malformed", "t and v are whole numbers of up to 63 bits")
         merge = head.get("m") == "1"
-        origin = head.get("o") or self.origin or origin_of(packet.id, self.peer, self.kind)
+        origin = head.get("o") or self.origin or self._origin_of(packet.id)
         token = [number, version]
         entry = self.space.publish(
             self,
