@@ -22,6 +22,7 @@ import uvloop
 
 from bench.netns import Process, delayed
 from bench.report import table
+from ropeway import aio
 from ropeway.graph.base import Sample
 from ropeway.iort import AsyncNode, Packet, Parser, Value, pack
 from ropeway.networks.dds import DdsGraph
@@ -212,7 +213,7 @@ async def viewer(args: argparse.Namespace) -> None:
     delays: dict[str, list[float]] = {"picture": [], "pose": []}
     print("ready", flush=True)
     with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(args.count):
+        async with aio.timeout(args.count):
             while data := await reader.read(65536):
                 for packet in parser.feed(data):
                     if isinstance(packet, Packet) and packet.topic in delays:
@@ -349,7 +350,7 @@ async def _ros2(args: argparse.Namespace, robot: Process) -> list[list[Any]]:
             began = time.time_ns()
             node.publish_nowait("cmd_vel", [n, 0, 0, 0, 0, 0], system="ROBOT")
             try:
-                async with asyncio.timeout(1.0 if n > 20 else 0.2):
+                async with aio.timeout(1.0 if n > 20 else 0.2):
                     await arrived.wait()
             except TimeoutError:
                 continue

@@ -32,6 +32,7 @@ from cryptography.hazmat.primitives.asymmetric import ed25519
 
 from bench.netns import Process, delayed
 from bench.report import table
+from ropeway import aio
 from ropeway.gateway.process.allocator import keep_freed_memory
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample
 from ropeway.networks.overlay.crypto.identity import Identity, write_private
@@ -101,7 +102,7 @@ async def ping(args: argparse.Namespace) -> None:
     publisher = await graph.create_publisher("/ping", TYPE)
     wanted = asyncio.Event()
     publisher.on_demand(lambda count: wanted.set() if count else None)
-    async with asyncio.timeout(30):
+    async with aio.timeout(30):
         await wanted.wait()
         while not graph.node.feeds or not any(
             f is not None
@@ -118,7 +119,7 @@ async def ping(args: argparse.Namespace) -> None:
         for _ in range(args.count):
             t = time.perf_counter()
             publisher.publish(sample(payload))
-            async with asyncio.timeout(10):
+            async with aio.timeout(10):
                 await came.get()
             times.append(time.perf_counter() - t)
             first = first or time.perf_counter() - began
@@ -563,7 +564,7 @@ async def _big(where: dict[str, str], endpoint: str, count: int) -> tuple[int, f
         payload = os.urandom(13_000_000)
         began = time.perf_counter()
         publisher.publish(sample(payload))
-        async with asyncio.timeout(20):
+        async with aio.timeout(20):
             intact += await came.get() == payload
         took += time.perf_counter() - began
     for graph in (near, far):
@@ -602,7 +603,7 @@ async def fleet(args: argparse.Namespace) -> None:
         publishers.append(await graph.create_publisher(f"/robot{robot}/image", TYPE, QoS(depth=1)))
         graphs.append(graph)
         queues.append(came)
-    async with asyncio.timeout(30):
+    async with aio.timeout(30):
         while not all(p.subscribers for p in publishers):
             await asyncio.sleep(0.01)
     await asyncio.sleep(0.5)
@@ -611,7 +612,7 @@ async def fleet(args: argparse.Namespace) -> None:
         began = time.perf_counter()
         for publisher in publishers:
             publisher.publish(sample(payload))
-        async with asyncio.timeout(20):
+        async with aio.timeout(20):
             for came in queues:
                 await came.get()
         times.append(time.perf_counter() - began)

@@ -23,6 +23,7 @@ import numpy as np
 import uvloop
 
 from bench.images import IMAGE, frames, matrix
+from ropeway import aio
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.networks.dds import DdsGraph
 from ropeway.qos import QoS
@@ -215,7 +216,7 @@ def main() -> None:
     parser.add_argument("--keep-all", action="store_true")
     parser.add_argument("--check", action="store_true")
     args = parser.parse_args()
-    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+    with aio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         runner.run({"source": source, "sink": sink}[args.role](args))
 
 

@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from ropeway import aio
 from tests.support.clock import Stopwatch, held_up, queued_s
 
 
@@ -17,7 +18,7 @@ async def test_jumps() -> None:
     await asyncio.gather(asyncio.sleep(3600), asyncio.sleep(7200))
     assert watch.seconds == 7200
     with pytest.raises(TimeoutError):
-        async with asyncio.timeout(60):
+        async with aio.timeout(60):
             await asyncio.Event().wait()
     assert watch.seconds == 7260
     assert time.process_time() - began < 1
@@ -32,7 +33,7 @@ async def test_waits_for_sockets_and_threads() -> None:
         writer.close()
 
     watch = Stopwatch()
-    async with await asyncio.start_server(echo, "127.0.0.1", 0) as server, asyncio.timeout(1):
+    async with await asyncio.start_server(echo, "127.0.0.1", 0) as server, aio.timeout(1):
         reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
         writer.write(b"x" * 60_000 + b"\n")
         assert len(await reader.readline()) == 60_001

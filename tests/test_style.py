@@ -59,6 +59,8 @@ ALLOWED_TASKS = {
     "networks/rosbridge/server/server.py:_connected": ANSWERED,
     "networks/rosbridge/server/server.py:_close_sessions": AWAITED,
     "networks/rosbridge/server/service_ops.py:call": ANSWERED,
+    "aio310.py:create_task": "its group waits for it",
+    "aio310.py:run": "it is waited for",
     "tasks.py:start": "it is the helper",
     "tasks.py:background": "it is the helper",
 }

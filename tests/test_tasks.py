@@ -8,6 +8,7 @@ import threading
 
 import pytest
 
+from ropeway.aio import ExceptionGroup
 from ropeway.errors import GraphUnavailable
 from ropeway.tasks import Chores, Supervised, background, describe, end, failing, keep_running
 from tests.support.until import until

@@ -20,7 +20,7 @@ from ropeway.networks.overlay.rights import EVERYTHING, Rights
 
 __all__ = ["TARGETS"]
 
-_NOW: Final = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
+_NOW: Final = datetime.datetime(2026, 1, 1, tzinfo=datetime.timezone.utc)
 
 
 def _certificate(data: bytes) -> None:

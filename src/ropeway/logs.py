@@ -8,16 +8,22 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from ropeway.errors import RopewayError
 from ropeway.limits import LOG_BURST_LINES, LOG_LINE_CHARACTERS, LOG_LINES_PER_S
 
-__all__ = ["LimitedHandler", "failed", "line_format"]
+__all__ = ["LimitedHandler", "LoggerAdapter", "failed", "line_format"]
 
 _KINDS = 4096  # places in the code that log; ours and those of libraries are fewer
 _TRACEBACKS = 5  # at once, of one place
 _Place = tuple[str, int, str, int]
+
+if TYPE_CHECKING:
+    LoggerAdapter = logging.LoggerAdapter[logging.Logger]
+    _StreamHandler = logging.StreamHandler[TextIO]
+else:  # these take no type in Python 3.10
+    LoggerAdapter, _StreamHandler = logging.LoggerAdapter, logging.StreamHandler
 
 
 def line_format(end: str = "") -> logging.Formatter:
@@ -27,7 +33,7 @@ def line_format(end: str = "") -> logging.Formatter:
     return logging.Formatter(f"{clock}%(levelname)-7s %(message)s{end}", "%H:%M:%S")
 
 
-class LimitedHandler(logging.StreamHandler[TextIO]):
+class LimitedHandler(_StreamHandler):
     """Writes the lines of each place in the code up to a rate; the next that passes tells how many did not.
 
     A place has ``LOG_BURST_LINES`` at once and ``LOG_LINES_PER_S`` on average; the first few may have tracebacks. Lines

@@ -11,6 +11,8 @@ import weakref
 from collections.abc import Callable, Coroutine
 from typing import Any, Final, TypeVar
 
+from ropeway import aio
+from ropeway.aio import BaseExceptionGroup
 from ropeway.errors import RopewayError
 
 __all__ = [
@@ -290,13 +292,13 @@ class Interruptible:
     def __enter__(self) -> Interruptible:
         task = asyncio.current_task()
         assert task is not None
-        self._task, self._cancelling = task, task.cancelling()
+        self._task, self._cancelling = task, aio.cancelling(task)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         task, self._task = self._task, None
         assert task is not None
-        if self._error is None or task.uncancel() > self._cancelling:
+        if self._error is None or aio.uncancel(task) > self._cancelling:
             return
         if kind is None or issubclass(kind, asyncio.CancelledError):
             raise self._error from None

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.errors import CallFailed, CallTimeout, GoalRejected, NotServed
@@ -165,7 +166,7 @@ async def test_provider_vanishes(sides: Sides) -> None:
     await sides.service()
     client = await sides.caller.create_client("/t", TRIGGER)
     assert await client.wait_available(PATIENCE_S)
-    async with asyncio.TaskGroup() as group:
+    async with aio.TaskGroup() as group:
         call = group.create_task(_failure(client.call(Request(EMPTY), 30)))
         await started.wait()
         await service.close()

@@ -14,6 +14,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from ropeway import aio
 from ropeway.cli import app
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.networks.dds import DdsGraph
@@ -79,7 +80,7 @@ def run(start: Callable[..., Awaitable[asyncio.subprocess.Process]]) -> Run:
 
     async def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         process = await start(*arguments)
-        async with asyncio.timeout(PATIENCE_S):
+        async with aio.timeout(PATIENCE_S):
             out, err = await process.communicate()
         assert process.returncode is not None
         return subprocess.CompletedProcess(arguments, process.returncode, out.decode(), err.decode())
@@ -143,7 +144,7 @@ async def test_interrupted_goal(
     """Ctrl-C cancels the goal, prints how it ends, and ends with 130."""
     process = await start("action", "send_goal", "/count", FIBONACCI, "{order: -5}", "--json")
     assert process.stdout is not None
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         assert json.loads(await process.stdout.readline())["accepted"]
         process.send_signal(signal.SIGINT)
         out, err = await process.communicate()

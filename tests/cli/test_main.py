@@ -10,6 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from ropeway import __version__
+from ropeway.aio import BaseExceptionGroup, ExceptionGroup
 from ropeway.cli import VERBS, app
 from ropeway.cli.console import fail, reported
 from ropeway.cli.loop import run

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
+from ropeway import aio
 from ropeway.cli.patience import Patience, patiently, served_within, why_silent
 from ropeway.cli.session import Session
 from ropeway.graph.calls import Request
@@ -22,7 +23,7 @@ pytestmark = pytest.mark.jumping
 async def said_until(said: Callable[[], str], text: str) -> str:
     """Everything that was said, once ``text`` is in it."""
     all_said = ""
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         while text not in all_said:
             await asyncio.sleep(0.001)
             all_said += said()

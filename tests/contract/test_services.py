@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
+from ropeway import aio
 from ropeway.errors import (
     CallError,
     CallFailed,
@@ -194,7 +195,7 @@ async def test_provider_closes(pair: Pair) -> None:
     calls = [asyncio.create_task(client.call(Request(addends(i)), 50)) for i in range(3)]
     await until(lambda: len(gate.seen) == 3)
     await service.close()
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         failures = await asyncio.gather(*calls, return_exceptions=True)
     assert [type(failure) for failure in failures] == [ProviderLost] * 3, failures
     await service.close()
@@ -207,7 +208,7 @@ async def test_client_closes(pair: Pair) -> None:
     call = asyncio.create_task(client.call(Request(addends(1)), 50))
     await until(lambda: gate.seen)
     await client.close()
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         with pytest.raises(GraphUnavailable):
             await call
     with pytest.raises(GraphUnavailable):
@@ -247,7 +248,7 @@ async def test_graph_closes(pair: Pair) -> None:
     call = asyncio.create_task(client.call(Request(addends(1)), 50))
     await until(lambda: gate.seen)
     await pair.near.close()
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         with pytest.raises(GraphError):
             await call
 

@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 
+from ropeway import aio
 from ropeway.errors import GraphUnavailable, InvalidName
 from ropeway.graph.base import Graph, Publisher, Subscription
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
@@ -149,7 +150,7 @@ async def test_changes(pair: Pair) -> None:
                 if not event.discovered:
                     return
 
-    async with asyncio.TaskGroup() as group:
+    async with aio.TaskGroup() as group:
         group.create_task(listen())
         await asyncio.sleep(0)
         publisher = await pair.near.create_publisher("/told", STRING)

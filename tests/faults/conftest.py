@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from tests.support.until import PATIENCE_S
 
 ROOT = Path(__file__).parents[2]
@@ -84,7 +85,7 @@ class Machine:
     async def until(self, condition: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:
         """Wait for a condition on what was told."""
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while not condition():
                     await asyncio.sleep(0.01)
         except TimeoutError:
@@ -101,7 +102,7 @@ class Machine:
         if self.process.returncode is None and self.process.stdin is not None:
             self.process.stdin.close()
             try:
-                async with asyncio.timeout(5):
+                async with aio.timeout(5):
                     await self.process.wait()
             except TimeoutError:
                 self.process.kill()

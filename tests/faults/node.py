@@ -26,6 +26,7 @@ if order.get("ahead_s"):
     time.time_ns = lambda: _true_time_ns() + int(order["ahead_s"] * 1e9)
     time.time = lambda: _true_time() + order["ahead_s"]
 
+from ropeway import aio  # noqa: E402
 from ropeway.errors import CallError, GraphUnavailable  # noqa: E402
 from ropeway.gateway.config import config  # noqa: E402  # with the clock as it is to be
 from ropeway.gateway.gateway import Gateway  # noqa: E402
@@ -145,5 +146,5 @@ async def main() -> None:
 
 if __name__ == "__main__":
     logging.basicConfig(level=logging.WARNING)
-    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+    with aio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         runner.run(main())

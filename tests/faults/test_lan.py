@@ -10,6 +10,7 @@ from contextlib import AsyncExitStack
 
 import pytest
 
+from ropeway import aio
 from tests.faults.conftest import ROOT, Pair, ip
 from tests.support.until import PATIENCE_S
 
@@ -47,7 +48,7 @@ async def _run(stack: AsyncExitStack, namespace: str, *command: str) -> Process:
 
 
 async def _said(process: Process) -> list[str]:
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         out, errors = await process.communicate()
     assert process.returncode == 0, errors.decode()
     return out.decode().split()
@@ -66,7 +67,7 @@ async def test_found_by_another_machine(stack: AsyncExitStack, pair: MakePair, n
     serve = ("-m", "ropeway.iort", "--serve", "0.0.0.0:7410", "--announce", "--token", "fleet", "--called", "base")
     server = await _run(stack, both.a, *serve)
     assert server.stdout is not None
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         assert b"7410" in await server.stdout.readline()
     cloud = f"iort://{both.address_b}:7499"  # where nobody is
     member, stranger = [await _run(stack, both.b, "-c", _NODE, token, cloud) for token in ("fleet", "other")]

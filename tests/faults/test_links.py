@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from tests.faults.conftest import ROOT, Machine, Pair, took_s
 from tests.support.messages import STRING
 
@@ -89,7 +90,7 @@ async def test_cut_links(pair: MakePair) -> None:
         for one in seconds:
             await cut(net, robot, cloud, one, silently)
 
-    async with asyncio.TaskGroup() as group:
+    async with aio.TaskGroup() as group:
         for silently in (False, True):
             group.create_task(cuts((20.0,), silently))
             group.create_task(cuts((0.7, 2.2, 3.1, 4.5), silently))

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from ropeway.errors import CallError, CallFailed, GoalRejected
 from ropeway.gateway.gateway import Gateway
 from ropeway.graph.base import Graph
@@ -221,7 +222,7 @@ async def test_gateway_stops_in_mid_goal(world: World, operation: str) -> None:
     await started.wait()
     await dials.__aexit__(None, None, None)
     assert (await goal.result(PATIENCE_S)).status is GoalStatus.ABORTED
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         await ended.wait()
 
 
@@ -243,7 +244,7 @@ async def test_gateway_stops_in_mid_call(world: World, operation: str) -> None:
         with pytest.raises(CallError):
             await client.call(Request(pair(1, 2)), 3600)
 
-    async with asyncio.timeout(PATIENCE_S), asyncio.TaskGroup() as group:
+    async with aio.timeout(PATIENCE_S), aio.TaskGroup() as group:
         group.create_task(call())
         await started.wait()
         await dials.__aexit__(None, None, None)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from ropeway import aio
 from ropeway.gateway.config import config
 from ropeway.gateway.gateway import Gateway
 from ropeway.networks.memory.graph import MemoryGraph
@@ -50,7 +51,7 @@ async def test_across(tmp_path: Path) -> None:
             await asyncio.sleep(0.2)
             assert not entering.done()
             await asyncio.to_thread(master.start)
-            async with asyncio.timeout(PATIENCE_S):
+            async with aio.timeout(PATIENCE_S):
                 await entering
             async with rospy(master, ECHO):
                 inbox = Inbox()

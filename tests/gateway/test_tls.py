@@ -37,7 +37,7 @@ from tests.support.ports import free_port
 from tests.support.until import until
 
 _numbers = itertools.count()
-NOW = datetime.datetime.now(datetime.UTC)
+NOW = datetime.datetime.now(datetime.timezone.utc)
 DAY = datetime.timedelta(days=1)
 LIMITS = Limits(open_timeout_s=2.0)
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import pytest
 
+from ropeway import aio
 from ropeway.errors import CallFailed, CallTimeout, NotServed, ProviderLost
 from ropeway.graph.calls import (
     ActionHandlers,
@@ -166,7 +167,7 @@ async def test_provider_leaves_in_mid_call(place: Place) -> None:
 
     provider = place.hub.view("provider")
     await provider.create_service("/s", TRIGGER, handler)
-    async with asyncio.TaskGroup() as group:
+    async with aio.TaskGroup() as group:
         caller = group.create_task(_lost(place))
         await started.wait()
         await provider.close()
@@ -197,7 +198,7 @@ async def test_timeout(place: Place) -> None:
 
 async def test_late_provider(place: Place) -> None:
     """A call waits a moment for a view that begins to serve the name."""
-    async with asyncio.TaskGroup() as group:
+    async with aio.TaskGroup() as group:
         answer = group.create_task(call(place.hub.view("a"), "/s"))
         await asyncio.sleep(0)
         await place.hub.view("provider").create_service("/s", TRIGGER, says(b"late"))  # type: ignore[arg-type]

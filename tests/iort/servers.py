@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from ropeway.iort import Fault, Packet, Parser
 from ropeway.listener.authentication import Door
 from ropeway.listener.entrance import Entrance
@@ -70,7 +71,7 @@ class Raw:
         self.writer.write(raw)
 
     async def packet(self, timeout_s: float = PATIENCE_S) -> Packet:
-        async with asyncio.timeout(timeout_s):
+        async with aio.timeout(timeout_s):
             while not self._ready:
                 data = await self.reader.read(65536)
                 if not data:
@@ -86,7 +87,7 @@ class Raw:
 
     async def closed(self, timeout_s: float = PATIENCE_S) -> bool:
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while await self.reader.read(65536):
                     pass
         except ConnectionError:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from ropeway import iort
+from ropeway import aio, iort
 from ropeway.iort import AsyncNode, LocalServer, NodeError, Value
 from tests.iort.servers import Raw, ServerProcess, old_python, serving
 from tests.support.ports import free_port, free_udp_port
@@ -130,7 +130,7 @@ async def test_brings_all_to_the_cloud(local: Served, tmp_path: Path, stack: Exi
         async def held() -> dict[str, Any]:
             return {f"{v['system']}/{v['topic']}": v for v in await desk.list()}
 
-        async with asyncio.timeout(PATIENCE_S):
+        async with aio.timeout(PATIENCE_S):
             while len(found := await held()) < 2:
                 await asyncio.sleep(0.05)
         assert {name: value["data"] for name, value in found.items()} == {"TURTLE/pose": "1,2", "PEPPER/battery": "80"}
@@ -140,7 +140,7 @@ async def test_brings_all_to_the_cloud(local: Served, tmp_path: Path, stack: Exi
         robot = await Raw.connect(local.port)
         assert (await robot.ask(b"%01/PEPPER/goal/s%")).data == b"kitchen"  # read through
         robot.send(b"%01/PEPPER/battery/p/70%")
-        async with asyncio.timeout(PATIENCE_S):
+        async with aio.timeout(PATIENCE_S):
             while (await desk.read("battery", system="PEPPER")).text != "70":
                 await asyncio.sleep(0.05)
         await robot.close()
@@ -194,7 +194,6 @@ async def test_an_answer_that_is_passed_on(local: Served) -> None:
     """An answer that comes from another address than it was given at leads no node, and no token, there."""
     port = free_udp_port()
     local.start("--announce", "--discovery-port", str(port), "--token", "fleet")
-    loop = asyncio.get_running_loop()
     searcher = iort._Searcher("fleet")
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as victim,
@@ -202,11 +201,11 @@ async def test_an_answer_that_is_passed_on(local: Served) -> None:
     ):
         for sock, host in ((victim, "127.0.0.1"), (relay, "127.0.0.2")):
             sock.bind((host, 0))
-            sock.setblocking(False)
-        await loop.sock_sendto(victim, searcher.question(), relay.getsockname())
-        question, _ = await loop.sock_recvfrom(relay, 2000)
-        await loop.sock_sendto(victim, question, ("127.0.0.1", port))
-        genuine, server = await loop.sock_recvfrom(victim, 2000)
+            sock.settimeout(10)
+        victim.sendto(searcher.question(), relay.getsockname())
+        question = await asyncio.to_thread(relay.recv, 2000)
+        victim.sendto(question, ("127.0.0.1", port))
+        genuine, server = await asyncio.to_thread(victim.recvfrom, 2000)
         searcher.datagram_received(genuine, relay.getsockname())
         assert not searcher.found
         searcher.datagram_received(genuine, server)

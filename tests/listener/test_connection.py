@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from ropeway.budget import Budget
 from ropeway.errors import ConnectFailed
 from ropeway.listener.connection import Connection, Limits
@@ -160,7 +161,7 @@ async def test_pings(place: Place) -> None:
     await place.listen()
     client, far = await place.client()
     client.raw(frame(TEXT, b"one ", fin=False) + frame(PING, b"are you there?") + frame(CONTINUATION, b"text"))
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         assert await client._frame() == (PONG, True, b"are you there?")
     await until(lambda: far.got == [("text", b"one text")])
 
@@ -446,7 +447,7 @@ async def test_unread_answers_to_pings(place: Place) -> None:
     last = frame(PING, b"last")
     client.raw(last)
     await client.writer.drain()
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         while (await client._frame())[2] != b"last":
             pass
 
@@ -456,7 +457,7 @@ async def test_no_closing_handshake(place: Place) -> None:
     await place.listen()
     client, far = await place.client()
     far.connection.close(1001, "ünd so weiter " + "x" * 500)
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         code, _ = await far.connection.wait_closed()
     assert code == 1001
     opcode, _, payload = await client._frame()
@@ -470,7 +471,7 @@ async def test_stalled_peer_at_the_close(place: Place) -> None:
     while far.connection.writable:
         far.connection.send_binary(bytes(1 << 20))
     far.connection.close(1000)
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         await far.connection.wait_closed()
 
 
@@ -483,7 +484,7 @@ async def test_endless_request(place: Place) -> None:
         assert len(await reader.read()) < 10_000
     writer.transport.abort()
     reader, writer = await asyncio.open_connection("127.0.0.1", place.server.port)
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         await reader.read()
     writer.close()
     assert place.ends == []

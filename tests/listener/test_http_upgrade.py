@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from ropeway.listener.connection import Connection, Limits
 from ropeway.listener.http import MAX_HEAD_BYTES, Request, Response, reply
 from ropeway.listener.http_upgrade import Admission
@@ -79,7 +80,7 @@ class Place:
         """Send ``text``; the status of the answer, and its body."""
         reader, writer = await self.open()
         writer.write(text if isinstance(text, bytes) else text.encode("latin-1"))
-        async with asyncio.timeout(PATIENCE_S):
+        async with aio.timeout(PATIENCE_S):
             data = await reader.read(-1)
         head, _, body = data.partition(b"\r\n\r\n")
         return int(head.split(b" ")[1]), body
@@ -125,14 +126,14 @@ async def test_another_protocol(both: Place) -> None:
     """``http`` may give the connection away: the other protocol gets the request, and all that follows."""
     reader, writer = await both.open()
     writer.write(b"POST /echo HTTP/1.1\r\nHost: x\r\n\r\nmore")
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         await reader.readuntil(b"MORE")
         for word in (b"and", b"further"):
             writer.write(word)
             assert await reader.readexactly(len(word)) == word.upper()
     await asyncio.sleep(0.6)  # longer than a request may take
     writer.write(b"on")
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         assert await reader.readexactly(2) == b"ON"
 
 
@@ -179,7 +180,7 @@ async def test_a_body_that_nobody_wants(place: Place) -> None:
     await place.listen()
     reader, writer = await place.open()
     writer.write(b"POST / HTTP/1.1\r\nContent-Length: 100000000\r\n\r\n" + b"x" * 100_000)
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         assert (await reader.readline()).startswith(b"HTTP/1.1 200")
         with contextlib.suppress(ConnectionError):
             while True:
@@ -192,7 +193,7 @@ async def test_many_who_say_nothing(place: Place) -> None:
     """Of the connections without a request only so many are kept: the oldest make room for new ones."""
     await place.listen(lobby=Lobby(limit=3), open_timeout_s=3600)
     silent = [await place.open() for _ in range(5)]
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         for reader, _ in silent[:2]:
             with contextlib.suppress(ConnectionError):
                 assert await reader.read() == b""

@@ -17,6 +17,7 @@ from typing import Any
 import aiofastnet.api_utils
 import pytest
 
+from ropeway import aio
 from ropeway.errors import ConnectFailed
 from ropeway.listener.listener import Listener, open_listener
 from ropeway.listener.lobby import Lobby, Visit
@@ -61,7 +62,7 @@ async def test_half_open_tls() -> None:
     lobby = Lobby(limit=3)
     async with listening(lobby, ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)) as listener:
         opened = [await asyncio.open_connection("127.0.0.1", listener.port) for _ in range(5)]
-        async with asyncio.timeout(PATIENCE_S):
+        async with aio.timeout(PATIENCE_S):
             for reader, _ in opened[:2]:
                 with contextlib.suppress(ConnectionError):
                     assert await reader.read() == b""
@@ -163,7 +164,7 @@ async def test_out_of_open_files(caplog: pytest.LogCaptureFixture) -> None:
             resource.setrlimit(resource.RLIMIT_NOFILE, before)
         assert len([message for message in caplog.messages if "Too many open files" in message]) == 1
         assert "Traceback" not in caplog.text
-        async with asyncio.timeout(PATIENCE_S):
+        async with aio.timeout(PATIENCE_S):
             assert await echoed(listener.port)
         for sock in sockets:
             sock.close()

@@ -18,6 +18,7 @@ from typing import Any
 import psutil
 import uvloop
 
+from ropeway import aio
 from ropeway.gateway.config import config
 from ropeway.gateway.gateway import Gateway
 
@@ -51,5 +52,5 @@ async def main() -> None:
 
 if __name__ == "__main__":
     logging.basicConfig(level=logging.ERROR)
-    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+    with aio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         runner.run(main())

@@ -10,6 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
 
+from ropeway import aio
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
 from tests.gateway.test_tls import Authority
 from tests.soak.megabytes import GATEWAY, PLAIN, SENT_BYTES, Make, a_megabyte
@@ -65,7 +66,7 @@ def _client(make: Make, subprotocol: str = "", reads: bool = True) -> Visit:
         try:
             for data in a_megabyte(make, _WARM_UP_BYTES if first else SENT_BYTES):
                 client.raw(data)
-                async with asyncio.timeout(20):
+                async with aio.timeout(20):
                     await client.writer.drain()
         except (ConnectionError, TimeoutError):
             pass  # closed with a reason, or not read any more, which are as good
@@ -101,7 +102,7 @@ def _node(make: Make, reads: bool = True, connections: int = 1) -> Visit:
         try:
             for data, writer in zip(packets, itertools.cycle(writers), strict=False):
                 writer.write(data)
-                async with asyncio.timeout(20):
+                async with aio.timeout(20):
                     await writer.drain()
         except (ConnectionError, TimeoutError):
             pass  # closed, or not read any more, which are as good

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from bench.report import table
 
+from ropeway import aio
 from tests.soak.kinds import KINDS, Kind
 from tests.soak.process import Served, serving
 
@@ -51,7 +52,7 @@ async def grown_by(kind: Kind) -> Growth:
 async def _idle(gateway: Served, timeout_s: float = 60) -> None:
     """Wait until the gateway has nothing more to do."""
     idle = 0
-    async with asyncio.timeout(timeout_s):
+    async with aio.timeout(timeout_s):
         while idle < _IDLE_LOOKS:
             before = gateway.busy_s()
             await asyncio.sleep(0.2)

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from tests.soak.process import Held, Served, serving
 from tests.support.websocket import Client
 
@@ -94,7 +95,7 @@ async def test_steady_traffic_holds_no_more() -> None:
         here, there = [await stack.enter_async_context(Client(each.ports[0])) for each in (near, cloud)]
         traffic = Traffic(here, there)
         traffic.begin()
-        async with asyncio.TaskGroup() as tasks:
+        async with aio.TaskGroup() as tasks:
             for work in (traffic.publish(), traffic.listen(here), traffic.listen(there)):
                 tasks.create_task(work)
             await asyncio.sleep(WARM_UP_S)

@@ -101,8 +101,8 @@ async def is_refused(ports: list[int], n: int) -> None:
 
 async def is_a_gateway(ports: list[int], n: int) -> None:
     writer, parts = RecordWriter(), []  # type: ignore[var-annotated]
-    writer.message(parts, 5, 3, b"\0\1\0\0\2\0\0\0x\0", n.to_bytes(16), 1, 1)
-    writer.first(parts, 5, 3, 50_000, b"begun", n.to_bytes(16), 2, 2)
+    writer.message(parts, 5, 3, b"\0\1\0\0\2\0\0\0x\0", n.to_bytes(16, "big"), 1, 1)
+    writer.first(parts, 5, 3, 50_000, b"begun", n.to_bytes(16, "big"), 2, 2)
     note = {"channel": 5, "type_hash": "RIHS01_00", "definition": f"int32 x{n}\n"}
     async with Client(ports[0], subprotocol=ROPEWAY_SUBPROTOCOL) as client:
         client.send({"op": "hello", "gateway": f"{n:016x}", "name": f"g{n}"})

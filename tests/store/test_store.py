@@ -11,6 +11,7 @@ from typing import Any
 import pymongo
 import pytest
 
+from ropeway import aio
 from ropeway.errors import StoreUnavailable, ValueRefused
 from ropeway.store import Change, Entry, Key, Store, StoreLimits, Versions, default_path, make_backend, make_mirror
 from tests.store.mongo import MongoServer
@@ -363,7 +364,7 @@ async def test_documents_of_others(tmp_path: Path) -> None:
         async def there(topic: str) -> Any:
             return ((await asyncio.to_thread(pepper.find_one, {"_id": topic})) or {}).get("data")
 
-        async with asyncio.timeout(PATIENCE_S):
+        async with aio.timeout(PATIENCE_S):
             while await there("a") != "node":
                 await asyncio.sleep(0.05)
         await asyncio.to_thread(pepper.update_one, {"_id": "a"}, {"$set": {"data": "program"}})

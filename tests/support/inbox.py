@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 
+from ropeway import aio
 from ropeway.graph.base import Sample
 from tests.support.until import PATIENCE_S
 
@@ -35,7 +36,7 @@ class Inbox:
 
     async def wait(self, count: int, timeout_s: float = PATIENCE_S) -> list[Sample]:
         """Wait until so many samples are here, and return all of them."""
-        async with asyncio.timeout(timeout_s):
+        async with aio.timeout(timeout_s):
             while len(self.samples) < count:
                 self._arrived.clear()
                 await self._arrived.wait()

@@ -6,6 +6,8 @@ import asyncio
 from collections.abc import Callable
 from typing import Final
 
+from ropeway import aio
+
 __all__ = ["PATIENCE_S", "until"]
 
 PATIENCE_S: Final = 60.0
@@ -21,6 +23,6 @@ async def until(condition: Callable[[], object], timeout_s: float = PATIENCE_S) 
         except LookupError:
             return False
 
-    async with asyncio.timeout(timeout_s):
+    async with aio.timeout(timeout_s):
         while not holds():
             await asyncio.sleep(0.01)

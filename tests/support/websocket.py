@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import cbor2
 
+from ropeway import aio
 from tests.support.until import PATIENCE_S
 
 __all__ = [
@@ -147,7 +148,7 @@ class Client:
         """The next message. Raises ``ClosedByServer``."""
         if self._waiting:
             return self._waiting.pop(0)
-        async with asyncio.timeout(timeout_s):
+        async with aio.timeout(timeout_s):
             return await self._receive()
 
     async def _receive(self) -> Frame:
@@ -191,7 +192,7 @@ class Client:
         id = f"done {next(self._numbers)}"
         self.send({"op": "call_service", "service": "/nowhere", "id": id})
         kept: list[Frame] = []
-        async with asyncio.timeout(PATIENCE_S):
+        async with aio.timeout(PATIENCE_S):
             while True:
                 got = await self._receive()
                 if got.text and f'"{id}"'.encode() in got.data:
@@ -208,7 +209,7 @@ class Client:
     async def closed(self, timeout_s: float = PATIENCE_S) -> tuple[int, str]:
         """Wait for the server to close; gives its code and reason."""
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while True:
                     await self._receive()
         except ClosedByServer as end:
@@ -231,7 +232,7 @@ async def fetch(
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     lines = [f"{method} {path} HTTP/1.1", f"Host: {named}", *(f"{n}: {v}" for n, v in (headers or {}).items())]
     writer.write("\r\n".join([*lines, "", ""]).encode())
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         data = await reader.read(-1)
     writer.close()
     head, _, body = data.partition(b"\r\n\r\n")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 from collections.abc import AsyncGenerator
 from typing import TYPE_CHECKING, Any, Final, cast
 
+from ropeway import aio
 from ropeway.errors import GraphUnavailable, TypeConflict, WaitTimeout
 from ropeway.graph.base import GraphEvent
 from ropeway.types.definition import canonical_name
@@ -33,7 +33,7 @@ async def type_of(view: View, kind: str, name: str, given: str, timeout_s: float
     events = cast("AsyncGenerator[GraphEvent, Any]", view.changes())
     async with contextlib.aclosing(events):
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while not (types := tuple(filter(None, view.hub.types_of(kind, name)))):
                     if await anext(events, None) is None:
                         raise GraphUnavailable(view.name, f"it was closed while {name} was waited for")

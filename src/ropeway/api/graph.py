@@ -12,6 +12,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Final, TypeVar
 
+from ropeway import aio
 from ropeway.api.actions import (
     AcceptGoal,
     AsyncActionClient,
@@ -91,7 +92,7 @@ def new_name() -> str:
 async def open_network(graph: Graph, timeout_s: float | None) -> None:
     """Open a graph within a time; leave nothing open if that fails. Raises ``GraphUnavailable``."""
     try:
-        async with asyncio.timeout(timeout_s):
+        async with aio.timeout(timeout_s):
             await graph.open()
     except TimeoutError:
         await graph.close()

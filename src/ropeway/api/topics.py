@@ -9,6 +9,7 @@ import time
 from collections.abc import AsyncIterator, Sequence
 from typing import TYPE_CHECKING, Final
 
+from ropeway import aio
 from ropeway.api.callbacks import Callbacks, MessageCallback
 from ropeway.api.inbox import Inbox
 from ropeway.api.message import MessageType, TypedMessage
@@ -57,7 +58,7 @@ class AsyncPublisher(Part):
     async def wait_taken(self) -> None:
         """Wait until the peer takes the topic, where there is a peer to say so. Raises ``Refused``."""
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(_ANSWER_S):
+            async with aio.timeout(_ANSWER_S):
                 await self._answered.wait()
         self._check()
 
@@ -96,7 +97,7 @@ class AsyncPublisher(Part):
         Raises ``WaitTimeout``, ``Refused`` or ``GraphUnavailable``; ``timeout_s=None`` waits for ever.
         """
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while (found := self.subscribers) is not None and found < count:
                     self._check()
                     self._demand.clear()
@@ -179,7 +180,7 @@ class AsyncSubscription(Part):
         """
         self._check_queue()
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 message = await self._inbox.get()
         except TimeoutError:
             assert timeout_s is not None

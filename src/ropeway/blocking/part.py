@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Awaitable, Callable
-from typing import Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from ropeway.blocking.portal import STEP_S, portal
 from ropeway.errors import GraphUnavailable
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 
 __all__ = ["BlockingPart", "BlockingRoot", "opened"]
 

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, Final, Protocol, TypeVar
 
+from ropeway import aio
 from ropeway.errors import GraphUnavailable, RopewayError, WaitTimeout
 
 __all__ = ["STEP_S", "Portal", "portal"]
@@ -132,7 +133,7 @@ def _result(future: concurrent.futures.Future[T], thread: threading.Thread) -> T
     while True:
         try:
             return future.result(_LOOK_S)
-        except TimeoutError:
+        except (TimeoutError, concurrent.futures.TimeoutError):  # not the same in Python 3.10
             if future.done():
                 return future.result()
             if not thread.is_alive():
@@ -140,7 +141,7 @@ def _result(future: concurrent.futures.Future[T], thread: threading.Thread) -> T
 
 
 async def _limited(work: Callable[[], Awaitable[T]], limit_s: float | None) -> T:
-    limit = asyncio.timeout(limit_s)
+    limit = aio.timeout(limit_s)
     try:
         async with limit:
             return await work()
@@ -163,7 +164,7 @@ def _run(started: concurrent.futures.Future[tuple[asyncio.AbstractEventLoop, asy
         factory = None
     else:
         factory = uvloop.new_event_loop
-    with asyncio.Runner(loop_factory=factory) as runner:  # which cancels what is left at the end
+    with aio.Runner(loop_factory=factory) as runner:  # which cancels what is left at the end
         runner.run(main())
 
 

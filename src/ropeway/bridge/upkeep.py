@@ -8,6 +8,7 @@ import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Final
 
+from ropeway import aio
 from ropeway.errors import RopewayError
 from ropeway.graph.base import Graph, GraphEvent
 from ropeway.tasks import Supervised, describe, end
@@ -73,7 +74,7 @@ class Upkeep:
     async def _run(self) -> None:
         while True:
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(self._retry_s if self._error else self._look_s):
+                async with aio.timeout(self._retry_s if self._error else self._look_s):
                     await self._changed.wait()
             self._changed.clear()
             try:

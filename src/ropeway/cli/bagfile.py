@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple
 
 from ropeway.cli.recording import DAMAGED, Channel, Source, open_recording, reason_of
 from ropeway.errors import BagUnreadable, InvalidName, TypeConflict, TypesError
@@ -22,6 +22,10 @@ from ropeway.qos import DEFAULT, QoS, common_qos
 from ropeway.types import TypeRegistry
 from ropeway.types.told import check_text
 from ropeway.types.variant import Variant
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 
 __all__ = ["Bag", "BagTopic", "Record"]
 

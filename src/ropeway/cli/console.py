@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 
 import typer
 
+from ropeway.aio import BaseExceptionGroup
 from ropeway.errors import ConfigError, RopewayError
 
 __all__ = ["answer", "complain", "fail", "print_json", "reported"]

@@ -6,6 +6,8 @@ import asyncio
 from collections.abc import Coroutine
 from typing import Any, TypeVar
 
+from ropeway import aio
+
 __all__ = ["run"]
 
 T = TypeVar("T")
@@ -17,5 +19,5 @@ def run(coroutine: Coroutine[Any, Any, T]) -> T:
         import uvloop
     except ImportError:  # not on every platform
         return asyncio.run(coroutine)
-    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+    with aio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         return runner.run(coroutine)

@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Final
 
+from ropeway import aio
 from ropeway.cli.console import complain
 from ropeway.gateway.config.suggest import did_you_mean
 from ropeway.graph.base import EndpointInfo, Graph, TopicInfo
@@ -36,7 +37,7 @@ class Patience:
         said = ""
         while True:
             try:
-                async with asyncio.timeout(_PATIENCE_S):
+                async with aio.timeout(_PATIENCE_S):
                     await self._over.wait()
                 return
             except TimeoutError:

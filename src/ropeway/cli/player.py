@@ -18,6 +18,7 @@ from contextlib import aclosing
 from dataclasses import dataclass, field
 from typing import Final
 
+from ropeway import aio
 from ropeway.cli.bagfile import Bag, BagTopic, Record
 from ropeway.cli.patience import patiently
 from ropeway.errors import TypesError
@@ -143,7 +144,7 @@ async def _readers(publishers: Collection[Publisher], wait_s: float) -> None:
         return
     try:
         said = patiently(lambda: f"waiting {wait_s:g} s at most for readers of {', '.join(sorted(waiting.values()))}")
-        async with said, asyncio.timeout(wait_s):
+        async with said, aio.timeout(wait_s):
             await done.wait()
     except TimeoutError:
         return

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
+from ropeway import aio
 from ropeway.cli.console import complain
 from ropeway.errors import Refused
 from ropeway.graph.answer import Answering
@@ -40,7 +41,7 @@ async def taken(graph: Graph, part: Publisher) -> None:
     answered = asyncio.Event()
     part.on_answer(lambda _: answered.set())
     try:
-        async with asyncio.timeout(_ANSWER_S):
+        async with aio.timeout(_ANSWER_S):
             await answered.wait()
     except TimeoutError:
         complain(f"{graph.name} has not said within {_ANSWER_S:g} s whether it takes {part.topic}")

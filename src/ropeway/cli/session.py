@@ -12,6 +12,7 @@ from typing import Annotated, Final, TypeVar
 
 import typer
 
+from ropeway import aio
 from ropeway.cli.console import complain, fail
 from ropeway.cli.patience import patiently
 from ropeway.errors import GraphUnavailable, InvalidName
@@ -175,7 +176,7 @@ async def discover(
                 return found
             news.clear()
             try:
-                async with asyncio.timeout(min(left, _QUIET_S)):
+                async with aio.timeout(min(left, _QUIET_S)):
                     await news.wait()
             except TimeoutError:
                 if done is None and found and getattr(graph, "settled", True):

@@ -8,6 +8,7 @@ import logging
 from collections.abc import Awaitable, Callable, Iterator
 from typing import Final
 
+from ropeway import aio
 from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, ProviderLost, RopewayError
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
 from ropeway.logs import failed
@@ -62,7 +63,7 @@ async def answer(name: str, running: Running, work: Awaitable[bytes], timeout_s:
     Raises ``CallTimeout``, ``ProviderLost``, the handler's own ``CallError``, or ``CallFailed`` with whatever else it
     raised.
     """
-    limit = asyncio.timeout(timeout_s)
+    limit = aio.timeout(timeout_s)
     try:
         async with limit:
             with running.call():
@@ -93,7 +94,7 @@ class DirectGoal:
         """Have it accepted, and begin. Raises ``GoalRejected`` or ``CallTimeout``."""
         if self._handlers.accept is not None:
             try:
-                async with asyncio.timeout(timeout_s):
+                async with aio.timeout(timeout_s):
                     accepted = await self._handlers.accept(self._goal)
             except TimeoutError:
                 raise CallTimeout(self._action, timeout_s, "action") from None
@@ -147,7 +148,7 @@ class DirectGoal:
             return False
         if self._handlers.cancel is not None:
             try:
-                async with asyncio.timeout(timeout_s):
+                async with aio.timeout(timeout_s):
                     if not await self._handlers.cancel(self._goal):
                         return False
             except TimeoutError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import os
 import socket
@@ -12,6 +11,7 @@ from typing import Any, Final
 
 import picows
 
+from ropeway import aio
 from ropeway.errors import ConnectFailed
 from ropeway.fault_log import Complaints
 from ropeway.listener.connection import Connection, Limits
@@ -19,12 +19,13 @@ from ropeway.listener.http import Request, Response, reply, without_token
 from ropeway.listener.http_upgrade import Admission, Admit, Front, Http, Port
 from ropeway.listener.listener import Listener, open_listener
 from ropeway.listener.lobby import Lobby
+from ropeway.logs import LoggerAdapter
 from ropeway.types.untrusted import json_value
 
 __all__ = ["connect", "listen"]
 
 
-class _PicowsLog(logging.LoggerAdapter[logging.Logger]):
+class _PicowsLog(LoggerAdapter):
     """Leaves to us what a peer did wrong: we know its address."""
 
     def error(self, msg: object, *args: object, **kwargs: Any) -> None:
@@ -62,7 +63,7 @@ async def connect(
     if subprotocols:
         extra["Sec-WebSocket-Protocol"] = ", ".join(subprotocols)
     try:
-        async with asyncio.timeout(limits.open_timeout_s):
+        async with aio.timeout(limits.open_timeout_s):
             await picows.ws_connect(
                 lambda: connection,
                 url,

@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from ropeway import aio
 from ropeway.errors import StoreUnavailable, ValueRefused
 from ropeway.store.entry import FOREIGN, Backend, Entry, Key, Mirror
 from ropeway.store.thread import run_in
@@ -128,7 +129,7 @@ class Mirroring:
         """Look a value up, and take it over; return whether the mirror knows its system."""
         read_ns = time.time_ns()
         try:
-            async with asyncio.timeout(_LOOK_S):
+            async with aio.timeout(_LOOK_S):
                 found, knows_system = await self._in(self._reader, self.mirror.find, key)
         except (StoreUnavailable, TimeoutError) as error:
             log.debug("%s: %s/%s was not looked up: %s", self.mirror.url, *key, error)

@@ -176,11 +176,11 @@ def _row(entry: Entry) -> tuple[str, str, bytes, int, int, str, str, str]:
 
 
 def _advice(error: sqlite3.DatabaseError) -> str:
-    code = getattr(error, "sqlite_errorname", "") or ""
-    if code.startswith("SQLITE_FULL"):
+    text = str(error)  # of SQLite, which does not change it; the name of the error is not to be had in Python 3.10
+    if "disk is full" in text:
         return "the disk is full; free some space and it goes on by itself"
-    if code.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+    if "is locked" in text:
         return "another program holds it locked"
-    if code.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB")):
-        return f"{error}; it is no store, or a damaged one: move it away"
-    return str(error)
+    if "malformed" in text or "not a database" in text:
+        return f"{text}; it is no store, or a damaged one: move it away"
+    return text

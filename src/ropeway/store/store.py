@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any, Final, Protocol, TypeVar
 
+from ropeway import aio
 from ropeway.errors import StoreUnavailable, ValueRefused
 from ropeway.iort import latest_version
 from ropeway.store.entry import Backend, Entry, Key, Mirror, Versions, check_name
@@ -241,7 +242,7 @@ class Store:
         """Wait until everything is kept; false when the time is over."""
         self._asked.set()
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 await self._idle.wait()
                 return True
         return False
@@ -333,7 +334,7 @@ class Store:
             await self._wake.wait()
             self._wake.clear()
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_GATHER_S):
+                async with aio.timeout(_GATHER_S):
                     await self._asked.wait()
             self._asked.clear()
             if await self._write():

@@ -143,18 +143,24 @@ class _Reader(Expressions):
         name = self.word("the name of a constant")
         self.expect("=")
         value = self.fitting(type, self.expression())
-        if (*self.scope, name) in self.known:
+        path = (*self.scope, name)
+        if path in self.known:
             raise self.fault(f"{name} is defined twice", back=1)
-        self.known[*self.scope, name] = value
+        self.declare(value, path)
         text = str(value).lower() if isinstance(value, bool) else str(value)
         self.constants.setdefault(self.scope, []).append(Constant(name, type.base, value, text))
+
+    def declare(self, what: FieldType | Value, *paths: Path) -> None:
+        """Make something known under each of its paths."""
+        for path in paths:
+            self.known[path] = what
 
     def typedef(self) -> None:
         """Read other names of a type."""
         type = self.type_spec()
         while True:
             name, declared = self.declarator(type)
-            self.known[*self.scope, name] = declared
+            self.declare(declared, (*self.scope, name))
             if not self.take(","):
                 break
 
@@ -169,7 +175,7 @@ class _Reader(Expressions):
             if isinstance(value, (str, float)):
                 raise self.fault("the value of an enumerator is a whole number")
             name = self.word("an enumerator")
-            self.known[*self.scope, name] = self.known[*path, name] = value
+            self.declare(value, (*self.scope, name), (*path, name))
             number = value + 1
             if not self.take(","):
                 break
@@ -186,7 +192,7 @@ class _Reader(Expressions):
             if not isinstance(position, int) or not 0 <= position < 64:
                 raise self.fault("the position of a bit is from 0 to 63")
             name = self.word("a bit")
-            self.known[*self.scope, name] = self.known[*path, name] = 1 << position
+            self.declare(1 << position, (*self.scope, name), (*path, name))
             bit = position + 1
             if not self.take(","):
                 break

@@ -30,12 +30,12 @@ _PLAIN: Final = (
 )
 _SCALAR: Final = _PLAIN + b"|" + _TEXTS
 _HEAD: Final = rb"[\x80-\x97\xa0-\xb7\x9f\xbf]"
-_RUN: Final = re.compile(rb"(?:%b|%b){0,65536}+" % (_HEAD, _SCALAR), re.DOTALL)  # whole items of known length
-_HEADS_OF_RUN: Final = re.compile(rb"(?:%b)*+(%b|\Z)" % (_SCALAR, _HEAD), re.DOTALL)  # each step takes some: no search
+_RUN: Final = re.compile(rb"(?:%b|%b){0,65536}" % (_HEAD, _SCALAR), re.DOTALL)  # whole items of known length
+_HEADS_OF_RUN: Final = re.compile(rb"(?:%b)*(%b|\Z)" % (_SCALAR, _HEAD), re.DOTALL)  # each step takes some: no search
 
 
-_PLAIN_OF_RUN: Final = re.compile(rb"(?:%b|%b)*+(?:%b|\Z)" % (_TEXTS, _HEAD, _PLAIN), re.DOTALL)
-_TEXT_OF_RUN: Final = re.compile(rb"(?:%b|%b)*+(?:%b|\Z)" % (_PLAIN, _HEAD, _TEXTS), re.DOTALL)
+_PLAIN_OF_RUN: Final = re.compile(rb"(?:%b|%b)*(?:%b|\Z)" % (_TEXTS, _HEAD, _PLAIN), re.DOTALL)
+_TEXT_OF_RUN: Final = re.compile(rb"(?:%b|%b)*(?:%b|\Z)" % (_PLAIN, _HEAD, _TEXTS), re.DOTALL)
 
 
 def check_cbor(data: bytes | bytearray | memoryview) -> None:
@@ -75,10 +75,9 @@ _PLACE_BYTES: Final = 8
 _FIELDS: Final = 8  # of an object; those beyond take more room, and names that come once are not shared
 _FIELD_BYTES: Final = 120
 _HEAVIEST_JSON: Final = 35  # for each byte: empty objects
-_JSON_CHARACTER: Final = rb'(?:[^"\\]|\\.)'
 _LONG_TEXTS: Final = re.compile(
-    rb'(?:[^"]++|"%b{0,32}+")*+("%b++"?+|\Z)' % (_JSON_CHARACTER, _JSON_CHARACTER), re.DOTALL
-)  # each step takes all up to the next long text: no search
+    rb'(?:[^"]+|"[^"]{0,32}"){0,4096}((?!"[^"]{0,32}")"[^"]+"?|)'
+)  # no search: each matches
 _NOT_DIGITS: Final = bytes(set(range(256)) - set(b"0123456789"))
 
 
@@ -95,6 +94,7 @@ def is_heavy_json(data: bytes | bytearray | memoryview | str) -> bool:
     values, weight = _json_weight(raw)
     if weight + _TREE_BYTES * values <= allowed:
         return False
+    raw = raw.replace(b"\\\\", b"  ").replace(b'\\"', b"  ")  # what is left of quotes begins and ends texts
     texts = b"".join(_LONG_TEXTS.findall(raw))  # brackets and commas in them may have misled us
     values, weight = _json_weight(raw, texts)
     if weight > allowed:
@@ -146,4 +146,4 @@ def _head(raw: bytes, at: int) -> tuple[int, int, int]:
     if low > 27:
         return (0 if kind in (2, 3) else 1), kind, at + 1
     end = at + 1 + (1 << (low - 24))
-    return int.from_bytes(raw[at + 1 : end]), kind, end
+    return int.from_bytes(raw[at + 1 : end], "big"), kind, end

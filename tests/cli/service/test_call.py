@@ -7,6 +7,7 @@ import struct
 
 import pytest
 
+from ropeway import aio
 from ropeway.cli.service.call import call
 from ropeway.cli.session import Session
 from ropeway.errors import CallFailed, NotServed, UnknownType, ValueMismatch
@@ -59,7 +60,7 @@ async def test_rate(pair: tuple[Session, Session]) -> None:
             enough.set()
 
     calling = asyncio.create_task(call(here, "/add", ADD, {"a": 1}, timeout_s=5, rate_hz=100, told=tell))
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         await enough.wait()
     calling.cancel()
     with pytest.raises(asyncio.CancelledError):

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from ropeway.errors import GraphUnavailable, InvalidName, InvalidTypeName
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.networks.dds import DdsGraph
@@ -470,7 +471,7 @@ async def test_events(join: Join) -> None:
         async for event in far.changes():
             told.append(str(event))
 
-    async with asyncio.TaskGroup() as group:
+    async with aio.TaskGroup() as group:
         group.create_task(listen())
         await asyncio.sleep(0)
         await far.create_publisher("/own", STRING)

@@ -7,6 +7,7 @@ import logging
 
 import pytest
 
+from ropeway import aio
 from ropeway.errors import CallFailed, GraphUnavailable, InvalidName, InvalidTypeName, ProviderLost
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import Client, Request, Service, ServiceHandler
@@ -318,7 +319,7 @@ async def test_listed(join: Join) -> None:
     assert far.nodes()["/near"].clients == (("/add", ADD),)
     await service.close()
     told: list[str] = []
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         async for event in changes:
             told.append(str(event).partition(": ")[2])
             if "no longer" in told[-1]:

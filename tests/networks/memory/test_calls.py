@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
+from ropeway import aio
 from ropeway.errors import NotServed, TypeConflict, UnknownType
 from ropeway.graph.calls import ActionHandlers, Goal, Outcome, Request, ServerGoal
 from ropeway.networks.memory.graph import MemoryGraph
@@ -115,7 +116,7 @@ async def test_caller_leaves(graphs: list[MemoryGraph]) -> None:
     call = asyncio.create_task(client.call(Request(number(0)), 50))
     await began.wait()
     call.cancel()
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         await ended.wait()
 
 
@@ -125,7 +126,7 @@ async def test_waiter_hears_of_close(graphs: list[MemoryGraph]) -> None:
     waiting = asyncio.create_task(client.wait_available(50))
     await asyncio.sleep(0)
     await client.close()
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         assert not await waiting
 
 

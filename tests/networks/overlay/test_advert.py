@@ -32,7 +32,7 @@ def advert(name: str = "/a", kind: str = "publisher", number: int = 1, qos: QoS 
     return Advertisement(
         kind,
         global_name(SECRET, what, name, STRING, metadata),
-        number.to_bytes(16),
+        number.to_bytes(16, "big"),
         GATEWAY,
         name,
         STRING,

@@ -10,6 +10,7 @@ from functools import partial
 
 import pytest
 
+from ropeway import aio
 from ropeway.networks.overlay.fabric import Fabric
 from ropeway.networks.overlay.feed import Feed, Stream
 from ropeway.networks.overlay.follower import Follower
@@ -38,7 +39,7 @@ async def pair(site: Site) -> AsyncIterator[tuple[OverlayGraph, OverlayGraph]]:
 
 async def put_until(graph: OverlayGraph, key: str, make: Callable[[], bytes], condition: Callable[[], bool]) -> None:
     """Put packet after packet: the way to a reader, and its key, may be there a moment after the reader."""
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         while not condition():
             await asyncio.to_thread(graph.node.fabric.put, 4, key, make())
             await asyncio.sleep(0.05)

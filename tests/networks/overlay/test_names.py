@@ -80,7 +80,7 @@ def test_avalanche(text: str, bit: int) -> None:
         other = raw.decode()
     except UnicodeDecodeError:
         return
-    one, two = (int.from_bytes(global_name(SECRET, "topic", name, "t")) for name in (text, other))
+    one, two = (int.from_bytes(global_name(SECRET, "topic", name, "t"), "big") for name in (text, other))
     assert 80 < (one ^ two).bit_count() < 176
     assert len(global_name(SECRET, "topic", text, "t")) == NAME_BYTES
 

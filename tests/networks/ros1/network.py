@@ -13,6 +13,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+from ropeway import aio
 from tests.support.ports import free_port
 from tests.support.until import PATIENCE_S
 
@@ -95,7 +96,7 @@ class Peer:
     async def wait_for(self, text: str, timeout_s: float = PATIENCE_S) -> str:
         """The first line printed that has ``text`` in it."""
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while True:
                     for line in self.lines:
                         if text in line:

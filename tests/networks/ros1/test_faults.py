@@ -8,6 +8,7 @@ import struct
 
 import pytest
 
+from ropeway import aio
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Request
@@ -68,7 +69,7 @@ async def test_closes_without_master(master: RosMaster, join: Join) -> None:
     for number in range(3):
         await graph.create_publisher(f"/t{number}", STRING)
     master.kill()
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         await graph.close()
 
 
@@ -128,7 +129,7 @@ async def attack(port: int, data: bytes) -> bytes:
     with contextlib.suppress(ConnectionError):
         writer.write(data)
         writer.write_eof()
-        async with asyncio.timeout(PATIENCE_S):
+        async with aio.timeout(PATIENCE_S):
             answer = await reader.read()
     writer.close()
     return answer
@@ -239,7 +240,7 @@ async def test_silent_newcomer(master: RosMaster, join: Join, monkeypatch: pytes
     node = graph._node
     assert node is not None
     reader, writer = await asyncio.open_connection("127.0.0.1", node.port)
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         with contextlib.suppress(ConnectionError):
             assert await reader.read() == b""
     writer.close()

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from ropeway.networks.ros2 import Ros2Graph
 
 from .network import isolated_ros2
@@ -46,7 +47,7 @@ class Peer:
         with contextlib.suppress(ProcessLookupError):
             self.process.send_signal(signal.SIGINT)  # a node that is killed leaves its peers waiting for it
         try:
-            async with asyncio.timeout(5):
+            async with aio.timeout(5):
                 await self.process.wait()
         except TimeoutError:
             self.process.kill()

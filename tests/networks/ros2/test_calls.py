@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, ProviderLost
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.networks.dds import DdsGraph
@@ -96,7 +97,7 @@ class World:
         """What ``ros2`` prints."""
         env = {**os.environ, "RMW_IMPLEMENTATION": CYCLONE, "ROS_DOMAIN_ID": str(DOMAIN)}
         process = await asyncio.create_subprocess_exec("ros2", *words, stdout=PIPE, stderr=DEVNULL, env=env)
-        async with asyncio.timeout(60):
+        async with aio.timeout(60):
             try:
                 out, _ = await process.communicate()
             finally:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final
 import orjson
 import typer
 
+from ropeway import aio
 from ropeway.cli.action.info import ActionArgument
 from ropeway.cli.console import answer, complain, fail, print_json
 from ropeway.cli.loop import run
@@ -170,7 +171,7 @@ async def _send(
 async def _give_up(sending: asyncio.Task[ClientGoal], teller: Teller) -> None:
     """Cancel what was sent, and wait a little for how it ends."""
     try:
-        async with asyncio.timeout(_CANCEL_S):
+        async with aio.timeout(_CANCEL_S):
             sent = await sending
             complain("Canceling goal...")
             if not await sent.cancel(_CANCEL_S):

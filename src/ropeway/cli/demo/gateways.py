@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from ropeway import aio
 from ropeway.cli.demo.scene import Part
 from ropeway.errors import RopewayError
 
@@ -90,7 +91,7 @@ class GatewayProcess:
             with contextlib.suppress(ProcessLookupError):
                 self.process.send_signal(signal.SIGINT)
         try:
-            async with asyncio.timeout(_STOP_S):
+            async with aio.timeout(_STOP_S):
                 await self.process.wait()
         except TimeoutError:
             self.process.kill()

@@ -11,6 +11,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any, Final
 
+from ropeway import aio
 from ropeway.cli.demo.gateways import free_port
 from ropeway.cli.demo_iort.robots import SPEED_M_S, TURN_RAD_S, TWIST, Alice, Ros2Robot, Track, Walker, ros1_robot
 from ropeway.errors import GraphUnavailable
@@ -165,7 +166,7 @@ async def _by_keys(driver: AsyncNode, say: Callable[[str], None]) -> None:
         moving = False
         while True:
             try:
-                async with asyncio.timeout(0.3):
+                async with aio.timeout(0.3):
                     key = await keys.get()
             except TimeoutError:
                 if moving:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from ropeway import aio
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Graph, Sample
 from ropeway.iort import AsyncNode, Value
@@ -130,7 +131,7 @@ async def _listening(port: int) -> None:
 async def _said_ready(lines: asyncio.StreamReader) -> None:
     line = b"\n"
     try:
-        async with asyncio.timeout(30):
+        async with aio.timeout(30):
             while line not in (b"ready\n", b""):  # rospy has things to say, too
                 line = await lines.readline()
     except TimeoutError:
@@ -159,7 +160,7 @@ async def ros1_robot(directory: Path, port: int) -> AsyncIterator[Walker]:
         walker.began = time.monotonic()
         yield walker
         robot.terminate()
-        async with asyncio.timeout(10):
+        async with aio.timeout(10):
             line = await robot.stdout.readline()
             while not line.startswith(b"[["):
                 line = await robot.stdout.readline()
@@ -171,7 +172,7 @@ async def ros1_robot(directory: Path, port: int) -> AsyncIterator[Walker]:
                 process.terminate()
         for process in (robot, core):
             try:
-                async with asyncio.timeout(10):
+                async with aio.timeout(10):
                     await process.wait()
             except TimeoutError:
                 process.kill()

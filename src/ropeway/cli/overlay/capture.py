@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from ropeway import aio
 from ropeway.cli.console import answer, fail
 from ropeway.cli.loop import run
 from ropeway.cli.name import IdentityOption
@@ -62,7 +63,7 @@ def capture(
             for advert in node.rib.all("publisher"):
                 follow(advert, True)
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(timeout):
+                async with aio.timeout(timeout):
                     await enough.wait()
         return lines
 

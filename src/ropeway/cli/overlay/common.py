@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Annotated, Final
 
 import typer
 
+from ropeway import aio
 from ropeway.cli.patience import patiently
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.graph import OverlayGraph
@@ -36,7 +36,7 @@ async def joined(identity: Path, routers: list[str] | None, spin_time_s: float) 
         async with patiently(lambda: f"waiting for a router ({where}), {_LINK_S:g} s at most"):
             await node.links.wait(_LINK_S)
         try:
-            async with asyncio.timeout(spin_time_s):
+            async with aio.timeout(spin_time_s):
                 await node.membership.settled()
         except TimeoutError:
             pass

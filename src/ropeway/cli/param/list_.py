@@ -7,6 +7,7 @@ from typing import Annotated, Final
 
 import typer
 
+from ropeway import aio
 from ropeway.cli.console import answer, complain, fail, print_json
 from ropeway.cli.param.common import TimeoutOption, ask
 from ropeway.cli.param.source import AtMaster, parameters_of, place_name
@@ -60,7 +61,7 @@ async def list_all(
             except CallError as error:
                 silent[node] = str(error)
 
-    async with asyncio.TaskGroup() as group:
+    async with aio.TaskGroup() as group:
         for node in nodes:
             group.create_task(one(node))
     return dict(sorted(listed.items())), silent

@@ -9,12 +9,16 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 import zstandard
 
 from ropeway.cli.recording.source import Channel, Source
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 
 __all__ = ["FolderSource"]
 

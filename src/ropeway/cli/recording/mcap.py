@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final
 
 from mcap.reader import make_reader
 from mcap.records import Channel as McapChannel
@@ -14,6 +14,10 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 
 from ropeway.cli.recording.source import DAMAGED, DEFINITIONS, Channel, profiles_in, recorded_qos
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 
 __all__ = ["McapSource"]
 

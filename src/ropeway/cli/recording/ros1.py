@@ -8,12 +8,16 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, Final, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 import lz4.frame
 from rosbags.rosbag1 import Reader
 
 from ropeway.cli.recording.source import DAMAGED, Channel, recorded_qos
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 
 __all__ = ["Ros1Scan", "Ros1Source"]
 

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import apsw
 import yaml
@@ -15,6 +15,10 @@ from mcap.exceptions import McapError
 from rosbags.rosbag1 import ReaderError as Rosbag1Error
 
 from ropeway.qos import DEFAULT, LATCHED, QoS, common_qos
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 
 __all__ = ["DAMAGED", "DEFINITIONS", "Channel", "Source", "profiles_in", "reason_of", "recorded_qos"]
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import apsw
 
 from ropeway.cli.recording.source import DEFINITIONS, Channel, profiles_in, recorded_qos
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 
 __all__ = ["SqliteSource"]
 

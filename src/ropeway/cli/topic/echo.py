@@ -9,6 +9,7 @@ from typing import Annotated, Final
 import orjson
 import typer
 
+from ropeway import aio
 from ropeway.cli.console import answer, complain, fail
 from ropeway.cli.loop import run
 from ropeway.cli.patience import patiently, why_silent
@@ -167,7 +168,7 @@ def echo_command(
             found = await resolve_type(session, name, type, spin_time)
             form = formatter(session.registry, found, style=style, form=(forms or ["yaml"])[0], field=field)
             try:
-                async with asyncio.timeout(timeout or None):
+                async with aio.timeout(timeout or None):
                     return await echo(session, name, found, qos, form, count=1 if once else None)
             except TimeoutError:
                 return 0

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final
 
 import typer
 
+from ropeway import aio
 from ropeway.cli.console import answer, complain, fail, print_json
 from ropeway.cli.loop import run
 from ropeway.cli.refusal import taken, unless_refused
@@ -114,7 +115,7 @@ async def _subscribers(publisher: Publisher, wanted: int, wait_s: float | None) 
             )
         complain(f"Waiting for at least {wanted} matching subscription(s)...")
         try:
-            async with asyncio.timeout(left):
+            async with aio.timeout(left):
                 await enough.wait()
         except TimeoutError:
             continue

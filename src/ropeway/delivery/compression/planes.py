@@ -208,7 +208,8 @@ def _encode_records(records: _U8) -> Parts:
 
 def _columns(records: _U8) -> _U32:
     count, step = records.shape
-    return np.ndarray((count, step // 4), "<u4", records, strides=(step, 4))
+    columns: _U32 = np.ndarray((count, step // 4), "<u4", records, strides=(step, 4))
+    return columns
 
 
 def _choose_modes(columns: _U32) -> bytearray:
@@ -229,7 +230,8 @@ def _entropy(sample: _U32) -> npt.NDArray[np.float32]:
     shifted = sample.view(np.uint8) + np.arange(0, 1024 * width, 256)
     histograms = np.bincount(shifted.ravel(), minlength=1024 * width).reshape(width, 1024)
     order: npt.NDArray[np.float32] = _N_LOG_N[histograms].sum(axis=1)
-    return np.float32(4 * math.log2(_SAMPLE)) - order / np.float32(_SAMPLE)
+    bits: npt.NDArray[np.float32] = np.float32(4 * math.log2(_SAMPLE)) - order / np.float32(_SAMPLE)
+    return bits
 
 
 _N_LOG_N: Final = np.array([0, *(n * math.log2(n) for n in range(1, _SAMPLE + 1))], np.float32)

@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterable
 from typing import Any, Final
 
+from ropeway import aio
 from ropeway.errors import GraphUnavailable
 from ropeway.gateway.config.config import Config
 from ropeway.gateway.process.counts import summed
@@ -157,7 +158,7 @@ async def _end(process: asyncio.subprocess.Process) -> None:
     if process.stdin is not None:
         process.stdin.close()  # the worker takes this as the word to stop
     try:
-        async with asyncio.timeout(_STOP_S):
+        async with aio.timeout(_STOP_S):
             await process.wait()
     except TimeoutError:
         process.kill()
@@ -204,7 +205,7 @@ class Supervisor:
             task.start()
         try:
             for worker in self.workers:
-                async with asyncio.timeout(_START_S):
+                async with aio.timeout(_START_S):
                     await worker.ready.wait()
                 if worker.error:
                     raise GraphUnavailable(f"worker {worker.name}", worker.error)

@@ -14,6 +14,7 @@ import signal
 import sys
 from typing import Any
 
+from ropeway import aio
 from ropeway.errors import ConfigError, RopewayError
 from ropeway.gateway.config.config import parse
 from ropeway.gateway.gateway import Gateway
@@ -80,7 +81,7 @@ def main() -> int:
     signal.signal(signal.SIGHUP, signal.SIG_IGN)  # until there is something to read again
     with (
         contextlib.suppress(KeyboardInterrupt, BrokenPipeError),
-        asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner,
+        aio.Runner(loop_factory=uvloop.new_event_loop) as runner,
     ):
         return runner.run(_main())
     return 0

@@ -10,6 +10,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable
 from typing import Final
 
+from ropeway import aio
 from ropeway.errors import DecodeError, RopewayError
 from ropeway.graph.actions.parts import (
     CANCEL_TYPE,
@@ -122,7 +123,7 @@ class ComposedActionServer:
         if self._waiting:
             self._all_answered.clear()
             try:
-                async with asyncio.timeout(_CLOSE_S):
+                async with aio.timeout(_CLOSE_S):
                     await self._all_answered.wait()
             except TimeoutError:
                 log.warning("%s: %d results could not be given before the server closed", self.action, self._waiting)
@@ -143,7 +144,7 @@ class ComposedActionServer:
         for tracked in goals:
             if not tracked.asked.is_set() and tracked.taken_s + _ASK_S > loop.time():
                 with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout_at(tracked.taken_s + _ASK_S):
+                    async with aio.timeout_at(tracked.taken_s + _ASK_S):
                         await tracked.asked.wait()
 
     # ── send_goal ──────────────────────────────────────────────────────────────────────────────────────────────

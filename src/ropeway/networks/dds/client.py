@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
+from ropeway import aio
 from ropeway.errors import (
     CallError,
     CallFailed,
@@ -130,7 +131,7 @@ class DdsClient(Ends):
             if self._window.is_free:
                 ticket = await self._window.enter()
             else:
-                async with asyncio.timeout_at(until):
+                async with aio.timeout_at(until):
                     ticket = await self._window.enter()
             if self._servers:
                 break
@@ -188,11 +189,10 @@ class DdsClient(Ends):
                 f"{self.service} is served over {vendor_name(who)} only, whose requests this graph cannot make; "
                 "run the server with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or use the ros2 graph",
             )
-        async with asyncio.timeout_at(until):
-            async with self._helping:
-                self._check_open()
-                if self._helped is None:
-                    self._helped = await helper.create_client(self.service, self.type)
+        async with aio.timeout_at(until), self._helping:
+            self._check_open()
+            if self._helped is None:
+                self._helped = await helper.create_client(self.service, self.type)
         return await self._helped.call(request, max(0.0, until - self._loop.time()))
 
     async def _write(self, message: bytes, until: float) -> None:
@@ -218,7 +218,7 @@ class DdsClient(Ends):
     async def _change(self, until: float) -> None:
         """Wait for a change of the servers, at most until then."""
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout_at(until):
+            async with aio.timeout_at(until):
                 await self._changed.wait()
 
     # From DDS ---------------------------------------------------------------------------------------------------

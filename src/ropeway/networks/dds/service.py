@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
+from ropeway import aio
 from ropeway.errors import CallError, GraphError, TypesError
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import Request, Service, ServiceHandler
@@ -168,7 +169,7 @@ class DdsService(Ends):
     async def _matched(self, writer: bytes) -> bool:
         """Wait until the one who asked reads answers; false for one that does not, or has left."""
         try:
-            async with asyncio.timeout(_MATCH_S):
+            async with aio.timeout(_MATCH_S):
                 while writer not in self._callers:
                     await self._changed.wait()
         except TimeoutError:

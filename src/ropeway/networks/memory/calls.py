@@ -6,6 +6,7 @@ import asyncio
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from ropeway import aio
 from ropeway.errors import CallTimeout, GraphUnavailable, NotServed, ProviderLost
 from ropeway.graph.base import new_origin
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
@@ -74,7 +75,7 @@ class MemoryClient:
     async def wait_available(self, timeout_s: float) -> bool:
         """See ``Client``."""
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while not self.closed and not self.available:
                     self._came.clear()
                     await self._came.wait()

@@ -58,7 +58,7 @@ def verdicts(capture: str, trust: Trust) -> Iterator[Verdict]:
 def _judge(number: int, row: dict[str, Any], trust: Trust) -> Verdict:
     _, _, name, publisher = row["key"].split("/")
     packet, der = (base64.b64decode(row[field], validate=True) for field in ("packet", "certificate"))
-    certificate = trust.check(der, now=datetime.datetime.fromtimestamp(row["time_ns"] / 1e9, datetime.UTC))
+    certificate = trust.check(der, now=datetime.datetime.fromtimestamp(row["time_ns"] / 1e9, datetime.timezone.utc))
     head = check_signature(packet, bytes.fromhex(name), bytes.fromhex(publisher), certificate.verify_signature)
     return Verdict(
         number,

@@ -17,6 +17,7 @@ from typing import Any, Final, TypeVar
 
 import zenoh
 
+from ropeway import aio
 from ropeway.errors import GraphUnavailable
 from ropeway.limits import OVERLAY_NOTE_BYTES, OVERLAY_ROUTED_BYTES, OVERLAY_WAITING_NOTES_BYTES
 from ropeway.networks.overlay.inlet import Inlet, one_by_one
@@ -166,7 +167,7 @@ class Fabric:
             listener.undeclare()
         if session is not None:
             try:
-                async with asyncio.timeout(_CLOSE_S):
+                async with aio.timeout(_CLOSE_S):
                     await asyncio.to_thread(session.close)
             except TimeoutError:
                 log.warning("overlay: Zenoh did not close within %g s", _CLOSE_S)
@@ -336,7 +337,7 @@ class Fabric:
         Answers beyond ``limit_bytes`` in all are not taken.
         """
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(min(timeout_s, _REOPEN_S)):
+            async with aio.timeout(min(timeout_s, _REOPEN_S)):
                 await self._open.wait()
         answers: list[bytes] = []
         left = limit_bytes
@@ -358,7 +359,7 @@ class Fabric:
             with contextlib.suppress(RuntimeError):  # the loop has closed
                 self._loop.call_soon_threadsafe(finish)
 
-        cancel = zenoh.CancellationToken()
+        cancel: Any = zenoh.CancellationToken()
         get = partial(
             self.session.get,
             key,
@@ -380,7 +381,7 @@ class Fabric:
             await done
         finally:
             if not done.done():
-                cancel.cancel()  # type: ignore[no-untyped-call]
+                cancel.cancel()
         return answers
 
     async def linked(self, timeout_s: float) -> bool:
@@ -390,7 +391,7 @@ class Fabric:
         inlet: Inlet[None] = Inlet(self._loop, lambda _: changed.set())
         listener = self.session.info.declare_transport_events_listener(lambda _: inlet.put(None))
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while not self.links():
                     await changed.wait()
                     changed.clear()

@@ -112,7 +112,7 @@ class Fleet:
     @staticmethod
     def _fill(directory: Path, name: str, key: PrivateKey, routers: Sequence[str]) -> None:
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-        now = datetime.datetime.now(datetime.UTC)
+        now = datetime.datetime.now(datetime.timezone.utc)
         ca = (
             x509.CertificateBuilder()
             .subject_name(subject)
@@ -269,7 +269,7 @@ class Fleet:
         return self.crl.public_bytes(Encoding.DER)
 
     def _certify(self, name: str, key: Any, role: str, rights: Rights | None, days: float) -> Certificate:
-        now = datetime.datetime.now(datetime.UTC)
+        now = datetime.datetime.now(datetime.timezone.utc)
         rights = rights or EVERYTHING
         purpose = MEMBER if role == "member" else ROUTER
         uses = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH, purpose]
@@ -370,7 +370,7 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
 def _crl(
     ca: x509.Certificate, key: PrivateKey, number: int, serials: Collection[int], denied: Sequence[str] = ()
 ) -> x509.CertificateRevocationList:
-    now = datetime.datetime.now(datetime.UTC)
+    now = datetime.datetime.now(datetime.timezone.utc)
     built = (
         x509.CertificateRevocationListBuilder()
         .issuer_name(ca.subject)

@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from ropeway import aio
 from ropeway.errors import CallFailed, IdentityError, NotServed, RopewayError, SealError
 from ropeway.limits import OVERLAY_CRL_BYTES, OVERLAY_MESSAGE_BYTES
 from ropeway.networks.overlay.advert import VERB_OF, Advertisement, advert_key, make_advert
@@ -186,7 +187,7 @@ class OverlayNode:
             await self.links.deny()
             await self.links.mend(self.membership.unreachable())
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_CHECK_S):
+                async with aio.timeout(_CHECK_S):
                     await self._ask_crl.wait()
 
     async def _learn_first(self) -> None:

@@ -12,6 +12,7 @@ from typing import Final
 
 from cryptography.hazmat.primitives.serialization import Encoding
 
+from ropeway import aio
 from ropeway.networks.overlay.crypto.identity import Identity
 
 __all__ = ["unreachable"]
@@ -37,7 +38,7 @@ async def _reason(identity: Identity, router: str) -> str:
     context = ssl.create_default_context(cadata=identity.ca.public_bytes(Encoding.PEM).decode())
     context.check_hostname = False  # names say nothing about place, here as in Zenoh
     try:
-        async with asyncio.timeout(_PATIENCE_S):
+        async with aio.timeout(_PATIENCE_S):
             _, writer = await asyncio.open_connection(match["six"] or match["four"], int(match["port"]), ssl=context)
     except TimeoutError:
         return "no answer in time"

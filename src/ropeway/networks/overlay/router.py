@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway import aio
 from ropeway.errors import GraphUnavailable, IdentityError, RopewayError, SealError
 from ropeway.limits import OVERLAY_CRL_BYTES
 from ropeway.networks.overlay.crypto.identity import Identity
@@ -132,7 +133,7 @@ class Router:
                 await self._deny()
             self._newer.clear()
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(self._look_s):
+                async with aio.timeout(self._look_s):
                     await self._newer.wait()
             self._read_files()
 

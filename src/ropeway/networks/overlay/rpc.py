@@ -17,6 +17,7 @@ from typing import Any, Final, TypeVar
 
 import cbor2
 
+from ropeway import aio
 from ropeway.errors import CallTimeout, ProviderLost, RopewayError, SealError
 from ropeway.limits import OVERLAY_CHANNELS, OVERLAY_REQUEST_ITEMS, OVERLAY_REQUESTS, OVERLAY_REQUESTS_BYTES
 from ropeway.networks.overlay.crypto.cbor import loads
@@ -162,7 +163,7 @@ class Rpc:
             self._opening[gateway] = opening
             opening.add_done_callback(partial(self._opened, gateway))
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 return await asyncio.shield(opening)
         except TimeoutError:
             raise CallTimeout("hello", timeout_s) from None

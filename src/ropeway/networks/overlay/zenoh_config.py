@@ -139,7 +139,7 @@ def _config(identity: Identity, connect: Sequence[str], listen: Sequence[str], m
         "transport/shared_memory/enabled": False,
         **more,
     }
-    config = zenoh.Config()
+    config: zenoh.Config = zenoh.Config()
     for key, value in options.items():
         config.insert_json5(key, json.dumps(value))
     return config

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
+from ropeway import aio
 from ropeway.errors import (
     CallError,
     CallFailed,
@@ -172,7 +173,7 @@ class Ros1ActionClient:
         """See ``ActionClient``."""
         self._check()
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while not self.closed and not self.available:
                     await self._pulse.wait()
         except TimeoutError:
@@ -256,7 +257,7 @@ class Ros1ActionClient:
         before, began = goal.heard, loop.time()
         self._publishers[0].publish_raw(cancel_message(goal.text))
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while not goal.code.cancelled:
                     if goal.outcome.done() or goal.code.final:
                         return False

@@ -8,6 +8,7 @@ import logging
 import struct
 from typing import TYPE_CHECKING, Final
 
+from ropeway import aio
 from ropeway.errors import (
     CallFailed,
     CallTimeout,
@@ -66,7 +67,7 @@ class Ros1Client:
     async def wait_available(self, timeout_s: float) -> bool:
         """See ``Client``."""
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while not self.closed and not self.available:
                     await self._keeper.changed()
         except TimeoutError:
@@ -78,7 +79,7 @@ class Ros1Client:
         if self.closed:
             raise GraphUnavailable(self._node.graph, f"the client of {self.service} is closed")
         reached = [False]
-        limit = asyncio.timeout(timeout_s)
+        limit = aio.timeout(timeout_s)
         try:
             async with limit:
                 with self._under_way.call():
@@ -103,7 +104,7 @@ class Ros1Client:
             if known:
                 continue  # it may have moved
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_LOOK_AGAIN_S):
+                async with aio.timeout(_LOOK_AGAIN_S):
                     await self._keeper.changed()
 
     async def _stream(self) -> Stream:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Final
 
+from ropeway import aio
 from ropeway.errors import ConnectFailed, InvalidFrame
 from ropeway.networks.ros1.master import slave_call
 from ropeway.networks.ros1.tcpros import encode_header, read_header
@@ -30,7 +31,7 @@ async def learn_type(node: Ros1Node, topic: str, type: str) -> bool:
         if not uri:
             continue
         try:
-            async with asyncio.timeout(_ASK_S):
+            async with aio.timeout(_ASK_S):
                 fields = await _ask(node, uri, topic, type)
         except (OSError, EOFError, TimeoutError, InvalidFrame) as error:
             raise ConnectFailed(uri, f"{name} does not tell what {type} is: {error or 'no answer in time'}") from None

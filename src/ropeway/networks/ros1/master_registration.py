@@ -13,6 +13,7 @@ import secrets
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway import aio
 from ropeway.errors import ConnectFailed, TypesError
 from ropeway.graph.base import Changes
 from ropeway.networks.ros1.learn import learn_type
@@ -86,7 +87,7 @@ class Keeper:
     async def _run(self) -> None:
         while True:
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(self._poll_s):
+                async with aio.timeout(self._poll_s):
                     await self._wake.wait()
                     await asyncio.sleep(_SOON_S)
             self._wake.clear()

@@ -7,6 +7,7 @@ import logging
 from typing import TYPE_CHECKING, Final
 from urllib.parse import urlsplit
 
+from ropeway import aio
 from ropeway.errors import InvalidFrame
 from ropeway.networks.ros1.tcpros import encode_header, read_header
 from ropeway.types.ros1_types import ANY
@@ -34,7 +35,7 @@ async def connect(api: str) -> Stream:
 async def probe_service(node: Ros1Node, service: str, api: str) -> str:
     """Return the type of a service, ``pkg/Name``, from the header its provider answers; ``""`` if it gives none."""
     try:
-        async with asyncio.timeout(_PROBE_S):
+        async with aio.timeout(_PROBE_S):
             reader, writer = await connect(api)
             try:
                 fields = {"callerid": node.name, "md5sum": ANY, "probe": "1", "service": service}

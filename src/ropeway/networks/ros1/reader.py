@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from itertools import islice
 from typing import TYPE_CHECKING, Final, Protocol
 
+from ropeway import aio
 from ropeway.errors import ConnectFailed, InvalidFrame, TypeConflict, TypesError
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.limits import ROS1_PUBLISHERS_PER_TOPIC
@@ -119,7 +120,7 @@ class Publication:
         connection = self._connection = Connection(self)
         loop = asyncio.get_running_loop()
         try:
-            async with asyncio.timeout(_CONNECT_S):
+            async with aio.timeout(_CONNECT_S):
                 await loop.create_connection(lambda: connection, host, port)
             timer = loop.call_later(_CONNECT_S, self._check_greeted)
             try:

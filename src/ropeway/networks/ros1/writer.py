@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import struct
 import time
@@ -10,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
+from ropeway import aio
 from ropeway.errors import DecodeError, TypeConflict
 from ropeway.graph.base import SEQ_NONE, Sample, Undelivered, new_origin
 from ropeway.graph.history import History
@@ -169,7 +169,7 @@ class TopicWriter:
         for link in links:
             link.finish()
         try:
-            async with asyncio.timeout(_FLUSH_S):
+            async with aio.timeout(_FLUSH_S):
                 for link in links:
                     await link.connection.closed.wait()
         except TimeoutError:

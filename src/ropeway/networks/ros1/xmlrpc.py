@@ -14,6 +14,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from typing import Any, Final
 from urllib.parse import urlsplit
 
+from ropeway import aio
 from ropeway.errors import ConnectFailed
 from ropeway.limits import NESTED_CONTAINERS, ROS1_CALLERS
 from ropeway.tasks import describe, end
@@ -59,7 +60,7 @@ async def close_streams(writers: Sequence[asyncio.StreamWriter]) -> None:
     for writer in writers:
         writer.close()
     with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(_CLOSE_S):
+        async with aio.timeout(_CLOSE_S):
             for writer in writers:
                 with contextlib.suppress(OSError):
                     await writer.wait_closed()
@@ -92,7 +93,7 @@ class XmlRpcClient:
             raise ValueError(f"cannot be written as XML-RPC: {error}") from None
         try:
             address = split_uri(uri)
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 answer = await self._exchange(address, uri, body)
         except TimeoutError:
             raise ConnectFailed(uri, f"no answer to {method} within {timeout_s:g} s") from None
@@ -206,7 +207,7 @@ class XmlRpcServer:
         try:
             while True:
                 self._idle[task] = None
-                async with asyncio.timeout(_IDLE_S):
+                async with aio.timeout(_IDLE_S):
                     line = await reader.readline()
                 self._idle.pop(task, None)
                 if not line or not await self._answer(line, reader, writer):
@@ -225,7 +226,7 @@ class XmlRpcServer:
         if words[0] != "POST":
             await _respond(writer, "501 Unsupported method", b"only POST is known here", "text/plain", False)
             return False
-        async with asyncio.timeout(_CALL_S):
+        async with aio.timeout(_CALL_S):
             headers = await _read_headers(reader)
             if "origin" in headers:  # a browser sends for whatever page is open in it
                 raise _Malformed("web pages may not call nodes")
@@ -256,7 +257,7 @@ async def _respond(writer: asyncio.StreamWriter, status: str, body: bytes, kind:
         f"Connection: {'keep-alive' if keep else 'close'}\r\n\r\n"
     )
     writer.write(head.encode("ascii") + body)
-    async with asyncio.timeout(_CALL_S):
+    async with aio.timeout(_CALL_S):
         await writer.drain()
 
 

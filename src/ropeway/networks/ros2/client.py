@@ -8,6 +8,7 @@ import threading
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from ropeway import aio
 from ropeway.errors import CallError, CallFailed, CallTimeout, GraphUnavailable, NotServed, ProviderLost
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request
 from ropeway.networks.dds.in_flight import Window
@@ -93,7 +94,7 @@ class Ros2Client:
 
     async def _served(self, until: float) -> bool:
         try:
-            async with asyncio.timeout_at(until):
+            async with aio.timeout_at(until):
                 while not self.closed and not self.available:
                     self._changed.clear()
                     await self._changed.wait()
@@ -145,7 +146,7 @@ class Ros2Client:
             self._check_open()
             raise NotServed(self.service)
         await self._settle(until)
-        async with asyncio.timeout_at(until):
+        async with aio.timeout_at(until):
             ticket = await self._window.enter()
             try:
                 self._check_open()

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from ropeway.errors import ProviderLost
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.hub.hub import Hub
@@ -144,7 +145,7 @@ async def test_called_as_soon_as_it_is_seen(world: World) -> None:
     client = await world.stack.enter_async_context(Client(port))
     starting = asyncio.create_task(world.node("serve", "/add"))
     answers: list[Any] = []
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         while not answers or not answers[-1]["result"]:
             listed = bool((seen := graph.services().get("/add")) and seen.servers)
             operation = {"op": "call_service", "service": "/add", "type": ADD, "args": {"a": 1, "b": 2}, "timeout": 0.1}
@@ -265,7 +266,7 @@ async def test_helper_killed(world: World) -> None:
     call = asyncio.create_task(client.call(Request(addends(2)), 10))
     await asyncio.sleep(0.5)
     os.kill(helper.pid, signal.SIGKILL)
-    async with asyncio.timeout(1):
+    async with aio.timeout(1):
         with pytest.raises(ProviderLost):
             await call
     assert total(await client.call(Request(addends(3)), 8)) == 10

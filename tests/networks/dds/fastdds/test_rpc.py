@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
 
+from ropeway import aio
 from ropeway.errors import CallFailed, CallTimeout, DecodeError, GraphUnavailable, NotServed, ProviderLost
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Client, Request, Service
@@ -174,7 +175,7 @@ async def test_helper_killed(make: Make) -> None:
     calls = [asyncio.create_task(client.call(Request(number(n)), 3600)) for n in range(3)]
     await until(lambda: len(echo.requests) == 3)
     os.kill(near.helper.pid, signal.SIGKILL)
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         lost = await asyncio.gather(*calls, return_exceptions=True)
     assert all(isinstance(error, ProviderLost) for error in lost)
     echo.gate.set()

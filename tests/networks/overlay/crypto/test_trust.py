@@ -58,7 +58,7 @@ def test_purpose() -> None:
 
 
 def _web_server(made: Fleet) -> bytes:
-    now = datetime.datetime.now(datetime.UTC)
+    now = datetime.datetime.now(datetime.timezone.utc)
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "www")])
     built = (
         x509.CertificateBuilder()

@@ -9,6 +9,7 @@ from contextlib import AsyncExitStack
 
 import pytest
 
+from ropeway import aio
 from ropeway.errors import CallError, CallFailed, ProviderLost
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import Request
@@ -156,7 +157,7 @@ async def test_call_over_a_cut(wired: tuple[OverlayGraph, OverlayGraph, Wire]) -
     call = asyncio.create_task(client.call(Request(b"\0\1\0\0\1" + bytes(15)), 3600))
     await called.wait()
     await wire.cut()
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         with pytest.raises((ProviderLost, CallFailed)):
             await call
     await wire.mend()
@@ -167,7 +168,7 @@ async def test_call_over_a_cut(wired: tuple[OverlayGraph, OverlayGraph, Wire]) -
         except CallError:
             return False
 
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         while not await works():
             pass
 

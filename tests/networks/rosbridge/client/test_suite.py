@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample
 from ropeway.networks.dds import DdsGraph
 from ropeway.networks.rosbridge.client import LinkState, RosbridgeGraph
@@ -132,7 +133,7 @@ async def test_publish(suite: Suite) -> None:
             inbox = Inbox()
             await network.create_subscription(topic, type, QoS(depth=10), inbox)
             publisher = await client.create_publisher(topic, type, delivery=Delivery(encoding=encoding))
-            async with asyncio.timeout(PATIENCE_S):
+            async with aio.timeout(PATIENCE_S):
                 while not inbox.samples:  # the server needs a moment to match the reader
                     publisher.publish(suite.sample(type))
                     await asyncio.sleep(0.05)
@@ -151,7 +152,7 @@ async def test_subscribe(suite: Suite, encoding: str) -> None:
         inbox = Inbox()
         await client.create_subscription(topic, type, None, inbox, delivery=Delivery(encoding=encoding))
         await until(lambda publisher=publisher: publisher.subscribers)
-        async with asyncio.timeout(PATIENCE_S):
+        async with aio.timeout(PATIENCE_S):
             while not inbox.samples:
                 publisher.publish(suite.sample(type))
                 await asyncio.sleep(0.05)
@@ -183,7 +184,7 @@ async def test_restart(suite: Suite) -> None:
     async def flows() -> None:
         out.samples.clear()
         back.samples.clear()
-        async with asyncio.timeout(PATIENCE_S):
+        async with aio.timeout(PATIENCE_S):
             while not (out.samples and back.samples):
                 near.publish(suite.sample(STRING))
                 far.publish(suite.sample(STRING))

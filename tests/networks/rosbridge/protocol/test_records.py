@@ -45,7 +45,7 @@ def test_many_origins() -> None:
     """More origins than the table holds still arrive right."""
     writer, read = RecordWriter(), reader()
     for i in range(10_000):
-        origin = (i % 5000).to_bytes(16)
+        origin = (i % 5000).to_bytes(16, "big")
         assert read.read(send(writer, b"x", origin=origin))[0].origin == origin
 
 

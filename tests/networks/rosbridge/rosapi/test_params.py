@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from ropeway.graph.calls import Request
 from ropeway.graph.parameters import ParameterValue
 from ropeway.listener.globs import Globs
@@ -181,7 +182,7 @@ async def test_nodes_that_do_not_answer(bare: Place, handler: Any) -> None:
     other = await bare.participant("/other")
     for name, type in (("list", "List"), ("get", "Get"), ("set", "Set")):
         await other.create_service(f"/other/{name}_parameters", f"rcl_interfaces/srv/{type}Parameters", handler)
-    async with asyncio.timeout(5):
+    async with aio.timeout(5):
         assert await bare.ask("get_param_names") == {"names": ["/robot:a"]}
         assert await bare.ask("has_param", name="/other:a") == {"exists": False}
         got = await bare.ask("get_param", name="/other:a", default_value="1")
@@ -200,7 +201,7 @@ async def test_many_silent_nodes(bare: Place) -> None:
     for number in range(40):
         name = f"/other{number}/list_parameters"
         await bare.robot.create_service(name, "rcl_interfaces/srv/ListParameters", silent)
-    async with asyncio.timeout(5):
+    async with aio.timeout(5):
         assert await bare.ask("get_param_names") == {"names": ["/a_robot:a"]}
 
 

@@ -12,6 +12,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, Final
 
+from ropeway import aio
 from tests.support.until import PATIENCE_S
 
 __all__ = ["CHROMIUM", "Pages", "browser", "pages"]
@@ -35,7 +36,7 @@ class Pages:
 
     async def wait(self, name: str, timeout_s: float = PATIENCE_S) -> Any:
         """Return what the page told under a name."""
-        async with asyncio.timeout(timeout_s):
+        async with aio.timeout(timeout_s):
             while name not in self.told:
                 self._news.clear()
                 await self._news.wait()

@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
+from ropeway import aio
 from tests.support.until import PATIENCE_S
 
 __all__ = ["Peers", "peers"]
@@ -33,7 +34,7 @@ class Peers:
 
     async def wait(self, condition: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:
         """Wait until something holds of what was said."""
-        async with asyncio.timeout(timeout_s):
+        async with aio.timeout(timeout_s):
             while not condition():
                 self._news.clear()
                 await self._news.wait()
@@ -80,7 +81,7 @@ class Peers:
         assert self._process.stdin is not None
         self._process.stdin.close()
         try:
-            async with asyncio.timeout(5):
+            async with aio.timeout(5):
                 await self._process.wait()
         except TimeoutError:
             with contextlib.suppress(ProcessLookupError):

@@ -8,6 +8,7 @@ import sys
 
 import uvloop
 
+from ropeway import aio
 from ropeway.hub.hub import Hub
 from ropeway.listener.connection import Limits
 from ropeway.networks.memory.graph import MemoryGraph
@@ -29,5 +30,5 @@ async def main() -> None:
 
 if __name__ == "__main__":
     logging.basicConfig(level=logging.WARNING)
-    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+    with aio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         runner.run(main())

@@ -10,6 +10,7 @@ import cbor2
 import lz4.frame
 import pytest
 
+from ropeway import aio
 from ropeway.errors import GoalRejected
 from ropeway.graph.calls import ActionHandlers, ClientGoal, Goal, GoalStatus, Outcome, ServerGoal
 from tests.support.actions import FIBONACCI, Worker, count, order, ordered, sequence
@@ -219,7 +220,7 @@ async def test_client_leaves(place: Place) -> None:
     client.send(goal())
     await until(lambda: worker.goals)
     client.abort()
-    async with asyncio.timeout(PATIENCE_S):
+    async with aio.timeout(PATIENCE_S):
         await worker.goals[0].cancelled.wait()
     await until(lambda: not place.server.sessions)
 

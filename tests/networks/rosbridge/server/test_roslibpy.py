@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from ropeway import aio
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.calls import ActionHandlers, Outcome, Request, ServerGoal
 from ropeway.qos import LATCHED, QoS
@@ -177,7 +178,7 @@ async def test_reconnect(run: Run, place: Place) -> None:
         await until(lambda: publisher.subscribers == 1)
         publisher.publish(sample(place, STRING, {"data": "again"}))
         await program.wait(lambda: program.heard("/down"))
-        async with asyncio.timeout(PATIENCE_S):
+        async with aio.timeout(PATIENCE_S):
             while not inbox.samples:
                 program.publish()
                 await asyncio.sleep(0.1)

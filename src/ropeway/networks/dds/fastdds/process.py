@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
+from ropeway import aio
 from ropeway.networks.dds.fastdds.frames import BadFrame, Frame, Op, Splitter, encode
 from ropeway.tasks import Supervised, describe, end
 
@@ -157,7 +158,7 @@ class Helper:
         until = loop.time() + _READY_S
         while True:
             try:
-                async with asyncio.timeout_at(until):
+                async with aio.timeout_at(until):
                     data = await reader.read(_RECEIVE_BYTES)
             except TimeoutError:
                 if loop.time() - self._heard > _SILENCE_S if self.up else True:
@@ -199,7 +200,7 @@ class Helper:
 async def _ended(process: asyncio.subprocess.Process) -> int:
     """The exit code of a process that was hung up on; it is killed if it does not end by itself."""
     try:
-        async with asyncio.timeout(_STOP_S):
+        async with aio.timeout(_STOP_S):
             return await process.wait()
     except TimeoutError:
         process.kill()

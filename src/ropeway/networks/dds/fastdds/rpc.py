@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
+from ropeway import aio
 from ropeway.errors import (
     CallError,
     CallFailed,
@@ -210,7 +211,7 @@ class FastClient:
     async def wait_available(self, timeout_s: float) -> bool:
         """See ``Client``."""
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while not self.available and not self.closed:
                     await self._changed.wait()
         except TimeoutError:
@@ -233,7 +234,7 @@ class FastClient:
                 if timeout_s < nobody:  # it is only made where a server is known
                     raise TimeoutError
                 raise NotServed(self.service)
-            async with asyncio.timeout_at(until):
+            async with aio.timeout_at(until):
                 ticket = await self._window.enter()
             return await self._call(ticket, request.payload, until)
         except TimeoutError:
@@ -248,7 +249,7 @@ class FastClient:
             self._check_open()
             if not self._rpc.send(Op.CALL, self, number, payload):
                 raise ProviderLost(self.service, _LOST)
-            async with asyncio.timeout_at(until):
+            async with aio.timeout_at(until):
                 outcome = await call
         finally:
             answered = call.done() and not call.cancelled()

@@ -23,7 +23,7 @@ _CACHED: Final = 8192
 
 
 def _now() -> datetime.datetime:
-    return datetime.datetime.now(datetime.UTC)
+    return datetime.datetime.now(datetime.timezone.utc)
 
 
 class Trust:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway import aio
 from ropeway.errors import (
     CallError,
     CallFailed,
@@ -140,7 +141,7 @@ class OverlayClient:
     async def wait_available(self, timeout_s: float) -> bool:
         """See ``Client``."""
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while not self.closed and not self.available:
                     self._changed.clear()
                     await self._changed.wait()

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Final, cast
 
+from ropeway import aio
 from ropeway.delivery.outbox import LANES, Outbox, Queue
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Sample, Undelivered
@@ -147,7 +148,7 @@ class Sender:
     async def flush(self, queue: Queue[Sample]) -> None:
         """Wait until a publisher has nothing waiting, for a little while."""
         try:
-            async with asyncio.timeout(_FLUSH_S):
+            async with aio.timeout(_FLUSH_S):
                 while queue.waiting or queue.under_way or self._pending[queue.priority]:
                     self._idle.clear()
                     await self._idle.wait()

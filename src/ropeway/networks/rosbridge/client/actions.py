@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from ropeway import aio
 from ropeway.errors import (
     CallError,
     CallFailed,
@@ -265,7 +266,7 @@ class RemoteActionClient:
             )
             if not gateway:
                 made.accept()
-            async with asyncio.timeout_at(deadline):
+            async with aio.timeout_at(deadline):
                 await made.accepted
         except CallError:
             calls.goals.pop(made.wire_id, None)

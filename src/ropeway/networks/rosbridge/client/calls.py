@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from ropeway import aio
 from ropeway.errors import GraphUnavailable, InvalidName, RopewayError, UnknownType
 from ropeway.graph.base import NO_HINTS, Delivery, Undelivered
 from ropeway.networks.rosbridge.client.notes import read_note
@@ -87,7 +88,7 @@ class Calls:
         if (peer := self.peer) is not None:
             return peer
         try:
-            async with asyncio.timeout_at(deadline):
+            async with aio.timeout_at(deadline):
                 while (peer := self.peer) is None:
                     await self._changed.wait()
         except TimeoutError:
@@ -115,7 +116,7 @@ class Calls:
     async def wait_available(self, caller: RemoteCaller, timeout_s: float) -> bool:
         """Wait until somebody serves it, or nobody can tell."""
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 while caller.available is False:
                     await self._changed.wait()
         except TimeoutError:
@@ -132,7 +133,7 @@ class Calls:
             return False
         if caller.available is not False:  # it comes and goes, or nobody can tell
             try:
-                async with asyncio.timeout(min(left, _RETRY_S)):
+                async with aio.timeout(min(left, _RETRY_S)):
                     await self._changed.wait()
             except TimeoutError:
                 pass
@@ -149,7 +150,7 @@ class Calls:
         self.pending[id] = future
         try:
             peer.send(ops.CallService(id=id, service=service, args=dict(args)))
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 response = await future
         except TimeoutError:
             raise GraphUnavailable(name, f"{service} did not answer within {timeout_s:g} s") from None

@@ -13,6 +13,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequenc
 from functools import partial
 from typing import Any, Final
 
+from ropeway import aio
 from ropeway.errors import ConnectFailed, GraphUnavailable, RopewayError
 from ropeway.graph.base import (
     NO_HINTS,
@@ -152,7 +153,7 @@ class RosbridgeGraph:
         if not self._wait:
             return
         try:
-            async with asyncio.timeout(keeper.limits.open_timeout_s + 1):
+            async with aio.timeout(keeper.limits.open_timeout_s + 1):
                 await keeper.first()
                 if self._watch:
                     await self.mirror.filled.wait()
@@ -177,7 +178,7 @@ class RosbridgeGraph:
         if connection is not None:
             connection.close(1000, "done")
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(2):
+                async with aio.timeout(2):
                     await connection.wait_closed()
                     await self._keeper.left()
         await self._keeper.stop()

@@ -8,6 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
+from ropeway import aio
 from ropeway.errors import (
     CallFailed,
     CallTimeout,
@@ -109,9 +110,9 @@ class RemoteClient:
             try:
                 if peer.dialect is not ROSGW:
                     return await self._ask(peer, request, deadline, timeout_s)
-                async with asyncio.timeout_at(deadline):
-                    async with self._calls.turn(self.service):  # it loses a call that comes during another
-                        return await self._ask(peer, request, deadline, timeout_s)
+                # It loses a call that comes during another, so each has its turn.
+                async with aio.timeout_at(deadline), self._calls.turn(self.service):
+                    return await self._ask(peer, request, deadline, timeout_s)
             except NotServed:
                 if not await self._calls.may_try_again(self, began, deadline):
                     raise

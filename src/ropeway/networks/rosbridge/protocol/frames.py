@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from ropeway.errors import InvalidFrame
 from ropeway.limits import NESTED_CONTAINERS
+from ropeway.patterns import compile_possessive
 from ropeway.types.untrusted import cbor_loads, json_loads
 
 __all__ = ["JsonAssembler", "loads"]
@@ -50,13 +51,13 @@ _FLAT: Final = rb'[\[{](?:[^{}\[\]"]++|"%b")*+[\]}]' % _TEXT
 _NESTED: Final = rb'[\[{](?:[^{}\[\]"]++|"%b"|%b)*+[\]}]' % (_TEXT, _FLAT)
 _DEEPER: Final = rb'[\[{](?:[^{}\[\]"]++|"%b"|%b)*+[\]}]' % (_TEXT, _NESTED)
 _ITEM: Final = rb'(?:"%b"|%b|%b)' % (_TEXT, _SCALAR, _DEEPER)
-_STRING: Final = re.compile(_TEXT, re.DOTALL)
-_TOKEN: Final = re.compile(rb'%b(?:([{}\[\]:,"])|(%b))' % (_WS, _SCALAR))
+_STRING: Final = compile_possessive(_TEXT, re.DOTALL)
+_TOKEN: Final = compile_possessive(rb'%b(?:([{}\[\]:,"])|(%b))' % (_WS, _SCALAR))
 # Many items with their commas in one step, as deep as the poses of a path; whether they are right JSON is seen when
 # the object is read.
-_ITEMS: Final = re.compile(rb"(?:%b%b%b,)++" % (_WS, _ITEM, _WS), re.DOTALL)
-_MEMBERS: Final = re.compile(rb'(?:%b"%b"%b:%b%b%b,)++' % (_WS, _TEXT, _WS, _WS, _ITEM, _WS), re.DOTALL)
-_SPACE: Final = re.compile(_WS)
+_ITEMS: Final = compile_possessive(rb"(?:%b%b%b,)++" % (_WS, _ITEM, _WS), re.DOTALL)
+_MEMBERS: Final = compile_possessive(rb'(?:%b"%b"%b:%b%b%b,)++' % (_WS, _TEXT, _WS, _WS, _ITEM, _WS), re.DOTALL)
+_SPACE: Final = compile_possessive(_WS)
 _LITERALS: Final = (b"-Infinity", b"Infinity", b"NaN", b"true", b"false", b"null")
 _LONGEST_NUMBER: Final = 1024
 _MAX_ERRORS: Final = 64  # in one frame; what has more is not worth the search

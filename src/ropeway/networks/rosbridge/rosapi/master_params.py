@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
+from ropeway import aio
 from ropeway.errors import RopewayError
 from ropeway.listener.globs import Globs
 from ropeway.networks.rosbridge.rosapi.params import from_json, to_json
@@ -68,7 +68,7 @@ class MasterParams:
     async def names(self) -> list[str]:
         """The names of all parameters that the globs show."""
         try:
-            async with asyncio.timeout(self._timeout_s):
+            async with aio.timeout(self._timeout_s):
                 found = await self._server.list_params()
         except (RopewayError, TimeoutError):
             return []
@@ -79,7 +79,7 @@ class MasterParams:
         if not Globs.allows(_absolute(name), self._globs.params):
             return None, f"Parameter {name} does not match any of the glob strings"
         try:
-            async with asyncio.timeout(self._timeout_s):
+            async with aio.timeout(self._timeout_s):
                 return await work(), ""
         except KeyError:
             return None, f"Parameter {name} not found"

@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway import aio
 from ropeway.errors import CallError, CallTimeout, RopewayError, ValueMismatch
 from ropeway.graph.parameters import (
     ParameterType,
@@ -55,7 +56,7 @@ class Params:
     async def get(self, name: str, default: str) -> dict[str, Any]:
         """The value of a parameter, or ``default`` with the reason."""
         try:
-            async with asyncio.timeout(self._timeout_s):
+            async with aio.timeout(self._timeout_s):
                 value = await self._get(*self._split(name, "get_parameters"))
         except (_Refused, RopewayError, TimeoutError) as error:
             return {"value": to_json(from_json(default)), "successful": False, "reason": _reason(error)}
@@ -64,7 +65,7 @@ class Params:
     async def has(self, name: str) -> bool:
         """True if a node has the parameter and it is set."""
         try:
-            async with asyncio.timeout(self._timeout_s):
+            async with aio.timeout(self._timeout_s):
                 await self._get(*self._split(name, "get_parameters"))
         except (_Refused, RopewayError, TimeoutError):
             return False
@@ -73,7 +74,7 @@ class Params:
     async def set(self, name: str, value: str) -> dict[str, Any]:
         """Set a parameter to a JSON text."""
         try:
-            async with asyncio.timeout(self._timeout_s):
+            async with aio.timeout(self._timeout_s):
                 node, parameter = self._split(name, "set_parameters")
                 try:
                     given = json_value(value)
@@ -92,7 +93,7 @@ class Params:
     async def delete(self, name: str) -> dict[str, Any]:
         """Delete a parameter; one that is not there needs no deleting."""
         try:
-            async with asyncio.timeout(self._timeout_s):
+            async with aio.timeout(self._timeout_s):
                 node, parameter = self._split(name, "set_parameters")
                 known = await get_parameters(self._graph, self._registry, node, [parameter], timeout_s=self._timeout_s)
                 if known[parameter] is None:

@@ -7,6 +7,7 @@ import contextlib
 import logging
 from typing import Protocol
 
+from ropeway import aio
 from ropeway.limits import LINGERING_CLIENTS
 from ropeway.tasks import Supervised, end
 
@@ -74,7 +75,7 @@ class Lingering:
                 await self._withdraw_first()
                 continue
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(wait_s):
+                async with aio.timeout(wait_s):
                     await self._wake.wait()
 
     async def _withdraw_first(self) -> None:

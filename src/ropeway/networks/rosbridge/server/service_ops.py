@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway import aio
 from ropeway.errors import (
     CallError,
     CallFailed,
@@ -359,7 +360,7 @@ class OfferedService:
                 encoding=self._compression or "auto",
                 on_unsent=lambda error: self.fail(id, CallFailed(self.name, str(error))),
             )
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 return await answer
         except TimeoutError:
             raise CallTimeout(self.name, timeout_s) from None

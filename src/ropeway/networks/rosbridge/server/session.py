@@ -9,6 +9,7 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from ropeway import aio
 from ropeway.errors import AccessDenied, CallTimeout, InvalidOperation, RopewayError, TypesError, WireError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.limits import SEARCHES_PER_CLIENT, UNREAD_STATUS_BYTES
@@ -230,7 +231,7 @@ class Session:
     async def searching(self, name: str, timeout_s: float) -> AsyncIterator[None]:
         """Look for a name that nobody is known to serve, when few others are looked for. Raises ``CallTimeout``."""
         try:
-            async with asyncio.timeout(timeout_s):
+            async with aio.timeout(timeout_s):
                 await self._searches.acquire()
         except TimeoutError:
             raise CallTimeout(name, timeout_s) from None
