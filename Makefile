@@ -3,7 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-BENCHES = paper scenarios applications loopback urgent big wan start readers services clients overlay nodes
+BENCHES = paper scenarios applications calls loopback urgent big wan start readers services clients overlay nodes
 # The tests of a file run in one process, one after the other; files run beside each other, in their order, as slow ones
 # (of the command) are among the first.
 PARALLEL = -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder

@@ -63,17 +63,18 @@ def matrix() -> bytes:
 def _slope(number: int) -> np.ndarray:
     """Return a smooth field between -1 and 1 that moves from frame to frame."""
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
-    return np.sin((x + 3 * number) / 60) * np.cos((y - number) / 45)
+    field: np.ndarray = np.sin((x + 3 * number) / 60) * np.cos((y - number) / 45)
+    return field
 
 
 def _colour(random: np.random.Generator, number: int) -> np.ndarray:
     grey = 128 + 80 * _slope(number)[:, :, None] * np.array([1.0, 0.9, 0.8])
-    noisy = np.clip(grey + random.normal(0, _NOISE_COLOUR, grey.shape), 0, 255).astype(np.uint8)
+    noisy: np.ndarray = np.clip(grey + random.normal(0, _NOISE_COLOUR, grey.shape), 0, 255).astype(np.uint8)
     noisy[: int(HEIGHT * _PLAIN_COLOUR)] = 0
     return noisy
 
 
 def _depth(random: np.random.Generator, number: int) -> np.ndarray:
-    noisy = (2500 + 1000 * _slope(number) + random.normal(0, _NOISE_DEPTH, (HEIGHT, WIDTH))).astype("<u2")
+    noisy: np.ndarray = (2500 + 1000 * _slope(number) + random.normal(0, _NOISE_DEPTH, (HEIGHT, WIDTH))).astype("<u2")
     noisy[: int(HEIGHT * _PLAIN_DEPTH)] = 0  # out of reach
     return noisy

@@ -14,9 +14,8 @@ import asyncio
 import json
 import os
 import struct
-import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -118,9 +117,9 @@ async def source(args: argparse.Namespace) -> None:
     began = loop.time()
     n = 0
     while loop.time() - began < args.seconds and (not args.count or n < args.count):
-        for publisher, type, payloads in parts:
+        for publisher, type, stream in parts:
             now = time.time_ns()
-            publisher.publish(Sample(restamp(next(payloads), now), type, now, bytes(16), SEQ_NONE))
+            publisher.publish(Sample(restamp(next(stream), now), type, now, bytes(16), SEQ_NONE))
         n += 1
         if args.hz:
             ahead = began + n / args.hz - loop.time()
@@ -153,7 +152,7 @@ async def sink(args: argparse.Namespace) -> None:
     for topic in args.topic.split(","):
         rows = got[topic] = []
 
-        def receive(batch: list[Sample], rows: list[tuple[float, float, int]] = rows) -> None:
+        def receive(batch: Sequence[Sample], rows: list[tuple[float, float, int]] = rows) -> None:
             nonlocal wrong
             now = time.time_ns()
             for sample in batch:
@@ -221,4 +220,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,0 +1,28 @@
+"""bench.calls: what a message and a service call cost, counted."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from bench.calls import measure
+
+from tests.support.ports import free_port
+
+_SAMPLES: Final = 10
+_MOST: Final = {
+    "publish: DDS reader to socket": 71,
+    "publish: socket to DDS writer": 27,
+    "subscribe: DDS reader to socket": 69,
+    "subscribe: socket to DDS writer": 28,
+    "reserve-service: there and back": 479,
+    "expose-service: there and back": 438,
+}
+
+
+async def test_messages_and_service_calls_cost_no_more_python_calls_than_they_did() -> None:
+    """A warm message, and a service call with its answer, take no more Python calls than they did before."""
+    counts = await measure(samples=_SAMPLES, port=free_port())
+    found = {count.way: len(count.calls) for count in counts}
+    longer = ["\n".join((count.way, *count.calls)) for count in counts if found[count.way] > _MOST[count.way]]
+    assert found.keys() == _MOST.keys()
+    assert not longer, "\n\n".join(longer)
