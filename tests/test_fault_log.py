@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ropeway.fault_log import Complaints
+from ropeway.fault_log import FaultLog
 
 
 class Clock:
@@ -18,7 +18,7 @@ class Clock:
 def test_counts_everything_and_logs_once_a_minute(caplog: pytest.LogCaptureFixture) -> None:
     """Every fault counts by kind and topic; each kind is logged once a minute, with peer and topic."""
     clock = Clock()
-    complaints = Complaints("10.0.0.7:5000", clock)
+    complaints = FaultLog("10.0.0.7:5000", clock)
     for second in range(59):
         clock.now = 100.0 + second
         complaints.note("message", "/imu", "field x: not a number")
@@ -38,7 +38,7 @@ def test_counts_everything_and_logs_once_a_minute(caplog: pytest.LogCaptureFixtu
 
 def test_many_topics(caplog: pytest.LogCaptureFixture) -> None:
     """A peer that invents topics fills neither the table nor the log."""
-    complaints = Complaints("peer")
+    complaints = FaultLog("peer")
     for i in range(100_000):
         complaints.note("unknown topic", f"/t{i}", "it was not advertised")
     assert len(complaints.counts) < 2000
@@ -48,7 +48,7 @@ def test_many_topics(caplog: pytest.LogCaptureFixture) -> None:
 
 def test_long_and_odd_texts(caplog: pytest.LogCaptureFixture) -> None:
     """What a peer sends is kept and logged in short, on one line, without control characters."""
-    complaints = Complaints("peer")
+    complaints = FaultLog("peer")
     complaints.note("operation", "/x" * 10_000_000, "y" * 10_000_000)
     complaints.note("frame", "\x1b[2J\nroot: all is well", "\udc80 half a character")
     ((_, long), (_, odd)) = complaints.counts

@@ -29,6 +29,16 @@ def test_no_bare_except() -> None:
                 assert node.type is not None, f"{path}:{node.lineno}"
 
 
+def test_a_public_class_name_exists_once() -> None:
+    """A public class name leads to one definition in the package."""
+    places: dict[str, list[str]] = {}
+    for path in sorted(SOURCES.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(f"{path.relative_to(SOURCES)}:{node.lineno}")
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}
+
+
 AWAITED = "whoever begins it waits for it there, and sees how it ends"
 ANSWERED = "when it is done, a callback logs its failure and answers whoever waits"
 ALLOWED_TASKS = {

@@ -8,7 +8,7 @@ from fuzz.target import Target
 from ropeway.errors import TypesError
 from ropeway.types import TypeRegistry
 from ropeway.types.idl import parse_idl
-from ropeway.types.told import Teller
+from ropeway.types.told_types import DefinitionTeller
 
 __all__ = ["TARGETS"]
 
@@ -49,7 +49,7 @@ module fuzz { module msg {
 def _definition(data: bytes) -> None:
     """A text that a peer tells of a type is refused, or gives a codec that reads what it writes."""
     registry = TypeRegistry()
-    Teller(registry).tell("fuzz/msg/Main", data.decode(errors="replace"))
+    DefinitionTeller(registry).tell("fuzz/msg/Main", data.decode(errors="replace"))
     _use(registry, "fuzz/msg/Main")
 
 
@@ -70,7 +70,7 @@ def _interface(data: bytes) -> None:
         ("srv", ("_Request", "_Response")) if data[:1] < b"\x80" else ("action", ("_Goal", "_SendGoal_Request"))
     )
     registry = TypeRegistry()
-    Teller(registry).tell(f"fuzz/{kind}/Main", data[1:].decode(errors="replace"))
+    DefinitionTeller(registry).tell(f"fuzz/{kind}/Main", data[1:].decode(errors="replace"))
     registry.hash(f"fuzz/{kind}/Main")
     for part in parts:
         _use(registry, f"fuzz/{kind}/Main{part}")

@@ -19,8 +19,8 @@ from ropeway.networks.overlay.crypto import channel
 from ropeway.networks.overlay.crypto.seal import ContentKey, Grant, Opener, Sealer
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.feed import read_item
-from ropeway.networks.overlay.item import RAW, ZSTD, Item, pack
 from ropeway.networks.overlay.names import Metadata, global_name
+from ropeway.networks.overlay.packet_item import RAW, ZSTD, PacketItem, pack
 
 __all__ = ["TARGETS"]
 
@@ -84,7 +84,7 @@ def _sealed(data: bytes) -> None:
 
 
 def _items() -> list[bytes]:
-    item = Item(1, 2, 3, _GATEWAY, 0, RAW, b"\0\1\0\0payload")
+    item = PacketItem(1, 2, 3, _GATEWAY, 0, RAW, b"\0\1\0\0payload")
     image = struct.pack("<BBBxIIII", 3, 4, 2, 0, 0, 1600, 400)
     bodies = (filters.encode(bytes(2000), ""), filters.encode(b"x", ""), image)
     return [pack(item), b"item".join(pack(item._replace(encoding=ZSTD, payload=body)) for body in bodies)]

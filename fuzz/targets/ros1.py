@@ -51,16 +51,16 @@ class _Frames:
         self.fields: dict[str, str] | None = None
         self.found: list[bytes] = []
 
-    def made(self, connection: tcpros.Connection) -> None:
+    def made(self, connection: tcpros.TcprosConnection) -> None:
         pass
 
-    def header(self, connection: tcpros.Connection, fields: dict[str, str]) -> None:
+    def header(self, connection: tcpros.TcprosConnection, fields: dict[str, str]) -> None:
         self.fields = fields
 
-    def frames(self, connection: tcpros.Connection, frames: Sequence[bytes]) -> None:
+    def frames(self, connection: tcpros.TcprosConnection, frames: Sequence[bytes]) -> None:
         self.found += frames
 
-    def lost(self, connection: tcpros.Connection) -> None:
+    def lost(self, connection: tcpros.TcprosConnection) -> None:
         pass
 
     writable = lost
@@ -68,7 +68,7 @@ class _Frames:
 
 def _read(pieces: Sequence[bytes]) -> tuple[dict[str, str] | None, list[bytes], bool]:
     receiver, transport = _Frames(), _Transport()
-    connection = tcpros.Connection(receiver)
+    connection = tcpros.TcprosConnection(receiver)
     connection.connection_made(cast("object", transport))  # type: ignore[arg-type]
     for piece in pieces:
         if not transport.closing:

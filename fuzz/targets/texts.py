@@ -13,7 +13,7 @@ from ropeway.gateway.config.auth_model import parse_glob
 from ropeway.graph.base import resolve_name
 from ropeway.graph.parameters import ParameterType, to_message
 from ropeway.networks.iort.forms import FORMS, Form, make_form
-from ropeway.networks.rosbridge.client.notes import read_note
+from ropeway.networks.rosbridge.client.call_notes import read_note
 from ropeway.networks.rosbridge.rosapi.params import _fitted, from_json, to_json
 from ropeway.qos import QoS
 from ropeway.types import TypeRegistry

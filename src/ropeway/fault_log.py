@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Final
 
-__all__ = ["ABSENT", "Complaints"]
+__all__ = ["ABSENT", "FaultLog"]
 
 log = logging.getLogger("ropeway.link")
 
@@ -32,7 +32,7 @@ ABSENT: Final = _Absent()
 """The id of an operation that has none."""
 
 
-class Complaints:
+class FaultLog:
     """What one peer did wrong.
 
     ``counts`` maps (kind, topic) to how often. Kinds are short words: ``frame``, ``operation``, ``type``,

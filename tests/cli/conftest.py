@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ropeway.cli.session import Session
+from ropeway.cli.session import OpenGraph
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.types import TypeRegistry
 from tests.support.until import PATIENCE_S
@@ -25,13 +25,13 @@ def registry() -> TypeRegistry:
 
 
 @pytest.fixture
-async def pair(registry: TypeRegistry, request: pytest.FixtureRequest) -> AsyncIterator[tuple[Session, Session]]:
+async def pair(registry: TypeRegistry, request: pytest.FixtureRequest) -> AsyncIterator[tuple[OpenGraph, OpenGraph]]:
     """Two participants of one network inside this process."""
     name = request.node.name.replace("[", "-").replace("]", "")
     graphs = [MemoryGraph(name, node=node) for node in ("/here", "/there")]
     for graph in graphs:
         await graph.open()
-    yield Session(graphs[0], registry), Session(graphs[1], registry)
+    yield OpenGraph(graphs[0], registry), OpenGraph(graphs[1], registry)
     for graph in graphs:
         await graph.close()
 

@@ -9,7 +9,7 @@ import pytest
 
 from ropeway import aio
 from ropeway.cli.patience import Patience, patiently, served_within, why_silent
-from ropeway.cli.session import Session
+from ropeway.cli.session import OpenGraph
 from ropeway.graph.calls import Request
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.qos import DEFAULT, LATCHED, SENSOR_DATA, QoS
@@ -46,7 +46,7 @@ async def test_what_has_come_is_waited_for_no_longer(capsys: pytest.CaptureFixtu
     assert capsys.readouterr().err == ""
 
 
-async def test_why_nothing_comes(pair: tuple[Session, Session]) -> None:
+async def test_why_nothing_comes(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """The graph tells that nobody publishes, or publishes another type or with other QoS, or sends nothing."""
     here, there = pair
     await there.graph.create_publisher("/odom", STRING, SENSOR_DATA)

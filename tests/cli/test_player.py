@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from mcap.writer import Writer as McapWriter
 
 from ropeway.cli.bagfile import Bag, BagTopic, Record
-from ropeway.cli.player import Pace, Played, play, read_ahead, restamped
-from ropeway.cli.session import Session
+from ropeway.cli.player import PlaybackSchedule, Played, play, read_ahead, restamped
+from ropeway.cli.session import OpenGraph
 from ropeway.graph.base import Sample
 from ropeway.types import TypeRegistry
 from tests.cli.conftest import Ropeway
@@ -50,7 +50,7 @@ def recording(tmp_path: Path, registry: TypeRegistry) -> Path:
 
 @pytest.mark.jumping
 async def test_everything_arrives_in_order_and_at_the_recorded_pace(
-    pair: tuple[Session, Session], recording: Path, registry: TypeRegistry
+    pair: tuple[OpenGraph, OpenGraph], recording: Path, registry: TypeRegistry
 ) -> None:
     """The messages come as they were recorded, as far apart as they were."""
     here, there = pair
@@ -75,7 +75,7 @@ async def test_everything_arrives_in_order_and_at_the_recorded_pace(
 
 
 @pytest.mark.jumping
-async def test_rate_and_topics(pair: tuple[Session, Session], recording: Path, registry: TypeRegistry) -> None:
+async def test_rate_and_topics(pair: tuple[OpenGraph, OpenGraph], recording: Path, registry: TypeRegistry) -> None:
     """Ten times the rate takes a tenth of the time; topics that are not named stay silent."""
     with Bag(recording, registry) as bag:
         watch = Stopwatch()
@@ -85,7 +85,7 @@ async def test_rate_and_topics(pair: tuple[Session, Session], recording: Path, r
     assert "/point" not in pair[0].graph.topics()
 
 
-async def test_restamp(pair: tuple[Session, Session], recording: Path, registry: TypeRegistry) -> None:
+async def test_restamp(pair: tuple[OpenGraph, OpenGraph], recording: Path, registry: TypeRegistry) -> None:
     """Headers get the time of sending, the rest of a message stays as it was."""
     here, there = pair
     got: list[Sample] = []
@@ -110,7 +110,7 @@ def test_restamped_keeps_the_byte_order(registry: TypeRegistry) -> None:
 
 @pytest.mark.jumping
 async def test_loop_until_the_time_is_over(
-    pair: tuple[Session, Session], recording: Path, registry: TypeRegistry
+    pair: tuple[OpenGraph, OpenGraph], recording: Path, registry: TypeRegistry
 ) -> None:
     """A loop starts again with the usual gap and ends in time."""
     told: list[int] = []
@@ -126,7 +126,7 @@ async def test_loop_until_the_time_is_over(
 
 
 async def test_cancelling_closes_everything(
-    pair: tuple[Session, Session], recording: Path, registry: TypeRegistry
+    pair: tuple[OpenGraph, OpenGraph], recording: Path, registry: TypeRegistry
 ) -> None:
     """A player that is cancelled withdraws its topics."""
     here, there = pair
@@ -140,7 +140,7 @@ async def test_cancelling_closes_everything(
 
 
 @pytest.mark.jumping
-async def test_waits_for_readers(pair: tuple[Session, Session], recording: Path, registry: TypeRegistry) -> None:
+async def test_waits_for_readers(pair: tuple[OpenGraph, OpenGraph], recording: Path, registry: TypeRegistry) -> None:
     """The first message waits until each topic is read, and not for ever."""
     here, there = pair
     got: list[Sample] = []
@@ -200,7 +200,7 @@ STAMPS = st.one_of(st.integers(0, 2**64 - 1), st.integers(0, 10 * SECOND))
 @given(st.lists(STAMPS, min_size=1, max_size=40))
 def test_no_stamp_is_waited_for_for_ever(stamps: list[int]) -> None:
     """Whatever the stamps, no message is due long after the one before, and none before it."""
-    pace = Pace(60.0)
+    pace = PlaybackSchedule(60.0)
     due = [pace.due(stamp) for stamp in stamps]
     assert all(0 <= after - before <= 60.0 for before, after in itertools.pairwise(due))
     assert due[0] == 0
@@ -208,7 +208,7 @@ def test_no_stamp_is_waited_for_for_ever(stamps: list[int]) -> None:
 
 def test_pauses_are_kept_up_to_a_limit() -> None:
     """Messages keep their distance, also those behind an impossible stamp, and what is skipped is counted."""
-    pace = Pace(60.0)
+    pace = PlaybackSchedule(60.0)
     start = 1_700_000_000 * SECOND
     stamps = [0, start, start + SECOND, 2**63, start + 2 * SECOND, start + 4 * SECOND, start + 3 * SECOND]
     assert [pace.due(stamp) for stamp in stamps] == [0.0, 1.0, 2.0, 3.0, 3.0, 5.0, 5.0]

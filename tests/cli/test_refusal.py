@@ -6,7 +6,7 @@ from contextlib import AsyncExitStack
 
 import pytest
 
-from ropeway.cli.session import Session
+from ropeway.cli.session import OpenGraph
 from ropeway.cli.topic.echo import echo
 from ropeway.cli.topic.pub import publish
 from ropeway.cli.topic.watch import meter
@@ -37,13 +37,13 @@ async def serve(stack: AsyncExitStack, registry: TypeRegistry, door: Door) -> Ro
     return server
 
 
-async def join(stack: AsyncExitStack, server: RosbridgeServer, token: str = "") -> Session:
+async def join(stack: AsyncExitStack, server: RosbridgeServer, token: str = "") -> OpenGraph:
     """A verb's session at the server."""
     headers = {"Authorization": f"Bearer {token}"} if token else None
     graph = RosbridgeGraph(f"ws://127.0.0.1:{server.listeners[0].port}", registry=server.registry, headers=headers)
     await graph.open()
     stack.push_async_callback(graph.close)
-    return Session(graph, server.registry)
+    return OpenGraph(graph, server.registry)
 
 
 async def test_a_topic_that_is_refused_ends_the_verb(stack: AsyncExitStack, registry: TypeRegistry) -> None:

@@ -8,7 +8,7 @@ from contextlib import AsyncExitStack
 import pytest
 import typer
 
-from ropeway.cli.session import Session, default_graph, find_topic, qos_of, settle, topic_name
+from ropeway.cli.session import OpenGraph, default_graph, find_topic, qos_of, settle, topic_name
 from ropeway.errors import GraphUnavailable
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.networks.rosbridge.client import RosbridgeGraph
@@ -52,7 +52,7 @@ def test_topic_names_are_made_absolute(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.jumping
-async def test_settle_ends_when_nothing_new_comes(pair: tuple[Session, Session]) -> None:
+async def test_settle_ends_when_nothing_new_comes(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """Discovery is over once something is there and the network is quiet."""
     here, there = pair
     await there.graph.create_publisher("/a", STRING)
@@ -62,14 +62,14 @@ async def test_settle_ends_when_nothing_new_comes(pair: tuple[Session, Session])
 
 
 @pytest.mark.jumping
-async def test_settle_is_bounded(pair: tuple[Session, Session]) -> None:
+async def test_settle_is_bounded(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """Where nothing is there, the wait ends in time."""
     watch = Stopwatch()
     assert await settle(pair[0].graph, 0.2) == {}
     assert watch.seconds == 0.2
 
 
-async def test_settle_leaves_out_what_is_only_ours(pair: tuple[Session, Session]) -> None:
+async def test_settle_leaves_out_what_is_only_ours(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """Our own ends are not part of the network."""
     here, _ = pair
     await here.graph.create_publisher("/mine", STRING)
@@ -77,7 +77,7 @@ async def test_settle_leaves_out_what_is_only_ours(pair: tuple[Session, Session]
 
 
 @pytest.mark.jumping
-async def test_find_topic_returns_when_it_appears(pair: tuple[Session, Session]) -> None:
+async def test_find_topic_returns_when_it_appears(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """A topic that appears while we wait is found at once."""
     here, there = pair
     waiting = asyncio.create_task(find_topic(here.graph, "/late", 10.0, published=True))
@@ -111,7 +111,7 @@ async def test_settle_waits_for_what_is_announced() -> None:
         assert 0.8 <= watch.seconds < 1.0
 
 
-async def test_nothing_there(pair: tuple[Session, Session], capsys: pytest.CaptureFixture[str]) -> None:
+async def test_nothing_there(pair: tuple[OpenGraph, OpenGraph], capsys: pytest.CaptureFixture[str]) -> None:
     """An empty network is told as such; where nobody tells what there is, that is an error."""
     assert await settle(pair[0].graph, 0.0) == {}
     assert "nothing was discovered on" in capsys.readouterr().err

@@ -19,7 +19,7 @@ from ropeway.gateway.config.auth_model import parse_glob
 from ropeway.gateway.gateway import Gateway
 from ropeway.gateway.process.supervisor import Supervisor
 from ropeway.listener.authorization import EVERYTHING, Role
-from ropeway.listener.http import Request
+from ropeway.listener.http import HttpRequest
 from tests.gateway.test_tls import Authority, gateway, url
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
@@ -156,8 +156,8 @@ def test_schema() -> None:
 # ── the door ───────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def asked(token: str = "") -> Request:
-    return Request("GET", f"/?token={token}" if token else "/", "HTTP/1.1", {})
+def asked(token: str = "") -> HttpRequest:
+    return HttpRequest("GET", f"/?token={token}" if token else "/", "HTTP/1.1", {})
 
 
 def test_door(token_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from ropeway.errors import ConfigError
 from ropeway.gateway.config import config
 from ropeway.gateway.config.iort_model import robots
 from ropeway.gateway.gateway import Gateway
-from ropeway.gateway.last_value import Keeper
+from ropeway.gateway.last_value import LastValue
 from ropeway.graph.base import Sample
 from ropeway.iort import AsyncNode
 from ropeway.networks.memory.graph import MemoryGraph
@@ -390,8 +390,8 @@ async def test_messages_for_nodes(world: World) -> None:
     """A stored message of ROS is text for nodes: by its map, or as JSON."""
     gateway, _ = await with_nodes(world, ["pepper"])
     assert gateway.store is not None
-    Keeper(gateway.store, "PEPPER", "cmd_vel", TWIST).put(twist(1.0))
-    Keeper(gateway.store, "robot1", "chat", STRING).put(sample("hi"))
+    LastValue(gateway.store, "PEPPER", "cmd_vel", TWIST).put(twist(1.0))
+    LastValue(gateway.store, "robot1", "chat", STRING).put(sample("hi"))
     node = await Raw.connect(nodes_port(gateway))
     assert (await node.ask(b"%01/PEPPER/cmd_vel/s%")).data == b"1.0,0.0,0.0,0.0,0.0,0.0"
     assert (await node.ask(b"%01/robot1/chat/s%")).data == b"hi"

@@ -22,7 +22,7 @@ from ropeway.graph.calls import (
     ServiceInfo,
 )
 from ropeway.hub.hub import Hub
-from ropeway.hub.ownership import Entry, Holders
+from ropeway.hub.ownership import Claim, NameOwners
 from ropeway.networks.memory.graph import MemoryGraph
 from tests.support.actions import FIBONACCI
 from tests.support.until import PATIENCE_S, until
@@ -261,8 +261,8 @@ async def _nothing() -> _Nothing:
 async def test_younger_gateway_gives_way() -> None:
     """Of two gateways that begin to serve a name unseen by each other, the older keeps it."""
     shown = _Shown()
-    holders: Holders[str] = Holders("service", "dds:0", "us", shown)
-    entry = Entry("/s", "route", "", _nothing)
+    holders: NameOwners[str] = NameOwners("service", "dds:0", "us", shown)
+    entry = Claim("/s", "route", "", _nothing)
     await holders.add(entry)
     assert entry.serving
     shown.servers = (ProviderInfo(gateway="them", since_ns=entry.since_ns + 10),)

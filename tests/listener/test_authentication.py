@@ -11,7 +11,7 @@ import pytest
 from ropeway.listener.authentication import CertificateRule, Door, TokenRule, given_token, subprotocol, unserved
 from ropeway.listener.authorization import EVERYTHING, Role
 from ropeway.listener.hosts import Hosts
-from ropeway.listener.http import Request, Response, parse_head
+from ropeway.listener.http import HttpRequest, Response, parse_head
 from tests.support.place import Place
 from tests.support.until import until
 
@@ -20,7 +20,7 @@ VIEWER = Role("viewer", {"subscribe": ("*",)})
 TOKENS = (TokenRule.plain("open-sesame", OPERATOR), TokenRule.plain("just-looking", VIEWER))
 
 
-def request(path: str = "/", **headers: str) -> Request:
+def request(path: str = "/", **headers: str) -> HttpRequest:
     lines = [f"GET {path} HTTP/1.1", *(f"{name.replace('_', '-')}: {value}" for name, value in headers.items())]
     return parse_head("\r\n".join([*lines, "", ""]).encode())
 
@@ -37,7 +37,7 @@ def request(path: str = "/", **headers: str) -> Request:
         request("/?token=wrong", authorization="Bearer open-sesame"),
     ],
 )
-def test_ways_to_show_a_token(asked: Request) -> None:
+def test_ways_to_show_a_token(asked: HttpRequest) -> None:
     """A token comes as a header, in the query or as a subprotocol; the header goes first."""
     assert Door(TOKENS, default=None).role_of(asked) is OPERATOR
 
@@ -55,7 +55,7 @@ def test_ways_to_show_a_token(asked: Request) -> None:
         request(sec_websocket_protocol="open-sesame"),
     ],
 )
-def test_no_token(asked: Request) -> None:
+def test_no_token(asked: HttpRequest) -> None:
     """Without the token the answer is 401, and says that a bearer token is wanted, but nothing of what was shown."""
     refused = Door(TOKENS, default=None).role_of(asked)
     assert isinstance(refused, Response)
@@ -107,7 +107,7 @@ CERTIFICATE = {
 def test_certificates(rule: dict[str, str], fits: bool) -> None:
     """A certificate is known by name, alternative name or fingerprint; all that a rule names must fit."""
     made = CertificateRule(OPERATOR, **rule)
-    asked = Request("GET", "/", "HTTP/1.1", {}, certificate=CERTIFICATE, fingerprint="ab" * 32)
+    asked = HttpRequest("GET", "/", "HTTP/1.1", {}, certificate=CERTIFICATE, fingerprint="ab" * 32)
     assert made.fits(asked) is fits
     assert not made.fits(request())
     role = Door(certificates=[made], default=None).role_of(asked)
@@ -118,8 +118,8 @@ def test_token_before_certificate() -> None:
     """A token says more than the certificate beside it."""
     door = Door(TOKENS, [CertificateRule(OPERATOR, common_name="*")], None)
     headers = {"authorization": "Bearer just-looking"}
-    assert door.role_of(Request("GET", "/", "HTTP/1.1", headers, certificate=CERTIFICATE)) is VIEWER
-    assert door.role_of(Request("GET", "/", "HTTP/1.1", {}, certificate=CERTIFICATE)) is OPERATOR
+    assert door.role_of(HttpRequest("GET", "/", "HTTP/1.1", headers, certificate=CERTIFICATE)) is VIEWER
+    assert door.role_of(HttpRequest("GET", "/", "HTTP/1.1", {}, certificate=CERTIFICATE)) is OPERATOR
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import logging
 import pytest
 
 from ropeway.limits import WRONG_TOKENS
-from ropeway.listener.authentication import Door, Refusal, TokenRule
+from ropeway.listener.authentication import Door, Rejection, TokenRule
 from ropeway.listener.authorization import EVERYTHING, Role
-from ropeway.listener.http import Request
+from ropeway.listener.http import HttpRequest
 from tests.support.place import Place
 from tests.support.websocket import fetch
 
@@ -89,7 +89,7 @@ def test_what_is_counted() -> None:
     found = {
         made.reason
         for name in ("a.example", "b.example")
-        for made in [door.refuses(Request("GET", "/", "HTTP/1.1", {"host": name, "origin": f"http://{name}"}))]
-        if isinstance(made, Refusal)
+        for made in [door.refuses(HttpRequest("GET", "/", "HTTP/1.1", {"host": name, "origin": f"http://{name}"}))]
+        if isinstance(made, Rejection)
     }
     assert len(found) == 1

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from ropeway.listener.hosts import Hosts, host_of, own_names
-from ropeway.listener.http import Request
+from ropeway.listener.http import HttpRequest
 
 NAMES = frozenset(("robot", "robot.local", "robot.example.com"))
 
 
-def request(host: str = "127.0.0.1:9090", origin: str = "", local: str = "127.0.0.1") -> Request:
+def request(host: str = "127.0.0.1:9090", origin: str = "", local: str = "127.0.0.1") -> HttpRequest:
     headers = {**({"host": host} if host else {}), **({"origin": origin} if origin else {})}
-    return Request("GET", "/", "HTTP/1.1", headers, local=local)
+    return HttpRequest("GET", "/", "HTTP/1.1", headers, local=local)
 
 
 @pytest.mark.parametrize(

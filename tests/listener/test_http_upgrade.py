@@ -15,7 +15,7 @@ import pytest
 
 from ropeway import aio
 from ropeway.listener.connection import Connection, Limits
-from ropeway.listener.http import MAX_HEAD_BYTES, Request, Response, reply
+from ropeway.listener.http import MAX_HEAD_BYTES, HttpRequest, Response, reply
 from ropeway.listener.http_upgrade import Admission
 from ropeway.listener.listener import Listener
 from ropeway.listener.lobby import Lobby
@@ -45,11 +45,11 @@ class Place:
     def __init__(self, stack: AsyncExitStack) -> None:
         self.stack = stack
         self.connections: list[Connection] = []
-        self.requests: list[Request] = []
+        self.requests: list[HttpRequest] = []
         self.server: Listener
         self.tls: ssl.SSLContext | None = None
 
-    def answer(self, request: Request) -> Response | asyncio.Protocol:
+    def answer(self, request: HttpRequest) -> Response | asyncio.Protocol:
         self.requests.append(request)
         if request.path == "/echo":
             return Echo()
@@ -203,7 +203,7 @@ async def test_many_who_say_nothing(place: Place) -> None:
 async def test_admission(place: Place) -> None:
     """``admit`` refuses with any answer, or lets a client in with a subprotocol, limits and a grant of its own."""
 
-    def admit(request: Request) -> Admission | Response:
+    def admit(request: HttpRequest) -> Admission | Response:
         if "token" not in request.query:
             return reply(401, {"error": "no"}, WWW_Authenticate="Bearer")
         return Admission("chosen", Limits(ping_interval_s=None, max_message_bytes=2000), "the grant")

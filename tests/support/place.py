@@ -80,7 +80,7 @@ class Place:
         """What all clients did wrong: how often by kind."""
         out: dict[str, int] = {}
         for session in self.server.sessions:
-            for (kind, _), n in session.peer.complaints.counts.items():
+            for (kind, _), n in session.peer.fault_log.counts.items():
                 out[kind] = out.get(kind, 0) + n
         return out
 

@@ -12,7 +12,7 @@ from ropeway.errors import DecodeError
 from ropeway.types import TypeRegistry
 from ropeway.types.distros import CHANGED
 from ropeway.types.stores import DISTROS, store_table
-from ropeway.types.told import Teller
+from ropeway.types.told_types import DefinitionTeller
 
 from .messages import random_message
 
@@ -106,7 +106,7 @@ def test_what_peers_tell_with_types_of_their_distribution() -> None:
     """A peer of another distribution may tell a type of its own with the standard types as it has them."""
     registry, humble = TypeRegistry(), TypeRegistry("humble", alone=True)
     humble.add_text("my_msgs/msg/Scan", "sensor_msgs/Range[] ranges\n")
-    Teller(registry, graph=True).tell("my_msgs/msg/Scan", humble.full_text("my_msgs/msg/Scan"))
+    DefinitionTeller(registry, graph=True).tell("my_msgs/msg/Scan", humble.full_text("my_msgs/msg/Scan"))
     assert registry.hash("my_msgs/msg/Scan") != humble.hash("my_msgs/msg/Scan")
     raw = humble.codec("my_msgs/msg/Scan").encode({"ranges": [{"range": 1.25}]})
     assert registry.codec("my_msgs/msg/Scan").decode(raw)["ranges"][0]["range"] == 1.25

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ropeway.types import TypeRegistry
-from ropeway.types.told import Teller
+from ropeway.types.told_types import DefinitionTeller
 from ropeway.types.variant import Variant, make_network
 
 GOAL = "goal_msgs/action/Reach"
@@ -67,7 +67,7 @@ def test_a_network_follows_our_definitions() -> None:
     name = "my_msgs/msg/Scan"
     assert not theirs.has(name)
     assert not theirs.differs(name)
-    teller = Teller(theirs)
+    teller = DefinitionTeller(theirs)
     teller.tell(name, "sensor_msgs/Range[] ranges\n")
     assert ours.has(name)
     assert theirs.differs(name)

@@ -67,7 +67,7 @@ async def _open(config: Mapping[str, Any] | Sequence[Any] | str | Path | Config)
         load,
         parse,
     )
-    from ropeway.gateway.making import make_gateway
+    from ropeway.gateway.factory import make_gateway
 
     if not isinstance(config, Config):
         config = load(config) if isinstance(config, (str, Path)) else parse(config)

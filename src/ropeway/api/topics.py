@@ -15,9 +15,9 @@ from ropeway.api.inbox import Inbox
 from ropeway.api.message import MessageType, TypedMessage
 from ropeway.api.part import Part
 from ropeway.errors import GraphUnavailable, Refused, TypeConflict, WaitTimeout
-from ropeway.graph.answer import Answering
 from ropeway.graph.base import SEQ_NONE, Sample, Undelivered, new_origin
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
+from ropeway.graph.peer_answer import Answering
 from ropeway.qos import QoS
 
 if TYPE_CHECKING:

@@ -15,12 +15,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, NamedTuple
 
-from ropeway.cli.recording import DAMAGED, Channel, Source, open_recording, reason_of
+from ropeway.cli.recording import DAMAGED, RecordedChannel, Recording, open_recording, reason_of
 from ropeway.errors import BagUnreadable, InvalidName, TypeConflict, TypesError
 from ropeway.graph.base import resolve_name
 from ropeway.qos import DEFAULT, QoS, common_qos
 from ropeway.types import TypeRegistry
-from ropeway.types.told import check_text
+from ropeway.types.told_types import check_text
 from ropeway.types.variant import Variant
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class Bag:
         self.topics: list[BagTopic] = []
         self.dropped: Counter[str] = Counter()
         self._stack = ExitStack()
-        self._source: Source
+        self._source: Recording
         self._by_channel: dict[int, BagTopic] = {}
 
     def __enter__(self) -> Self:
@@ -131,7 +131,7 @@ class Bag:
             raise BagUnreadable(str(self.path), reason_of(error)) from error
 
     def _learn(self) -> None:
-        groups: dict[tuple[str, str, str], list[Channel]] = {}
+        groups: dict[tuple[str, str, str], list[RecordedChannel]] = {}
         for channel in self._source.channels:
             groups.setdefault((channel.topic, channel.type, channel.encoding), []).append(channel)
         for (_, type, _), channels in groups.items():
@@ -139,7 +139,7 @@ class Bag:
             self.topics.append(topic)
             self._by_channel.update((channel.id, topic) for channel in channels)
 
-    def _topic(self, type: str, channels: list[Channel]) -> BagTopic:
+    def _topic(self, type: str, channels: list[RecordedChannel]) -> BagTopic:
         first = channels[0]
         topic = BagTopic(first.topic, type, sum(c.count for c in channels), common_qos(c.qos for c in channels))
         if first.encoding not in ("cdr", "ros1"):

@@ -25,7 +25,7 @@ from ropeway.errors import TypesError
 from ropeway.graph.base import SEQ_NONE, Graph, Publisher, Sample, new_origin
 from ropeway.types.definition import HEADER, FieldType
 
-__all__ = ["MAX_GAP_S", "Pace", "Played", "play", "read_ahead", "restamped"]
+__all__ = ["MAX_GAP_S", "PlaybackSchedule", "Played", "play", "read_ahead", "restamped"]
 
 MAX_GAP_S: Final = 60.0
 """The longest pause that is played as it was recorded. Longer ones are seldom meant: a recorder that was stopped, a
@@ -54,7 +54,7 @@ class Played:
     by_topic: Counter[str] = field(default_factory=Counter)
 
 
-class Pace:
+class PlaybackSchedule:
     """When each message of a round is due, counted from its first.
 
     Stamps that lie further apart than ``max_gap_s``, forwards or backwards, are no pause that anybody wants to wait
@@ -167,7 +167,7 @@ async def play(
     """Publish the recording on ``graph``; returns what was played.
 
     ``rate`` is how much faster than recorded; ``for_s`` ends it after so many seconds (``None``: at its end);
-    ``wait_s`` is how long to wait for subscribers first; ``max_gap_s`` is the longest pause to keep (see ``Pace``);
+    ``wait_s`` is how long to wait for subscribers first; ``max_gap_s`` the longest pause kept (``PlaybackSchedule``);
     ``restamp`` puts the time of sending into headers; ``told`` is called after each message.
     """
     chosen = [topic for topic in bag.topics if not topic.problem and (not topics or topic.name in topics)]
@@ -180,7 +180,7 @@ async def play(
         began = 0.0
         ends = math.inf
         while chosen:
-            pace, first = Pace(max_gap_s), played.messages
+            pace, first = PlaybackSchedule(max_gap_s), played.messages
             async with aclosing(read_ahead(bag.records(topics))) as batches:
                 async for record in _flat(batches):
                     if not played.messages:  # the clock starts when the first batch has been read

@@ -10,8 +10,8 @@ from typing import Final
 from ropeway import aio
 from ropeway.cli.console import complain
 from ropeway.errors import Refused
-from ropeway.graph.answer import Answering
 from ropeway.graph.base import Graph, Publisher, Subscription
+from ropeway.graph.peer_answer import Answering
 from ropeway.tasks import Interruptible
 
 __all__ = ["taken", "unless_refused"]

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.cli.printer import Printer
 from ropeway.errors import ConfigError, ConnectFailed
-from ropeway.gateway.making import make_gateway
+from ropeway.gateway.factory import make_gateway
 
 if TYPE_CHECKING:
     from ropeway.gateway.config.config import Config

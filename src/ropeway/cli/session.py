@@ -16,9 +16,9 @@ from ropeway import aio
 from ropeway.cli.console import complain, fail
 from ropeway.cli.patience import patiently
 from ropeway.errors import GraphUnavailable, InvalidName
-from ropeway.graph.answer import Telling
 from ropeway.graph.base import Graph, NodeInfo, TopicInfo, resolve_name
 from ropeway.graph.calls import ActionInfo, ServiceInfo
+from ropeway.graph.peer_answer import Telling
 from ropeway.qos import DEFAULT, PROFILES, QoS
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
@@ -26,12 +26,12 @@ from ropeway.types import TypeRegistry
 __all__ = [
     "GraphOption",
     "JsonOption",
+    "OpenGraph",
     "QosDepth",
     "QosDurability",
     "QosHistory",
     "QosProfile",
     "QosReliability",
-    "Session",
     "SpinOption",
     "TypesOption",
     "discover",
@@ -79,7 +79,7 @@ QosDurability = Annotated[str, typer.Option("--qos-durability", help="volatile o
 
 
 @dataclass(frozen=True)
-class Session:
+class OpenGraph:
     """An open graph and the types known to it."""
 
     graph: Graph
@@ -95,7 +95,7 @@ def default_graph(environ: Mapping[str, str] = os.environ) -> str:
 
 
 @asynccontextmanager
-async def open_session(url: str = "", types: list[Path] | None = None) -> AsyncIterator[Session]:
+async def open_session(url: str = "", types: list[Path] | None = None) -> AsyncIterator[OpenGraph]:
     """The graph at ``url`` with a node of its own, closed at the end."""
     from ropeway.networks import open_graph
 
@@ -113,7 +113,7 @@ async def open_session(url: str = "", types: list[Path] | None = None) -> AsyncI
             assert isinstance(graph, OverlayGraph)
             async with patiently(lambda: f"waiting for a router, {_LINK_S:g} s at most"):
                 await graph.node.links.wait(_LINK_S)  # without one nothing is there, and nobody would say why
-        yield Session(graph, registry)
+        yield OpenGraph(graph, registry)
     finally:
         await graph.close()
 

@@ -14,7 +14,7 @@ from fnmatch import fnmatchcase
 from typing import Any, Final
 
 from ropeway.bridge.topic import TopicBridge
-from ropeway.fault_log import Complaints
+from ropeway.fault_log import FaultLog
 from ropeway.gateway.bridges import make_topic_bridge
 from ropeway.gateway.config.check import route_key
 from ropeway.gateway.config.config import Route
@@ -54,7 +54,7 @@ class Automatic:
         self._path, self._graph = path, graph
         self._bridges: dict[str, tuple[Route, TopicBridge]] = {}
         self._left_out: dict[str, str] = {}
-        self._complaints = Complaints(path)
+        self._fault_log = FaultLog(path)
         self._changed = asyncio.Event()
         self._tasks = (
             Supervised(lambda: self._listen(local.changes()), f"{path}: changes"),
@@ -124,7 +124,7 @@ class Automatic:
         except Exception as error:  # DDS lets any program name a topic as it likes, and types likewise
             reason = describe(error)
             if self._left_out.get(name) != reason:
-                self._complaints.note("topic", name, f"it is left out: {reason}")
+                self._fault_log.note("topic", name, f"it is left out: {reason}")
                 log.debug("%s: %r is left out", self._path, name, exc_info=error)
             self._left_out[name] = reason
             if name in self._bridges:

@@ -22,14 +22,14 @@ from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.overlay_model import OVERLAY
 from ropeway.gateway.config.type_hints import learn_types, type_hints
 from ropeway.gateway.credentials import read_credentials
-from ropeway.gateway.last_value import Keeper, key_of
+from ropeway.gateway.last_value import LastValue, key_of
 from ropeway.gateway.nodes import Nodes
 from ropeway.gateway.process.allocator import keep_freed_memory
 from ropeway.gateway.process.counts import summed
-from ropeway.gateway.process.files import make_room
+from ropeway.gateway.process.open_files import make_room
 from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote
 from ropeway.gateway.tls import server_context, trusted_files
-from ropeway.graph.border import Distributed
+from ropeway.graph.layout_border import Distributed
 from ropeway.hub.hub import Hub, View
 from ropeway.listener.connection import Limits
 from ropeway.listener.entrance import Entrance
@@ -250,11 +250,11 @@ class Gateway:
             stack.push_async_callback(view.close)
         return view
 
-    def _keeper(self, route: Route) -> Keeper | None:
+    def _keeper(self, route: Route) -> LastValue | None:
         if not route.store:
             return None
         assert self.store is not None
-        return Keeper(self.store, *key_of(route.name, self.config.gateway.name), route.type)
+        return LastValue(self.store, *key_of(route.name, self.config.gateway.name), route.type)
 
     def _iort_remote(self, config: RemoteConfig, index: int) -> IortRemote:
         from ropeway.networks.iort import IortGraph, Maps, RemoteLink

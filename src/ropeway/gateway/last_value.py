@@ -10,7 +10,7 @@ from ropeway.networks.iort.maps import names_of
 from ropeway.networks.iort.parts import ROS_ORIGIN
 from ropeway.store import CDR, Entry, Store
 
-__all__ = ["Keeper", "key_of"]
+__all__ = ["LastValue", "key_of"]
 
 
 def key_of(name: str, gateway: str) -> tuple[str, str]:
@@ -19,7 +19,7 @@ def key_of(name: str, gateway: str) -> tuple[str, str]:
     return (system, topic) if "/" in name.lstrip("/") else (gateway, topic)
 
 
-class Keeper:
+class LastValue:
     """The last message of one topic, under ``system`` and ``topic``, as CDR with its type."""
 
     def __init__(self, store: Store, system: str, topic: str, type: str) -> None:

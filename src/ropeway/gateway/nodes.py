@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.bridge.topic import TopicBridge
 from ropeway.errors import TypesError
-from ropeway.fault_log import Complaints
+from ropeway.fault_log import FaultLog
 from ropeway.graph.base import Graph, GraphEvent
 from ropeway.networks.iort import IortGraph, LocalLink, Maps, Space, TopicMap
 from ropeway.networks.iort.forms import default_form
@@ -66,7 +66,7 @@ class Nodes:
         self.bridges: dict[tuple[str, str], TopicBridge] = {}
         self.unshared = 0  # topics that had no place among the bridges
         self._into, self._out_of = into, out_of
-        self._complaints = Complaints("nodes")
+        self._fault_log = FaultLog("nodes")
         self._watch = Supervised(lambda: self._look_out(self.graph.changes()), "topics of nodes")
 
     async def open(self) -> None:
@@ -152,7 +152,7 @@ class Nodes:
                 await self._found(event.name, "in" if event.kind == "publisher" else "out")
             except Exception as error:  # nodes name their topics as they like; one that cannot be shared fails alone
                 self.unshared += 1
-                self._complaints.note("topic", event.name, f"it is not shared: {describe(error)}")
+                self._fault_log.note("topic", event.name, f"it is not shared: {describe(error)}")
                 log.debug("%s is not shared", event.name, exc_info=error)
 
     async def _found(self, name: str, direction: str) -> None:
@@ -162,6 +162,6 @@ class Nodes:
             if len(self.bridges) >= _FOUND_LIMIT:
                 self.unshared += 1
                 text = f"it is not shared: {_FOUND_LIMIT} topics of nodes are, and no more"
-                self._complaints.note("topic", f"{system}/{topic}", text)
+                self._fault_log.note("topic", f"{system}/{topic}", text)
                 continue
             await self._join(direction, name, map)

@@ -92,7 +92,7 @@ class LinkRemote(Remote):
             "bytes_out": bytes_out,
             "complaints": {}
             if peer is None
-            else {f"{kind} {topic}".strip(): n for (kind, topic), n in peer.complaints.counts.items()},
+            else {f"{kind} {topic}".strip(): n for (kind, topic), n in peer.fault_log.counts.items()},
         }
 
 

@@ -14,14 +14,14 @@ from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Serve
 from ropeway.logs import failed
 from ropeway.tasks import Interruptible, background, end
 
-__all__ = ["LEFT", "DirectGoal", "Running", "answer"]
+__all__ = ["LEFT", "DirectGoal", "InFlight", "answer"]
 
 log = logging.getLogger("ropeway.graph")
 
 LEFT: Final = "who offered it has withdrawn it"
 
 
-class Running:
+class InFlight:
     """Calls under way, of a client or at a provider; ``fail`` ends them all, whoever waits for them."""
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ class Running:
             await self._ended.wait()
 
 
-async def answer(name: str, running: Running, work: Awaitable[bytes], timeout_s: float) -> bytes:
+async def answer(name: str, running: InFlight, work: Awaitable[bytes], timeout_s: float) -> bytes:
     """What a handler answers.
 
     Raises ``CallTimeout``, ``ProviderLost``, the handler's own ``CallError``, or ``CallFailed`` with whatever else it

@@ -19,7 +19,7 @@ from ropeway.logs import failed
 from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import Chores
 
-__all__ = ["Following", "Host", "SharedReader", "settled"]
+__all__ = ["AdoptingSubscription", "Host", "SharedReader", "settled"]
 
 log = logging.getLogger("ropeway.graph")
 
@@ -64,7 +64,7 @@ class SharedReader(Generic[R]):
     def __init__(self, graph: Host[R], topic: str, qos: QoS) -> None:
         self.topic, self.qos = topic, qos
         self.raw: R | None = None
-        self.subscriptions: tuple[Following[R], ...] = ()
+        self.subscriptions: tuple[AdoptingSubscription[R], ...] = ()
         self._graph = graph
 
     def deliver(self, batch: list[Sample]) -> None:
@@ -87,7 +87,7 @@ def settled(asked: QoS, offered: QoS) -> QoS:
     )
 
 
-class Following(Generic[R]):
+class AdoptingSubscription(Generic[R]):
     """One topic that we read. Without a profile of its own it adopts what all publishers offer, and follows them.
 
     A profile with ``best_available`` policies adopts these alone.

@@ -21,7 +21,7 @@ from ropeway.graph.calls import (
 )
 from ropeway.graph.local_calls import DirectGoal
 from ropeway.hub.calls import NOBODY_S, either
-from ropeway.hub.ownership import Entry
+from ropeway.hub.ownership import Claim
 from ropeway.logs import failed
 from ropeway.tasks import background, describe, end
 
@@ -44,7 +44,7 @@ class ViewActionServer:
         self.action, self.type, self.handlers = action, type, handlers
         self._calls, self._delivery = calls, delivery
         self._goals: dict[bytes, DirectGoal] = {}
-        self.entry: Entry[ViewActionServer] = Entry(action, user, self, self._create)
+        self.entry: Claim[ViewActionServer] = Claim(action, user, self, self._create)
         self.on_closed: Callable[[], None] | None = None
 
     async def _create(self) -> ActionServer:

@@ -18,8 +18,8 @@ from ropeway.graph.calls import (
     Service,
     ServiceHandler,
 )
-from ropeway.graph.local_calls import LEFT, Running, answer
-from ropeway.hub.ownership import Entry, Holders
+from ropeway.graph.local_calls import LEFT, InFlight, answer
+from ropeway.hub.ownership import Claim, NameOwners
 from ropeway.tasks import Chores, end
 
 if TYPE_CHECKING:
@@ -52,10 +52,10 @@ class HubCalls:
 
     def __init__(self, graph: Graph, gateway_id: str) -> None:
         self.graph, self.gateway_id = graph, gateway_id
-        self.services: Holders[ViewService] = Holders(
+        self.services: NameOwners[ViewService] = NameOwners(
             "service", graph.name, gateway_id, lambda name: look_up(graph, "service", name)
         )
-        self.actions: Holders[ViewActionServer] = Holders(
+        self.actions: NameOwners[ViewActionServer] = NameOwners(
             "action", graph.name, gateway_id, lambda name: look_up(graph, "action", name)
         )
         self._clients: dict[tuple[str, str, str], _Shared] = {}
@@ -191,8 +191,8 @@ class ViewService:
     ) -> None:
         self.service, self.type = service, type
         self._calls, self._handler, self._delivery = calls, handler, delivery
-        self._running = Running()
-        self.entry: Entry[ViewService] = Entry(service, user, self, self._create)
+        self._running = InFlight()
+        self.entry: Claim[ViewService] = Claim(service, user, self, self._create)
         self.on_closed: Callable[[], None] | None = None
 
     async def _create(self) -> Service:
@@ -237,7 +237,7 @@ class ViewClient:
         self.closed = False
         self._calls = calls
         self._inner: Client | None = None
-        self._under_way = Running()
+        self._under_way = InFlight()
 
     async def attach(self, delivery: Delivery) -> None:
         """Get the client of the graph."""
@@ -329,7 +329,7 @@ class ViewClient:
             await self._calls.release("service", self.service, self.type)
 
 
-async def either(inner: Awaitable[bool], here: Callable[[], bool], holders: Holders[Any], timeout_s: float) -> bool:
+async def either(inner: Awaitable[bool], here: Callable[[], bool], holders: NameOwners[Any], timeout_s: float) -> bool:
     """True as soon as a view serves it or the graph knows somebody who does."""
     network = asyncio.ensure_future(inner)
     deadline = asyncio.get_running_loop().time() + timeout_s

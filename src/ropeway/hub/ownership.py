@@ -17,7 +17,7 @@ from typing import Final, Generic, Protocol, TypeVar
 from ropeway.errors import RopewayError
 from ropeway.graph.calls import ActionInfo, ProviderInfo, ServiceInfo
 
-__all__ = ["Entry", "Holders"]
+__all__ = ["Claim", "NameOwners"]
 
 log = logging.getLogger("ropeway.hub")
 
@@ -31,7 +31,7 @@ class _Closable(Protocol):
 P = TypeVar("P")
 
 
-class Entry(Generic[P]):
+class Claim(Generic[P]):
     """One who wants to serve ``name``. ``create`` makes the provider on the graph once the name is free."""
 
     def __init__(self, name: str, user: str, provider: P, create: Callable[[], Awaitable[_Closable]]) -> None:
@@ -53,38 +53,38 @@ class Entry(Generic[P]):
         self._callbacks.append(callback)
         callback(self.taken_by)
 
-    def tell(self, taken_by: str) -> None:
+    def report(self, taken_by: str) -> None:
         """The name is held by ``taken_by``."""
         if taken_by != self.taken_by:
             self.taken_by = taken_by
             for callback in self._callbacks:
                 callback(taken_by)
 
-    async def serve(self) -> None:
+    async def resume(self) -> None:
         """Take the name. Raises what the graph raises."""
         self.since_ns = time.time_ns()
         self.inner = await self._create()
 
-    async def rest(self) -> None:
+    async def suspend(self) -> None:
         """Give the name back."""
         inner, self.inner = self.inner, None
         if inner is not None:
             await inner.close()
 
 
-class Holders(Generic[P]):
+class NameOwners(Generic[P]):
     """The holders of all names of one kind on one graph. ``known`` tells who serves a name on the network now."""
 
     def __init__(
         self, kind: str, graph: str, gateway_id: str, known: Callable[[str], ServiceInfo | ActionInfo | None]
     ) -> None:
         self._kind, self._graph, self._gateway_id, self._known = kind, graph, gateway_id, known
-        self._entries: dict[str, list[Entry[P]]] = {}
+        self._entries: dict[str, list[Claim[P]]] = {}
         self._locks: dict[str, asyncio.Lock] = {}
         self._warned: set[str] = set()
         self._changed: asyncio.Future[None] | None = None
 
-    def holder(self, name: str) -> Entry[P] | None:
+    def holder(self, name: str) -> Claim[P] | None:
         """Who serves ``name`` in this process."""
         return next((entry for entry in self._entries.get(name, ()) if entry.serving), None)
 
@@ -98,7 +98,7 @@ class Holders(Generic[P]):
         """Every name that is wanted here."""
         return list(self._entries)
 
-    async def add(self, entry: Entry[P]) -> None:
+    async def add(self, entry: Claim[P]) -> None:
         """Serve, or wait in line. Raises what the graph raises where the name is free but cannot be served."""
         self._entries.setdefault(entry.name, []).append(entry)
         try:
@@ -107,16 +107,16 @@ class Holders(Generic[P]):
             self._drop(entry)
             raise
 
-    async def remove(self, entry: Entry[P]) -> None:
+    async def remove(self, entry: Claim[P]) -> None:
         """Serve no more; the next in line takes over."""
         if entry.closed:
             return
         entry.closed = True
         self._drop(entry)
-        await entry.rest()
+        await entry.suspend()
         await self.settle(entry.name)
 
-    def _drop(self, entry: Entry[P]) -> None:
+    def _drop(self, entry: Claim[P]) -> None:
         entries = self._entries.get(entry.name, [])
         if entry in entries:
             entries.remove(entry)
@@ -139,21 +139,21 @@ class Holders(Generic[P]):
             if before is not None:
                 if holder is not None:
                     log.warning("%s: %s %s is served by %s; this gateway waits", self._graph, self._kind, name, before)
-                    await holder.rest()
+                    await holder.suspend()
                 for entry in entries:
-                    entry.tell(str(before))
+                    entry.report(str(before))
             else:
                 if holder is None:
                     holder = entries[0]
                     await self._take_over(holder, raising=raising)
                 for entry in entries:
-                    entry.tell("" if entry is holder else holder.user)
+                    entry.report("" if entry is holder else holder.user)
         self._ring()
 
-    async def _take_over(self, entry: Entry[P], *, raising: bool) -> None:
+    async def _take_over(self, entry: Claim[P], *, raising: bool) -> None:
         waited = entry.taken_by
         try:
-            await entry.serve()
+            await entry.resume()
         except RopewayError as error:
             if raising:
                 raise
@@ -162,9 +162,9 @@ class Holders(Generic[P]):
             if waited:
                 log.info("%s: %s now serves %s %s", self._graph, entry.user, self._kind, entry.name)
             if entry.closed:
-                await entry.rest()
+                await entry.suspend()
 
-    def _before(self, name: str, holder: Entry[P] | None) -> ProviderInfo | None:
+    def _before(self, name: str, holder: Claim[P] | None) -> ProviderInfo | None:
         """A provider on the network that comes before ours, or ``None``."""
         info = self._known(name)
         servers: Sequence[ProviderInfo] = info.servers if info is not None else ()

@@ -15,14 +15,14 @@ from urllib.parse import unquote
 from ropeway.limits import SHOWN_TEXT_CHARACTERS
 from ropeway.listener.authorization import EVERYTHING, Globs, Role
 from ropeway.listener.hosts import Hosts, host_of
-from ropeway.listener.http import Request, Response, reply
+from ropeway.listener.http import HttpRequest, Response, reply
 from ropeway.listener.subprotocols import PLAIN_SUBPROTOCOL, ROPEWAY_SUBPROTOCOL
 
 __all__ = [
     "BEARER",
     "CertificateRule",
     "Door",
-    "Refusal",
+    "Rejection",
     "TokenRule",
     "given_token",
     "refusal",
@@ -76,7 +76,7 @@ class CertificateRule:
     san: str = ""
     fingerprint: str = ""
 
-    def fits(self, request: Request) -> bool:
+    def fits(self, request: HttpRequest) -> bool:
         """True if the certificate of the client, which TLS has verified, is one of these."""
         certificate = request.certificate
         if not certificate:
@@ -90,7 +90,7 @@ class CertificateRule:
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal(Response):
+class Rejection(Response):
     """The answer to who may not come in. ``reason`` is what it is counted under: no word of it is the client's.
 
     ``kind`` groups them in the log; ``wrong_token`` is true where a token was shown that is none.
@@ -100,7 +100,7 @@ class Refusal(Response):
     kind: str = "handshake"
     wrong_token: bool = False
 
-    def later(self, delay_s: float) -> Refusal:
+    def later(self, delay_s: float) -> Rejection:
         """Return the same, to be sent after ``delay_s``."""
         return replace(self, delay_s=delay_s)
 
@@ -126,7 +126,7 @@ class Door:
         """True if credentials count for something here."""
         return bool(self.tokens or self.certificates)
 
-    def role_of(self, request: Request) -> Role | Refusal:
+    def role_of(self, request: HttpRequest) -> Role | Rejection:
         """Return the role of who sent this, or the answer that refuses it.
 
         That is 403 for the page that it is from or the name that it came by, and 401 without good credentials. The name
@@ -147,11 +147,11 @@ class Door:
                 return rule.role
         return self.default or (_NOBODY if self.asks else _NO_CREDENTIALS)
 
-    def refuses(self, request: Request) -> Refusal | None:
+    def refuses(self, request: HttpRequest) -> Rejection | None:
         """Return the answer to a request for what everybody may read, where the page or the name is a stranger's."""
         return self._refuses_page(request) or self._refuses_host(request)
 
-    def _refuses_page(self, request: Request) -> Refusal | None:
+    def _refuses_page(self, request: HttpRequest) -> Rejection | None:
         if self.hosts.knows_page(request):
             return None
         origin = request.headers.get("origin", "")[:SHOWN_TEXT_CHARACTERS]
@@ -163,7 +163,7 @@ class Door:
             kind="origin",
         )
 
-    def _refuses_host(self, request: Request) -> Refusal | None:
+    def _refuses_host(self, request: HttpRequest) -> Rejection | None:
         if self.hosts.knows(request):
             return None
         host = request.headers.get("host", "")[:SHOWN_TEXT_CHARACTERS]
@@ -176,7 +176,7 @@ class Door:
         )
 
 
-def given_token(request: Request) -> list[str]:
+def given_token(request: HttpRequest) -> list[str]:
     """What a client gives as its token: by header, subprotocol or query, in this order; different readings of one."""
     scheme, _, value = request.headers.get("authorization", "").partition(" ")
     if scheme.lower() == "bearer" and value.strip():
@@ -189,7 +189,7 @@ def given_token(request: Request) -> list[str]:
     return [*query.get("token", ()), *query.get("access_token", ())][:1]
 
 
-def subprotocol(request: Request) -> str:
+def subprotocol(request: HttpRequest) -> str:
     """Return what a client that is let in is told: ours or ``rosbridge``, never what carried its token.
 
     A browser takes no other than those it offered, so a page offers ``rosbridge`` beside its token.
@@ -198,7 +198,7 @@ def subprotocol(request: Request) -> str:
     return next((known for known in (ROPEWAY_SUBPROTOCOL, PLAIN_SUBPROTOCOL) if known in offered), "")
 
 
-def unserved(request: Request) -> str:
+def unserved(request: HttpRequest) -> str:
     """Return why a client cannot be served that insists on subprotocols of others; ``""`` where it does not.
 
     A browser ends a connection for which none of those is chosen that it offered, and gives no reason.
@@ -214,13 +214,13 @@ def unserved(request: Request) -> str:
     )
 
 
-def refusal(status: int, text: str, *, reason: str = "", kind: str = "handshake", **headers: str) -> Refusal:
+def refusal(status: int, text: str, *, reason: str = "", kind: str = "handshake", **headers: str) -> Rejection:
     """Return a refusal that says ``text``; it is counted under ``reason``, or the text itself."""
     made = reply(status, {"error": text}, **headers)
-    return Refusal(status, made.body, made.headers, reason=reason or f"{status} {text}", kind=kind)
+    return Rejection(status, made.body, made.headers, reason=reason or f"{status} {text}", kind=kind)
 
 
-def _who_are_you(text: str, detail: str = "") -> Refusal:
+def _who_are_you(text: str, detail: str = "") -> Rejection:
     return refusal(401, text, WWW_Authenticate=f'Bearer realm="ropeway"{detail}')
 
 

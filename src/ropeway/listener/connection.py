@@ -21,7 +21,7 @@ from ropeway.budget import Budget
 from ropeway.delivery.pacing.flow import Flow
 from ropeway.delivery.pacing.tcp import tcp_info
 from ropeway.limits import UNREAD_S, UNREAD_STATUS_BYTES
-from ropeway.listener.http import Request
+from ropeway.listener.http import HttpRequest
 from ropeway.tasks import describe
 
 __all__ = ["Connection", "Limits", "peer_address"]
@@ -77,7 +77,7 @@ class Connection(WSListener):
         self.on_look: Callable[[], None] = _nothing
         self.bytes_in = self.bytes_out = self.frames_in = self.frames_out = 0
         self.secure = False
-        self.handshake: Request | None = None
+        self.handshake: HttpRequest | None = None
         self.grant: object = None
         self._open = False
         self._transport: WSTransport | None = None

@@ -6,10 +6,10 @@ import json
 import math
 from collections import Counter
 
-from ropeway.fault_log import Complaints
-from ropeway.listener.authentication import Door, Refusal, given_token, refusal
+from ropeway.fault_log import FaultLog
+from ropeway.listener.authentication import Door, Rejection, given_token, refusal
 from ropeway.listener.authorization import Role
-from ropeway.listener.http import Request
+from ropeway.listener.http import HttpRequest
 from ropeway.listener.lobby import Lobby, network_of
 from ropeway.listener.lockout import Lockout
 from ropeway.listener.presence import ip_address
@@ -29,9 +29,9 @@ class Entrance:
         self.refused: Counter[str] = Counter()  # by status and reason
         self._inside: Counter[str] = Counter()  # by role
         self._room: int | None = None  # clients that there are open files for
-        self._complaints = Complaints("server")
+        self._fault_log = FaultLog("server")
 
-    def admit(self, request: Request) -> Role | Refusal:
+    def admit(self, request: HttpRequest) -> Role | Rejection:
         """Return the role of who sent this, or the answer that refuses it, which is counted and logged."""
         sender = network_of(ip_address(request.peer))
         if self.door.tokens and given_token(request):
@@ -45,7 +45,7 @@ class Entrance:
             role = role.later(self.lockout.wrong(sender))
         return self.refuse(request, role)
 
-    def admit_page(self, request: Request) -> Refusal | None:
+    def admit_page(self, request: HttpRequest) -> Rejection | None:
         """Return the answer that refuses a request for what everybody may read, or ``None``."""
         found = self.door.refuses(request)
         return None if found is None else self.refuse(request, found)
@@ -71,11 +71,11 @@ class Entrance:
         """Count one less."""
         self._inside[role.name] -= 1
 
-    def refuse(self, request: Request, found: Refusal) -> Refusal:
+    def refuse(self, request: HttpRequest, found: Rejection) -> Rejection:
         """Count and log a refusal; return it."""
         self.refused[found.reason] += 1
         text = json.loads(found.body)["error"]
-        self._complaints.note(found.kind, "", f"{request.peer} is refused: {found.status} {text}")
+        self._fault_log.note(found.kind, "", f"{request.peer} is refused: {found.status} {text}")
         return found
 
     def status(self) -> dict[str, dict[str, int]]:
@@ -83,7 +83,7 @@ class Entrance:
         return {"refused": dict(self.refused), "tokens": self.lockout.status(), "pending": self.lobby.status()}
 
 
-def _locked_out(seconds: float) -> Refusal:
+def _locked_out(seconds: float) -> Rejection:
     left = str(math.ceil(seconds))
     text = f"too many wrong tokens came from this address; try again in {left} s"
     return refusal(429, text, reason="429 too many wrong tokens", kind="token guesses", Retry_After=left)

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from ropeway.fault_log import Complaints
+from ropeway.fault_log import FaultLog
 
 __all__ = ["explain_handshake", "watch_handshakes"]
 
@@ -16,7 +16,7 @@ class _Handler:
 
     def __init__(self, others: Callable[[asyncio.AbstractEventLoop, dict[str, Any]], object] | None) -> None:
         self.others = others
-        self.listeners: dict[Complaints, int] = {}  # with the port of each
+        self.listeners: dict[FaultLog, int] = {}  # with the port of each
 
     def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """Tell the listener, or the handler that was there before."""
@@ -29,15 +29,15 @@ class _Handler:
         else:
             loop.default_exception_handler(context)
 
-    def _listener(self, transport: Any) -> Complaints:
+    def _listener(self, transport: Any) -> FaultLog:
         name = transport.get_extra_info("sockname") if transport is not None else None
         port = name[1] if isinstance(name, tuple) else 0
-        found = (complaints for complaints, known in self.listeners.items() if known == port)
+        found = (fault_log for fault_log, known in self.listeners.items() if known == port)
         return next(found, next(iter(self.listeners)))
 
 
-def watch_handshakes(complaints: Complaints, port: int) -> Callable[[], None]:
-    """Have handshakes that fail on ``port`` noted in ``complaints``; return what ends that.
+def watch_handshakes(fault_log: FaultLog, port: int) -> Callable[[], None]:
+    """Have handshakes that fail on ``port`` noted in ``fault_log``; return what ends that.
 
     With the last listener of a loop its exception handler is what it was before.
     """
@@ -46,10 +46,10 @@ def watch_handshakes(complaints: Complaints, port: int) -> Callable[[], None]:
     if not isinstance(handler, _Handler):
         handler = _Handler(handler)
         loop.set_exception_handler(handler)
-    handler.listeners[complaints] = port
+    handler.listeners[fault_log] = port
 
     def end() -> None:
-        handler.listeners.pop(complaints, None)
+        handler.listeners.pop(fault_log, None)
         if not handler.listeners and loop.get_exception_handler() is handler:
             loop.set_exception_handler(handler.others)
 

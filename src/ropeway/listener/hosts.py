@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Final
 
-from ropeway.listener.http import Request
+from ropeway.listener.http import HttpRequest
 
 __all__ = ["Hosts", "host_of", "own_names"]
 
@@ -81,7 +81,7 @@ class Hosts:
     patterns: Sequence[str] = ()
     origins: Sequence[str] | None = None
 
-    def knows(self, request: Request) -> bool:
+    def knows(self, request: HttpRequest) -> bool:
         """Return whether ``Host`` leads here. What is no browser may leave it out.
 
         Nobody can make a name of an address, so any address will do where others than this machine connect: behind a
@@ -98,7 +98,7 @@ class Hosts:
         address = _address(host)
         return address is not None and not _is_local(request.local)
 
-    def knows_page(self, request: Request) -> bool:
+    def knows_page(self, request: HttpRequest) -> bool:
         """Return whether the page that sent this may; a program that is no browser names none."""
         origin = request.headers.get("origin", "").strip().lower()
         if not origin:

@@ -13,7 +13,7 @@ from urllib.parse import parse_qs, urlsplit
 from ropeway.errors import InvalidFrame
 from ropeway.limits import HTTP_HEAD_BYTES
 
-__all__ = ["MAX_HEAD_BYTES", "Request", "Response", "parse_head", "reply", "without_token"]
+__all__ = ["MAX_HEAD_BYTES", "HttpRequest", "Response", "parse_head", "reply", "without_token"]
 
 MAX_HEAD_BYTES: Final = HTTP_HEAD_BYTES
 """A longer head of a request is refused with 431."""
@@ -27,7 +27,7 @@ _ONCE: Final = frozenset(("host", "authorization", "origin", "upgrade", "sec-web
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class HttpRequest:
     """The head of a request, and who sent it.
 
     The names in ``headers`` are in lower case; values of a repeated one are joined with a comma. ``peer`` is the
@@ -103,7 +103,7 @@ def without_token(url: str) -> str:
     return _SECRET.sub(r"\1...", url)
 
 
-def parse_head(head: bytes) -> Request:
+def parse_head(head: bytes) -> HttpRequest:
     """The request whose head ``head`` is, with the empty line that ends it. Raises ``InvalidFrame``."""
     first, *lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
     parts = first.split(b" ")
@@ -130,4 +130,4 @@ def parse_head(head: bytes) -> Request:
         urlsplit(target)
     except ValueError:
         raise InvalidFrame("the target is no address") from None
-    return Request(parts[0].decode("ascii"), target, parts[2].decode("ascii"), headers, head=head)
+    return HttpRequest(parts[0].decode("ascii"), target, parts[2].decode("ascii"), headers, head=head)

@@ -20,12 +20,12 @@ from picows import WSAutoPingStrategy, WSUpgradeRequest, WSUpgradeResponse, WSUp
 from picows.picows import WSProtocol  # type: ignore[attr-defined]  # in no stub, but api.py of picows makes it so
 
 from ropeway.errors import InvalidFrame
-from ropeway.fault_log import Complaints
+from ropeway.fault_log import FaultLog
 from ropeway.listener.connection import Connection, Limits, peer_address
-from ropeway.listener.http import MAX_HEAD_BYTES, Request, Response, parse_head, reply
+from ropeway.listener.http import MAX_HEAD_BYTES, HttpRequest, Response, parse_head, reply
 from ropeway.listener.lobby import Visit
 
-__all__ = ["Admission", "Admit", "Front", "Http", "Port", "identified"]
+__all__ = ["Admission", "Admit", "Http", "HttpUpgrade", "Port", "identified"]
 
 log = logging.getLogger("ropeway.link")
 
@@ -48,11 +48,11 @@ class Admission:
     grant: object = None
 
 
-Admit = Callable[[Request], Admission | Response]
+Admit = Callable[[HttpRequest], Admission | Response]
 """Decides on a request to become a WebSocket: an answer other than an ``Admission`` refuses it."""
 
-Http = Callable[[Request], Response | asyncio.Protocol]
-"""Answers every other request. A protocol is handed the connection, with ``Request.head`` as its first data."""
+Http = Callable[[HttpRequest], Response | asyncio.Protocol]
+"""Answers every other request. A protocol is handed the connection, with ``HttpRequest.head`` as its first data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,10 +64,10 @@ class Port:
     http: Http
     on_connection: Callable[[Connection], None]
     logger: Any
-    complaints: Complaints
+    fault_log: FaultLog
 
 
-class Front(asyncio.BufferedProtocol):
+class HttpUpgrade(asyncio.BufferedProtocol):
     """The first protocol of an incoming connection; see the module."""
 
     def __init__(self, port: Port, visit: Visit) -> None:
@@ -157,10 +157,10 @@ class Front(asyncio.BufferedProtocol):
         """Tell both sides why this cannot be: an answer in clear makes the client give up at once."""
         assert self._transport is not None
         peer = peer_address(self._transport.get_extra_info("peername"))
-        self._port.complaints.note("handshake", "", f"{peer} speaks TLS (wss://), and this listener ws://")
+        self._port.fault_log.note("handshake", "", f"{peer} speaks TLS (wss://), and this listener ws://")
         self._answer(reply(400, {"error": "ws:// is spoken here, without TLS"}))
 
-    def _websocket(self, request: Request) -> Response | Any:
+    def _websocket(self, request: HttpRequest) -> Response | Any:
         if request.method != "GET":
             return reply(405, {"error": "a WebSocket begins with GET"}, Allow="GET")
         if request.headers.get("sec-websocket-version") != "13":
@@ -249,7 +249,7 @@ def _picows(upgrade: Callable[[WSUpgradeRequest], Any], limits: Limits, logger: 
     )
 
 
-def _upgrade_head(request: Request) -> bytes:
+def _upgrade_head(request: HttpRequest) -> bytes:
     """What picows has to see of the request; it takes no more than one word under Connection, Firefox sends two."""
     key = request.headers["sec-websocket-key"]
     return (
@@ -265,7 +265,7 @@ def _is_key(text: str) -> bool:
         return False
 
 
-def identified(request: Request, transport: asyncio.Transport) -> Request:
+def identified(request: HttpRequest, transport: asyncio.Transport) -> HttpRequest:
     """Return the request with both addresses of its connection and, behind TLS, the certificate of who sent it."""
     peer = peer_address(transport.get_extra_info("peername"))
     name = transport.get_extra_info("sockname")

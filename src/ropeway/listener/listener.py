@@ -20,7 +20,7 @@ from typing import Any, Final
 import aiofastnet
 
 from ropeway.errors import ConnectFailed
-from ropeway.fault_log import Complaints
+from ropeway.fault_log import FaultLog
 from ropeway.listener.handshakes import explain_handshake, watch_handshakes
 from ropeway.listener.lobby import Lobby, Visit
 from ropeway.tasks import Chores
@@ -57,12 +57,12 @@ class Listener:
         self.port: int = sockets[0].getsockname()[1]
         self._make, self._lobby, self._handshake_s = make, lobby, handshake_s
         self._loop = asyncio.get_running_loop()
-        self._complaints = Complaints(address)
+        self._fault_log = FaultLog(address)
         self._sockets = sockets
         self._greetings = Chores()
         self._accepted: dict[Visit, socket.socket] = {}  # whose greeting has not begun
         self._end_watching = (
-            watch_handshakes(self._complaints, self.port) if context is not None else contextlib.nullcontext
+            watch_handshakes(self._fault_log, self.port) if context is not None else contextlib.nullcontext
         )
         for sock in sockets:
             sock.setblocking(False)
@@ -94,7 +94,7 @@ class Listener:
             except OSError as error:
                 if error.errno not in _NO_ROOM:
                     raise
-                self._complaints.note("accept", "", f"{error.strerror}; connections wait until there is room")
+                self._fault_log.note("accept", "", f"{error.strerror}; connections wait until there is room")
                 self._loop.remove_reader(sock)
                 self._loop.call_later(_PAUSE_S, self._resume, sock)
                 self._lobby.relieve()
@@ -142,7 +142,7 @@ class Listener:
             visit.leave()
             error.__traceback__ = None  # it and the handshake would keep each other
             if isinstance(error, ssl.SSLError):  # which aiofastnet tells nobody else
-                self._complaints.note("handshake", "", explain_handshake(error))
+                self._fault_log.note("handshake", "", explain_handshake(error))
         except BaseException:
             visit.leave()
             timers.cancel()

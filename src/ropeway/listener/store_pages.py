@@ -13,8 +13,8 @@ from urllib.parse import unquote
 
 from ropeway.errors import AccessDenied, StoreUnavailable
 from ropeway.listener.authorization import Access
-from ropeway.listener.http import Request, Response, reply
-from ropeway.listener.store_watcher import Watcher, entry_json
+from ropeway.listener.http import HttpRequest, Response, reply
+from ropeway.listener.store_watcher import StoreWatcher, entry_json
 from ropeway.store import Entry, Store, as_json
 from ropeway.tasks import background
 from ropeway.types import TypeRegistry
@@ -34,7 +34,7 @@ class StorePages:
         """True for its paths."""
         return path == _ROOT or path.startswith(f"{_ROOT}/")
 
-    def __call__(self, request: Request, access: Access) -> Response | asyncio.Protocol:
+    def __call__(self, request: HttpRequest, access: Access) -> Response | asyncio.Protocol:
         """The answer, or who goes on with the connection."""
         parts = request.path.removeprefix(_ROOT).strip("/").split("/", 1)
         system = unquote(parts[0]) or "*"
@@ -47,7 +47,7 @@ class StorePages:
         if request.method not in ("GET", "HEAD"):
             return reply(405, {"error": f"{request.method} is not known here"}, Allow="GET, HEAD, DELETE")
         if "watch" in flags and request.method == "GET":
-            return Watcher(self.store, self.registry, access, system, topic)
+            return StoreWatcher(self.store, self.registry, access, system, topic)
         if topic == "*":
             return self._list(access, system)
         refused = self._allowed(access, "subscribe", system, topic)

@@ -11,12 +11,12 @@ from typing import Any, Final, cast
 from ropeway.errors import TypesError
 from ropeway.limits import WATCHER_SILENCE_S, WATCHER_UNREAD_BYTES
 from ropeway.listener.authorization import Access
-from ropeway.listener.http import Request
+from ropeway.listener.http import HttpRequest
 from ropeway.listener.listener import keep_alive
 from ropeway.store import CDR, Entry, Key, Store, as_json
 from ropeway.types import TypeRegistry
 
-__all__ = ["Watcher", "entry_json"]
+__all__ = ["StoreWatcher", "entry_json"]
 
 _HEAD: Final = (
     b"HTTP/1.1 200 OK\r\nContent-Type: application/x-ndjson\r\nCache-Control: no-store\r\n"
@@ -36,7 +36,7 @@ def entry_json(entry: Entry, registry: TypeRegistry) -> dict[str, Any]:
     return found
 
 
-class Watcher(asyncio.Protocol):
+class StoreWatcher(asyncio.Protocol):
     """Sends every value as a line, those that are there first.
 
     ``on_begin`` and ``on_end`` are called when it begins and when it is over. Who does not read is given up: when it is
@@ -45,9 +45,9 @@ class Watcher(asyncio.Protocol):
 
     def __init__(self, store: Store, registry: TypeRegistry, access: Access, system: str, topic: str) -> None:
         self.access = access
-        self.request: Request | None = None
-        self.on_begin: Callable[[Watcher], None] = _nothing
-        self.on_end: Callable[[Watcher], None] = _nothing
+        self.request: HttpRequest | None = None
+        self.on_begin: Callable[[StoreWatcher], None] = _nothing
+        self.on_end: Callable[[StoreWatcher], None] = _nothing
         self._store, self._registry = store, registry
         self._system, self._topic = system, topic
         self._transport: asyncio.Transport | None = None
@@ -113,5 +113,5 @@ class Watcher(asyncio.Protocol):
             transport.abort()
 
 
-def _nothing(watcher: Watcher) -> None:
+def _nothing(watcher: StoreWatcher) -> None:
     """Nobody wants to know."""

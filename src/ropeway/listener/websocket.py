@@ -13,10 +13,10 @@ import picows
 
 from ropeway import aio
 from ropeway.errors import ConnectFailed
-from ropeway.fault_log import Complaints
+from ropeway.fault_log import FaultLog
 from ropeway.listener.connection import Connection, Limits
-from ropeway.listener.http import Request, Response, reply, without_token
-from ropeway.listener.http_upgrade import Admission, Admit, Front, Http, Port
+from ropeway.listener.http import HttpRequest, Response, reply, without_token
+from ropeway.listener.http_upgrade import Admission, Admit, Http, HttpUpgrade, Port
 from ropeway.listener.listener import Listener, open_listener
 from ropeway.listener.lobby import Lobby
 from ropeway.logs import LoggerAdapter
@@ -120,20 +120,20 @@ async def listen(
     cannot be bound.
     """
 
-    def choose(request: Request) -> Admission:
+    def choose(request: HttpRequest) -> Admission:
         return Admission(next((name for name in subprotocols if name in request.subprotocols), ""))
 
-    def admit_here(request: Request) -> Admission | Response:
+    def admit_here(request: HttpRequest) -> Admission | Response:
         if request.path.rstrip("/") != path.rstrip("/"):
             return _nothing_here(request)
         return (admit or choose)(request)
 
-    shared = Port(limits, admit_here, http or _nothing_here, on_connection, _picows_log, Complaints("front"))
+    shared = Port(limits, admit_here, http or _nothing_here, on_connection, _picows_log, FaultLog("front"))
     return await open_listener(
         f"{'wss' if ssl_context else 'ws'}://{f'[{host}]' if ':' in host else host}:{port}",
         host,
         port,
-        lambda visit: Front(shared, visit),
+        lambda visit: HttpUpgrade(shared, visit),
         lobby=Lobby() if lobby is None else lobby,
         handshake_s=limits.open_timeout_s,
         context=ssl_context,
@@ -157,7 +157,7 @@ def _said(error: picows.WSError) -> str:
     return f": {reason}" if isinstance(reason, str) and reason.isprintable() and len(reason) <= 200 else ""
 
 
-def _nothing_here(request: Request) -> Response:
+def _nothing_here(request: HttpRequest) -> Response:
     return reply(404, {"error": f"there is nothing at {request.path}"})
 
 

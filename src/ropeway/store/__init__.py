@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ropeway.store.entry import CDR, Backend, Change, Entry, Key, Mirror, Versions, as_json, check_name
+from ropeway.store.entry import CDR, Backend, Change, Entry, Key, SharedBackend, Versions, as_json, check_name
 from ropeway.store.factory import default_path, is_mongo, make_backend, make_mirror
 from ropeway.store.store import Sink, Store, StoreLimits
 
@@ -12,7 +12,7 @@ __all__ = [
     "Change",
     "Entry",
     "Key",
-    "Mirror",
+    "SharedBackend",
     "Sink",
     "Store",
     "StoreLimits",

@@ -19,7 +19,7 @@ __all__ = [
     "Change",
     "Entry",
     "Key",
-    "Mirror",
+    "SharedBackend",
     "Versions",
     "as_json",
     "check_name",
@@ -154,7 +154,7 @@ class Change:
     read_ns: int
 
 
-class Mirror(Backend, Protocol):
+class SharedBackend(Backend, Protocol):
     """A backend that others write, too. ``find`` and ``changes`` are called from other threads than the rest.
 
     The entry of a document without a version has version 0, and as ``stamp_ns`` the time when it was seen.

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Final
 
-from ropeway.store.entry import Backend, Mirror
+from ropeway.store.entry import Backend, SharedBackend
 from ropeway.store.files import FilesBackend
 from ropeway.store.sqlite import SqliteBackend
 
@@ -34,7 +34,7 @@ def make_backend(url: str) -> Backend:
     return SqliteBackend(url)
 
 
-def make_mirror(url: str) -> Mirror:
+def make_mirror(url: str) -> SharedBackend:
     """Return the database elsewhere at a URL of MongoDB, for use as a mirror."""
     from ropeway.store.mongo import MongoBackend
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway import aio
 from ropeway.errors import StoreUnavailable, ValueRefused
-from ropeway.store.entry import FOREIGN, Backend, Entry, Key, Mirror
+from ropeway.store.entry import FOREIGN, Backend, Entry, Key, SharedBackend
 from ropeway.store.thread import run_in
 from ropeway.tasks import Supervised, end
 
@@ -68,7 +68,7 @@ class Mirrored(Protocol):
 class Mirroring:
     """The work of one ``mirror`` for ``store``."""
 
-    def __init__(self, store: Mirrored, mirror: Mirror, *, history: int) -> None:
+    def __init__(self, store: Mirrored, mirror: SharedBackend, *, history: int) -> None:
         self.mirror = mirror
         self.fault = _NOT_YET
         self._store, self._history = store, history

@@ -24,7 +24,7 @@ from typing import Any, Final, Protocol, TypeVar
 from ropeway import aio
 from ropeway.errors import StoreUnavailable, ValueRefused
 from ropeway.iort import latest_version
-from ropeway.store.entry import Backend, Entry, Key, Mirror, Versions, check_name
+from ropeway.store.entry import Backend, Entry, Key, SharedBackend, Versions, check_name
 from ropeway.store.mirror import Mirroring
 from ropeway.store.thread import run_in
 from ropeway.tasks import Supervised, end
@@ -71,7 +71,7 @@ class Store:
         self,
         backend: Backend,
         *,
-        mirror: Mirror | None = None,
+        mirror: SharedBackend | None = None,
         limits: StoreLimits | None = None,
         clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:

@@ -25,7 +25,7 @@ from ropeway.types.nearest import Nearest
 from ropeway.types.parser import PARTS, parse_interface, parse_msg
 from ropeway.types.standard import INTERFACES
 from ropeway.types.stores import NEWEST, store_table
-from ropeway.types.told import Teller, Told, check_size
+from ropeway.types.told_types import DefinitionTeller, Told, check_size
 from ropeway.types.typedef import typedefs
 
 __all__ = ["TypeRegistry"]
@@ -227,8 +227,8 @@ class TypeRegistry:
             fresh = [definition for definition in definitions if not self._known(definition.name)]
             self._add(fresh, {each: source for each, source in sources.items() if not self._known(each)})
 
-    def add_told(self, name: str, text: str, teller: Teller) -> None:
-        """Add a concatenated definition that a peer told; ``Teller.tell`` is the way to call it."""
+    def add_told(self, name: str, text: str, teller: DefinitionTeller) -> None:
+        """Add a concatenated definition that a peer told; ``DefinitionTeller.tell`` is the way to call it."""
         full = self.canonical(name)
         definitions, sources = parse_full(full, text)
         definitions = [each for each in definitions if not self._is_of_another(each)]

@@ -21,7 +21,7 @@ from ropeway.types.hashes import definition_md5
 from ropeway.types.parser import parse_interface, parse_msg, parse_sections
 from ropeway.types.ros1_convert import Converter
 from ropeway.types.stores import store_table
-from ropeway.types.told import Teller, check_text
+from ropeway.types.told_types import DefinitionTeller, check_text
 
 __all__ = ["ANY", "Ros1Type", "Ros1Types"]
 
@@ -53,7 +53,7 @@ class Ros1Types:
         self.registry = registry
         self._store = store_table("noetic")
         self._told: dict[str, Definition] = {}
-        self._teller = Teller(registry, graph=True)
+        self._teller = DefinitionTeller(registry, graph=True)
         self._definitions: dict[str, Definition] = {}
         self._converters: dict[tuple[str, str], Converter] = {}
         self._types: dict[str, Ros1Type] = {}

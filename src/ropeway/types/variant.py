@@ -19,7 +19,7 @@ from ropeway.types.registry import TypeRegistry
 from ropeway.types.translation import Translate, make_translation
 
 if TYPE_CHECKING:
-    from ropeway.types.told import Teller
+    from ropeway.types.told_types import DefinitionTeller
 
 __all__ = ["Variant", "make_network"]
 
@@ -113,7 +113,7 @@ class Variant(TypeRegistry):
         """See ``TypeRegistry``."""
         return sorted({*super().names(kind), *self.ours.names(kind)})
 
-    def add_told(self, name: str, text: str, teller: Teller) -> None:
+    def add_told(self, name: str, text: str, teller: DefinitionTeller) -> None:
         """See ``TypeRegistry``."""
         self.ours.add_told(name, text, teller)
 

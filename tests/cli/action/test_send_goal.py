@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from ropeway.cli.action.send_goal import JsonTeller, Teller, TextTeller, send_goal
-from ropeway.cli.session import Session
+from ropeway.cli.action.send_goal import GoalReport, JsonTeller, TextTeller, send_goal
+from ropeway.cli.session import OpenGraph
 from ropeway.errors import GoalRejected, NotServed, ValueMismatch
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, ServerGoal
 from ropeway.types import TypeRegistry
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.jumping
 ID = bytes(range(16))
 
 
-class Notes(Teller):
+class Notes(GoalReport):
     """Keeps what is said."""
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ async def patient(goal: ServerGoal) -> Outcome:
     return Outcome(GoalStatus.CANCELED, sequence(1))
 
 
-async def test_succeeds(pair: tuple[Session, Session]) -> None:
+async def test_succeeds(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """A goal is sent, followed to its end, and its feedback told."""
     here, there = pair
 
@@ -62,7 +62,7 @@ async def test_succeeds(pair: tuple[Session, Session]) -> None:
     assert quiet.said == ["accepted", "SUCCEEDED"]
 
 
-async def test_interrupted(pair: tuple[Session, Session], capsys: pytest.CaptureFixture[str]) -> None:
+async def test_interrupted(pair: tuple[OpenGraph, OpenGraph], capsys: pytest.CaptureFixture[str]) -> None:
     """Ctrl-C cancels the goal and tells how it ends."""
     here, there = pair
     await there.graph.create_action_server("/count", FIBONACCI, ActionHandlers(patient))
@@ -76,7 +76,7 @@ async def test_interrupted(pair: tuple[Session, Session], capsys: pytest.Capture
     assert capsys.readouterr().err == "Canceling goal...\n"
 
 
-async def test_interrupted_before_acceptance(pair: tuple[Session, Session]) -> None:
+async def test_interrupted_before_acceptance(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """Ctrl-C before the goal is accepted cancels it as soon as it is."""
     here, there = pair
     asked, decide = asyncio.Event(), asyncio.Event()
@@ -98,7 +98,7 @@ async def test_interrupted_before_acceptance(pair: tuple[Session, Session]) -> N
     assert notes.said == ["CANCELED"]
 
 
-async def test_interrupted_in_vain(pair: tuple[Session, Session], capsys: pytest.CaptureFixture[str]) -> None:
+async def test_interrupted_in_vain(pair: tuple[OpenGraph, OpenGraph], capsys: pytest.CaptureFixture[str]) -> None:
     """Where the server does not end the goal, that is said."""
     here, there = pair
 
@@ -123,7 +123,7 @@ async def test_interrupted_in_vain(pair: tuple[Session, Session], capsys: pytest
     )
 
 
-async def test_mistakes(pair: tuple[Session, Session]) -> None:
+async def test_mistakes(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """Wrong values, a missing server and a rejection are errors of their own."""
     here, there = pair
 
@@ -131,12 +131,12 @@ async def test_mistakes(pair: tuple[Session, Session]) -> None:
         return False
 
     with pytest.raises(ValueMismatch):
-        await send_goal(here, "/count", FIBONACCI, {"ordr": 3}, Teller(), timeout_s=5)
+        await send_goal(here, "/count", FIBONACCI, {"ordr": 3}, GoalReport(), timeout_s=5)
     with pytest.raises(NotServed):
-        await send_goal(here, "/count", FIBONACCI, {}, Teller(), timeout_s=0.05)
+        await send_goal(here, "/count", FIBONACCI, {}, GoalReport(), timeout_s=0.05)
     await there.graph.create_action_server("/count", FIBONACCI, ActionHandlers(patient, never))
     with pytest.raises(GoalRejected):
-        await send_goal(here, "/count", FIBONACCI, {}, Teller(), timeout_s=5)
+        await send_goal(here, "/count", FIBONACCI, {}, GoalReport(), timeout_s=5)
 
 
 def test_text(registry: TypeRegistry, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from ropeway.cli.demo.flow import Flow
+from ropeway.cli.demo.flow import Tally
 from ropeway.cli.demo.gateways import GatewayProcess, configurations, figures, free_port
 from ropeway.cli.demo.scene import recorded_parts, synthetic_parts
 from ropeway.cli.demo.table import FittingTable, brief, live_table, summary_table
-from ropeway.cli.session import Session
+from ropeway.cli.session import OpenGraph
 from ropeway.gateway.config.config import parse
 from ropeway.graph.base import Sample
 from ropeway.types import TypeRegistry
@@ -25,9 +25,9 @@ from tests.support.until import until
 SECOND = 10**9
 
 
-def flow(side: str = "robot") -> Flow:
+def flow(side: str = "robot") -> Tally:
     """A flow whose payloads are their own stamps, in nanoseconds as text."""
-    return Flow("/a", "a/msg/B", side, lambda payload: int(payload) if payload else None)
+    return Tally("/a", "a/msg/B", side, lambda payload: int(payload) if payload else None)
 
 
 def arrival(stamp_ns: int, payload: bytes) -> Sample:
@@ -71,11 +71,13 @@ def test_configurations_are_valid(registry: TypeRegistry) -> None:
     ]
 
 
-async def test_every_synthetic_part_sends_valid_messages(pair: tuple[Session, Session], registry: TypeRegistry) -> None:
+async def test_every_synthetic_part_sends_valid_messages(
+    pair: tuple[OpenGraph, OpenGraph], registry: TypeRegistry
+) -> None:
     """Each sender publishes messages of its type with stamps of now, and counts them."""
     here, there = pair
     for part in synthetic_parts(registry):
-        counted = Flow(part.topic, part.type, part.side, registry.codec(part.type).header_stamp_ns)
+        counted = Tally(part.topic, part.type, part.side, registry.codec(part.type).header_stamp_ns)
         got: list[Sample] = []
         await here.graph.create_subscription(part.topic, part.type, None, got.extend)
         sending = asyncio.create_task(part.send(there.graph, counted.on_sent))
@@ -90,7 +92,7 @@ async def test_every_synthetic_part_sends_valid_messages(pair: tuple[Session, Se
     assert (image["width"], image["height"], image["encoding"], len(image["data"])) == (424, 240, "rgb8", 424 * 240 * 3)
 
 
-async def _one_picture(pair: tuple[Session, Session], registry: TypeRegistry) -> Sample:
+async def _one_picture(pair: tuple[OpenGraph, OpenGraph], registry: TypeRegistry) -> Sample:
     here, there = pair
     part = synthetic_parts(registry)[0]
     got: list[Sample] = []

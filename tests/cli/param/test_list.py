@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 
 from ropeway.cli.param.list_ import list_all
-from ropeway.cli.session import Session
+from ropeway.cli.session import OpenGraph
 from ropeway.graph.calls import Request
 from tests.graph.parameter_node import ParameterNode
 
 
-async def test_all_nodes(pair: tuple[Session, Session]) -> None:
+async def test_all_nodes(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """Every node with parameters is listed in order, with types where asked for."""
     here, there = pair
     await ParameterNode({"rate": 1.5, "name": "x"}).serve(there.graph, "/b")
@@ -22,7 +22,7 @@ async def test_all_nodes(pair: tuple[Session, Session]) -> None:
     assert listed == {"/a": {"on": ""}, "/b": {"name": "", "rate": ""}}
 
 
-async def test_silent_nodes(pair: tuple[Session, Session]) -> None:
+async def test_silent_nodes(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """A node that does not answer keeps no other from being listed, and the reason is told."""
     here, there = pair
 

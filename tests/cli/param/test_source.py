@@ -11,7 +11,7 @@ import typer
 
 from ropeway.cli.param.list_ import list_all, list_one
 from ropeway.cli.param.source import AtMaster, AtNode, Parameters, label_of, parameters_of, place_name
-from ropeway.cli.session import Session
+from ropeway.cli.session import OpenGraph
 from ropeway.networks.ros1 import Ros1Graph
 from ropeway.types import TypeRegistry
 from tests.graph.parameter_node import ParameterNode
@@ -19,7 +19,7 @@ from tests.networks.ros1.network import HAS_MASTER, RosMaster
 
 
 @pytest.fixture
-async def ros1(tmp_path: Path, registry: TypeRegistry) -> AsyncIterator[Session]:
+async def ros1(tmp_path: Path, registry: TypeRegistry) -> AsyncIterator[OpenGraph]:
     """A session on a master that keeps some parameters."""
     if not HAS_MASTER:
         pytest.skip("Debian's python3-rosmaster is not installed")
@@ -30,7 +30,7 @@ async def ros1(tmp_path: Path, registry: TypeRegistry) -> AsyncIterator[Session]
             proxy.setParam("/test", name, value)
     graph = Ros1Graph(master.uri, name="tool")
     await graph.open()
-    yield Session(graph, registry)
+    yield OpenGraph(graph, registry)
     await graph.close()
     master.kill()
 
@@ -39,7 +39,7 @@ async def values(asked: Parameters) -> dict[str, object]:
     return await asked.get(await asked.list())
 
 
-async def test_a_master_lists_what_it_keeps(ros1: Session) -> None:
+async def test_a_master_lists_what_it_keeps(ros1: OpenGraph) -> None:
     """The names below a namespace are absolute, all stand under ``/``; a name that begins alike is no child."""
     names = ["/name", "/robot/gains/p", "/robot/speed", "/robots"]
     assert await list_all(ros1, [], 5.0, 2.0, types=True) == ({"/": dict.fromkeys(names, "")}, {})
@@ -47,7 +47,7 @@ async def test_a_master_lists_what_it_keeps(ros1: Session) -> None:
     assert list(await list_one(ros1, "/robot", ["gains"], 5.0, types=False)) == ["/robot/gains/p"]
 
 
-async def test_a_master_is_read_and_written(ros1: Session) -> None:
+async def test_a_master_is_read_and_written(ros1: OpenGraph) -> None:
     """Values are got, set and deleted below a namespace, and dumped as ``rosparam`` has them."""
     robot, top = parameters_of(ros1, "/robot", 5.0), parameters_of(ros1, "/", 5.0)
     assert isinstance(robot, AtMaster)
@@ -69,14 +69,14 @@ async def test_a_master_is_read_and_written(ros1: Session) -> None:
     assert (await top.get(["name"])) == {"name": "bob"}
 
 
-async def test_a_master_describes_nothing(ros1: Session, capsys: pytest.CaptureFixture[str]) -> None:
+async def test_a_master_describes_nothing(ros1: OpenGraph, capsys: pytest.CaptureFixture[str]) -> None:
     """ROS 1 has no descriptions, and that is said."""
     with pytest.raises(typer.Exit):
         await parameters_of(ros1, "/robot", 5.0).describe(["speed"])
     assert "a master of ROS 1 keeps no descriptions of parameters" in capsys.readouterr().err
 
 
-async def test_a_node_is_asked_through_its_services(pair: tuple[Session, Session]) -> None:
+async def test_a_node_is_asked_through_its_services(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """On ROS 2 the node itself is asked."""
     here, there = pair
     await ParameterNode({"rate": 1.5, "on": True}).serve(there.graph, "/a")

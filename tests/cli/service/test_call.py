@@ -9,7 +9,7 @@ import pytest
 
 from ropeway import aio
 from ropeway.cli.service.call import call
-from ropeway.cli.session import Session
+from ropeway.cli.session import OpenGraph
 from ropeway.errors import CallFailed, NotServed, UnknownType, ValueMismatch
 from ropeway.graph.calls import Request
 from tests.support.services import ADD
@@ -26,7 +26,7 @@ async def add(request: Request) -> bytes:
     return b"\0\1\0\0" + struct.pack("<q", sum(numbers))
 
 
-async def test_call(pair: tuple[Session, Session]) -> None:
+async def test_call(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """The request is made of the values, and the response handed over."""
     here, there = pair
     await there.graph.create_service("/add", ADD, add)
@@ -47,7 +47,7 @@ async def test_call(pair: tuple[Session, Session]) -> None:
     assert not here.graph.services()["/add"].clients
 
 
-async def test_rate(pair: tuple[Session, Session]) -> None:
+async def test_rate(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """With a rate the call is made again and again."""
     here, there = pair
     await there.graph.create_service("/add", ADD, add)
@@ -68,7 +68,7 @@ async def test_rate(pair: tuple[Session, Session]) -> None:
     assert not here.graph.services()["/add"].clients
 
 
-async def test_mistakes(pair: tuple[Session, Session]) -> None:
+async def test_mistakes(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """Wrong values and types are told before anything is sent; a failure of the provider is its text."""
     here, there = pair
     with pytest.raises(ValueMismatch):

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import typer
 
-from ropeway.cli.session import Session
+from ropeway.cli.session import OpenGraph
 from ropeway.cli.topic.delay import gauge
 from ropeway.cli.topic.echo import echo, formatter
 from ropeway.cli.topic.pub import publish
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.jumping
 POINT = "geometry_msgs/msg/PointStamped"
 
 
-async def test_types_are_discovered(pair: tuple[Session, Session], capsys: pytest.CaptureFixture[str]) -> None:
+async def test_types_are_discovered(pair: tuple[OpenGraph, OpenGraph], capsys: pytest.CaptureFixture[str]) -> None:
     """The type comes from the network unless it is given; where it is neither, a sentence says what to do."""
     here, there = pair
     await there.graph.create_publisher("/a", STRING)
@@ -44,7 +44,7 @@ async def test_types_are_discovered(pair: tuple[Session, Session], capsys: pytes
     assert "has several types" in capsys.readouterr().err
 
 
-async def test_meter_prints_each_period(pair: tuple[Session, Session], capsys: pytest.CaptureFixture[str]) -> None:
+async def test_meter_prints_each_period(pair: tuple[OpenGraph, OpenGraph], capsys: pytest.CaptureFixture[str]) -> None:
     """A meter prints while messages come, and says so when they stop."""
     here, there = pair
     publisher = await there.graph.create_publisher("/a", STRING)
@@ -64,7 +64,7 @@ async def test_meter_prints_each_period(pair: tuple[Session, Session], capsys: p
     assert publisher.subscribers == 0
 
 
-async def test_meter_as_json(pair: tuple[Session, Session], capsys: pytest.CaptureFixture[str]) -> None:
+async def test_meter_as_json(pair: tuple[OpenGraph, OpenGraph], capsys: pytest.CaptureFixture[str]) -> None:
     """With ``--json`` each line is one object with the topic."""
     here, there = pair
     publisher = await there.graph.create_publisher("/a", STRING)
@@ -83,7 +83,7 @@ async def test_meter_as_json(pair: tuple[Session, Session], capsys: pytest.Captu
     assert json.loads(said.splitlines()[0])["rate_hz"] == pytest.approx(1.0)
 
 
-async def test_delay_needs_a_header(pair: tuple[Session, Session], capsys: pytest.CaptureFixture[str]) -> None:
+async def test_delay_needs_a_header(pair: tuple[OpenGraph, OpenGraph], capsys: pytest.CaptureFixture[str]) -> None:
     """A type without header has no delay, and the command says so."""
     assert gauge(pair[0], POINT, 10).read() is None
     with pytest.raises(typer.Exit):
@@ -91,7 +91,7 @@ async def test_delay_needs_a_header(pair: tuple[Session, Session], capsys: pytes
     assert "std_msgs/msg/String does not begin with a header" in capsys.readouterr().err
 
 
-async def echoed(pair: tuple[Session, Session], type: str, values: dict[str, Any], **options: Any) -> str:
+async def echoed(pair: tuple[OpenGraph, OpenGraph], type: str, values: dict[str, Any], **options: Any) -> str:
     """What ``echo`` prints for one message."""
     here, there = pair
     lines: list[str] = []
@@ -102,7 +102,7 @@ async def echoed(pair: tuple[Session, Session], type: str, values: dict[str, Any
     return lines[0]
 
 
-async def test_echo_forms(pair: tuple[Session, Session]) -> None:
+async def test_echo_forms(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """A message is printed as YAML, CSV, JSON or bytes, as a whole or in part."""
     values = {"header": {"stamp": {"sec": 5}, "frame_id": "map"}, "point": {"x": 1.0}}
     assert await echoed(pair, POINT, values, field="point") == "x: 1.0\ny: 0.0\nz: 0.0\n---"
@@ -117,14 +117,14 @@ async def test_echo_forms(pair: tuple[Session, Session]) -> None:
     assert json.loads(await echoed(pair, POINT, values, form="json", field="header.frame_id"))["msg"] == "map"
 
 
-async def test_echo_of_an_array_field(pair: tuple[Session, Session]) -> None:
+async def test_echo_of_an_array_field(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """An array is printed on one line."""
     type = "sensor_msgs/msg/LaserScan"
     assert await echoed(pair, type, {"ranges": [1.0, 2.0]}, field="ranges") == "[1.0, 2.0]\n---"
 
 
 async def test_echo_skips_what_is_not_of_the_type(
-    pair: tuple[Session, Session], capsys: pytest.CaptureFixture[str]
+    pair: tuple[OpenGraph, OpenGraph], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A damaged message costs a sentence, and the next is printed."""
     here, there = pair
@@ -140,14 +140,16 @@ async def test_echo_skips_what_is_not_of_the_type(
     assert "A message was not printed: CDR bytes are not a std_msgs/msg/String" in capsys.readouterr().err
 
 
-async def test_echo_of_an_unknown_field_ends(pair: tuple[Session, Session], capsys: pytest.CaptureFixture[str]) -> None:
+async def test_echo_of_an_unknown_field_ends(
+    pair: tuple[OpenGraph, OpenGraph], capsys: pytest.CaptureFixture[str]
+) -> None:
     """A field that is not there ends the command with the fields there are."""
     with pytest.raises(typer.Exit):
         await echoed(pair, STRING, {"data": "x"}, field="dta")
     assert "its fields are: data" in capsys.readouterr().err
 
 
-async def test_publish_paces_evenly(pair: tuple[Session, Session]) -> None:
+async def test_publish_paces_evenly(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """Ten messages at 100 Hz take 90 ms and not less, numbered from one."""
     here, there = pair
     watch = Stopwatch()
@@ -171,7 +173,7 @@ async def test_publish_paces_evenly(pair: tuple[Session, Session]) -> None:
     assert came == pytest.approx([n / 100 for n in range(10)])
 
 
-async def test_publish_refuses_values_before_anything_is_sent(pair: tuple[Session, Session]) -> None:
+async def test_publish_refuses_values_before_anything_is_sent(pair: tuple[OpenGraph, OpenGraph]) -> None:
     """Values that do not fit are an error that names the field, and no topic appears."""
     here, there = pair
     with pytest.raises(ValueMismatch, match="dta"):
@@ -179,7 +181,9 @@ async def test_publish_refuses_values_before_anything_is_sent(pair: tuple[Sessio
     assert here.graph.topics() == {}
 
 
-async def test_publish_waits_for_subscribers(pair: tuple[Session, Session], capsys: pytest.CaptureFixture[str]) -> None:
+async def test_publish_waits_for_subscribers(
+    pair: tuple[OpenGraph, OpenGraph], capsys: pytest.CaptureFixture[str]
+) -> None:
     """With a time limit, missing subscribers end the command."""
     with pytest.raises(typer.Exit):
         await publish(pair[1], "/a", STRING, {}, times=1, wait=1, wait_s=0.05)

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from ropeway.delivery.pacing.model import LinkModel, Reading
+from ropeway.delivery.pacing.model import LinkModel, LinkReading
 
 __all__ = ["Path", "Tcp", "greedy", "images", "share", "simulate"]
 
@@ -136,9 +136,9 @@ class Tcp:
             self.window += 1 if self.window < self.threshold else 1 / self.window
         self._push()
 
-    def reading(self) -> Reading:
+    def reading(self) -> LinkReading:
         """What a kernel would tell."""
-        return Reading(
+        return LinkReading(
             self.clock.now,
             self.delivered,
             self.in_flight,

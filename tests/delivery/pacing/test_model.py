@@ -7,7 +7,7 @@ from typing import Final
 
 import pytest
 
-from ropeway.delivery.pacing.model import LinkModel, Reading
+from ropeway.delivery.pacing.model import LinkModel, LinkReading
 from tests.delivery.pacing.simulated import HEADERS_BYTES, SEGMENT_BYTES, Path, share, simulate
 
 _GOODPUT: Final = SEGMENT_BYTES / (SEGMENT_BYTES + HEADERS_BYTES)
@@ -149,9 +149,9 @@ def test_not_starved(congestion: str, late_s: float) -> None:
     assert rest >= 0.2 * 20 * _MBIT
 
 
-def reading(now: float, delivered: int, *, rtt: float = 0.02, lost: int = 0, unsent: int = 0) -> Reading:
+def reading(now: float, delivered: int, *, rtt: float = 0.02, lost: int = 0, unsent: int = 0) -> LinkReading:
     """A reading of a link on which much is on the way."""
-    return Reading(now, delivered, 50_000, unsent, rtt, 0.0, lost, SEGMENT_BYTES)
+    return LinkReading(now, delivered, 50_000, unsent, rtt, 0.0, lost, SEGMENT_BYTES)
 
 
 def test_losses_without_a_queue() -> None:

@@ -12,8 +12,8 @@ from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import Client, Request, Service, ServiceHandler
 from ropeway.networks.dds import client as module
 from ropeway.networks.dds import rpc
-from ropeway.networks.dds.records import Peer
-from ropeway.networks.dds.rpc import Header
+from ropeway.networks.dds.records import MatchedEndpoint
+from ropeway.networks.dds.rpc import RequestHeader
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
 from tests.support.services import ADD, addends, total
@@ -23,7 +23,7 @@ from .calls import Adder, add, called
 from .conftest import Join
 from .helpers import process
 
-FAST = Peer(b"\x01\x0f" + bytes(14))
+FAST = MatchedEndpoint(b"\x01\x0f" + bytes(14))
 
 
 async def test_call(join: Join) -> None:
@@ -259,7 +259,7 @@ async def test_first_request_is_not_lost(join: Join) -> None:
     adder.open.set()
     assert await call == 1
     assert len(adder.requests) == 1
-    assert {payload[4:20] for payload in sent} == {rpc.join(Header(client._id, seq), bytes(4))[4:]}
+    assert {payload[4:20] for payload in sent} == {rpc.join(RequestHeader(client._id, seq), bytes(4))[4:]}
 
 
 async def test_hostile_answers(join: Join) -> None:
@@ -270,7 +270,7 @@ async def test_hostile_answers(join: Join) -> None:
     client = await called(near, "/add")
     call = asyncio.create_task(add(client, 1))
     await until(lambda: adder.requests)
-    mine = Header(client._id, client._seq)
+    mine = RequestHeader(client._id, client._seq)
     cyclone, fast = b"\x01\x10" + bytes(14), b"\x01\x0f" + bytes(14)
 
     def hear(payload: bytes, origin: bytes = cyclone) -> None:
@@ -278,8 +278,8 @@ async def test_hostile_answers(join: Join) -> None:
 
     hear(rpc.join(mine, total(9)), fast)
     hear(b"\0\1\0\0")
-    hear(rpc.join(Header(mine.client + 1, mine.seq), total(9)))
-    hear(rpc.join(Header(mine.client, mine.seq + 1), total(9)))
+    hear(rpc.join(RequestHeader(mine.client + 1, mine.seq), total(9)))
+    hear(rpc.join(RequestHeader(mine.client, mine.seq + 1), total(9)))
     await asyncio.sleep(0.01)
     assert not call.done()
     big = mine.client.to_bytes(8, "big") + mine.seq.to_bytes(8, "big")
@@ -351,7 +351,7 @@ async def test_endpoints_of_helpers(join: Join, monkeypatch: pytest.MonkeyPatch)
     """Endpoints that helpers made are no servers."""
     monkeypatch.setattr(module, "_NOBODY_S", 0.05)
     client = await (await join()).create_client("/add", ADD)
-    helper = Peer(b"\x01\x10" + bytes(14), helper=True)
+    helper = MatchedEndpoint(b"\x01\x10" + bytes(14), helper=True)
     client._on_readers([(helper,)])
     client._on_writers([(helper,)])
     with pytest.raises(NotServed):
@@ -368,7 +368,7 @@ async def test_nodes_settle(join: Join, monkeypatch: pytest.MonkeyPatch) -> None
         sent.append(payload)
 
     client._writer.send = send  # type: ignore[method-assign]
-    node = Peer(b"\x01\x10" + bytes(14), "serviceid=1", 10)
+    node = MatchedEndpoint(b"\x01\x10" + bytes(14), "serviceid=1", 10)
     client._on_readers([(node,)])
     client._on_writers([(node,)])
     assert client.available

@@ -9,7 +9,7 @@ import pytest
 from ropeway.graph.base import GraphEvent
 from ropeway.graph.calls import ProviderInfo, ServiceInfo
 from ropeway.networks.dds import discovery as module
-from ropeway.networks.dds.discovery import Discovery
+from ropeway.networks.dds.discovery import DdsDiscovery
 from ropeway.networks.dds.nodes import NodeEntities
 from ropeway.networks.dds.records import EndpointRecord, Gone, Joined, NodesRecord
 from ropeway.qos import QoS
@@ -28,7 +28,7 @@ class Table:
         self.events: list[GraphEvent] = []
         self.changed: list[set[str]] = []
         self.sizes: list[set[int]] = []
-        self.table = Discovery("dds:0", gateway_id, self.events.append, self.changed.append, self.sizes.append)
+        self.table = DdsDiscovery("dds:0", gateway_id, self.events.append, self.changed.append, self.sizes.append)
 
     @property
     def told(self) -> list[str]:

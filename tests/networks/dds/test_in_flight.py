@@ -6,14 +6,14 @@ import asyncio
 
 import pytest
 
-from ropeway.networks.dds.in_flight import Window
+from ropeway.networks.dds.in_flight import InFlightRequests
 from ropeway.tasks import end
 from tests.support.clock import Stopwatch
 
 pytestmark = pytest.mark.jumping
 
 
-async def entered(window: Window, count: int) -> tuple[list[int], list[asyncio.Task[int]]]:
+async def entered(window: InFlightRequests, count: int) -> tuple[list[int], list[asyncio.Task[int]]]:
     """Tickets of those who are in, and tasks of those who wait."""
     tasks = [asyncio.create_task(window.enter()) for _ in range(count)]
     await asyncio.sleep(0)
@@ -23,7 +23,7 @@ async def entered(window: Window, count: int) -> tuple[list[int], list[asyncio.T
 
 async def test_half_of_what_is_kept() -> None:
     """Half of what the server keeps may be under way; each answer lets in the next."""
-    window = Window()
+    window = InFlightRequests()
     window.resize(8)
     tickets, waiting = await entered(window, 10)
     assert len(tickets) == 4
@@ -37,10 +37,10 @@ async def test_half_of_what_is_kept() -> None:
 
 async def test_unknown_depth() -> None:
     """A server that does not tell is taken to keep ten, one that keeps few gets one at a time."""
-    window = Window()
+    window = InFlightRequests()
     window.resize(0)
     assert len((await entered(window, 5))[0]) == 5
-    window = Window()
+    window = InFlightRequests()
     window.resize(1)
     tickets, waiting = await entered(window, 2)
     assert len(tickets) == 1
@@ -50,7 +50,7 @@ async def test_unknown_depth() -> None:
 
 async def test_cancelled() -> None:
     """Who stops waiting takes no place, also when let in at the same moment."""
-    window = Window()
+    window = InFlightRequests()
     window.resize(2)
     (ticket,), waiting = await entered(window, 4)
     await end(waiting[0])
@@ -65,7 +65,7 @@ async def test_cancelled() -> None:
 async def test_patience() -> None:
     """Where nothing is answered for a second, one more is let out."""
     watch = Stopwatch()
-    window = Window()
+    window = InFlightRequests()
     window.resize(2)
     tickets, waiting = await entered(window, 3)
     done, _ = await asyncio.wait(waiting, timeout=5, return_when=asyncio.FIRST_COMPLETED)
@@ -78,7 +78,7 @@ async def test_patience() -> None:
 
 async def test_deferred() -> None:
     """A service that answers later by design gets all of a burst, in parts."""
-    window = Window(deferred=True)
+    window = InFlightRequests(deferred=True)
     window.resize(10)
     tickets, waiting = await entered(window, 20)
     assert len(tickets) == 5
@@ -88,7 +88,7 @@ async def test_deferred() -> None:
 
 async def test_closed() -> None:
     """Closing lets everybody go."""
-    window = Window()
+    window = InFlightRequests()
     _, waiting = await entered(window, 20)
     window.close()
     await asyncio.wait_for(asyncio.gather(*waiting), 5)

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from ropeway.networks.dds.matching import pair_of, paired, since_of
-from ropeway.networks.dds.records import Peer
+from ropeway.networks.dds.records import MatchedEndpoint
 
 A, B = b"\x01\x10" + bytes(10), b"\x01\x0f" + bytes(10)
 
 
 def test_by_mark() -> None:
     """Two endpoints with the same mark belong together, whatever their participant."""
-    one, two = Peer(A + b"0001", "serviceid=1"), Peer(A + b"0002", "serviceid=2")
-    assert paired((one, two), (Peer(B + b"0003", "serviceid=1"),)) == {one.guid: one}
+    one, two = MatchedEndpoint(A + b"0001", "serviceid=1"), MatchedEndpoint(A + b"0002", "serviceid=2")
+    assert paired((one, two), (MatchedEndpoint(B + b"0003", "serviceid=1"),)) == {one.guid: one}
 
 
 def test_by_participant() -> None:
     """Endpoints without marks belong together where their participant is the same."""
-    one, two = Peer(A + b"0001"), Peer(B + b"0001")
-    assert paired((one, two), (Peer(A + b"0002"),)) == {one.guid: one}
+    one, two = MatchedEndpoint(A + b"0001"), MatchedEndpoint(B + b"0001")
+    assert paired((one, two), (MatchedEndpoint(A + b"0002"),)) == {one.guid: one}
     assert paired((one,), ()) == {}
 
 
 def test_a_mark_is_not_a_participant() -> None:
     """An endpoint whose mark nobody shares has no other half, though its participant has others."""
-    assert paired((Peer(A + b"0001", "clientid=1"),), (Peer(A + b"0002"),)) == {}
+    assert paired((MatchedEndpoint(A + b"0001", "clientid=1"),), (MatchedEndpoint(A + b"0002"),)) == {}
 
 
 def test_marks() -> None:

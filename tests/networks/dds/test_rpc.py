@@ -8,14 +8,14 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from ropeway.networks.dds.rpc import MAX_SEQ, Header, join, split
+from ropeway.networks.dds.rpc import MAX_SEQ, RequestHeader, join, split
 
-headers = st.builds(Header, st.integers(0, 2**64 - 1), st.integers(1, MAX_SEQ))
+headers = st.builds(RequestHeader, st.integers(0, 2**64 - 1), st.integers(1, MAX_SEQ))
 payloads = st.binary(max_size=64).map(lambda body: b"\0\1\0\0" + body)
 
 
 @given(headers, payloads)
-def test_back_again(header: Header, payload: bytes) -> None:
+def test_back_again(header: RequestHeader, payload: bytes) -> None:
     """What is joined is split into the same header and payload."""
     message = join(header, payload)
     assert len(message) == len(payload) + 16
@@ -24,11 +24,11 @@ def test_back_again(header: Header, payload: bytes) -> None:
 
 def test_layout() -> None:
     """The numbers stand behind the CDR header, the client before the request."""
-    assert join(Header(1, 2), b"\0\1\0\0abc") == b"\0\1\0\0" + struct.pack("<Qq", 1, 2) + b"abc"
+    assert join(RequestHeader(1, 2), b"\0\1\0\0abc") == b"\0\1\0\0" + struct.pack("<Qq", 1, 2) + b"abc"
 
 
 @given(headers, payloads)
-def test_other_byte_order(header: Header, payload: bytes) -> None:
+def test_other_byte_order(header: RequestHeader, payload: bytes) -> None:
     """A sender of the other byte order is known by its header, whichever order the library claims."""
     for claimed in (b"\0\0\0\0", b"\0\1\0\0"):
         message = split(claimed + struct.pack(">Qq", *header) + payload[4:])
@@ -59,4 +59,4 @@ def test_hostile(message: bytes) -> None:
 def test_impossible_numbers() -> None:
     """Numbers that have no room are refused."""
     with pytest.raises(struct.error):
-        join(Header(-1, 1), b"\0\1\0\0")
+        join(RequestHeader(-1, 1), b"\0\1\0\0")

@@ -13,7 +13,7 @@ from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import Client, Request, Service, ServiceHandler
 from ropeway.networks.dds import DdsGraph, rpc
 from ropeway.networks.dds import service as module
-from ropeway.networks.dds.rpc import Header
+from ropeway.networks.dds.rpc import RequestHeader
 from ropeway.types import TypeRegistry
 from tests.support.services import ADD, addends, total
 from tests.support.until import PATIENCE_S, until
@@ -27,7 +27,7 @@ EMPTY = b"\0\1\0\0\0"
 
 def asked(seq: int, payload: bytes, origin: bytes = CYCLONE, client: int = 7) -> Sample:
     """A request as it arrives."""
-    return Sample(rpc.join(Header(client, seq), payload), ADD, 0, origin, 0)
+    return Sample(rpc.join(RequestHeader(client, seq), payload), ADD, 0, origin, 0)
 
 
 async def test_requests(join: Join) -> None:

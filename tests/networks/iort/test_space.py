@@ -7,7 +7,7 @@ import pytest
 from ropeway.errors import ValueRefused
 from ropeway.limits import PATTERNS_PER_NODE
 from ropeway.networks.iort import space as module
-from ropeway.networks.iort.space import Endpoint, Space
+from ropeway.networks.iort.space import MemberEndpoint, Space
 from ropeway.store import Entry, Store, StoreLimits, make_backend
 
 
@@ -20,7 +20,7 @@ class Person:
     def value(self, entry: Entry, latest: bool) -> None:
         self.values.append((f"{entry.topic}={entry.data.decode()}", latest))
 
-    def event(self, endpoint: Endpoint, there: bool) -> None:
+    def event(self, endpoint: MemberEndpoint, there: bool) -> None:
         self.events.append((endpoint.kind, endpoint.topic, there))
 
 

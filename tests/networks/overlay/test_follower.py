@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ropeway.networks.overlay.follower import Follower
-from ropeway.networks.overlay.item import RAW, Item
+from ropeway.networks.overlay.packet_item import RAW, PacketItem
 
 
-def item(number: int) -> Item:
-    return Item(number, 0, 0, bytes(16), 0, RAW, b"%d" % number)
+def item(number: int) -> PacketItem:
+    return PacketItem(number, 0, 0, bytes(16), 0, RAW, b"%d" % number)
 
 
-def items(*numbers: int) -> list[Item]:
+def items(*numbers: int) -> list[PacketItem]:
     return [item(number) for number in numbers]
 
 

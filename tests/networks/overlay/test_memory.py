@@ -15,9 +15,9 @@ from ropeway.networks.overlay.fabric import Fabric
 from ropeway.networks.overlay.feed import Feed, Stream
 from ropeway.networks.overlay.follower import Follower
 from ropeway.networks.overlay.graph import OverlayGraph
-from ropeway.networks.overlay.held import Held
-from ropeway.networks.overlay.item import RAW, ZSTD, Item
+from ropeway.networks.overlay.held_bytes import HeldBytes
 from ropeway.networks.overlay.node import OverlayNode
+from ropeway.networks.overlay.packet_item import RAW, ZSTD, PacketItem
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.qos import QoS
 from tests.networks.overlay.conftest import Site
@@ -52,7 +52,7 @@ async def test_a_packet_of_bombs(pair: tuple[OverlayGraph, OverlayGraph]) -> Non
     await far.create_subscription("/x", STRING, QoS(), inbox)
     publisher = await near.create_publisher("/x", STRING)
     await until(lambda: publisher.subscribers)
-    items = [Item(n, 0, 1, b"o" * 16, 0, ZSTD, bomb(1024 * MIB)) for n in range(1, 5)]
+    items = [PacketItem(n, 0, 1, b"o" * 16, 0, ZSTD, bomb(1024 * MIB)) for n in range(1, 5)]
     tracemalloc.start()
     try:
         before = tracemalloc.get_traced_memory()[0]
@@ -72,7 +72,7 @@ async def test_many_messages_in_one_packet(pair: tuple[OverlayGraph, OverlayGrap
     await far.create_subscription("/x", STRING, QoS(), lambda _: None)
     publisher = await near.create_publisher("/x", STRING)
     await until(lambda: publisher.subscribers)
-    items = [Item(n, 0, 1, b"o" * 16, 0, RAW, b"") for n in range(1, 60_000)]
+    items = [PacketItem(n, 0, 1, b"o" * 16, 0, RAW, b"") for n in range(1, 60_000)]
     await put_until(
         near, publisher.key, partial(publisher.source.seal, items), lambda: Refusal.TOO_BIG in refusals(far)
     )
@@ -85,7 +85,7 @@ async def test_packets_without_a_key(pair: tuple[OverlayGraph, OverlayGraph]) ->
     await far.create_subscription("/x", STRING, QoS(), lambda _: None)
     publisher = await near.create_publisher("/x", STRING)
     await until(lambda: publisher.subscribers)
-    junk = bytearray(publisher.source.seal([Item(1, 0, 1, b"o" * 16, 0, RAW, bytes(MIB - 1000))]))
+    junk = bytearray(publisher.source.seal([PacketItem(1, 0, 1, b"o" * 16, 0, RAW, bytes(MIB - 1000))]))
     junk[4:8] = b"\xff\xff\xff\xff"  # an epoch that was never granted
     await put_until(near, publisher.key, lambda: bytes(junk), lambda: Refusal.NO_KEY in refusals(far))
     assert far.node.held.bytes <= 3 * MIB
@@ -95,14 +95,14 @@ async def test_packets_without_a_key(pair: tuple[OverlayGraph, OverlayGraph]) ->
 
 def test_messages_behind_a_gap() -> None:
     """What waits for a message that is missing is taken from the budget, and given on where that is used up."""
-    held = Held(10_000)
+    held = HeldBytes(10_000)
     follower = Follower(reliable=True, history=False, start=0, held=held)
-    assert follower.arrived([Item(2, 0, 2, b"", 0, RAW, bytes(5000))]) == []
+    assert follower.arrived([PacketItem(2, 0, 2, b"", 0, RAW, bytes(5000))]) == []
     assert 5000 <= held.bytes <= 10_000
-    given = follower.arrived([Item(3, 0, 3, b"", 0, RAW, bytes(6000))])
+    given = follower.arrived([PacketItem(3, 0, 3, b"", 0, RAW, bytes(6000))])
     assert [item.number for item in given] == [2, 3]
     assert (follower.lost, held.bytes) == (1, 0)
-    follower.arrived([Item(5, 0, 5, b"", 0, RAW, bytes(5000))])
+    follower.arrived([PacketItem(5, 0, 5, b"", 0, RAW, bytes(5000))])
     follower.forget()
     assert held.bytes == 0
 

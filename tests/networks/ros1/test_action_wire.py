@@ -14,13 +14,16 @@ from ropeway.types.ros1_types import Ros1Types
 
 TEXTS = st.text(st.characters(codec="utf-8"), max_size=20)
 STATUSES = st.builds(
-    wire.Status, st.builds(wire.GoalId, TEXTS, st.integers(0, 2**32 * 10**9 - 1)), st.sampled_from(wire.Code), TEXTS
+    wire.Ros1GoalStatus,
+    st.builds(wire.GoalId, TEXTS, st.integers(0, 2**32 * 10**9 - 1)),
+    st.sampled_from(wire.Code),
+    TEXTS,
 )
 
 
 @settings(deadline=None)
 @given(STATUSES, st.binary(max_size=20))
-def test_round_trip(status: wire.Status, body: bytes) -> None:
+def test_round_trip(status: wire.Ros1GoalStatus, body: bytes) -> None:
     """Goals, requests to cancel, reports and lists are read as they were written."""
     assert wire.read_goal(wire.goal_message(status.goal, body)) == (status.goal, body)
     assert wire.read_report(wire.report_message(status, body)) == (status, body)
@@ -42,7 +45,7 @@ def test_any_bytes(raw: bytes) -> None:
 def test_is_what_the_codec_reads() -> None:
     """The codec of the message type reads what is written here."""
     types = Ros1Types(TypeRegistry())
-    status = wire.Status(wire.GoalId("one", 5_000_000_006), wire.Code.SUCCEEDED, "done")
+    status = wire.Ros1GoalStatus(wire.GoalId("one", 5_000_000_006), wire.Code.SUCCEEDED, "done")
     converter = types.converter("actionlib_msgs/msg/GoalStatusArray")
     got = types.registry.codec("actionlib_msgs/msg/GoalStatusArray").decode(
         converter.from_ros1(wire.statuses_message([status]))

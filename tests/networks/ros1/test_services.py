@@ -10,7 +10,7 @@ import pytest
 from ropeway.errors import CallFailed, TypeConflict
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Request, ServiceHandler
-from ropeway.networks.ros1.probe import probe_service
+from ropeway.networks.ros1.service_probe import probe_service
 from ropeway.networks.ros1.tcpros import encode_header, read_frame, read_header
 from tests.support.services import ADD, addends
 from tests.support.until import until

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ropeway.networks.ros1.snapshot import Picture, State
+from ropeway.networks.ros1.snapshot import Ros1Snapshot, State
 
 TYPES = {
     "/chatter": "std_msgs/msg/String",
@@ -18,8 +18,8 @@ SERVER = {
 }
 
 
-def picture() -> Picture:
-    return Picture("ros1:test", lambda: "/us", lambda topic, node: None)
+def picture() -> Ros1Snapshot:
+    return Ros1Snapshot("ros1:test", lambda: "/us", lambda topic, node: None)
 
 
 def test_events() -> None:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ropeway.errors import InvalidFrame
-from ropeway.networks.ros1.tcpros import Connection, encode_header, parse_header, read_frame, read_header
+from ropeway.networks.ros1.tcpros import TcprosConnection, encode_header, parse_header, read_frame, read_header
 
 NAMES = st.text(st.characters(codec="utf-8", exclude_characters="="), min_size=1, max_size=20)
 VALUES = st.text(st.characters(codec="utf-8"), max_size=50)
@@ -26,18 +26,18 @@ class Log:
         self.got: list[bytes] = []
         self.ended = False
 
-    def made(self, connection: Connection) -> None: ...
+    def made(self, connection: TcprosConnection) -> None: ...
 
-    def header(self, connection: Connection, fields: dict[str, str]) -> None:
+    def header(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
         self.fields = fields
 
-    def frames(self, connection: Connection, frames: Sequence[bytes]) -> None:
+    def frames(self, connection: TcprosConnection, frames: Sequence[bytes]) -> None:
         self.got.extend(frames)
 
-    def lost(self, connection: Connection) -> None:
+    def lost(self, connection: TcprosConnection) -> None:
         self.ended = True
 
-    def writable(self, connection: Connection) -> None: ...
+    def writable(self, connection: TcprosConnection) -> None: ...
 
 
 class Pipe(asyncio.Transport):
@@ -59,9 +59,9 @@ class Pipe(asyncio.Transport):
         self.ended = "aborted"
 
 
-def connected() -> tuple[Connection, Log, Pipe]:
+def connected() -> tuple[TcprosConnection, Log, Pipe]:
     log, pipe = Log(), Pipe()
-    connection = Connection(log)
+    connection = TcprosConnection(log)
     connection.connection_made(pipe)
     return connection, log, pipe
 

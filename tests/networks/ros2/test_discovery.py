@@ -8,8 +8,8 @@ import pytest
 
 from ropeway.graph.base import EndpointInfo, GraphEvent, NodeInfo, TopicInfo
 from ropeway.graph.calls import ProviderInfo, ServiceInfo
-from ropeway.networks.ros2.discovery import Discovery
-from ropeway.networks.ros2.snapshot import Picture
+from ropeway.networks.ros2.discovery import Ros2Discovery
+from ropeway.networks.ros2.snapshot import Ros2Snapshot
 from ropeway.qos import DEFAULT, LATCHED, QoS
 from tests.support.messages import STRING
 
@@ -26,8 +26,10 @@ def both(one: TopicInfo, other: TopicInfo) -> TopicInfo:
     return TopicInfo(one.name, one.types, one.publishers + other.publishers)
 
 
-def picture(*topics: TopicInfo, services: dict[str, ServiceInfo] | None = None, nodes: tuple[str, ...] = ()) -> Picture:
-    return Picture({t.name: t for t in topics}, services or {}, {n: NodeInfo(n) for n in nodes})
+def picture(
+    *topics: TopicInfo, services: dict[str, ServiceInfo] | None = None, nodes: tuple[str, ...] = ()
+) -> Ros2Snapshot:
+    return Ros2Snapshot({t.name: t for t in topics}, services or {}, {n: NodeInfo(n) for n in nodes})
 
 
 class Table:
@@ -36,9 +38,9 @@ class Table:
     def __init__(self, gateway_id: str = "") -> None:
         self.events: list[GraphEvent] = []
         self.changed: list[set[str]] = []
-        self.discovery = Discovery("ros2:0", gateway_id, self.events.append, self.changed.append)
+        self.discovery = Ros2Discovery("ros2:0", gateway_id, self.events.append, self.changed.append)
 
-    def see(self, picture: Picture) -> list[str]:
+    def see(self, picture: Ros2Snapshot) -> list[str]:
         self.events.clear()
         self.discovery.apply(picture)
         return sorted(str(event) for event in self.events)
@@ -118,7 +120,7 @@ def test_hidden_topics() -> None:
 def test_other_gateway(caplog: pytest.LogCaptureFixture) -> None:
     """Another gateway on the network is warned of once, since its messages cannot be told from a node's."""
     table = Table("us")
-    there = Picture({}, {}, {}, frozenset({"them"}))
+    there = Ros2Snapshot({}, {}, {}, frozenset({"them"}))
     with caplog.at_level(logging.WARNING):
         table.see(there)
         table.see(there)

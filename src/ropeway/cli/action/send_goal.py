@@ -15,7 +15,7 @@ from ropeway.cli.action.info import ActionArgument
 from ropeway.cli.console import answer, complain, fail, print_json
 from ropeway.cli.loop import run
 from ropeway.cli.patience import patiently, served_within
-from ropeway.cli.session import GraphOption, JsonOption, Session, TypesOption, full_name, open_session
+from ropeway.cli.session import GraphOption, JsonOption, OpenGraph, TypesOption, full_name, open_session
 from ropeway.cli.topic.render import Style, as_yaml, pick, shown
 from ropeway.cli.values import fitted, typed_values
 from ropeway.errors import CallError, CallTimeout, GoalRejected, NotServed
@@ -24,7 +24,7 @@ from ropeway.tasks import end
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
 
-__all__ = ["Teller", "app", "send_goal"]
+__all__ = ["GoalReport", "app", "send_goal"]
 
 app = typer.Typer(add_completion=False)
 
@@ -32,7 +32,7 @@ _EARLY: Final = 1000
 _CANCEL_S: Final = 5.0  # how long Ctrl-C waits for the server to end the goal
 
 
-class Teller:
+class GoalReport:
     """What is said of a goal, by default nothing."""
 
     def accepted(self, id: bytes) -> None:
@@ -45,7 +45,7 @@ class Teller:
         """The goal has ended."""
 
 
-class TextTeller(Teller):
+class TextTeller(GoalReport):
     """Speaks as ``ros2 action send_goal``."""
 
     def __init__(self, registry: TypeRegistry, type: str) -> None:
@@ -72,7 +72,7 @@ class TextTeller(Teller):
         return "".join(f"    {line}\n" for line in as_yaml(value, whole).splitlines())
 
 
-class JsonTeller(Teller):
+class JsonTeller(GoalReport):
     """One JSON object per line: ``accepted``, ``feedback``, ``status``."""
 
     def __init__(self, registry: TypeRegistry, type: str) -> None:
@@ -96,11 +96,11 @@ class JsonTeller(Teller):
 
 
 async def send_goal(
-    session: Session,
+    session: OpenGraph,
     action: str,
     type: str,
     values: dict[str, Any],
-    teller: Teller,
+    teller: GoalReport,
     *,
     timeout_s: float,
     feedback: bool = False,
@@ -144,7 +144,7 @@ def _waiting_for(client: ActionClient, timeout_s: float) -> str:
 class _Feedback:
     """Tells feedback after the acceptance; what comes before waits for it."""
 
-    def __init__(self, teller: Teller) -> None:
+    def __init__(self, teller: GoalReport) -> None:
         self._teller = teller
         self._early: deque[bytes] | None = deque(maxlen=_EARLY)
 
@@ -168,7 +168,7 @@ async def _send(
     return await client.send_goal(goal, on_feedback=on_feedback, timeout_s=left_s)
 
 
-async def _give_up(sending: asyncio.Task[ClientGoal], teller: Teller) -> None:
+async def _give_up(sending: asyncio.Task[ClientGoal], teller: GoalReport) -> None:
     """Cancel what was sent, and wait a little for how it ends."""
     try:
         async with aio.timeout(_CANCEL_S):

@@ -14,9 +14,9 @@ from typing import Annotated, Any, Final
 import typer
 
 from ropeway.cli.console import answer, complain, print_json
-from ropeway.cli.demo.flow import Flow
+from ropeway.cli.demo.flow import Tally
 from ropeway.cli.demo.gateways import GatewayProcess, configurations, figures, free_port, running
-from ropeway.cli.demo.scene import Part, recorded_parts, synthetic_parts
+from ropeway.cli.demo.scene import DemoTopic, recorded_parts, synthetic_parts
 from ropeway.cli.demo.table import brief, live_table, summary_table
 from ropeway.cli.loop import run
 from ropeway.errors import RopewayError
@@ -69,10 +69,10 @@ def demo(
 
 async def _demo(
     bag: Path | None, for_s: float, domains: tuple[int, int], *, shown: bool
-) -> tuple[list[Flow], dict[str, dict[str, Any]]]:
+) -> tuple[list[Tally], dict[str, dict[str, Any]]]:
     registry = TypeRegistry()
     parts = recorded_parts(registry, bag) if bag else synthetic_parts(registry)
-    flows = [Flow(p.topic, p.type, p.side, registry.codec(p.type).header_stamp_ns) for p in parts]
+    flows = [Tally(p.topic, p.type, p.side, registry.codec(p.type).header_stamp_ns) for p in parts]
     robot_url, cloud_url = (f"dds:{domain}?interface=127.0.0.1" for domain in domains)
     configs = configurations(parts, robot_url, cloud_url, free_port())
     stop = asyncio.Event()
@@ -93,8 +93,8 @@ async def _demo(
 
 
 async def _cross(
-    parts: Iterable[Part],
-    flows: list[Flow],
+    parts: Iterable[DemoTopic],
+    flows: list[Tally],
     graphs: Mapping[str, Graph],
     gateways: Mapping[str, GatewayProcess],
     for_s: float,
@@ -147,7 +147,7 @@ async def _first(
             await task
 
 
-async def _show(flows: list[Flow], gateways: Mapping[str, GatewayProcess], *, shown: bool) -> None:
+async def _show(flows: list[Tally], gateways: Mapping[str, GatewayProcess], *, shown: bool) -> None:
     """The live table, or a line now and then where nobody would see it, until cancelled."""
     loop = asyncio.get_running_loop()
     began = loop.time()

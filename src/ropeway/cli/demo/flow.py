@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from ropeway.graph.base import Sample
 
-__all__ = ["Flow", "Snapshot"]
+__all__ = ["Snapshot", "Tally"]
 
 _RECENT_NS: Final = 1_000_000_000
 _KEPT: Final = 20_000  # delays that the summary is made of
@@ -26,7 +26,7 @@ class Snapshot:
 
 
 @dataclass
-class Flow:
+class Tally:
     """Counts what was sent and what arrived.
 
     ``header_ns`` takes a payload to the stamp that the sender put into its header.

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ropeway import aio
-from ropeway.cli.demo.scene import Part
+from ropeway.cli.demo.scene import DemoTopic
 from ropeway.errors import RopewayError
 
 __all__ = ["GatewayProcess", "configurations", "figures", "free_port", "running"]
@@ -34,7 +34,9 @@ def free_port() -> int:
         return port
 
 
-def configurations(parts: Iterable[Part], robot_graph: str, cloud_graph: str, port: int) -> dict[str, dict[str, Any]]:
+def configurations(
+    parts: Iterable[DemoTopic], robot_graph: str, cloud_graph: str, port: int
+) -> dict[str, dict[str, Any]]:
     """The configurations of both: the robot dials, as robots behind a firewall do."""
     listed = list(parts)
 

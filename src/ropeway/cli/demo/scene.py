@@ -17,7 +17,7 @@ from ropeway.graph.base import SEQ_NONE, Graph, Sample, new_origin
 from ropeway.qos import DEFAULT, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
 
-__all__ = ["Part", "recorded_parts", "synthetic_parts"]
+__all__ = ["DemoTopic", "recorded_parts", "synthetic_parts"]
 
 IMAGE: Final = "sensor_msgs/msg/Image"
 ODOMETRY: Final = "nav_msgs/msg/Odometry"
@@ -31,7 +31,7 @@ Sender = Callable[[Graph, Callable[[int], None]], Any]
 
 
 @dataclass(frozen=True)
-class Part:
+class DemoTopic:
     """One topic of the demo. ``side`` is where it is published: ``robot`` or ``cloud``."""
 
     topic: str
@@ -40,13 +40,13 @@ class Part:
     send: Sender
 
 
-def synthetic_parts(registry: TypeRegistry) -> list[Part]:
+def synthetic_parts(registry: TypeRegistry) -> list[DemoTopic]:
     """Pictures both ways at 30 Hz, odometry at 50 Hz, commands at 20 Hz."""
     camera, annotated = _Picture(registry, seed=1), _Picture(registry, seed=2)
     return [
-        Part("/camera/image", IMAGE, "robot", partial(_stream, "/camera/image", IMAGE, SENSOR_DATA, 30.0, camera)),
+        DemoTopic("/camera/image", IMAGE, "robot", partial(_stream, "/camera/image", IMAGE, SENSOR_DATA, 30.0, camera)),
         odometry_part(registry),
-        Part(
+        DemoTopic(
             "/annotated/image",
             IMAGE,
             "cloud",
@@ -56,7 +56,7 @@ def synthetic_parts(registry: TypeRegistry) -> list[Part]:
     ]
 
 
-def odometry_part(registry: TypeRegistry) -> Part:
+def odometry_part(registry: TypeRegistry) -> DemoTopic:
     """A robot that drives in a circle."""
     codec = registry.codec(ODOMETRY)
 
@@ -66,10 +66,10 @@ def odometry_part(registry: TypeRegistry) -> Part:
         header = {"stamp": _stamp(now_ns), "frame_id": "odom"}
         return codec.encode({"header": header, "child_frame_id": "base_link", "pose": {"pose": pose}})
 
-    return Part("/odom", ODOMETRY, "robot", partial(_stream, "/odom", ODOMETRY, DEFAULT, 50.0, make))
+    return DemoTopic("/odom", ODOMETRY, "robot", partial(_stream, "/odom", ODOMETRY, DEFAULT, 50.0, make))
 
 
-def command_part(registry: TypeRegistry) -> Part:
+def command_part(registry: TypeRegistry) -> DemoTopic:
     """Somebody in the cloud who steers."""
     codec = registry.codec(COMMAND)
 
@@ -77,10 +77,10 @@ def command_part(registry: TypeRegistry) -> Part:
         twist = {"linear": {"x": 0.5}, "angular": {"z": math.sin(number / 20)}}
         return codec.encode({"header": {"stamp": _stamp(now_ns), "frame_id": "base_link"}, "twist": twist})
 
-    return Part("/cmd_vel", COMMAND, "cloud", partial(_stream, "/cmd_vel", COMMAND, DEFAULT, 20.0, make))
+    return DemoTopic("/cmd_vel", COMMAND, "cloud", partial(_stream, "/cmd_vel", COMMAND, DEFAULT, 20.0, make))
 
 
-def recorded_parts(registry: TypeRegistry, path: Path) -> list[Part]:
+def recorded_parts(registry: TypeRegistry, path: Path) -> list[DemoTopic]:
     """A recording's camera and odometry from the robot, its second camera (or the same) back from the cloud.
 
     What the recording lacks is made up. Raises ``BagUnreadable``.
@@ -105,7 +105,7 @@ def recorded_parts(registry: TypeRegistry, path: Path) -> list[Part]:
     return [*parts, made_up[3]]
 
 
-def _recorded(registry: TypeRegistry, path: Path, topic: BagTopic, side: str, prefix: str = "") -> Part:
+def _recorded(registry: TypeRegistry, path: Path, topic: BagTopic, side: str, prefix: str = "") -> DemoTopic:
     async def send(graph: Graph, told: Callable[[int], None]) -> None:
         with Bag(path, registry) as bag:
             await play(
@@ -118,7 +118,7 @@ def _recorded(registry: TypeRegistry, path: Path, topic: BagTopic, side: str, pr
                 told=lambda played: told(played.messages),
             )
 
-    return Part(prefix + topic.name, topic.type, side, send)
+    return DemoTopic(prefix + topic.name, topic.type, side, send)
 
 
 async def _stream(

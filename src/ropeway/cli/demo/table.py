@@ -8,7 +8,7 @@ from typing import Any, Final
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 
-from ropeway.cli.demo.flow import Flow
+from ropeway.cli.demo.flow import Tally
 
 __all__ = ["FittingTable", "brief", "live_table", "summary_table"]
 
@@ -57,7 +57,7 @@ class FittingTable:
         return list(needed)
 
 
-def live_table(flows: Iterable[Flow], figures: Mapping[str, Mapping[str, Any]], seconds: float) -> FittingTable:
+def live_table(flows: Iterable[Tally], figures: Mapping[str, Mapping[str, Any]], seconds: float) -> FittingTable:
     """The last second of each route; ``figures`` is what the gateways tell, by topic."""
     title = f"Two DDS networks, two gateways, {seconds:.0f} s"
     table = FittingTable(title, "topic", "way", "Hz", "delay ms", "Mb/s", "drops", "encoding")
@@ -75,7 +75,7 @@ def live_table(flows: Iterable[Flow], figures: Mapping[str, Mapping[str, Any]], 
     return table
 
 
-def summary_table(flows: Iterable[Flow], figures: Mapping[str, Mapping[str, Any]]) -> FittingTable:
+def summary_table(flows: Iterable[Tally], figures: Mapping[str, Mapping[str, Any]]) -> FittingTable:
     """The whole run; the delays are the median and the 99th percentile."""
     table = FittingTable("Summary", "topic", "way", "arrived", "Hz", "p50 ms", "p99 ms", "Mb/s", "drops")
     for flow in flows:
@@ -93,7 +93,7 @@ def summary_table(flows: Iterable[Flow], figures: Mapping[str, Mapping[str, Any]
     return table
 
 
-def brief(flows: Iterable[Flow], seconds: float) -> str:
+def brief(flows: Iterable[Tally], seconds: float) -> str:
     """One line for logs."""
     parts = [
         f"{flow.topic} {now.rate_hz:.0f} Hz {_number(now.delay_ms)} ms" for flow in flows for now in [flow.recent()]

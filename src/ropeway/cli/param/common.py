@@ -10,7 +10,7 @@ import typer
 from ropeway.cli.console import fail
 from ropeway.cli.loop import run
 from ropeway.cli.patience import patiently
-from ropeway.cli.session import Session, open_session
+from ropeway.cli.session import OpenGraph, open_session
 from ropeway.errors import CallTimeout, NotServed, ValueMismatch
 from ropeway.graph.parameters import ParameterType, ParameterValue, type_of
 
@@ -35,7 +35,7 @@ _TITLES: Final = {
 }
 
 
-def ask(graph: str, node: str, timeout_s: float, work: Callable[[Session], Coroutine[Any, Any, T]]) -> T:
+def ask(graph: str, node: str, timeout_s: float, work: Callable[[OpenGraph], Coroutine[Any, Any, T]]) -> T:
     """Run ``work`` on the graph at the URL; a node that does not answer ends with a sentence."""
 
     async def main() -> T:

@@ -7,7 +7,7 @@ import typer
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.param.common import NameArgument, NodeArgument, TimeoutOption, ask
 from ropeway.cli.param.source import parameters_of, place_name
-from ropeway.cli.session import GraphOption, JsonOption, Session
+from ropeway.cli.session import GraphOption, JsonOption, OpenGraph
 
 __all__ = ["app"]
 
@@ -25,7 +25,7 @@ def delete(
     """Delete the parameter NAME of NODE."""
     full = place_name(node)
 
-    async def work(session: Session) -> str | None:
+    async def work(session: OpenGraph) -> str | None:
         return (await parameters_of(session, full, timeout).delete([name]))[name]
 
     refused = ask(graph, full, timeout, work)

@@ -9,7 +9,7 @@ import typer
 from ropeway.cli.console import answer, complain, print_json
 from ropeway.cli.param.common import NodeArgument, TimeoutOption, ask
 from ropeway.cli.param.source import parameters_of, place_name
-from ropeway.cli.session import GraphOption, JsonOption, Session
+from ropeway.cli.session import GraphOption, JsonOption, OpenGraph
 from ropeway.graph.parameters import ParameterDescription
 
 __all__ = ["app", "description_text"]
@@ -46,7 +46,7 @@ def describe(
     """Show type, meaning and limits of the parameters NAMES of NODE."""
     full = place_name(node)
 
-    async def look(session: Session) -> dict[str, ParameterDescription | None]:
+    async def look(session: OpenGraph) -> dict[str, ParameterDescription | None]:
         return await parameters_of(session, full, timeout).describe(names)
 
     found = ask(graph, full, timeout, look)

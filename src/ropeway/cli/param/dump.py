@@ -11,7 +11,7 @@ import yaml
 from ropeway.cli.console import answer, print_json
 from ropeway.cli.param.common import NodeArgument, TimeoutOption, ask, plain
 from ropeway.cli.param.source import AtMaster, parameters_of, place_name
-from ropeway.cli.session import GraphOption, JsonOption, Session
+from ropeway.cli.session import GraphOption, JsonOption, OpenGraph
 from ropeway.graph.parameters import ParameterValue
 
 __all__ = ["app", "nested"]
@@ -45,7 +45,7 @@ def dump(
 
     ros1 = False
 
-    async def look(session: Session) -> dict[str, Any]:
+    async def look(session: OpenGraph) -> dict[str, Any]:
         nonlocal ros1
         found = parameters_of(session, full, timeout)
         ros1 = isinstance(found, AtMaster)

@@ -9,7 +9,7 @@ import typer
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.param.common import NameArgument, NodeArgument, TimeoutOption, ask, plain, value_text
 from ropeway.cli.param.source import label_of, parameters_of, place_name
-from ropeway.cli.session import GraphOption, JsonOption, Session
+from ropeway.cli.session import GraphOption, JsonOption, OpenGraph
 
 __all__ = ["app"]
 
@@ -28,7 +28,7 @@ def get(
     """Show the value of the parameter NAME of NODE."""
     full = place_name(node)
 
-    async def look(session: Session) -> Any:
+    async def look(session: OpenGraph) -> Any:
         return (await parameters_of(session, full, timeout).get([name]))[name]
 
     value = ask(graph, full, timeout, look)

@@ -14,7 +14,7 @@ from ropeway.cli.param.source import AtMaster, parameters_of, place_name
 from ropeway.cli.session import (
     GraphOption,
     JsonOption,
-    Session,
+    OpenGraph,
     SpinOption,
     settle_services,
 )
@@ -32,7 +32,7 @@ Listed = dict[str, dict[str, str]]
 
 
 async def list_one(
-    session: Session, node: str, prefixes: list[str], timeout_s: float, *, types: bool
+    session: OpenGraph, node: str, prefixes: list[str], timeout_s: float, *, types: bool
 ) -> dict[str, str]:
     """The names of a node's parameters with their types, which are ``""`` unless ``types``. Raises ``CallError``."""
     asked = parameters_of(session, node, timeout_s)
@@ -44,7 +44,7 @@ async def list_one(
 
 
 async def list_all(
-    session: Session, prefixes: list[str], timeout_s: float, spin_time_s: float, *, types: bool
+    session: OpenGraph, prefixes: list[str], timeout_s: float, spin_time_s: float, *, types: bool
 ) -> tuple[Listed, dict[str, str]]:
     """The parameters of all nodes, and why some nodes did not tell theirs."""
     if isinstance(session.graph, ParameterServer):
@@ -82,7 +82,7 @@ def list_command(
     """List the parameters of NODE, or of all nodes."""
     name = place_name(node) if node else ""
 
-    async def look(session: Session) -> tuple[Listed, dict[str, str]]:
+    async def look(session: OpenGraph) -> tuple[Listed, dict[str, str]]:
         if name:
             return {name: await list_one(session, name, prefixes or [], timeout, types=show_types)}, {}
         return await list_all(session, prefixes or [], timeout, spin_time, types=show_types)

@@ -9,7 +9,7 @@ import typer
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.param.common import NameArgument, NodeArgument, TimeoutOption, ask, plain
 from ropeway.cli.param.source import parameters_of, place_name
-from ropeway.cli.session import GraphOption, JsonOption, Session
+from ropeway.cli.session import GraphOption, JsonOption, OpenGraph
 from ropeway.graph.parameters import parse_value, type_of
 
 __all__ = ["app"]
@@ -30,7 +30,7 @@ def set_command(
     full = place_name(node)
     parsed = parse_value(value)
 
-    async def work(session: Session) -> str | None:
+    async def work(session: OpenGraph) -> str | None:
         return (await parameters_of(session, full, timeout).set({name: parsed}))[name]
 
     refused = ask(graph, full, timeout, work)

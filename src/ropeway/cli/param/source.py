@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from ropeway.cli.console import fail
-from ropeway.cli.session import Session, full_name
+from ropeway.cli.session import OpenGraph, full_name
 from ropeway.errors import ValueMismatch
 from ropeway.graph import parameters as of_nodes
 from ropeway.graph.parameters import ParameterDescription, ParameterValue, type_of
@@ -40,7 +40,7 @@ class Parameters(Protocol):
 class AtNode:
     """Asks the parameter services of a node."""
 
-    def __init__(self, session: Session, node: str, timeout_s: float) -> None:
+    def __init__(self, session: OpenGraph, node: str, timeout_s: float) -> None:
         self._whom = (session.graph, session.registry, node)
         self._timeout_s = timeout_s
 
@@ -128,7 +128,7 @@ class AtMaster:
             return None
 
 
-def parameters_of(session: Session, node: str, timeout_s: float) -> Parameters:
+def parameters_of(session: OpenGraph, node: str, timeout_s: float) -> Parameters:
     """Return the parameters of ``node``, each answer within ``timeout_s``."""
     if isinstance(session.graph, ParameterServer):
         return AtMaster(session.graph, node)

@@ -10,7 +10,7 @@ from typing import Final
 from ropeway.cli.recording.folder import FolderSource
 from ropeway.cli.recording.mcap import McapSource
 from ropeway.cli.recording.ros1 import Ros1Scan, Ros1Source
-from ropeway.cli.recording.source import DAMAGED, Source
+from ropeway.cli.recording.source import DAMAGED, Recording
 from ropeway.cli.recording.sqlite import SqliteSource
 
 __all__ = ["open_recording"]
@@ -27,7 +27,7 @@ _PACKED: Final = {
 }
 
 
-def open_recording(path: Path) -> AbstractContextManager[Source]:
+def open_recording(path: Path) -> AbstractContextManager[Recording]:
     """The recording at ``path``, to be entered. Raises ``ValueError`` for what is none, and ``DAMAGED``."""
     if path.is_dir():
         _refuse_pointer(path / "metadata.yaml")
@@ -35,7 +35,7 @@ def open_recording(path: Path) -> AbstractContextManager[Source]:
     return _open_file(path)
 
 
-def _open_file(path: Path) -> AbstractContextManager[Source]:
+def _open_file(path: Path) -> AbstractContextManager[Recording]:
     _refuse_pointer(path)
     with path.open("rb") as file:
         magic = file.read(16)
@@ -55,7 +55,7 @@ def _open_file(path: Path) -> AbstractContextManager[Source]:
 
 
 @contextmanager
-def _bag(path: Path) -> Iterator[Source]:
+def _bag(path: Path) -> Iterator[Recording]:
     try:
         source: Ros1Source | Ros1Scan = Ros1Source(path).__enter__()
     except DAMAGED:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import yaml
 import zstandard
 
-from ropeway.cli.recording.source import Channel, Source
+from ropeway.cli.recording.source import RecordedChannel, Recording
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -33,12 +33,12 @@ class FolderSource:
     What the files say of their topics counts; metadata that disagrees is noted.
     """
 
-    def __init__(self, path: Path, open_file: Callable[[Path], AbstractContextManager[Source]]) -> None:
+    def __init__(self, path: Path, open_file: Callable[[Path], AbstractContextManager[Recording]]) -> None:
         self._path, self._open_file = path, open_file
         self._stack = ExitStack()
-        self._sources: list[Source] = []
+        self._sources: list[Recording] = []
         self._unpack: zstandard.ZstdDecompressor | None = None
-        self.channels: list[Channel] = []
+        self.channels: list[RecordedChannel] = []
         self.start_ns = self.end_ns = 0
         self.notes: list[str] = []
 

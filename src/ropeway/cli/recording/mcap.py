@@ -13,7 +13,7 @@ from mcap.records import Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 
-from ropeway.cli.recording.source import DAMAGED, DEFINITIONS, Channel, profiles_in, recorded_qos
+from ropeway.cli.recording.source import DAMAGED, DEFINITIONS, RecordedChannel, profiles_in, recorded_qos
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -33,7 +33,7 @@ class McapSource:
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("rb")
-        self.channels: list[Channel] = []
+        self.channels: list[RecordedChannel] = []
         self.start_ns = self.end_ns = 0
         self.notes: list[str] = []
         self._indexed = False
@@ -138,7 +138,7 @@ class McapSource:
             schema = schemas.get(channel.schema_id)
             known = schema is not None and schema.encoding in DEFINITIONS
             self.channels.append(
-                Channel(
+                RecordedChannel(
                     id=channel.id,
                     topic=channel.topic,
                     type=schema.name if schema else "",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 import lz4.frame
 from rosbags.rosbag1 import Reader
 
-from ropeway.cli.recording.source import DAMAGED, Channel, recorded_qos
+from ropeway.cli.recording.source import DAMAGED, RecordedChannel, recorded_qos
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -37,7 +37,7 @@ class Ros1Source:
 
     def __init__(self, path: Path) -> None:
         self._reader: Any = Reader(path)
-        self.channels: list[Channel] = []
+        self.channels: list[RecordedChannel] = []
         self.start_ns = self.end_ns = 0
         self.notes: list[str] = []
 
@@ -46,7 +46,7 @@ class Ros1Source:
         self.start_ns, self.end_ns = self._reader.start_time, self._reader.end_time
         for number, connection in enumerate(self._reader.connections):
             self.channels.append(
-                Channel(
+                RecordedChannel(
                     id=number,
                     topic=connection.topic,
                     type=connection.msgtype,
@@ -74,7 +74,7 @@ class Ros1Scan:
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("rb")
-        self.channels: list[Channel] = []
+        self.channels: list[RecordedChannel] = []
         self.start_ns = self.end_ns = 0
         self.notes: list[str] = ["it has no index, as it was cut short or is damaged; what is whole is played"]
 
@@ -94,7 +94,7 @@ class Ros1Scan:
             if not connections:
                 raise ValueError("the bag is cut short or damaged, and nothing in it is whole")
             self.channels = [
-                Channel(
+                RecordedChannel(
                     id=number,
                     topic=about.get("topic", header.get("topic", b"")).decode(errors="replace"),
                     type=about.get("type", b"").decode(errors="replace"),

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
-__all__ = ["DAMAGED", "DEFINITIONS", "Channel", "Source", "profiles_in", "reason_of", "recorded_qos"]
+__all__ = ["DAMAGED", "DEFINITIONS", "RecordedChannel", "Recording", "profiles_in", "reason_of", "recorded_qos"]
 
 DAMAGED: Final = (
     McapError,
@@ -46,7 +46,7 @@ DEFINITIONS: Final = ("ros2msg", "ros2idl", "ros1msg")
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class RecordedChannel:
     """What a file says of one stream of messages."""
 
     id: int
@@ -58,10 +58,10 @@ class Channel:
     qos: QoS
 
 
-class Source(Protocol):
+class Recording(Protocol):
     """An open recording. ``notes`` say what of it is not whole or does not agree."""
 
-    channels: list[Channel]
+    channels: list[RecordedChannel]
     start_ns: int
     end_ns: int
     notes: list[str]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import apsw
 
-from ropeway.cli.recording.source import DEFINITIONS, Channel, profiles_in, recorded_qos
+from ropeway.cli.recording.source import DEFINITIONS, RecordedChannel, profiles_in, recorded_qos
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -30,7 +30,7 @@ class SqliteSource:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._db: apsw.Connection
-        self.channels: list[Channel] = []
+        self.channels: list[RecordedChannel] = []
         self.start_ns = self.end_ns = 0
         self.notes: list[str] = []
         self._damaged = False
@@ -77,7 +77,7 @@ class SqliteSource:
         profiles = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
         for id, topic, type, encoding, qos in self._db.execute(f"SELECT {', '.join(names)}, {profiles} FROM topics"):  # noqa: S608
             self.channels.append(
-                Channel(
+                RecordedChannel(
                     id=id,
                     topic=str(topic),
                     type=str(type),

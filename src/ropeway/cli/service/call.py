@@ -13,7 +13,7 @@ from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.loop import run
 from ropeway.cli.patience import patiently, served_within
 from ropeway.cli.service.info import ServiceArgument
-from ropeway.cli.session import GraphOption, JsonOption, Session, TypesOption, full_name, open_session
+from ropeway.cli.session import GraphOption, JsonOption, OpenGraph, TypesOption, full_name, open_session
 from ropeway.cli.topic.render import Style, as_python
 from ropeway.cli.values import fitted, typed_values
 from ropeway.errors import CallTimeout, NotServed
@@ -26,7 +26,7 @@ app = typer.Typer(add_completion=False)
 
 
 async def call(
-    session: Session,
+    session: OpenGraph,
     service: str,
     type: str,
     values: dict[str, Any],

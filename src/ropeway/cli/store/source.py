@@ -21,7 +21,7 @@ from ropeway.iort import Node, NodeError, kind_of
 from ropeway.listener.http import without_token
 from ropeway.store import Entry, make_backend
 
-__all__ = ["AtOption", "CaOption", "Source", "TokenOption", "find_source", "key_of", "shown"]
+__all__ = ["AtOption", "CaOption", "StoreAccess", "TokenOption", "find_source", "key_of", "shown"]
 
 T = TypeVar("T")
 
@@ -45,7 +45,7 @@ CaOption = Annotated[
 ]
 
 
-class Source(Protocol):
+class StoreAccess(Protocol):
     """Somewhere values are. All methods block; they raise ``RopewayError``."""
 
     def values(self, system: str, topic: str) -> list[dict[str, Any]]:
@@ -64,7 +64,7 @@ class Source(Protocol):
         """Let go."""
 
 
-def find_source(at: str, token: str, ca: str) -> Source:
+def find_source(at: str, token: str, ca: str) -> StoreAccess:
     """Return what ``--at`` names; ``?token=`` in an address counts as ``--token``."""
     parts = urlsplit(at)
     scheme = parts.scheme

@@ -9,8 +9,8 @@ from ropeway.cli.loop import run
 from ropeway.cli.session import (
     GraphOption,
     JsonOption,
+    OpenGraph,
     QosReliability,
-    Session,
     SpinOption,
     TypesOption,
     qos_of,
@@ -24,7 +24,7 @@ __all__ = ["app", "gauge"]
 app = typer.Typer(add_completion=False)
 
 
-def gauge(session: Session, type: str, window: int) -> Delay:
+def gauge(session: OpenGraph, type: str, window: int) -> Delay:
     """The meter for a type; the end with a sentence where its messages have no stamp."""
     codec = session.registry.codec(type)
     if codec.header_stamp_ns(codec.encode({})) is None:

@@ -17,12 +17,12 @@ from ropeway.cli.refusal import unless_refused
 from ropeway.cli.session import (
     GraphOption,
     JsonOption,
+    OpenGraph,
     QosDepth,
     QosDurability,
     QosHistory,
     QosProfile,
     QosReliability,
-    Session,
     SpinOption,
     TypesOption,
     open_session,
@@ -79,7 +79,7 @@ def formatter(registry: TypeRegistry, type: str, *, style: Style, form: str = "y
 
 
 async def echo(
-    session: Session,
+    session: OpenGraph,
     topic: str,
     type: str,
     qos: QoS | None,

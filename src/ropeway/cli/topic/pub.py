@@ -16,12 +16,12 @@ from ropeway.cli.refusal import taken, unless_refused
 from ropeway.cli.session import (
     GraphOption,
     JsonOption,
+    OpenGraph,
     QosDepth,
     QosDurability,
     QosHistory,
     QosProfile,
     QosReliability,
-    Session,
     TypesOption,
     open_session,
     qos_of,
@@ -39,7 +39,7 @@ _TELL_S: Final = 1.0
 
 
 async def publish(
-    session: Session,
+    session: OpenGraph,
     topic: str,
     type: str,
     values: dict[str, Any],

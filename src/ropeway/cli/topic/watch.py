@@ -12,8 +12,8 @@ import typer
 from ropeway.cli.console import answer, complain, fail, print_json
 from ropeway.cli.patience import patiently, why_silent
 from ropeway.cli.refusal import unless_refused
-from ropeway.cli.session import Session, find_topic, open_session
-from ropeway.cli.topic.window import Meter
+from ropeway.cli.session import OpenGraph, find_topic, open_session
+from ropeway.cli.topic.window import TopicMeter
 from ropeway.graph.base import Sample
 from ropeway.qos import QoS
 
@@ -24,7 +24,7 @@ TypeArgument = Annotated[str, typer.Argument(help="Its type, where it is not dis
 WindowOption = Annotated[int, typer.Option("--window", "-w", min=1, help="How many of the newest messages count.")]
 
 
-async def resolve_type(session: Session, topic: str, given: str, spin_time_s: float) -> str:
+async def resolve_type(session: OpenGraph, topic: str, given: str, spin_time_s: float) -> str:
     """The type as given or as discovered; the end with a sentence where neither tells it."""
     if given:
         return session.registry.canonical(given)
@@ -40,11 +40,11 @@ async def resolve_type(session: Session, topic: str, given: str, spin_time_s: fl
 
 
 async def meter(
-    session: Session,
+    session: OpenGraph,
     topic: str,
     type: str,
     qos: QoS | None,
-    gauge: Meter,
+    gauge: TopicMeter,
     *,
     as_json: bool = False,
     silence: str = "",
@@ -69,7 +69,7 @@ async def meter(
             await subscription.close()
 
 
-async def _read_out(gauge: Meter, topic: str, *, as_json: bool, silence: str, period_s: float) -> None:
+async def _read_out(gauge: TopicMeter, topic: str, *, as_json: bool, silence: str, period_s: float) -> None:
     loop = asyncio.get_running_loop()
     due = loop.time()
     started = False
@@ -88,7 +88,7 @@ async def _read_out(gauge: Meter, topic: str, *, as_json: bool, silence: str, pe
 
 
 async def meter_main(
-    make: Callable[[Session, str], Meter],
+    make: Callable[[OpenGraph, str], TopicMeter],
     topic: str,
     given_type: str,
     *,

@@ -11,24 +11,24 @@ from typing import Any, Protocol
 
 from ropeway.graph.base import Sample
 
-__all__ = ["Bandwidth", "Delay", "Meter", "Rate", "Reading", "Spread"]
+__all__ = ["Bandwidth", "Delay", "MeterReading", "Rate", "Spread", "TopicMeter"]
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class MeterReading:
     """What a meter shows: for people and for programs."""
 
     text: str
     json: dict[str, Any]
 
 
-class Meter(Protocol):
+class TopicMeter(Protocol):
     """Counts messages and tells a figure about them."""
 
     def add(self, sample: Sample) -> None:
         """Count a message."""
 
-    def read(self) -> Reading | None:
+    def read(self) -> MeterReading | None:
         """The figure now; ``None`` where there is nothing (new) to tell."""
 
 
@@ -78,14 +78,14 @@ class Rate:
         self._stamps_ns.append(sample.stamp_ns)
         self._fresh = True
 
-    def read(self) -> Reading | None:
+    def read(self) -> MeterReading | None:
         """The rate and the intervals; ``None`` where nothing came since the last call."""
         if not self._fresh or len(self._stamps_ns) < 2:
             return None
         self._fresh = False
         spread = Spread.of([(b - a) / 1e9 for a, b in pairwise(self._stamps_ns)])
         rate_hz = 1.0 / spread.mean if spread.mean > 0 else math.inf
-        return Reading(f"average rate: {rate_hz:.3f}{spread._line()}", {"rate_hz": rate_hz, **spread.json("s")})
+        return MeterReading(f"average rate: {rate_hz:.3f}{spread._line()}", {"rate_hz": rate_hz, **spread.json("s")})
 
 
 class Bandwidth:
@@ -99,7 +99,7 @@ class Bandwidth:
         """Count a message by the time it was received."""
         self._seen.append((sample.stamp_ns, len(sample.payload)))
 
-    def read(self) -> Reading | None:
+    def read(self) -> MeterReading | None:
         """Bytes per second until now and the sizes, all in the unit of the rate; ``None`` before the second message."""
         now_ns = self._clock_ns()
         if len(self._seen) < 2 or now_ns <= self._seen[0][0]:
@@ -112,7 +112,7 @@ class Bandwidth:
         def show(value: float) -> str:
             return f"{value / factor:.{digits}f} {unit}"
 
-        return Reading(
+        return MeterReading(
             f"{show(rate_bps)}/s from {sizes.count} messages\n"
             f"\tMessage size mean: {show(sizes.mean)} min: {show(sizes.min)} max: {show(sizes.max)}",
             {"bandwidth_Bps": rate_bps, **sizes.json("bytes")},
@@ -137,10 +137,10 @@ class Delay:
             self._seconds.append((sample.stamp_ns - stamp_ns) / 1e9)
             self._fresh = True
 
-    def read(self) -> Reading | None:
+    def read(self) -> MeterReading | None:
         """The delays; ``None`` where nothing came since the last call."""
         if not self._fresh:
             return None
         self._fresh = False
         spread = Spread.of(list(self._seconds))
-        return Reading(f"average delay: {spread.mean:.3f}{spread._line()}", spread.json("s"))
+        return MeterReading(f"average delay: {spread.mean:.3f}{spread._line()}", spread.json("s"))

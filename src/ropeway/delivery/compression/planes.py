@@ -17,7 +17,7 @@ import zstandard
 from ropeway.delivery.compression.arrays import BYTES, NUMBERS, Array, Data
 from ropeway.errors import DecodeError
 
-__all__ = ["CONSTANT", "GREEN", "MIN_WIDTH", "UPPER", "Parts", "contexts", "decode", "encode"]
+__all__ = ["CONSTANT", "GREEN", "MIN_WIDTH", "UPPER", "EncodedArray", "contexts", "decode", "encode"]
 
 _U8: TypeAlias = npt.NDArray[np.uint8]
 _U16: TypeAlias = npt.NDArray[np.uint16]
@@ -76,7 +76,7 @@ class _Contexts(threading.local):
 contexts: Final = _Contexts()
 
 
-class Parts(NamedTuple):
+class EncodedArray(NamedTuple):
     """An encoded array: flags, column modes and constants of records, and the compressed planes."""
 
     flags: int
@@ -85,7 +85,7 @@ class Parts(NamedTuple):
     planes: list[bytes]
 
 
-def encode(data: Data, array: Array) -> Parts:
+def encode(data: Data, array: Array) -> EncodedArray:
     """Take an array apart."""
     values = np.frombuffer(data, np.uint8, array.length, array.start)
     if array.filter == BYTES:
@@ -113,7 +113,7 @@ def _compress(plane: _U8) -> bytes:
     return contexts.plane.compress(plane.data)
 
 
-def _encode_bytes(pixels: _U8, width: int, green: bool) -> Parts:
+def _encode_bytes(pixels: _U8, width: int, green: bool) -> EncodedArray:
     count, channels = pixels.shape
     planes: _U8 = contexts.array("planes", (channels, count), np.uint8)
     for i in range(channels):
@@ -123,10 +123,10 @@ def _encode_bytes(pixels: _U8, width: int, green: bool) -> Parts:
         planes[2] -= planes[1]
     deltas, upper = _differences(planes.reshape(-1), width)
     flags = (GREEN if green else 0) | (UPPER if upper else 0)
-    return Parts(flags, b"", b"", [_compress(plane) for plane in deltas.reshape(channels, count)])
+    return EncodedArray(flags, b"", b"", [_compress(plane) for plane in deltas.reshape(channels, count)])
 
 
-def _encode_numbers(numbers: _U16, width: int) -> Parts:
+def _encode_numbers(numbers: _U16, width: int) -> EncodedArray:
     values: _U16 = contexts.array("planes", numbers.shape, np.uint16)
     np.copyto(values, numbers)
     deltas, upper = _differences(values, width)
@@ -134,7 +134,7 @@ def _encode_numbers(numbers: _U16, width: int) -> Parts:
     np.right_shift(deltas.view(np.int16), 15, out=signs.view(np.int16))  # all ones where negative
     deltas <<= 1
     deltas ^= signs
-    return Parts(UPPER if upper else 0, b"", b"", _byte_planes(deltas.view(np.uint8).reshape(-1, 2)))
+    return EncodedArray(UPPER if upper else 0, b"", b"", _byte_planes(deltas.view(np.uint8).reshape(-1, 2)))
 
 
 def _byte_planes(rows: _U8) -> list[bytes]:
@@ -182,7 +182,7 @@ def _upper_helps(deltas: npt.NDArray[Any], width: int) -> bool:
 _BITS: Final = np.log2(1 + np.abs(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32)))
 
 
-def _encode_records(records: _U8) -> Parts:
+def _encode_records(records: _U8) -> EncodedArray:
     count, step = records.shape
     columns = _columns(records)
     modes = _choose_modes(columns)
@@ -203,7 +203,7 @@ def _encode_records(records: _U8) -> Parts:
             delta += _BIAS
         frames += _byte_planes((delta if mode == _DELTA else column).view(np.uint8).reshape(count, 4))
     frames += _byte_planes(records[:, step & ~3 :])
-    return Parts(0, bytes(modes), b"".join(constants), frames)
+    return EncodedArray(0, bytes(modes), b"".join(constants), frames)
 
 
 def _columns(records: _U8) -> _U32:

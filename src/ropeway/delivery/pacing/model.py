@@ -13,7 +13,7 @@ trip, and a little more. Two figures bound it:
 
 The shortest round trip is forgotten after a while, as routes change; while we fill the link ourselves, a part of the
 window is left unused for three round trips every five seconds, to see it again. Whether a queue is ours at all,
-``ropeway.delivery.pacing.others`` tells.
+``ropeway.delivery.pacing.competition`` tells.
 
 There is no input or output here: readings go in, bounds come out. A simulated link tests it.
 """
@@ -22,10 +22,10 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from ropeway.delivery.pacing.others import Advice, Others, Situation
+from ropeway.delivery.pacing.competition import Advice, Competition, Situation
 from ropeway.delivery.pacing.pace import Pace
 
-__all__ = ["LinkModel", "Reading"]
+__all__ = ["LinkModel", "LinkReading"]
 
 _FIRST_WINDOW_BYTES: Final = 16 * 1024  # what TCP itself begins with
 _LEAST_WINDOW_BYTES: Final = 4 * 1024
@@ -61,7 +61,7 @@ _LOSSY_ROUNDS: Final = 3  # of the last sixteen: losses without a queue are no s
 _LOSS_MEMORY: Final = 0xFFFF
 
 
-class Reading(NamedTuple):
+class LinkReading(NamedTuple):
     """What is known of a connection at one moment; counts are since its beginning.
 
     ``delivered_bytes`` have arrived (acknowledged, also selectively), ``in_flight_bytes`` are on the way,
@@ -110,7 +110,7 @@ class LinkModel:
         self._drain_rounds = 0
         self._settling = 0
         self._round: _Round | None = None
-        self._others = Others()
+        self._others = Competition()
         self._lossy_rounds = 0
         self._retransmissions = 0
 
@@ -184,7 +184,7 @@ class LinkModel:
         self.outstanding_bytes += size_bytes
         self._largest_bytes = max(size_bytes, self._largest_bytes * _FORGET)
 
-    def observe(self, reading: Reading) -> None:
+    def observe(self, reading: LinkReading) -> None:
         """Take a reading: learn from it, and set ``room_bytes``."""
         now = reading.now_s
         self._least_bytes = max(_LEAST_WINDOW_BYTES, 2 * reading.segment_bytes)
@@ -233,7 +233,7 @@ class LinkModel:
 
     # ── rounds ─────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _note_round(self, reading: Reading, held: bool, kernel_holds: bool) -> None:
+    def _note_round(self, reading: LinkReading, held: bool, kernel_holds: bool) -> None:
         current = self._round
         if current is None:
             if self.outstanding_bytes:
@@ -245,7 +245,7 @@ class LinkModel:
         self._end_round(current, reading)
         self._round = _Round(reading, self.outstanding_bytes)
 
-    def _end_round(self, ended: _Round, reading: Reading) -> None:
+    def _end_round(self, ended: _Round, reading: LinkReading) -> None:
         lost = reading.retransmissions > self._retransmissions
         self._retransmissions = reading.retransmissions
         if lost:
@@ -350,7 +350,7 @@ class _Round:
         "until_bytes",
     )
 
-    def __init__(self, reading: Reading, outstanding_bytes: int) -> None:
+    def __init__(self, reading: LinkReading, outstanding_bytes: int) -> None:
         self.began_s = reading.now_s
         self.from_bytes = reading.delivered_bytes
         self.until_bytes = reading.delivered_bytes + outstanding_bytes
@@ -359,7 +359,7 @@ class _Round:
         self.deviation_s = reading.rtt_deviation_s
         self.most_bytes = reading.in_flight_bytes
 
-    def is_over(self, reading: Reading) -> bool:
+    def is_over(self, reading: LinkReading) -> bool:
         """Return whether what was on the way has arrived, and enough of it to know the round trip."""
         seconds, arrived = reading.now_s - self.began_s, reading.delivered_bytes - self.from_bytes
         if reading.delivered_bytes < self.until_bytes or seconds < _SHORTEST_ROUND_S:
@@ -370,7 +370,7 @@ class _Round:
             or not reading.in_flight_bytes
         )
 
-    def note(self, reading: Reading, held: bool, kernel_holds: bool) -> None:
+    def note(self, reading: LinkReading, held: bool, kernel_holds: bool) -> None:
         """Take a reading within the round."""
         self.held = self.held or held
         self.kernel_held = self.kernel_held or kernel_holds

@@ -12,7 +12,7 @@ import struct
 import time
 from typing import Any, Final, NamedTuple
 
-from ropeway.delivery.pacing.model import Reading
+from ropeway.delivery.pacing.model import LinkReading
 
 __all__ = ["Tcp", "TcpInfo", "tcp_info"]
 
@@ -71,7 +71,7 @@ class Tcp:
         self._socket = sock
         self._paced = _NO_PACING
 
-    def read(self) -> Reading | None:
+    def read(self) -> LinkReading | None:
         """Read the figures that the model works with; ``None`` where the kernel does not tell them."""
         info = tcp_info(self._socket)
         if info is None:
@@ -80,7 +80,7 @@ class Tcp:
         # What is acknowledged selectively has arrived. What the kernel takes for lost may only be late: it counts.
         on_the_way = info.unacknowledged - info.selectively_acknowledged
         unacknowledged_bytes = info.bytes_sent - info.bytes_sent_again - info.bytes_acknowledged
-        return Reading(
+        return LinkReading(
             time.monotonic(),
             info.bytes_acknowledged + info.selectively_acknowledged * segment,
             max(0, min(on_the_way * segment, unacknowledged_bytes)),

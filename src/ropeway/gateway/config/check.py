@@ -26,7 +26,7 @@ from ropeway.gateway.config.address import (
     parse_listen,
 )
 from ropeway.gateway.config.auth_model import ALL
-from ropeway.gateway.config.model import OPERATIONS, Document, Item, RemoteConfig
+from ropeway.gateway.config.model import OPERATIONS, BridgedName, Document, RemoteConfig
 from ropeway.gateway.config.overlay_model import METADATA, OVERLAY
 from ropeway.gateway.config.suggest import did_you_mean, nearest, one_of, show, unknown_key
 
@@ -404,7 +404,7 @@ def _tasks(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable[
         known = _spellings(model)
         for number, raw in _objects(remote.get(operation)):
             item = _attempt(model.model_validate, {k: v for k, v in raw.items() if k in known})
-            if not isinstance(item, Item):
+            if not isinstance(item, BridgedName):
                 continue
             name, remote_name = shell.names(item)
             key = route_key(operation, shell.address, shell.graph or str(default), name, remote_name, item.type)

@@ -22,8 +22,8 @@ from ropeway.gateway.config.document import read_file
 from ropeway.gateway.config.model import (
     OPERATIONS,
     ActionItem,
+    BridgedName,
     GatewayConfig,
-    Item,
     RemoteConfig,
     ServiceItem,
     TopicItem,
@@ -73,7 +73,7 @@ class Config:
             for operation, number, item in remote.items()
         ]
 
-    def _route(self, index: int, remote: RemoteConfig, operation: str, number: int, item: Item) -> Route:
+    def _route(self, index: int, remote: RemoteConfig, operation: str, number: int, item: BridgedName) -> Route:
         name, remote_name = remote.names(item)
         graph = remote.graph or self.gateway.graphs[0]
         kind = OPERATIONS[operation]

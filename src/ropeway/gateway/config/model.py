@@ -44,10 +44,10 @@ __all__ = [
     "OPERATIONS",
     "PRIORITIES",
     "ActionItem",
+    "BridgedName",
     "ClientsConfig",
     "Document",
     "GatewayConfig",
-    "Item",
     "ListenTls",
     "RemoteConfig",
     "RemoteTls",
@@ -225,7 +225,7 @@ Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 # ---------------------------------------------------------------------------------------------------- models
 
 
-class Item(Model):
+class BridgedName(Model):
     """One name to bridge, with what all operations share."""
 
     name: Name = Field(description="the name on the local graph; relative to local_namespace")
@@ -255,7 +255,7 @@ class Item(Model):
         )
 
 
-class TopicItem(Item):
+class TopicItem(BridgedName):
     """A topic to ``publish`` or to ``subscribe``."""
 
     type: Annotated[str, _type_of("topic")] = Field(
@@ -290,7 +290,7 @@ class RenamedTopicItem(TopicItem):
     remote_name: Name = Field(description="the name on the remote side")
 
 
-class ServiceItem(Item):
+class ServiceItem(BridgedName):
     """A service to expose or to reserve."""
 
     timeout_s: Seconds | None = Field(None, description="how long a call may take (seconds); left out: 60")
@@ -305,7 +305,7 @@ class ServiceItem(Item):
     )
 
 
-class ActionItem(Item):
+class ActionItem(BridgedName):
     """An action to expose or to reserve."""
 
     timeout_s: Seconds | None = Field(
@@ -395,13 +395,13 @@ class RemoteConfig(Model):
     expose_action: Many[ActionItem] = Field((), alias="expose-action", description="local actions offered there")
     reserve_action: Many[ActionItem] = Field((), alias="reserve-action", description="remote actions offered here")
 
-    def items(self) -> Iterable[tuple[str, int, Item]]:
+    def items(self) -> Iterable[tuple[str, int, BridgedName]]:
         """Every ``(operation, index, item)``, in the order of ``OPERATIONS``."""
         for operation in OPERATIONS:
             for index, item in enumerate(getattr(self, operation.replace("-", "_"))):
                 yield operation, index, item
 
-    def names(self, item: Item) -> tuple[str, str]:
+    def names(self, item: BridgedName) -> tuple[str, str]:
         """The absolute local and remote names of an item.
 
         Namespaces stand before ``name``, with or without its leading slash; a ``remote_name`` with a leading slash

@@ -88,7 +88,7 @@ class Spare:
             await _end(process)
 
 
-class Worker:
+class WorkerProcess:
     """One process and its slice."""
 
     def __init__(self, name: str, order: dict[str, Any], spare: Spare, *, steady_s: float) -> None:
@@ -178,7 +178,7 @@ class Supervisor:
         parts = slices(config)
         self.spare = Spare()
         self.workers = [
-            Worker(
+            WorkerProcess(
                 name,
                 {
                     "config": part.to_json(),

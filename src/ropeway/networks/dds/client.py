@@ -23,10 +23,10 @@ from ropeway.errors import (
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Client, Request
 from ropeway.logs import failed
-from ropeway.networks.dds.in_flight import Window
+from ropeway.networks.dds.in_flight import InFlightRequests
 from ropeway.networks.dds.matching import paired
-from ropeway.networks.dds.records import Peer
-from ropeway.networks.dds.rpc import MAX_SEQ, Header, join, split
+from ropeway.networks.dds.records import MatchedEndpoint
+from ropeway.networks.dds.rpc import MAX_SEQ, RequestHeader, join, split
 from ropeway.networks.dds.service_endpoints import Ends
 from ropeway.networks.dds.vendors import speaks_header, vendor_name
 from ropeway.tasks import background, end
@@ -82,10 +82,10 @@ class DdsClient(Ends):
         self._seq = 0
         self._calls: dict[int, _Call] = {}
         self._waiting = 0
-        self._window = Window(deferred=self.service.endswith(_DEFERRED))
+        self._window = InFlightRequests(deferred=self.service.endswith(_DEFERRED))
         self._servers: dict[bytes, float] = {}  # ours to call, and when each was matched
         self._all_ours = False
-        self._others: tuple[Peer, ...] = ()
+        self._others: tuple[MatchedEndpoint, ...] = ()
         self._lost: set[bytes] = set()
         self._losing: asyncio.Task[None] | None = None
         self._helped: Client | None = None
@@ -140,7 +140,7 @@ class DdsClient(Ends):
         call = self._calls[seq] = _Call(self._loop, set(self._servers))
         try:
             self._check_open()
-            message = join(Header(self._id, seq), request.payload)
+            message = join(RequestHeader(self._id, seq), request.payload)
             await self._write(message, until)
             for pause in _AGAIN_S if self._is_fresh() else ():
                 await asyncio.wait((call.outcome,), timeout=max(0.0, min(until - self._loop.time(), pause)))

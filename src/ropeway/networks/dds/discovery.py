@@ -26,7 +26,7 @@ from ropeway.networks.dds.nodes import OLD_GID_BYTES, NodeEntities
 from ropeway.networks.dds.records import Discovered, EndpointRecord, Gone, Joined, NodesRecord
 from ropeway.qos import QoS
 
-__all__ = ["Discovery"]
+__all__ = ["DdsDiscovery"]
 
 # An endpoint is discovered a moment before the message that tells whose node it is; its event waits this long for it.
 _NODE_GRACE_S: Final = 0.25
@@ -67,7 +67,7 @@ class _Action:
         (self.servers if serves else self.clients).setdefault(key, endpoint)
 
 
-class Discovery:
+class DdsDiscovery:
     """What there is on the network.
 
     ``emit`` gets the events, others' only; ``changed`` the ROS topics whose publishers changed, once per batch;

@@ -23,18 +23,18 @@ from ropeway.graph.base import (
     Undelivered,
     resolve_name,
 )
-from ropeway.graph.border import Border
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.layout_border import Border
 from ropeway.logs import failed
 from ropeway.networks.dds.byteorder import ByteOrder, Codec
 from ropeway.networks.dds.client import DdsClient
-from ropeway.networks.dds.discovery import Discovery
+from ropeway.networks.dds.discovery import DdsDiscovery
 from ropeway.networks.dds.domain import MAX_DOMAIN
 from ropeway.networks.dds.endpoint_qos import user_data
 from ropeway.networks.dds.fastdds import FAST, FastHelper, FastRpc, Surroundings
 from ropeway.networks.dds.layouts import Layouts
 from ropeway.networks.dds.names import dds_topic, dds_type
-from ropeway.networks.dds.participant import Participant
+from ropeway.networks.dds.participant import DdsParticipant
 from ropeway.networks.dds.profile import make_profile
 from ropeway.networks.dds.publisher import DdsPublisher
 from ropeway.networks.dds.raw import DdsError
@@ -43,7 +43,7 @@ from ropeway.networks.dds.records import Discovered
 from ropeway.networks.dds.service import DdsService
 from ropeway.networks.dds.service_endpoints import Ends
 from ropeway.networks.dds.subscription import DdsSubscription, SharedReader, settled
-from ropeway.networks.dds.vendors import Helper
+from ropeway.networks.dds.vendors import VendorHelper
 from ropeway.qos import DEFAULT, QoS, common_qos
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
@@ -99,7 +99,7 @@ class DdsGraph:
         registry: Types | None = None,
         clock: Callable[[], int] = time.time_ns,
         foreign: bool = False,
-        helper: Helper | None = None,
+        helper: VendorHelper | None = None,
         fast: bool = True,
         network: Variant | None = None,
     ) -> None:
@@ -128,8 +128,8 @@ class DdsGraph:
         self._clock = clock
         self._foreign = foreign
         self._changes = Changes()
-        self._participant: Participant | None = None
-        self._discovery: Discovery | None = None
+        self._participant: DdsParticipant | None = None
+        self._discovery: DdsDiscovery | None = None
         self._publishers: dict[DdsPublisher, None] = {}
         self._subscriptions: dict[DdsSubscription, None] = {}
         self._shared: dict[tuple[str, str, QoS], SharedReader] = {}
@@ -147,10 +147,10 @@ class DdsGraph:
                 return
             profile = make_profile(self.name, self._interface)
             self._changes = Changes()
-            participant = Participant(
+            participant = DdsParticipant(
                 self.name, self.domain, profile, self.node, self.gateway_id, self._clock, self._on_discovered
             )
-            self._discovery = Discovery(
+            self._discovery = DdsDiscovery(
                 self.name,
                 self.gateway_id,
                 self._changes.emit,
@@ -313,7 +313,7 @@ class DdsGraph:
         return self._own_registry
 
     @property
-    def participant(self) -> Participant:
+    def participant(self) -> DdsParticipant:
         """The DDS side, for services and actions. Raises ``GraphUnavailable`` where the graph is not open."""
         return self._opened()
 
@@ -433,7 +433,7 @@ class DdsGraph:
             qos = replace(qos, depth=max(qos.depth, _MIN_ADOPTED_DEPTH))
         return qos
 
-    def _opened(self) -> Participant:
+    def _opened(self) -> DdsParticipant:
         if self._participant is None:
             raise GraphUnavailable(self.name, "is not open; call open() first")
         return self._participant

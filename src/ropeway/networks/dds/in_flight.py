@@ -6,7 +6,7 @@ import asyncio
 from collections import OrderedDict, deque
 from typing import Final
 
-__all__ = ["Window"]
+__all__ = ["InFlightRequests"]
 
 _MAX: Final = 512
 _UNKNOWN_DEPTH: Final = 10  # of services, unless a node says otherwise
@@ -15,7 +15,7 @@ _DEFERRED_PATIENCE_S: Final = 0.05
 _FORGET: Final = 0.9
 
 
-class Window:
+class InFlightRequests:
     """Lets a burst of requests out as fast as they are answered.
 
     Half of what the server keeps is used, since others call it, too. A server may take requests and answer them much

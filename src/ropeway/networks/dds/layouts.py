@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Final, Protocol
 
 from ropeway.graph.base import Sample, SampleCallback
-from ropeway.graph.border import Border
+from ropeway.graph.layout_border import Border
 from ropeway.types import TypeRegistry
 from ropeway.types.translation import Translate
 

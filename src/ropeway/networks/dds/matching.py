@@ -9,7 +9,7 @@ from typing import Any, Final
 from ropeway.networks.dds import raw
 from ropeway.networks.dds.endpoint_qos import parse_user_data, read_qos
 from ropeway.networks.dds.raw import check, lib, matched
-from ropeway.networks.dds.records import Peer
+from ropeway.networks.dds.records import MatchedEndpoint
 from ropeway.networks.dds.vendors import HELPER_MARK, speaks_header
 from ropeway.networks.dds.waitset import Pump
 
@@ -22,14 +22,14 @@ class Matches:
     """The far ends of the writer or reader ``entity``; ``tell`` gets all of them at each change, the last counts."""
 
     def __init__(
-        self, pump: Pump, entity: int, tell: Callable[[list[tuple[Peer, ...]]], None], *, writer: bool
+        self, pump: Pump, entity: int, tell: Callable[[list[tuple[MatchedEndpoint, ...]]], None], *, writer: bool
     ) -> None:
         self.closed = False
         self._pump, self._entity, self._tell = pump, entity, tell
         self._status = raw.PUBLICATION_MATCHED if writer else raw.SUBSCRIPTION_MATCHED
         self._list: Any = lib.get_matched_subscriptions if writer else lib.get_matched_publications
         self._look: Any = lib.get_matched_subscription_data if writer else lib.get_matched_publication_data
-        self._known: dict[int, Peer] = {}
+        self._known: dict[int, MatchedEndpoint] = {}
         check(lib.set_status_mask(entity, self._status), "set_status_mask")
         self.key = pump.attach(entity, self._on_status)
 
@@ -40,7 +40,7 @@ class Matches:
         if self.closed:
             return
         check(code, "take_status")
-        known: dict[int, Peer] = {}
+        known: dict[int, MatchedEndpoint] = {}
         for handle in matched(self._list, self._entity):
             peer = self._known.get(handle) or self._peer(handle)
             if peer is not None:
@@ -48,11 +48,11 @@ class Matches:
         self._known = known
         self._pump.push(self._on_loop, [tuple(known.values())])
 
-    def _on_loop(self, batch: list[tuple[Peer, ...]]) -> None:
+    def _on_loop(self, batch: list[tuple[MatchedEndpoint, ...]]) -> None:
         if not self.closed:
             self._tell(batch)
 
-    def _peer(self, handle: int) -> Peer | None:
+    def _peer(self, handle: int) -> MatchedEndpoint | None:
         data = self._look(self._entity, handle)
         if not data:
             return None  # it left meanwhile, which is another change
@@ -62,7 +62,7 @@ class Matches:
             qos = read_qos(data.contents.qos, tells_history=speaks_header(guid))
         finally:
             lib.builtintopic_free_endpoint(data)
-        return Peer(guid, pair_of(marks), qos.depth, ours="since" in marks, helper=HELPER_MARK in marks)
+        return MatchedEndpoint(guid, pair_of(marks), qos.depth, ours="since" in marks, helper=HELPER_MARK in marks)
 
 
 def pair_of(marks: Mapping[str, str]) -> str:
@@ -79,7 +79,7 @@ def since_of(marks: Mapping[str, str]) -> int:
     return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else 0
 
 
-def paired(ends: Iterable[Peer], others: Iterable[Peer]) -> dict[bytes, Peer]:
+def paired(ends: Iterable[MatchedEndpoint], others: Iterable[MatchedEndpoint]) -> dict[bytes, MatchedEndpoint]:
     """Those of ``ends``, by GUID, whose other half is among ``others``.
 
     Halves know each other by what both tell, or, where they tell nothing, by their participant.

@@ -22,16 +22,16 @@ from ropeway.networks.dds.matching import Matches, since_of
 from ropeway.networks.dds.names import DISCOVERY_TOPIC, DISCOVERY_TYPE, DISCOVERY_TYPE_HASH
 from ropeway.networks.dds.nodes import GID_BYTES, OLD_GID_BYTES, NodeEntities, ParticipantEntities, encode, parse
 from ropeway.networks.dds.profile import Profile
-from ropeway.networks.dds.raw import ALIVE, INFO, Endpoint, ParticipantData, SampleInfo, check, lib, matched
+from ropeway.networks.dds.raw import ALIVE, INFO, BuiltinEndpoint, ParticipantData, SampleInfo, check, lib, matched
 from ropeway.networks.dds.raw_endpoints import RawReader, RawWriter, Taken, WriterIdentity
-from ropeway.networks.dds.records import Discovered, EndpointRecord, Gone, Joined, NodesRecord, Peer
+from ropeway.networks.dds.records import Discovered, EndpointRecord, Gone, Joined, MatchedEndpoint, NodesRecord
 from ropeway.networks.dds.selftest import verify
 from ropeway.networks.dds.vendors import HELPER_MARK, speaks_header
 from ropeway.networks.dds.waitset import Pump, run_in_thread
 from ropeway.networks.dds.writer_thread import Courier
 from ropeway.qos import QoS
 
-__all__ = ["Participant"]
+__all__ = ["DdsParticipant"]
 
 log = logging.getLogger("ropeway.dds")
 
@@ -42,7 +42,7 @@ _ANNOUNCE_QOS: Final = QoS(durability="transient_local", depth=1)
 _LISTEN_QOS: Final = QoS(durability="transient_local", history="keep_all")
 
 
-class Participant:
+class DdsParticipant:
     """One participant in domain ``number``, with the node ``node`` (a full name).
 
     ``graph`` is what messages call it, ``on_discovered`` gets batches of records on the loop.
@@ -128,7 +128,7 @@ class Participant:
         deliver: Callable[[list[Sample]], None],
         dropped: Callable[[list[tuple[Undelivered, int]]], None],
         order: ByteOrder | None = None,
-        matches: Callable[[list[tuple[Peer, ...]]], None] | None = None,
+        matches: Callable[[list[tuple[MatchedEndpoint, ...]]], None] | None = None,
         all_gateways: bool = False,
         silent: bool = False,
     ) -> RawReader:
@@ -161,7 +161,7 @@ class Participant:
         user_data: bytes,
         refused: Callable[[Undelivered], None],
         demand: Callable[[int], None] | None = None,
-        matches: Callable[[list[tuple[Peer, ...]]], None] | None = None,
+        matches: Callable[[list[tuple[MatchedEndpoint, ...]]], None] | None = None,
     ) -> RawWriter:
         """A writer on ``topic``; ``demand`` gets the number of others' readers on the loop. Raises ``DdsError``.
 
@@ -343,12 +343,12 @@ class Participant:
                     if HELPER_MARK not in parse_user_data(data.qos):  # they have no nodes
                         found.append(Joined(bytes(data.key)))
                 elif valid:
-                    found.append(self._found(kind, handle, Endpoint.from_address(address)))
+                    found.append(self._found(kind, handle, BuiltinEndpoint.from_address(address)))
             return found
 
         self.pump.attach(condition, on_data)
 
-    def _found(self, kind: str, handle: int, data: Endpoint) -> EndpointRecord:
+    def _found(self, kind: str, handle: int, data: BuiltinEndpoint) -> EndpointRecord:
         marks = parse_user_data(data.qos)
         guid = bytes(data.key)
         if kind == "publisher":

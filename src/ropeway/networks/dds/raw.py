@@ -42,8 +42,8 @@ __all__ = [
     "SUBSCRIPTION_MATCHED",
     "TIMEOUT",
     "WHEEL_VERSION",
+    "BuiltinEndpoint",
     "DdsError",
-    "Endpoint",
     "IoVec",
     "IoVecOut",
     "Lib",
@@ -150,7 +150,7 @@ class _TopicDescriptor(ct.Structure):
     )
 
 
-class Endpoint(ct.Structure):
+class BuiltinEndpoint(ct.Structure):
     """``dds_builtintopic_endpoint_t``: a writer or reader that was discovered."""
 
     _fields_ = (
@@ -197,8 +197,8 @@ _PROTOTYPES: Final[dict[str, tuple[bool, Any, tuple[Any, ...]]]] = {
     "dds_get_entity_sertype": (True, _i32, (_i32, _out(_vp))),
     "dds_get_matched_subscriptions": (True, _i32, (_i32, _vp, _size)),
     "dds_get_matched_publications": (True, _i32, (_i32, _vp, _size)),
-    "dds_get_matched_subscription_data": (True, ct.POINTER(Endpoint), (_i32, _u64)),
-    "dds_get_matched_publication_data": (True, ct.POINTER(Endpoint), (_i32, _u64)),
+    "dds_get_matched_subscription_data": (True, ct.POINTER(BuiltinEndpoint), (_i32, _u64)),
+    "dds_get_matched_publication_data": (True, ct.POINTER(BuiltinEndpoint), (_i32, _u64)),
     "dds_builtintopic_free_endpoint": (False, None, (_vp,)),
     "dds_take": (True, _i32, (_i32, _vp, _vp, _size, _u32)),
     "dds_read": (True, _i32, (_i32, _vp, _vp, _size, _u32)),

@@ -66,7 +66,7 @@ class Taken:
         self.raw = memoryview(self.infos).cast("B")
 
 
-class Host(Protocol):
+class ParticipantHost(Protocol):
     """What readers and writers need of the participant that they belong to."""
 
     pump: Pump
@@ -89,7 +89,7 @@ class RawReader:
 
     def __init__(
         self,
-        participant: Host,
+        participant: ParticipantHost,
         topic: tuple[str, str],
         type: str,
         entity: int,
@@ -215,7 +215,7 @@ class RawWriter:
 
     def __init__(
         self,
-        participant: Host,
+        participant: ParticipantHost,
         topic: tuple[str, str],
         entity: int,
         sertype: int,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ropeway.networks.dds.nodes import NodeEntities
 from ropeway.qos import QoS
 
-__all__ = ["Discovered", "EndpointRecord", "Gone", "Joined", "NodesRecord", "Peer"]
+__all__ = ["Discovered", "EndpointRecord", "Gone", "Joined", "MatchedEndpoint", "NodesRecord"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +55,11 @@ class NodesRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Peer:
+class MatchedEndpoint:
     """The far end of a match.
 
     ``pair`` is what the two endpoints of one service or client have in common, ``""`` where they do not tell; ``depth``
-    is how many samples it keeps, 0 where that is not known. ``ours`` marks Ropeway's, ``helper`` those of a ``Helper``.
+    is how many samples it keeps, 0 where that is not known. ``ours`` marks Ropeway's, ``helper`` a ``VendorHelper``'s.
     """
 
     guid: bytes

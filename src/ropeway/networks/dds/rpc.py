@@ -12,7 +12,7 @@ from __future__ import annotations
 import struct
 from typing import Final, NamedTuple
 
-__all__ = ["HEADER_BYTES", "MAX_SEQ", "Header", "Message", "join", "split"]
+__all__ = ["HEADER_BYTES", "MAX_SEQ", "RequestHeader", "RpcMessage", "join", "split"]
 
 HEADER_BYTES: Final = 16
 MAX_SEQ: Final = 2**32 - 1
@@ -25,38 +25,38 @@ _LITTLE_CDR: Final = b"\0\1"
 _BIG_CDR: Final = b"\0\0"
 
 
-class Header(NamedTuple):
+class RequestHeader(NamedTuple):
     """``client`` is a number that the client chose, ``seq`` one that it gives to one request only."""
 
     client: int
     seq: int
 
 
-class Message(NamedTuple):
+class RpcMessage(NamedTuple):
     """A request or a reply; ``payload`` is the CDR of its body, in the byte order that it claims."""
 
-    header: Header
+    header: RequestHeader
     payload: bytes
 
 
-def join(header: Header, payload: bytes) -> bytes:
+def join(header: RequestHeader, payload: bytes) -> bytes:
     """The message for little-endian CDR (with its 4-byte header). Raises ``struct.error`` for impossible numbers."""
     return b"".join((payload[:_CDR], _LITTLE.pack(*header), payload[_CDR:]))
 
 
-def split(message: bytes) -> Message | None:
+def split(message: bytes) -> RpcMessage | None:
     """Header and payload of what arrived; ``None`` for bytes that are none."""
     if len(message) < _BODY:
         return None
     order = message[:2]
     if order == _LITTLE_CDR:
-        header = Header._make(_LITTLE.unpack_from(message, _CDR))
+        header = RequestHeader._make(_LITTLE.unpack_from(message, _CDR))
         if not 0 < header.seq <= MAX_SEQ:
-            swapped = Header._make(_BIG.unpack_from(message, _CDR))
+            swapped = RequestHeader._make(_BIG.unpack_from(message, _CDR))
             if 0 < swapped.seq <= MAX_SEQ:
                 header, order = swapped, _BIG_CDR
     elif order == _BIG_CDR:
-        header = Header._make(_BIG.unpack_from(message, _CDR))
+        header = RequestHeader._make(_BIG.unpack_from(message, _CDR))
     else:
         return None
-    return Message(header, b"".join((order, message[2:_CDR], message[_BODY:])))
+    return RpcMessage(header, b"".join((order, message[2:_CDR], message[_BODY:])))

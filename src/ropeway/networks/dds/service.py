@@ -14,10 +14,10 @@ from ropeway.errors import CallError, GraphError, TypesError
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.calls import Request, Service, ServiceHandler
 from ropeway.logs import failed
+from ropeway.networks.dds.answer_pacing import AnswerPacing
 from ropeway.networks.dds.matching import paired
-from ropeway.networks.dds.pace import Pace
-from ropeway.networks.dds.records import Peer
-from ropeway.networks.dds.rpc import Header, join, split
+from ropeway.networks.dds.records import MatchedEndpoint
+from ropeway.networks.dds.rpc import RequestHeader, join, split
 from ropeway.networks.dds.service_endpoints import Ends
 from ropeway.networks.dds.vendors import speaks_header, vendor_name
 from ropeway.tasks import Chores
@@ -53,9 +53,9 @@ class DdsService(Ends):
         self._handler = handler
         self._helped: Service | None = None
         self._serving = Chores()
-        self._seen: dict[tuple[bytes, Header], None] = {}
-        self._callers: dict[bytes, Peer] = {}
-        self._paces: dict[bytes, Pace] = {}
+        self._seen: dict[tuple[bytes, RequestHeader], None] = {}
+        self._callers: dict[bytes, MatchedEndpoint] = {}
+        self._paces: dict[bytes, AnswerPacing] = {}
         self._warned: dict[str, float] = {}
 
     async def get_help(self) -> None:
@@ -109,7 +109,7 @@ class DdsService(Ends):
                 vendor_name(writer),
             )
 
-    def _take(self, writer: bytes, header: Header, payload: bytes) -> None:
+    def _take(self, writer: bytes, header: RequestHeader, payload: bytes) -> None:
         key = (writer, header)
         if key in self._seen:
             log.debug("%s: %s: request %d came twice", self._graph.name, self.service, header.seq)
@@ -123,7 +123,7 @@ class DdsService(Ends):
             del self._seen[next(iter(self._seen))]
         pace = self._paces.get(writer)
         if pace is None:
-            pace = self._paces[writer] = Pace()
+            pace = self._paces[writer] = AnswerPacing()
         pace.came()
         self._serving.start(self._serve(writer, header, payload, pace), f"serve {self.service}")
 
@@ -138,7 +138,7 @@ class DdsService(Ends):
 
     # Serving ----------------------------------------------------------------------------------------------------
 
-    async def _serve(self, writer: bytes, header: Header, payload: bytes, pace: Pace) -> None:
+    async def _serve(self, writer: bytes, header: RequestHeader, payload: bytes, pace: AnswerPacing) -> None:
         try:
             await self._serve_at(pace, writer, header, payload)
         finally:
@@ -146,7 +146,7 @@ class DdsService(Ends):
             if pace.idle and writer not in self._callers:
                 self._paces.pop(writer, None)
 
-    async def _serve_at(self, pace: Pace, writer: bytes, header: Header, payload: bytes) -> None:
+    async def _serve_at(self, pace: AnswerPacing, writer: bytes, header: RequestHeader, payload: bytes) -> None:
         try:
             payload = self._graph.little_endian(f"{self.type}_Request", payload)
         except TypesError as error:
@@ -235,6 +235,6 @@ class DdsService(Ends):
         await self._graph.remove(self)
 
 
-def _call_id(writer: bytes, header: Header) -> bytes:
+def _call_id(writer: bytes, header: RequestHeader) -> bytes:
     """The same for everyone who serves this request, so that a call taken by two gateways runs once behind them."""
     return hashlib.blake2b(join(header, writer), digest_size=16).digest()

@@ -12,9 +12,9 @@ from ropeway.graph.base import Sample, Undelivered, resolve_name
 from ropeway.networks.dds import raw
 from ropeway.networks.dds.endpoint_qos import user_data
 from ropeway.networks.dds.names import dds_service_topics, dds_type
-from ropeway.networks.dds.participant import Participant
+from ropeway.networks.dds.participant import DdsParticipant
 from ropeway.networks.dds.raw_endpoints import RawReader, RawWriter
-from ropeway.networks.dds.records import Peer
+from ropeway.networks.dds.records import MatchedEndpoint
 from ropeway.qos import QoS
 from ropeway.types.definition import canonical_name
 
@@ -45,11 +45,11 @@ class Ends:
         self._id = 0
         self._writer: RawWriter
         self._reader: RawReader
-        self._readers: tuple[Peer, ...] = ()
-        self._writers: tuple[Peer, ...] = ()
+        self._readers: tuple[MatchedEndpoint, ...] = ()
+        self._writers: tuple[MatchedEndpoint, ...] = ()
         self._changed = asyncio.Event()
 
-    async def join(self, participant: Participant, pair: str) -> None:
+    async def join(self, participant: DdsParticipant, pair: str) -> None:
         """Make the endpoints; ``pair`` is what marks them as one pair. Raises ``DdsError``.
 
         What hears comes first, so that who finds our writer finds our reader, too.
@@ -90,7 +90,7 @@ class Ends:
             raise
         self._id = raw.handle_of(self._writer.entity)
 
-    async def leave(self, participant: Participant) -> None:
+    async def leave(self, participant: DdsParticipant) -> None:
         """Delete the endpoints."""
         await participant.delete(self._reader)
         await participant.delete(self._writer)
@@ -107,11 +107,11 @@ class Ends:
         for reason, count in counts:
             self._graph.drops[self.service, reason] += count
 
-    def _on_readers(self, batch: list[tuple[Peer, ...]]) -> None:
+    def _on_readers(self, batch: list[tuple[MatchedEndpoint, ...]]) -> None:
         self._readers = batch[-1]
         self._tell()
 
-    def _on_writers(self, batch: list[tuple[Peer, ...]]) -> None:
+    def _on_writers(self, batch: list[tuple[MatchedEndpoint, ...]]) -> None:
         self._writers = batch[-1]
         self._tell()
 

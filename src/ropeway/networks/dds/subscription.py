@@ -9,4 +9,4 @@ from ropeway.networks.dds.raw_endpoints import RawReader
 __all__ = ["DdsSubscription", "SharedReader", "settled"]
 
 SharedReader = following.SharedReader[RawReader]
-DdsSubscription = following.Following[RawReader]
+DdsSubscription = following.AdoptingSubscription[RawReader]

@@ -11,10 +11,10 @@ from typing import Final, Protocol
 
 from ropeway.graph.calls import Client, Service, ServiceHandler
 
-__all__ = ["HELPER_MARK", "Helper", "speaks_header", "vendor_name"]
+__all__ = ["HELPER_MARK", "VendorHelper", "speaks_header", "vendor_name"]
 
 HELPER_MARK: Final = "helper"
-"""The key in the USER_DATA of endpoints that a ``Helper`` makes: they are neither listed, nor called, nor answered."""
+"""The USER_DATA key of endpoints that a ``VendorHelper`` makes: they are neither listed, called nor answered."""
 
 _CYCLONE: Final = b"\x01\x10"
 _NAMES: Final = {b"\x01\x10": "Cyclone DDS", b"\x01\x0f": "Fast DDS", b"\x01\x01": "RTI Connext"}
@@ -30,7 +30,7 @@ def vendor_name(guid: bytes) -> str:
     return _NAMES.get(guid[:2], f"DDS vendor {guid[:2].hex('.')}")
 
 
-class Helper(Protocol):
+class VendorHelper(Protocol):
     """Calls and serves nodes of a middleware with another mapping, such as Fast DDS; ``DdsGraph.helper`` is one.
 
     Its endpoints and participants carry ``HELPER_MARK`` in their USER_DATA (``helper=1;``). A ``DdsClient`` hands it

@@ -16,7 +16,7 @@ from collections.abc import AsyncIterator, Callable
 from typing import Any, Final
 
 from ropeway.errors import GraphUnavailable, InvalidTypeName, TypeConflict
-from ropeway.fault_log import Complaints
+from ropeway.fault_log import FaultLog
 from ropeway.graph.base import (
     NO_HINTS,
     Changes,
@@ -43,8 +43,8 @@ from ropeway.graph.calls import (
 from ropeway.graph.deduplication import Seen
 from ropeway.networks.iort.links import Link
 from ropeway.networks.iort.maps import Maps, TopicMap, ros_name
-from ropeway.networks.iort.parts import Feed, IortPublisher, IortSubscription
-from ropeway.networks.iort.space import Endpoint, is_pattern
+from ropeway.networks.iort.parts import IortPublisher, IortSubscription, NodeTopic
+from ropeway.networks.iort.space import MemberEndpoint, is_pattern
 from ropeway.qos import DEFAULT, LATCHED, QoS
 from ropeway.store import Entry
 from ropeway.types import TypeRegistry
@@ -73,14 +73,14 @@ class IortGraph:
         self.maps = maps or Maps()
         self.registry = registry or TypeRegistry()
         self.drops: Counter[tuple[str, Undelivered]] = Counter()
-        self.complaints = Complaints(name)
+        self.fault_log = FaultLog(name)
         self.origin = new_origin()
         self.loop: asyncio.AbstractEventLoop
         self.publishers: list[IortPublisher] = []
         self.subscriptions: list[IortSubscription] = []
-        self._feeds: dict[tuple[str, str], Feed] = {}
-        self._endpoints: dict[tuple[str, str, str, str], Endpoint] = {}
-        self._infos: dict[Endpoint, EndpointInfo] = {}  # what has been made of them
+        self._feeds: dict[tuple[str, str], NodeTopic] = {}
+        self._endpoints: dict[tuple[str, str, str, str], MemberEndpoint] = {}
+        self._infos: dict[MemberEndpoint, EndpointInfo] = {}  # what has been made of them
         self._had: dict[tuple[str, str], Seen] = {}
         self._changes = Changes()
         self._open = False
@@ -142,7 +142,7 @@ class IortGraph:
             form = map.make_form(self.registry) if map is not None else None
             feed = self._feeds.get((system, name))
             if feed is None:
-                feed = self._feeds[system, name] = Feed(system, name)
+                feed = self._feeds[system, name] = NodeTopic(system, name)
                 subscription.join(feed, form)
                 text = json.dumps(subscription.qos.to_json())
                 await self.link.subscribe(system, name, type, text)
@@ -283,13 +283,13 @@ class IortGraph:
             if one != type:
                 raise TypeConflict(topic, one, type)
 
-    def _info(self, endpoint: Endpoint) -> EndpointInfo:
+    def _info(self, endpoint: MemberEndpoint) -> EndpointInfo:
         found = self._infos.get(endpoint)
         if found is None:
             found = self._infos[endpoint] = self._described(endpoint)
         return found
 
-    def _described(self, endpoint: Endpoint) -> EndpointInfo:
+    def _described(self, endpoint: MemberEndpoint) -> EndpointInfo:
         map = self.maps.of(endpoint.system, endpoint.topic)
         try:
             type = map.type if map is not None else canonical_name(endpoint.type, "msg") if endpoint.type else STRING
@@ -305,7 +305,7 @@ class IortGraph:
             node=_node_name(endpoint.node),
         )
 
-    def _event(self, endpoint: Endpoint, there: bool) -> None:
+    def _event(self, endpoint: MemberEndpoint, there: bool) -> None:
         key = (endpoint.id, endpoint.kind, endpoint.system, endpoint.topic)
         before = self._endpoints.pop(key, None)
         if there:

@@ -10,13 +10,13 @@ from typing import Protocol
 
 from ropeway.errors import GraphUnavailable, StoreError
 from ropeway.iort import AsyncNode, NodeError, Packet, Value
-from ropeway.networks.iort.space import Endpoint, Space
+from ropeway.networks.iort.space import MemberEndpoint, Space
 from ropeway.store import Entry
 
 __all__ = ["Link", "LocalLink", "RemoteLink"]
 
 OnValue = Callable[[Entry, bool], None]
-OnEvent = Callable[[Endpoint, bool], None]
+OnEvent = Callable[[MemberEndpoint, bool], None]
 
 
 class Link(Protocol):
@@ -68,7 +68,7 @@ class LocalLink:
         if self._on_value is not None:
             self._on_value(entry, latest)
 
-    def event(self, endpoint: Endpoint, there: bool) -> None:
+    def event(self, endpoint: MemberEndpoint, there: bool) -> None:
         """An endpoint came or went."""
         if self._on_event is not None:
             self._on_event(endpoint, there)
@@ -198,7 +198,7 @@ class RemoteLink:
     def _event(self, packet: Packet) -> None:
         head = packet.head
         if self._on_event is not None and head.get("kind") in ("publisher", "subscription"):
-            endpoint = Endpoint(
+            endpoint = MemberEndpoint(
                 head["kind"],
                 packet.system,
                 packet.topic,

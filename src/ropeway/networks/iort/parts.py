@@ -17,13 +17,13 @@ from ropeway.tasks import describe
 if TYPE_CHECKING:
     from collections import Counter
 
-    from ropeway.fault_log import Complaints
+    from ropeway.fault_log import FaultLog
     from ropeway.graph.deduplication import Seen
     from ropeway.networks.iort.links import Link
     from ropeway.networks.iort.maps import TopicMap
     from ropeway.types import TypeRegistry
 
-__all__ = ["ROS_ORIGIN", "Feed", "IortPublisher", "IortSubscription"]
+__all__ = ["ROS_ORIGIN", "IortPublisher", "IortSubscription", "NodeTopic"]
 
 _NANOSECONDS: Final = 1 << 59  # a number above is a time stamp, not a count
 
@@ -31,13 +31,13 @@ ROS_ORIGIN: Final = "ros:"
 """What the origin of an entry begins with whose first publisher was one of ROS; 32 hexadecimal digits follow."""
 
 
-class Host(Protocol):
+class IortHost(Protocol):
     """What a publisher or a subscription needs of its graph."""
 
     link: Link
     registry: TypeRegistry
     drops: Counter[tuple[str, Undelivered]]
-    complaints: Complaints
+    fault_log: FaultLog
     loop: asyncio.AbstractEventLoop
 
     @property
@@ -73,7 +73,7 @@ class Host(Protocol):
 class IortPublisher:
     """A ROS topic published to the nodes behind it."""
 
-    def __init__(self, graph: Host, topic: str, type: str, qos: QoS) -> None:
+    def __init__(self, graph: IortHost, topic: str, type: str, qos: QoS) -> None:
         self.topic, self.type, self.qos = topic, type, qos
         self.closed = False
         self._graph = graph
@@ -97,7 +97,7 @@ class IortPublisher:
                 data = form.text(bytes(sample.payload))
             except FAILURES as error:
                 graph.drops[self.topic, Undelivered.ENCODE] += 1
-                graph.complaints.note("message", f"{system}/{topic}", f"it is not passed on: {describe(error)}")
+                graph.fault_log.note("message", f"{system}/{topic}", f"it is not passed on: {describe(error)}")
                 continue
             if data is None:
                 continue
@@ -120,7 +120,7 @@ class IortPublisher:
             await self._graph.withdraw(self)
 
 
-class Feed:
+class NodeTopic:
     """What comes of one topic of nodes, for all subscriptions that read it."""
 
     def __init__(self, system: str, topic: str) -> None:
@@ -140,7 +140,7 @@ class Feed:
 class IortSubscription:
     """A ROS topic that nodes publish."""
 
-    def __init__(self, graph: Host, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
+    def __init__(self, graph: IortHost, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
         self.topic, self.type = topic, type
         self.closed = False
         self._graph, self._callback = graph, callback
@@ -148,7 +148,7 @@ class IortSubscription:
         self._qos = qos or DEFAULT
         self._plain: Form | None = None
         self._on_qos: list[Callable[[QoS], None]] = []
-        self._feeds: list[tuple[Feed, Form | None]] = []
+        self._feeds: list[tuple[NodeTopic, Form | None]] = []
         self._had: dict[int, tuple[int, str]] = {}
         self._batch: list[Sample] = []
         self._scheduled = False
@@ -164,13 +164,13 @@ class IortSubscription:
         self._on_qos.append(callback)
         callback(self._qos)
 
-    def join(self, feed: Feed, form: Form | None) -> None:
+    def join(self, feed: NodeTopic, form: Form | None) -> None:
         """Read a topic of nodes; ``form`` is that of its map."""
         feed.readers.append((self, form))
         self._feeds.append((feed, form))
         self._catch_up()
 
-    def had(self, feed: Feed) -> bool:
+    def had(self, feed: NodeTopic) -> bool:
         """True if it had a value of this topic: after a cut the newest comes again."""
         return id(feed) in self._had
 
@@ -191,7 +191,7 @@ class IortSubscription:
                 if feed.last is not None:
                     self.take(feed, feed.last, form)
 
-    def take(self, feed: Feed, entry: Entry, form: Form | None) -> None:
+    def take(self, feed: NodeTopic, entry: Entry, form: Form | None) -> None:
         """Convert a value and hand it over in the next turn of the loop."""
         if self.closed or self._had.get(id(feed), (-1, "")) >= entry.order:
             return
@@ -201,7 +201,7 @@ class IortSubscription:
         except FAILURES as error:
             self._graph.drops[self.topic, Undelivered.DECODE] += 1
             where = f"{entry.system}/{entry.topic}"
-            self._graph.complaints.note("value", where, f"it is not passed on to {self.topic}: {describe(error)}")
+            self._graph.fault_log.note("value", where, f"it is not passed on to {self.topic}: {describe(error)}")
             return
         for timer in self._timers.pop(id(feed), ()):
             timer.cancel()
@@ -224,11 +224,11 @@ class IortSubscription:
             form = self._plain
         return form.messages(entry.data)
 
-    def _later(self, feed: Feed, sample: Sample) -> None:
+    def _later(self, feed: NodeTopic, sample: Sample) -> None:
         sample.stamp_ns = sample.seq = time.time_ns()
         self._add(feed, sample)
 
-    def _add(self, feed: Feed, sample: Sample) -> None:
+    def _add(self, feed: NodeTopic, sample: Sample) -> None:
         self._graph.had(feed.system, feed.topic).add(sample)
         self._batch.append(sample)
         if not self._scheduled:

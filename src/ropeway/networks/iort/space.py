@@ -20,7 +20,7 @@ from ropeway.errors import ValueRefused
 from ropeway.limits import BROUGHT_TOPICS_PER_NODE, ENDPOINTS_PER_NODE, PATTERN_CHARACTERS, PATTERNS_PER_NODE
 from ropeway.store import Entry, Key, Sink, Store
 
-__all__ = ["Endpoint", "Member", "Space", "is_pattern"]
+__all__ = ["Member", "MemberEndpoint", "Space", "is_pattern"]
 
 log = logging.getLogger("ropeway.iort")
 
@@ -29,7 +29,7 @@ _AHEAD_US: Final = 5_000_000  # a live version further in the future than this i
 
 
 @dataclass(frozen=True, slots=True)
-class Endpoint:
+class MemberEndpoint:
     """A publisher or a subscription of a member. ``qos`` is JSON as in rosbridge's ``qos`` object, or empty."""
 
     kind: str  # "publisher" or "subscription"
@@ -50,7 +50,7 @@ class Member(Protocol):
     def value(self, entry: Entry, latest: bool) -> None:
         """A value of a topic it subscribed to; ``latest`` is true for one that was there before."""
 
-    def event(self, endpoint: Endpoint, there: bool) -> None:
+    def event(self, endpoint: MemberEndpoint, there: bool) -> None:
         """An endpoint came or went; only for members that watch."""
 
 
@@ -59,7 +59,7 @@ class _Presence:
 
     def __init__(self, id: str) -> None:
         self.id = id
-        self.endpoints: dict[tuple[str, str, str], Endpoint] = {}
+        self.endpoints: dict[tuple[str, str, str], MemberEndpoint] = {}
         self.watches = False
 
 
@@ -117,7 +117,7 @@ class Space:
         for endpoint in list(presence.endpoints.values()):
             self._take_away(member, presence, endpoint)
 
-    def endpoints(self) -> Iterator[tuple[Member, Endpoint]]:
+    def endpoints(self) -> Iterator[tuple[Member, MemberEndpoint]]:
         """Every endpoint of every member."""
         for member, presence in self._members.items():
             for endpoint in presence.endpoints.values():
@@ -133,7 +133,7 @@ class Space:
 
     def advertise(self, member: Member, system: str, topic: str, type: str = "", qos: str = "") -> None:
         """The member publishes a topic. Raises ``ValueRefused`` above the limit of endpoints."""
-        self._add(member, Endpoint("publisher", system, topic, type, qos, member.node, self._members[member].id))
+        self._add(member, MemberEndpoint("publisher", system, topic, type, qos, member.node, self._members[member].id))
 
     def withdraw(self, member: Member, system: str, topic: str) -> None:
         """The member publishes a topic no longer."""
@@ -151,7 +151,7 @@ class Space:
         """
         self.check_subscription(member, system, topic)
         id = self._members[member].id
-        self._add(member, Endpoint("subscription", system, topic, type, qos, member.node, id))
+        self._add(member, MemberEndpoint("subscription", system, topic, type, qos, member.node, id))
         if is_pattern(system) or is_pattern(topic):
             if (system, topic) not in self._patterns:
                 self._patterns[system, topic] = _Pattern(system, topic)
@@ -190,7 +190,7 @@ class Space:
             self.refused["full"] += 1
             raise ValueRefused(system[:40], topic[:40], "full", text)
 
-    def _add(self, member: Member, endpoint: Endpoint) -> None:
+    def _add(self, member: Member, endpoint: MemberEndpoint) -> None:
         presence = self._members[member]
         key = (endpoint.kind, endpoint.system, endpoint.topic)
         before = presence.endpoints.get(key)
@@ -202,7 +202,7 @@ class Space:
             self._tell(member, before, False)
         self._set(member, presence, endpoint)
 
-    def _set(self, member: Member, presence: _Presence, endpoint: Endpoint) -> None:
+    def _set(self, member: Member, presence: _Presence, endpoint: MemberEndpoint) -> None:
         presence.endpoints[endpoint.kind, endpoint.system, endpoint.topic] = endpoint
         self._tell(member, endpoint, True)
 
@@ -211,7 +211,7 @@ class Space:
             self.refused["full"] += 1
             raise ValueRefused(system[:40], topic[:40], "full", f"a node has {most} topics at most, and no more")
 
-    def _take_away(self, member: Member, presence: _Presence, endpoint: Endpoint) -> None:
+    def _take_away(self, member: Member, presence: _Presence, endpoint: MemberEndpoint) -> None:
         presence.endpoints.pop((endpoint.kind, endpoint.system, endpoint.topic), None)
         if endpoint.kind == "subscription":
             where = (endpoint.system, endpoint.topic)
@@ -225,7 +225,7 @@ class Space:
                 self._fitting.clear()
         self._tell(member, endpoint, False)
 
-    def _tell(self, member: Member, endpoint: Endpoint, there: bool) -> None:
+    def _tell(self, member: Member, endpoint: MemberEndpoint, there: bool) -> None:
         for other, presence in list(self._members.items()):
             if presence.watches and other is not member:
                 other.event(endpoint, there)
@@ -276,7 +276,7 @@ class Space:
             self._publisher = None
         self.published += 1
         if member is not None and presence is not None and is_new:
-            self._set(member, presence, Endpoint("publisher", system, topic, type, "", member.node, presence.id))
+            self._set(member, presence, MemberEndpoint("publisher", system, topic, type, "", member.node, presence.id))
         return entry
 
     def _patterns_of(self, key: Key) -> list[_Pattern]:

@@ -10,7 +10,7 @@ from ropeway import aio
 from ropeway.errors import CallTimeout, GraphUnavailable, NotServed, ProviderLost
 from ropeway.graph.base import new_origin
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
-from ropeway.graph.local_calls import LEFT, Running, answer
+from ropeway.graph.local_calls import LEFT, InFlight, answer
 
 if TYPE_CHECKING:
     from ropeway.networks.memory.graph import MemoryGraph
@@ -26,7 +26,7 @@ class MemoryService:
         self.gid = new_origin()
         self.closed = False
         self._handler = handler
-        self._running = Running()
+        self._running = InFlight()
 
     async def answer(self, request: Request, timeout_s: float) -> bytes:
         """Run the handler for a call. Raises ``CallError``."""
@@ -53,7 +53,7 @@ class MemoryClient:
         self.gid = new_origin()
         self.closed = False
         self._came = asyncio.Event()
-        self._under_way = Running()
+        self._under_way = InFlight()
 
     def look(self) -> None:
         """A service has appeared somewhere."""

@@ -29,17 +29,17 @@ from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.seal import Grant, Opener
 from ropeway.networks.overlay.fabric import Fabric, Handle
 from ropeway.networks.overlay.follower import Follower
-from ropeway.networks.overlay.held import Held
+from ropeway.networks.overlay.held_bytes import HeldBytes
 from ropeway.networks.overlay.inlet import Inlet
-from ropeway.networks.overlay.item import Item, read_item, read_items
-from ropeway.networks.overlay.mark import Mark
-from ropeway.networks.overlay.parts import Parts
+from ropeway.networks.overlay.packet_assembly import PacketAssembly
+from ropeway.networks.overlay.packet_item import PacketItem, read_item, read_items
+from ropeway.networks.overlay.packet_mark import Mark
 from ropeway.networks.overlay.receipts import Receipts
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.networks.overlay.rpc import RemoteError, Rpc
 from ropeway.tasks import Chores, background, describe, end
 
-__all__ = ["Feed", "Reader", "Stream", "data_key", "read_item"]
+__all__ = ["Feed", "FeedReader", "Stream", "data_key", "read_item"]
 
 log = logging.getLogger("ropeway.overlay")
 
@@ -56,7 +56,7 @@ def data_key(name: bytes, endpoint: bytes | None = None) -> str:
     return f"rw/d/{name.hex()}/{endpoint.hex() if endpoint is not None else '*'}"
 
 
-class Reader(Protocol):
+class FeedReader(Protocol):
     """Who reads a name here."""
 
     endpoint: bytes
@@ -69,7 +69,7 @@ class Reader(Protocol):
     def history(self) -> bool:
         """True where what was published before is wanted."""
 
-    def received(self, stream: Stream, items: Sequence[Item]) -> None:
+    def received(self, stream: Stream, items: Sequence[PacketItem]) -> None:
         """Messages came, in order."""
 
     def overrun(self, count: int) -> None:
@@ -83,7 +83,7 @@ class Stream:
         self.advert, self.certificate = advert, certificate
         self.lock = threading.Lock()
         self.opener = Opener(advert.global_name, advert.endpoint, certificate.verify_signature)
-        self.readers: dict[Reader, Follower | None] = {}
+        self.readers: dict[FeedReader, Follower | None] = {}
         self._feed = feed
         self._held: deque[bytes] = deque()
         self._held_bytes = 0
@@ -91,7 +91,7 @@ class Stream:
         self._granted_at = float("-inf")
         self._keying: asyncio.Task[None] | None = None
         self._recovering = Chores()
-        self.parts = Parts(feed.limit_bytes + _SEALED_BYTES, feed.held)
+        self.parts = PacketAssembly(feed.limit_bytes + _SEALED_BYTES, feed.held)
 
     # ── keys ───────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -130,7 +130,7 @@ class Stream:
         finally:
             self._keying = None
 
-    def _granted(self, answer: Any, waiting: Sequence[Reader]) -> None:
+    def _granted(self, answer: Any, waiting: Sequence[FeedReader]) -> None:
         if not isinstance(answer, dict) or type(answer.get("n")) is not int or type(answer.get("g")) is not bytes:
             raise SealError(Refusal.MALFORMED, "a grant")
         grant = Grant.from_cbor(answer["g"])
@@ -154,14 +154,14 @@ class Stream:
 
     # ── readers ────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def join(self, reader: Reader) -> None:
+    def join(self, reader: FeedReader) -> None:
         """One more reads it: from what the publisher sends once it knows of this reader."""
         if reader not in self.readers:
             self.readers[reader] = None
             self._granted_at = float("-inf")
             self.want_key()
 
-    def _follow(self, reader: Reader, newest: int) -> None:
+    def _follow(self, reader: FeedReader, newest: int) -> None:
         qos = self.advert.qos
         reliable = reader.reliable and (qos is None or qos.reliable)
         had = self._feed.had.pop((reader.endpoint, self.advert.endpoint), None)
@@ -174,16 +174,16 @@ class Stream:
         self.readers[reader] = follower
         self._recover(reader, follower)
 
-    def _recover(self, reader: Reader, follower: Follower) -> None:
+    def _recover(self, reader: FeedReader, follower: Follower) -> None:
         if follower.missing is not None and not follower.asked:
             follower.asked = True
             self._recovering.start(self._ask_missing(reader, follower), f"missing of {self.advert.name}")
 
-    async def _ask_missing(self, reader: Reader, follower: Follower) -> None:
+    async def _ask_missing(self, reader: FeedReader, follower: Follower) -> None:
         assert follower.missing is not None
         after, upto = follower.missing
         request = {"op": "history", "of": self.advert.endpoint, "after": after, "upto": upto}
-        items: list[Item] = []
+        items: list[PacketItem] = []
         for last in (False, False, True):
             try:
                 answer = await self._feed.rpc.ask(self.advert.gateway, request, _ASK_S, lane=4)
@@ -200,7 +200,7 @@ class Stream:
             self._give(reader, follower.recovered(items))
             self._recover(reader, follower)
 
-    def leave(self, reader: Reader) -> None:
+    def leave(self, reader: FeedReader) -> None:
         """One less reads it."""
         follower = self.readers.pop(reader, None)
         if follower is not None:
@@ -243,7 +243,7 @@ class Stream:
             self._held_bytes += len(raw)
         self.want_key()
 
-    def opened(self, epoch: int, items: Sequence[Item]) -> None:
+    def opened(self, epoch: int, items: Sequence[PacketItem]) -> None:
         """Messages that were checked."""
         if epoch != self._epoch:  # the next key is in use: the one after it is wanted
             self._epoch = epoch
@@ -263,7 +263,7 @@ class Stream:
         for reader in list(self.readers):
             reader.overrun(count)
 
-    def _give(self, reader: Reader, items: Sequence[Item]) -> None:
+    def _give(self, reader: FeedReader, items: Sequence[PacketItem]) -> None:
         if items:
             reader.received(self, items)
 
@@ -278,7 +278,7 @@ class Stream:
             self.leave(reader)
 
 
-_Came = tuple[Stream, bytes | SealError | tuple[int, list[Item]]]
+_Came = tuple[Stream, bytes | SealError | tuple[int, list[PacketItem]]]
 
 
 class Feed:
@@ -297,14 +297,14 @@ class Feed:
         denied: Callable[[Advertisement, str], None],
         *,
         limit_bytes: int = OVERLAY_MESSAGE_BYTES,
-        held: Held | None = None,
+        held: HeldBytes | None = None,
     ) -> None:
-        self.limit_bytes, self.held = limit_bytes, held or Held()
+        self.limit_bytes, self.held = limit_bytes, held or HeldBytes()
         self.fabric, self.rpc, self.receipts, self.name = fabric, rpc, receipts, name
         self.refused, self.denied = refused, denied
         self.missed = 0
         self.had: dict[tuple[bytes, bytes], int] = {}
-        self.readers: list[Reader] = []
+        self.readers: list[FeedReader] = []
         self.streams: dict[bytes, Stream] = {}
         self._inlet: Inlet[_Came]
         self._end: Handle | None = None

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ropeway.limits import OVERLAY_HELD_BYTES_PER_PUBLISHER, OVERLAY_HELD_MESSAGES
-from ropeway.networks.overlay.held import Held
-from ropeway.networks.overlay.item import Item
+from ropeway.networks.overlay.held_bytes import HeldBytes
+from ropeway.networks.overlay.packet_item import PacketItem
 
 __all__ = ["Follower"]
 
@@ -22,12 +22,12 @@ class Follower:
     taken from the budget ``held``.
     """
 
-    def __init__(self, *, reliable: bool, history: bool, start: int, held: Held | None = None) -> None:
+    def __init__(self, *, reliable: bool, history: bool, start: int, held: HeldBytes | None = None) -> None:
         self.last = start
-        self._budget = held or Held()
+        self._budget = held or HeldBytes()
         self.lost = 0
         self._reliable = reliable
-        self._held: list[Item] = []
+        self._held: list[PacketItem] = []
         self._held_bytes = 0
         self.missing: tuple[int, int | None] | None = None
         self.asked = False
@@ -35,9 +35,9 @@ class Follower:
             self.last = 0
             self.missing = (0, None)
 
-    def arrived(self, items: Iterable[Item]) -> list[Item]:
+    def arrived(self, items: Iterable[PacketItem]) -> list[PacketItem]:
         """Messages came; those that can be given now."""
-        given: list[Item] = []
+        given: list[PacketItem] = []
         for item in items:
             if item.number <= self.last:
                 continue  # had before
@@ -56,12 +56,12 @@ class Follower:
         if self._reliable and newest > self.last and self.missing is None:
             self.missing = (self.last, newest)
 
-    def recovered(self, items: Iterable[Item]) -> list[Item]:
+    def recovered(self, items: Iterable[PacketItem]) -> list[PacketItem]:
         """The answer to ``missing``; those that can be given now. What did not come is lost."""
         asked, self.missing, self.asked = self.missing, None, False
         held = self._held
         self.forget()
-        given: list[Item] = []
+        given: list[PacketItem] = []
         for item in sorted([*items, *held], key=_number):
             if item.number <= self.last:
                 continue
@@ -74,7 +74,7 @@ class Follower:
             self.last = asked[1]
         return given
 
-    def give_up(self) -> list[Item]:
+    def give_up(self) -> list[PacketItem]:
         """Nothing can be had of what is missing; what was held is given."""
         return self.recovered(())
 
@@ -83,7 +83,7 @@ class Follower:
         self._budget.give(self._held_bytes)
         self._held, self._held_bytes = [], 0
 
-    def _hold(self, item: Item, given: list[Item]) -> None:
+    def _hold(self, item: PacketItem, given: list[PacketItem]) -> None:
         size = len(item.payload) + _ITEM_BYTES
         room = self._budget.take(size)
         if room:
@@ -94,5 +94,5 @@ class Follower:
             given += self.give_up()
 
 
-def _number(item: Item) -> int:
+def _number(item: PacketItem) -> int:
     return item.number

@@ -12,7 +12,7 @@ from ropeway.limits import OVERLAY_MESSAGE_BYTES, OVERLAY_ROUTED_BYTES
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.fabric import Fabric
-from ropeway.networks.overlay.probe import unreachable
+from ropeway.networks.overlay.router_probe import unreachable
 from ropeway.networks.overlay.zenoh_config import gateway_config
 from ropeway.tasks import Supervised, end
 

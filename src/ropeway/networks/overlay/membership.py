@@ -23,8 +23,8 @@ from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.fabric import Asked, Fabric, Handle
-from ropeway.networks.overlay.known import SHAPES as _SHAPES
-from ropeway.networks.overlay.known import KnownGateway, gateway_of, read_told, with_nodes
+from ropeway.networks.overlay.known_gateway import SHAPES as _SHAPES
+from ropeway.networks.overlay.known_gateway import KnownGateway, gateway_of, read_told, with_nodes
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.networks.overlay.rib import Rib
 from ropeway.tasks import Supervised, background, describe, end

@@ -1,7 +1,7 @@
 """One member of the overlay in this process: its session, its identity, and what it knows of the others.
 
 Several graphs may share a node (remotes of one gateway that differ in their metadata). The node itself knows no
-topics: publishers register their ``Source``, services their ``Provider``, and readers a ``Feed``.
+topics: publishers register their ``PublisherSource``, services their ``Provider``, and readers a ``Feed``.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.fabric import CRL_KEY, Asked, Handle
 from ropeway.networks.overlay.feed import Feed
-from ropeway.networks.overlay.held import Held
+from ropeway.networks.overlay.held_bytes import HeldBytes
 from ropeway.networks.overlay.links import Links
 from ropeway.networks.overlay.membership import Membership
+from ropeway.networks.overlay.publisher_source import PublisherSource
 from ropeway.networks.overlay.receipts import Receipts
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.networks.overlay.rib import Rib
 from ropeway.networks.overlay.rpc import Rpc, part
-from ropeway.networks.overlay.source import Source
 from ropeway.networks.overlay.zenoh_config import gateway_id
 from ropeway.tasks import Supervised, end
 
@@ -96,7 +96,7 @@ class OverlayNode:
         self.listen = tuple(listen)
         self.rotate_s = rotate_s
         self.max_message_bytes = max_message_bytes
-        self.held = Held()
+        self.held = HeldBytes()
         self.refusals: Counter[tuple[str, Refusal]] = Counter()
         self.denials: dict[str, str] = {}
         self.trouble = ""  # why others refuse us
@@ -118,7 +118,7 @@ class OverlayNode:
             refused=self.refused,
         )
         self.receipts = Receipts(self.fabric, self.rpc, self.membership.certificate, self.refused)
-        self.sources: dict[bytes, Source] = {}
+        self.sources: dict[bytes, PublisherSource] = {}
         self.on_granted: dict[bytes, Callable[[Sequence[bytes]], None]] = {}
         self.providers: dict[bytes, Provider] = {}
         self.feeds: dict[bytes, Feed] = {}
@@ -341,7 +341,7 @@ class OverlayNode:
 
     # ── what we answer ─────────────────────────────────────────────────────────────────────────────────────────
 
-    def _source(self, request: Mapping[str, Any]) -> Source:
+    def _source(self, request: Mapping[str, Any]) -> PublisherSource:
         source = self.sources.get(part(request, "of", bytes))
         if source is None:
             raise CallFailed("key", "this publisher has gone")

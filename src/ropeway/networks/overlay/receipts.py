@@ -28,8 +28,8 @@ from ropeway.delivery.outbox import LANES
 from ropeway.errors import RopewayError, SealError
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.fabric import Fabric, Handle
-from ropeway.networks.overlay.mark import Mark
-from ropeway.networks.overlay.path import Path
+from ropeway.networks.overlay.gateway_path import Path
+from ropeway.networks.overlay.packet_mark import Mark
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.networks.overlay.rpc import RemoteError, Rpc, part
 from ropeway.tasks import Chores

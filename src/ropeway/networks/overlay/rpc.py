@@ -22,7 +22,7 @@ from ropeway.errors import CallTimeout, ProviderLost, RopewayError, SealError
 from ropeway.limits import OVERLAY_CHANNELS, OVERLAY_REQUEST_ITEMS, OVERLAY_REQUESTS, OVERLAY_REQUESTS_BYTES
 from ropeway.networks.overlay.crypto.cbor import loads
 from ropeway.networks.overlay.crypto.certificate import Certificate
-from ropeway.networks.overlay.crypto.channel import Channel, Initiator, peek_channel, respond
+from ropeway.networks.overlay.crypto.channel import Initiator, SecureChannel, peek_channel, respond
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.fabric import Asked, Fabric, Handle
@@ -72,9 +72,9 @@ class Rpc:
         self._fabric, self._identity, self._trust = fabric, identity, trust
         self._refused = refused
         self._answers: dict[str, Answer] = {}
-        self._opening: dict[bytes, asyncio.Task[Channel]] = {}
-        self._channels: dict[bytes, Channel] = {}
-        self._inbound: OrderedDict[bytes, Channel] = OrderedDict()
+        self._opening: dict[bytes, asyncio.Task[SecureChannel]] = {}
+        self._channels: dict[bytes, SecureChannel] = {}
+        self._inbound: OrderedDict[bytes, SecureChannel] = OrderedDict()
         self._tasks = Chores()
         self._under_way_bytes = 0
         self._ends: list[Handle] = []
@@ -108,7 +108,7 @@ class Rpc:
                 if not self._good(channel):
                     del channels[key]
 
-    def _good(self, channel: Channel) -> bool:
+    def _good(self, channel: SecureChannel) -> bool:
         try:
             self._trust.check(channel.peer.der)
         except SealError:
@@ -153,7 +153,7 @@ class Rpc:
             raise RemoteError(str(answer["error"]), str(answer.get("text", "")))
         return answer.get("ok")
 
-    async def _channel(self, gateway: bytes, timeout_s: float) -> Channel:
+    async def _channel(self, gateway: bytes, timeout_s: float) -> SecureChannel:
         channel = self._channels.get(gateway)
         if channel is not None and channel.usable():
             return channel
@@ -168,12 +168,12 @@ class Rpc:
         except TimeoutError:
             raise CallTimeout("hello", timeout_s) from None
 
-    def _opened(self, gateway: bytes, opening: asyncio.Task[Channel]) -> None:
+    def _opened(self, gateway: bytes, opening: asyncio.Task[SecureChannel]) -> None:
         self._opening.pop(gateway, None)
         if not opening.cancelled():
             opening.exception()  # seen, also where whoever asked has stopped waiting
 
-    async def _open_channel(self, gateway: bytes) -> Channel:
+    async def _open_channel(self, gateway: bytes) -> SecureChannel:
         began = Initiator(self._identity, gateway)
         replies = await self._fabric.ask(key_of(gateway), _HELLO + began.hello, _HELLO_S)
         if not replies:
@@ -236,7 +236,7 @@ class Rpc:
     def _answered(self, size: int, _: object) -> None:
         self._under_way_bytes -= size
 
-    async def _answer(self, asked: Asked, channel: Channel, request: Any, about: bytes) -> None:
+    async def _answer(self, asked: Asked, channel: SecureChannel, request: Any, about: bytes) -> None:
         reply: dict[str, Any] | None = None
         try:
             answer = self._answers.get(str(request.get("op"))) if isinstance(request, dict) else None
@@ -266,7 +266,7 @@ class Rpc:
             asked.answer(packet)
 
     @staticmethod
-    def _sealed(channel: Channel, reply: Mapping[str, Any], about: bytes) -> bytes:
+    def _sealed(channel: SecureChannel, reply: Mapping[str, Any], about: bytes) -> bytes:
         return _SEALED + channel.seal(cbor2.dumps(reply), about)
 
 

@@ -38,7 +38,7 @@ from ropeway.networks.ros1.action_wire import (
 from ropeway.networks.ros1.writer import RawPublisher
 
 if TYPE_CHECKING:
-    from ropeway.networks.ros1.master_registration import Keeper
+    from ropeway.networks.ros1.master_registration import MasterRegistration
 
 __all__ = ["Ros1ActionClient", "Ros1Goal"]
 
@@ -101,7 +101,7 @@ class Ros1Goal:
 class Ros1ActionClient:
     """An action used on a ``Ros1Graph``: see ``ropeway.graph.calls.ActionClient``. ``open`` begins."""
 
-    def __init__(self, keeper: Keeper, action: str, type: str) -> None:
+    def __init__(self, keeper: MasterRegistration, action: str, type: str) -> None:
         self.action, self.type = action, type
         self.closed = False
         self._keeper, self._node = keeper, keeper.node

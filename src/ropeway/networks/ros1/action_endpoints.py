@@ -13,7 +13,7 @@ from ropeway.networks.ros1.writer import RawPublisher, writer_of
 from ropeway.qos import QoS
 
 if TYPE_CHECKING:
-    from ropeway.networks.ros1.master_registration import Keeper
+    from ropeway.networks.ros1.master_registration import MasterRegistration
     from ropeway.networks.ros1.node import Ros1Node
     from ropeway.types.ros1_convert import Converter
 
@@ -92,7 +92,7 @@ class RawSubscription:
         await self._reader.leave(self)
 
 
-async def publish_raw(keeper: Keeper, topic: str, type: str, qos: QoS) -> RawPublisher:
+async def publish_raw(keeper: MasterRegistration, topic: str, type: str, qos: QoS) -> RawPublisher:
     """Publish messages of the ROS 1 type ``pkg/msg/Name``. Raises ``TypesError``."""
     node = keeper.node
     stamped = node.types.definition(type).name != "actionlib_msgs/msg/GoalID"
@@ -104,7 +104,7 @@ async def publish_raw(keeper: Keeper, topic: str, type: str, qos: QoS) -> RawPub
 
 
 async def subscribe_raw(
-    keeper: Keeper, topic: str, type: str, take: Callable[[bytes, str], None], on_links: Callable[[], None]
+    keeper: MasterRegistration, topic: str, type: str, take: Callable[[bytes, str], None], on_links: Callable[[], None]
 ) -> RawSubscription:
     """Read messages of the ROS 1 type ``pkg/msg/Name``. Raises ``TypeConflict``."""
     reader = reader_of(keeper.node, topic, type)

@@ -20,7 +20,7 @@ from ropeway.networks.ros1.action_wire import (
     STATUS_TYPE,
     Code,
     GoalId,
-    Status,
+    Ros1GoalStatus,
     goal_bytes,
     read_cancel,
     read_goal,
@@ -31,7 +31,7 @@ from ropeway.networks.ros1.writer import RawPublisher
 from ropeway.tasks import Chores, Supervised, end
 
 if TYPE_CHECKING:
-    from ropeway.networks.ros1.master_registration import Keeper
+    from ropeway.networks.ros1.master_registration import MasterRegistration
 
 __all__ = ["Ros1ActionServer"]
 
@@ -54,15 +54,15 @@ class _Tracked:
         self.work: asyncio.Task[None] | None = None
 
     @property
-    def status(self) -> Status:
+    def status(self) -> Ros1GoalStatus:
         """As it is told to clients."""
-        return Status(self.id, self.code, self.text)
+        return Ros1GoalStatus(self.id, self.code, self.text)
 
 
 class Ros1ActionServer:
     """An action served on a ``Ros1Graph``: see ``ropeway.graph.calls.ActionServer``. ``open`` begins."""
 
-    def __init__(self, keeper: Keeper, action: str, type: str, handlers: ActionHandlers) -> None:
+    def __init__(self, keeper: MasterRegistration, action: str, type: str, handlers: ActionHandlers) -> None:
         self.action, self.type = action, type
         self.closed = False
         self._keeper, self._node, self._handlers = keeper, keeper.node, handlers
@@ -142,7 +142,7 @@ class Ros1ActionServer:
         tracked = _Tracked(id, goal, early)
         if len(self._goals) >= _GOALS_LIMIT:
             log.warning("%s: a goal is rejected, %d are listed already", self.action, len(self._goals))
-            self._report("result", Status(id, Code.REJECTED, "too many goals"), self._result(None))
+            self._report("result", Ros1GoalStatus(id, Code.REJECTED, "too many goals"), self._result(None))
             return
         self._goals[id.text] = tracked
         try:
@@ -222,7 +222,7 @@ class Ros1ActionServer:
             return
         self._report("feedback", tracked.status, body)
 
-    def _report(self, topic: str, status: Status, body: bytes) -> None:
+    def _report(self, topic: str, status: Ros1GoalStatus, body: bytes) -> None:
         publisher = self._publishers.get(topic)
         if publisher is not None and not publisher.closed:
             publisher.publish_raw(report_message(status, body))

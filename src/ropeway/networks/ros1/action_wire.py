@@ -26,7 +26,7 @@ __all__ = [
     "STATUS_TYPE",
     "Code",
     "GoalId",
-    "Status",
+    "Ros1GoalStatus",
     "cancel_message",
     "goal_bytes",
     "goal_message",
@@ -100,7 +100,7 @@ class GoalId:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class Ros1GoalStatus:
     """actionlib_msgs/GoalStatus."""
 
     goal: GoalId
@@ -142,7 +142,7 @@ def _id(goal: GoalId) -> bytes:
     return _time(goal.stamp_ns) + _text(goal.text)
 
 
-def _status(status: Status) -> bytes:
+def _status(status: Ros1GoalStatus) -> bytes:
     return _id(status.goal) + bytes((status.code,)) + _text(status.text)
 
 
@@ -156,12 +156,12 @@ def cancel_message(text: str) -> bytes:
     return _id(GoalId(text))
 
 
-def report_message(status: Status, body: bytes) -> bytes:
+def report_message(status: Ros1GoalStatus, body: bytes) -> bytes:
     """A NameActionResult or NameActionFeedback."""
     return _header() + _status(status) + body
 
 
-def statuses_message(statuses: Iterable[Status]) -> bytes:
+def statuses_message(statuses: Iterable[Ros1GoalStatus]) -> bytes:
     """A GoalStatusArray."""
     listed = [_status(status) for status in statuses]
     return _header() + struct.pack("<I", len(listed)) + b"".join(listed)
@@ -198,12 +198,12 @@ class _Cursor:
         stamp_ns = self.time()
         return GoalId(self.text(), stamp_ns)
 
-    def status(self) -> Status:
+    def status(self) -> Ros1GoalStatus:
         goal = self.id()
         code = self.take(1)[0]
         if code > Code.LOST:
             raise DecodeError(self._type, "ROS 1", f"{code} is no status of a goal")
-        return Status(goal, Code(code), self.text())
+        return Ros1GoalStatus(goal, Code(code), self.text())
 
     def rest(self) -> bytes:
         return self.raw[self.position :]
@@ -221,14 +221,14 @@ def read_cancel(raw: bytes) -> GoalId:
     return _Cursor(raw, CANCEL_TYPE).id()
 
 
-def read_report(raw: bytes) -> tuple[Status, bytes]:
+def read_report(raw: bytes) -> tuple[Ros1GoalStatus, bytes]:
     """Status and result, or feedback. Raises ``DecodeError``."""
     cursor = _Cursor(raw, "action result")
     cursor.header()
     return cursor.status(), cursor.rest()
 
 
-def read_statuses(raw: bytes) -> list[Status]:
+def read_statuses(raw: bytes) -> list[Ros1GoalStatus]:
     """The goals of a GoalStatusArray. Raises ``DecodeError``."""
     cursor = _Cursor(raw, STATUS_TYPE)
     cursor.header()

@@ -20,13 +20,13 @@ from ropeway.errors import (
     TypesError,
 )
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request
-from ropeway.graph.local_calls import Running
-from ropeway.networks.ros1.probe import Stream, connect
+from ropeway.graph.local_calls import InFlight
+from ropeway.networks.ros1.service_probe import Stream, connect
 from ropeway.networks.ros1.tcpros import encode_header, read_frame, read_header
 from ropeway.networks.ros1.xmlrpc import close_streams
 
 if TYPE_CHECKING:
-    from ropeway.networks.ros1.master_registration import Keeper
+    from ropeway.networks.ros1.master_registration import MasterRegistration
     from ropeway.networks.ros1.node import Ros1Node
     from ropeway.types.ros1_convert import Converter
 
@@ -46,14 +46,20 @@ class Ros1Client:
     """A service called on a ``Ros1Graph``: see ``ropeway.graph.calls.Client``."""
 
     def __init__(
-        self, node: Ros1Node, keeper: Keeper, service: str, type: str, request: Converter, response: Converter
+        self,
+        node: Ros1Node,
+        keeper: MasterRegistration,
+        service: str,
+        type: str,
+        request: Converter,
+        response: Converter,
     ) -> None:
         self.service, self.type = service, type
         self.closed = False
         self._node, self._keeper = node, keeper
         self._request, self._response = request, response
         self._ros1 = node.types.service(type)
-        self._under_way = Running()
+        self._under_way = InFlight()
         self._api: str | None = None
         self._providers: list[str] = []  # who served it when it was looked up
         self._looking: asyncio.Lock = asyncio.Lock()

@@ -25,8 +25,8 @@ from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, Servic
 from ropeway.networks.ros1.action_client import Ros1ActionClient
 from ropeway.networks.ros1.action_server import Ros1ActionServer
 from ropeway.networks.ros1.client import Ros1Client
-from ropeway.networks.ros1.master import Master, Refused, master_uri, slave_call
-from ropeway.networks.ros1.master_registration import Keeper
+from ropeway.networks.ros1.master import Master, MasterRefused, master_uri, slave_call
+from ropeway.networks.ros1.master_registration import MasterRegistration
 from ropeway.networks.ros1.node import Ros1Node
 from ropeway.networks.ros1.reader import reader_of
 from ropeway.networks.ros1.service import Ros1Service, ServiceDoor
@@ -69,7 +69,7 @@ class Ros1Graph:
         self._types = Ros1Types(self.registry)
         self._spelling = Ros1Spelling(self._types)
         self._node: Ros1Node | None = None
-        self._keeper: Keeper | None = None
+        self._keeper: MasterRegistration | None = None
         self._parts: list[Any] = []
 
     @property
@@ -83,12 +83,12 @@ class Ros1Graph:
             return
         node = Ros1Node(self.name, self._node_name, self.uri, self._types, self.drops)
         self._changes = Changes()
-        keeper = Keeper(node, self._changes, self._poll_s)
+        keeper = MasterRegistration(node, self._changes, self._poll_s)
         try:
             await node.open()
             await self._find_name(node)
             await keeper.start()
-        except (ConnectFailed, Refused, OSError, ValueError) as error:
+        except (ConnectFailed, MasterRefused, OSError, ValueError) as error:
             await node.close()
             what = "start roscore there, or set ROS_MASTER_URI to where it runs"
             raise GraphUnavailable(self.name, f"the ROS 1 master does not answer ({error}); {what}") from None
@@ -100,7 +100,7 @@ class Ros1Graph:
         other = await node.master.lookup_node(node.name)
         if not other:
             return
-        with contextlib.suppress(ConnectFailed, Refused):
+        with contextlib.suppress(ConnectFailed, MasterRefused):
             await slave_call(node.rpc, other, "getPid", node.name, timeout_s=_ALIVE_S)
             node.name = node.master.caller = f"{node.name}_{secrets.token_hex(2)}"
 
@@ -127,7 +127,7 @@ class Ros1Graph:
         """True while the master answers."""
         return self._keeper is not None and self._keeper.up
 
-    def _opened(self) -> tuple[Ros1Node, Keeper]:
+    def _opened(self) -> tuple[Ros1Node, MasterRegistration]:
         if self._node is None or self._keeper is None:
             raise GraphUnavailable(self.name, "is not open; call open() first")
         return self._node, self._keeper

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 from ropeway.errors import ConnectFailed, GraphUnavailable
 from ropeway.networks.ros1.xmlrpc import Fault, XmlRpcClient
 
-__all__ = ["DEFAULT_URI", "Master", "Refused", "master_uri", "slave_call"]
+__all__ = ["DEFAULT_URI", "Master", "MasterRefused", "master_uri", "slave_call"]
 
 DEFAULT_URI: Final = "http://127.0.0.1:11311"
 _DEFAULT_PORT: Final = 11311
@@ -17,7 +17,7 @@ _CALL_S: Final = 5.0
 _LEAVE_S: Final = 1.0  # taking leave of a master that does not answer must not hold up closing
 
 
-class Refused(Exception):
+class MasterRefused(Exception):
     """The master, or a node, answered that it did not do it; the text says why."""
 
 
@@ -40,17 +40,17 @@ def master_uri(text: str = "") -> str:
 async def slave_call(client: XmlRpcClient, uri: str, method: str, *params: Any, timeout_s: float = _CALL_S) -> Any:
     """The value that a call of the master's or a node's API gives.
 
-    Raises ``Refused`` where its code is not that of success, ``ConnectFailed`` where nobody answers properly,
+    Raises ``MasterRefused`` where its code is not that of success, ``ConnectFailed`` where nobody answers properly,
     ``ValueError`` for parameters that XML-RPC cannot write.
     """
     try:
         answer = await client.call(uri, method, *params, timeout_s=timeout_s)
     except Fault as fault:
-        raise Refused(f"{method}: {fault.faultString}") from None
+        raise MasterRefused(f"{method}: {fault.faultString}") from None
     if not isinstance(answer, (list, tuple)) or len(answer) != 3:
         raise ConnectFailed(uri, f"the answer to {method} is not [code, text, value]")
     if answer[0] != 1:
-        raise Refused(f"{method}: {answer[1]}")
+        raise MasterRefused(f"{method}: {answer[1]}")
     return answer[2]
 
 
@@ -79,7 +79,7 @@ class Master:
             return
         try:
             await self.call(method, *params, timeout_s=_LEAVE_S)
-        except (Refused, ConnectFailed):
+        except (MasterRefused, ConnectFailed):
             return
 
     async def register_subscriber(self, topic: str, type: str, uri: str) -> list[str]:
@@ -98,14 +98,14 @@ class Master:
         """Where a service is served, ``rosrpc://host:port``; ``None`` if nobody serves it."""
         try:
             return str(await self.call("lookupService", service, timeout_s=timeout_s)) or None
-        except Refused:
+        except MasterRefused:
             return None
 
     async def lookup_node(self, node: str) -> str | None:
         """The URI of a node, ``None`` if the master does not know it."""
         try:
             return str(await self.call("lookupNode", node)) or None
-        except Refused:
+        except MasterRefused:
             return None
 
     async def system_state(self) -> tuple[dict[str, list[str]], dict[str, list[str]], dict[str, list[str]]]:
@@ -130,7 +130,7 @@ class Master:
         """A parameter, or a namespace of them as a dict. Raises ``KeyError`` if there is none."""
         try:
             return await self.call("getParam", name)
-        except Refused:
+        except MasterRefused:
             raise KeyError(name) from None
 
     async def set_param(self, name: str, value: Any) -> None:
@@ -141,7 +141,7 @@ class Master:
         """Delete a parameter or a namespace. Raises ``KeyError`` if there is none."""
         try:
             await self.call("deleteParam", name)
-        except Refused:
+        except MasterRefused:
             raise KeyError(name) from None
 
     async def list_params(self) -> list[str]:

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any, Final
 from ropeway import aio
 from ropeway.errors import ConnectFailed, TypesError
 from ropeway.graph.base import Changes
-from ropeway.networks.ros1.learn import learn_type
-from ropeway.networks.ros1.master import Refused
-from ropeway.networks.ros1.probe import probe_service
+from ropeway.networks.ros1.master import MasterRefused
 from ropeway.networks.ros1.reader import TopicReader
 from ropeway.networks.ros1.service import ServiceDoor
-from ropeway.networks.ros1.snapshot import Picture, State, full_name
+from ropeway.networks.ros1.service_probe import probe_service
+from ropeway.networks.ros1.snapshot import Ros1Snapshot, State, full_name
+from ropeway.networks.ros1.type_learning import learn_type
 from ropeway.networks.ros1.writer import TopicWriter
 from ropeway.qos import LATCHED, QoS
 from ropeway.tasks import Supervised, background, describe, end
@@ -29,7 +29,7 @@ from ropeway.tasks import Supervised, background, describe, end
 if TYPE_CHECKING:
     from ropeway.networks.ros1.node import Ros1Node
 
-__all__ = ["Keeper"]
+__all__ = ["MasterRegistration"]
 
 log = logging.getLogger("ropeway.ros1")
 
@@ -40,14 +40,14 @@ _ASK_AGAIN: Final = 10  # polls until a node that gave no answer is asked again
 Part = TopicWriter | TopicReader | ServiceDoor
 
 
-class Keeper:
+class MasterRegistration:
     """See the module. ``poll_s``: how often the master is asked; ``up``: whether it answered last."""
 
     def __init__(self, node: Ros1Node, changes: Changes, poll_s: float) -> None:
         self.node = node
         self.up = False
         self._first_name = node.name
-        self.picture = Picture(node.graph, lambda: node.name, self._profile)
+        self.picture = Ros1Snapshot(node.graph, lambda: node.name, self._profile)
         self._changes = changes
         self._poll_s = poll_s
         self._task: Supervised | None = None
@@ -63,7 +63,7 @@ class Keeper:
     # ── the loop ───────────────────────────────────────────────────────────────────────────────────────────────
 
     async def start(self) -> None:
-        """Ask for the first time, then go on. Raises ``ConnectFailed`` and ``Refused``."""
+        """Ask for the first time, then go on. Raises ``ConnectFailed`` and ``MasterRefused``."""
         await self._look()
         self.node.on_update = self._wake.set
         self.node.on_shutdown = self._asked_to_leave
@@ -93,7 +93,7 @@ class Keeper:
             self._wake.clear()
             try:
                 await self._look()
-            except (ConnectFailed, Refused) as error:
+            except (ConnectFailed, MasterRefused) as error:
                 if self.up or not self._said:
                     self._said = str(error)
                     log.warning("%s: the master does not answer, waiting for it: %s", self.node.graph, error)
@@ -196,7 +196,7 @@ class Keeper:
                     part.update(uris)
             else:
                 await node.master.register_service(part.name, node.service_api, node.uri)
-        except (ConnectFailed, Refused) as error:
+        except (ConnectFailed, MasterRefused) as error:
             log.info("%s: a registration failed, it is tried again: %s", node.graph, error)
             return
         part.registered = True

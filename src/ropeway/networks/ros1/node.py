@@ -14,11 +14,11 @@ from typing import Any, Final, Protocol
 from ropeway.graph.base import Undelivered, new_origin
 from ropeway.limits import ROS1_NEWCOMERS
 from ropeway.networks.ros1.master import Master
-from ropeway.networks.ros1.tcpros import Connection
+from ropeway.networks.ros1.tcpros import TcprosConnection
 from ropeway.networks.ros1.xmlrpc import XmlRpcClient, XmlRpcServer, split_uri
 from ropeway.types.ros1_types import Ros1Types
 
-__all__ = ["Origin", "Ros1Node", "Source", "Target", "is_loopback", "our_host"]
+__all__ = ["FirstSeenPublisher", "Ros1Node", "Target", "TopicFollower", "is_loopback", "our_host"]
 
 log = logging.getLogger("ropeway.ros1")
 
@@ -33,18 +33,18 @@ class Target(Protocol):
 
     ros1_name: str
 
-    def accept(self, connection: Connection, fields: dict[str, str]) -> None:
+    def accept(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
         """Take over the connection, or ``refuse`` it."""
 
 
-class Source(Protocol):
+class TopicFollower(Protocol):
     """A topic that we read."""
 
     def update(self, uris: Sequence[str]) -> None:
         """The topic's publishers are these now."""
 
 
-class Origin:
+class FirstSeenPublisher:
     """A publisher of ROS 1 as we saw it first, and the number of its last message here.
 
     Numbers are the times of arrival in nanoseconds, so that those of different publishers differ, too.
@@ -79,14 +79,14 @@ class Ros1Node:
         self.port = 0
         self.epoch = 0
         self.writers: dict[str, Target] = {}
-        self.readers: dict[str, Source] = {}
+        self.readers: dict[str, TopicFollower] = {}
         self.services: dict[str, Target] = {}
         self.on_update: Callable[[], None] = lambda: None
         self.on_shutdown: Callable[[str], None] = lambda reason: None
         self._server = XmlRpcServer(self._answer)
         self._tcp: asyncio.Server | None = None
-        self._newcomers: dict[Connection, asyncio.TimerHandle] = {}
-        self._origins: dict[tuple[str, str], Origin] = {}
+        self._newcomers: dict[TcprosConnection, asyncio.TimerHandle] = {}
+        self._origins: dict[tuple[str, str], FirstSeenPublisher] = {}
 
     async def open(self) -> None:
         """Listen. Raises ``OSError``."""
@@ -94,7 +94,7 @@ class Ros1Node:
         self.host = await our_host(split_uri(self.master.uri)[0])
         bind = self.host if is_loopback(self.host) else "0.0.0.0"  # noqa: S104  # as every ROS 1 node does
         await self._server.open(bind)
-        self._tcp = await loop.create_server(lambda: Connection(self), bind, 0)
+        self._tcp = await loop.create_server(lambda: TcprosConnection(self), bind, 0)
         self.port = self._tcp.sockets[0].getsockname()[1]
         self.uri = f"http://{self.host}:{self._server.port}/"
 
@@ -113,18 +113,18 @@ class Ros1Node:
         await self._server.close()
         await self.rpc.close()
 
-    def origin(self, caller: str, topic: str) -> Origin:
+    def origin(self, caller: str, topic: str) -> FirstSeenPublisher:
         """Who ``caller`` is as a publisher of ``topic``."""
         found = self._origins.get((caller, topic))
         if found is None:
             if len(self._origins) >= _ORIGINS_LIMIT:
                 del self._origins[next(iter(self._origins))]
-            found = self._origins[caller, topic] = Origin()
+            found = self._origins[caller, topic] = FirstSeenPublisher()
         return found
 
     # ── who connects to our TCPROS port ────────────────────────────────────────────────────────────────────────
 
-    def made(self, connection: Connection) -> None:
+    def made(self, connection: TcprosConnection) -> None:
         """A peer has connected."""
         if self._tcp is None:
             connection.abort("the node has left")
@@ -136,7 +136,7 @@ class Ros1Node:
         timer = asyncio.get_running_loop().call_later(_HEADER_S, connection.abort, "no header came")
         self._newcomers[connection] = timer
 
-    def header(self, connection: Connection, fields: dict[str, str]) -> None:
+    def header(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
         """Part of ``tcpros.Receiver``: the peer says what it wants."""
         self._greeted(connection)
         topic, service = fields.get("topic"), fields.get("service")
@@ -149,17 +149,17 @@ class Ros1Node:
             what = f"service {service}" if topic is None else f"topic {topic}"
             connection.refuse(f"[{self.name}] has no {what}")
 
-    def frames(self, connection: Connection, frames: Sequence[bytes]) -> None:
+    def frames(self, connection: TcprosConnection, frames: Sequence[bytes]) -> None:
         """Part of ``tcpros.Receiver``: nothing of a peer that was refused matters."""
 
-    def lost(self, connection: Connection) -> None:
+    def lost(self, connection: TcprosConnection) -> None:
         """Part of ``tcpros.Receiver``."""
         self._greeted(connection)
 
-    def writable(self, connection: Connection) -> None:
+    def writable(self, connection: TcprosConnection) -> None:
         """Part of ``tcpros.Receiver``."""
 
-    def _greeted(self, connection: Connection) -> None:
+    def _greeted(self, connection: TcprosConnection) -> None:
         timer = self._newcomers.pop(connection, None)
         if timer is not None:
             timer.cancel()

@@ -13,15 +13,15 @@ from ropeway import aio
 from ropeway.errors import ConnectFailed, InvalidFrame, TypeConflict, TypesError
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.limits import ROS1_PUBLISHERS_PER_TOPIC
-from ropeway.networks.ros1.master import Refused, slave_call
-from ropeway.networks.ros1.tcpros import TRACE, TRACE_BYTES, Connection
+from ropeway.networks.ros1.master import MasterRefused, slave_call
+from ropeway.networks.ros1.tcpros import TRACE, TRACE_BYTES, TcprosConnection
 from ropeway.tasks import background, describe, end
 from ropeway.types.definition import canonical_name, short_name
 from ropeway.types.ros1_convert import Converter
 from ropeway.types.ros1_types import ANY, Ros1Type
 
 if TYPE_CHECKING:
-    from ropeway.networks.ros1.node import Origin, Ros1Node
+    from ropeway.networks.ros1.node import FirstSeenPublisher, Ros1Node
 
 __all__ = ["Batch", "Consumer", "Publication", "TopicReader", "reader_of"]
 
@@ -71,13 +71,13 @@ class Publication:
         self.orphan = False
         self.epoch = reader.node.epoch
         self.last: tuple[bytes, bytes] | None = None  # what is latched, and its trace
-        self.origin: Origin
+        self.origin: FirstSeenPublisher
         self._reader = reader
         self._fresh = False
         self._trace = b""  # of the message that comes next
         self._said = ""
         self._retry_s = _RETRY_S
-        self._connection: Connection | None = None
+        self._connection: TcprosConnection | None = None
         self._task = background(self._run(), f"publisher of {reader.topic}")
 
     async def close(self) -> None:
@@ -98,7 +98,7 @@ class Publication:
         while True:
             try:
                 await self._connect()
-            except (Refused, ConnectFailed, OSError, TimeoutError, InvalidFrame) as error:
+            except (MasterRefused, ConnectFailed, OSError, TimeoutError, InvalidFrame) as error:
                 self._say(str(error) or "no answer in time")
             except Exception as error:  # whatever a publisher sends, it is asked again
                 log.debug("%s: %s from %s", self._reader.node.graph, self._reader.topic, self.uri, exc_info=error)
@@ -117,7 +117,7 @@ class Publication:
                 pass
             case _:
                 raise ConnectFailed(self.uri, f"the answer to requestTopic is of no use: {answer!r:.100}")
-        connection = self._connection = Connection(self)
+        connection = self._connection = TcprosConnection(self)
         loop = asyncio.get_running_loop()
         try:
             async with aio.timeout(_CONNECT_S):
@@ -141,11 +141,11 @@ class Publication:
             self._said = text
             log.log(level, "%s: %s from %s: %s", self._reader.node.graph, self._reader.topic, self.uri, text)
 
-    def made(self, connection: Connection) -> None:
+    def made(self, connection: TcprosConnection) -> None:
         """Part of ``tcpros.Receiver``."""
         connection.write_header(self._reader.request())
 
-    def header(self, connection: Connection, fields: dict[str, str]) -> None:
+    def header(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
         """Part of ``tcpros.Receiver``."""
         reader = self._reader
         self.caller = fields.get("callerid", "")
@@ -166,7 +166,7 @@ class Publication:
         self.connected = True
         reader.links_changed()
 
-    def frames(self, connection: Connection, frames: Sequence[bytes]) -> None:
+    def frames(self, connection: TcprosConnection, frames: Sequence[bytes]) -> None:
         """Part of ``tcpros.Receiver``."""
         raws, traces = self._split(frames) if self.traced else (frames, [b""] * len(frames))
         if not raws:
@@ -200,10 +200,10 @@ class Publication:
         """What the publisher has latched, if it has."""
         return None if self.last is None else Batch(self._reader, self, [self.last[0]], [self.last[1]])
 
-    def writable(self, connection: Connection) -> None:
+    def writable(self, connection: TcprosConnection) -> None:
         """Part of ``tcpros.Receiver``."""
 
-    def lost(self, connection: Connection) -> None:
+    def lost(self, connection: TcprosConnection) -> None:
         """Part of ``tcpros.Receiver``."""
         if self.connected:
             self.connected = False
@@ -270,7 +270,7 @@ class TopicReader:
         except TypesError as error:
             raise InvalidFrame(f"its definition of {self.ros1_name} is of no use: {error}") from None
 
-    def decode(self, raws: Sequence[bytes], traces: Sequence[bytes], origin: Origin) -> list[Sample]:
+    def decode(self, raws: Sequence[bytes], traces: Sequence[bytes], origin: FirstSeenPublisher) -> list[Sample]:
         """Samples of messages; what is none of this type is counted and left out."""
         converter = self._converter
         stamp_ns = time.time_ns()

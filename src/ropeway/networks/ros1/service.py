@@ -13,7 +13,7 @@ from ropeway.errors import RopewayError, TypesError
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Request, ServiceHandler
 from ropeway.logs import failed
-from ropeway.networks.ros1.tcpros import Connection
+from ropeway.networks.ros1.tcpros import TcprosConnection
 from ropeway.tasks import background, describe, end
 from ropeway.types.ros1_convert import Converter
 from ropeway.types.ros1_types import ANY
@@ -33,23 +33,25 @@ _ANSWER: Final = struct.Struct("<BI")
 class _Caller:
     """One who is connected: its requests are answered in their order."""
 
-    def __init__(self, door: ServiceDoor, service: Ros1Service, connection: Connection, name: str, persistent: bool):
+    def __init__(
+        self, door: ServiceDoor, service: Ros1Service, connection: TcprosConnection, name: str, persistent: bool
+    ):
         self.connection = connection
         self.service = service
         self._door, self._name, self._persistent = door, name, persistent
         self._waiting: deque[bytes] = deque()
         self._work: asyncio.Task[None] | None = None
 
-    def made(self, connection: Connection) -> None:
+    def made(self, connection: TcprosConnection) -> None:
         """Part of ``tcpros.Receiver``."""
 
-    def header(self, connection: Connection, fields: dict[str, str]) -> None:
+    def header(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
         """Part of ``tcpros.Receiver``."""
 
-    def writable(self, connection: Connection) -> None:
+    def writable(self, connection: TcprosConnection) -> None:
         """Part of ``tcpros.Receiver``."""
 
-    def frames(self, connection: Connection, frames: Sequence[bytes]) -> None:
+    def frames(self, connection: TcprosConnection, frames: Sequence[bytes]) -> None:
         """Part of ``tcpros.Receiver``: requests came."""
         self._waiting.extend(frames)
         if len(self._waiting) > _AHEAD_LIMIT:
@@ -57,7 +59,7 @@ class _Caller:
         elif self._work is None:
             self._work = background(self._answer_all(), f"calls of {self.service.service}")
 
-    def lost(self, connection: Connection) -> None:
+    def lost(self, connection: TcprosConnection) -> None:
         """Part of ``tcpros.Receiver``: nobody waits for the answers any more."""
         self._waiting.clear()
         if self._work is not None:
@@ -113,7 +115,7 @@ class ServiceDoor:
         self.services: list[Ros1Service] = []
         self.callers: set[_Caller] = set()
 
-    def accept(self, connection: Connection, fields: dict[str, str]) -> None:
+    def accept(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
         """Somebody wants to call it, or (``probe``) to know its type."""
         service, caller = self.services[0], fields.get("callerid", "")
         ours, asked = service.ros1, fields.get("md5sum", "")

@@ -12,7 +12,7 @@ from ropeway.graph.calls import ActionInfo, ProviderInfo, ServiceInfo
 from ropeway.qos import DEFAULT, QoS
 from ropeway.types.definition import canonical_name
 
-__all__ = ["ACTION_TOPICS", "Names", "Picture", "State"]
+__all__ = ["ACTION_TOPICS", "Names", "Ros1Snapshot", "State"]
 
 Names = Mapping[str, Iterable[str]]
 """Topics or services to the nodes that have them."""
@@ -36,7 +36,7 @@ class State:
     service_types: dict[str, str] = field(default_factory=dict)
 
 
-class Picture:
+class Ros1Snapshot:
     """The graph ``graph`` as node ``own`` sees it.
 
     ``qos`` tells the profile of a publisher (topic, node) where a connection to it has shown it.

@@ -19,8 +19,8 @@ __all__ = [
     "MESSAGE_LIMIT_BYTES",
     "TRACE",
     "TRACE_BYTES",
-    "Connection",
     "Receiver",
+    "TcprosConnection",
     "encode_header",
     "parse_header",
     "read_frame",
@@ -85,25 +85,25 @@ async def read_header(reader: asyncio.StreamReader) -> dict[str, str]:
 
 
 class Receiver(Protocol):
-    """Who uses a ``Connection``."""
+    """Who uses a ``TcprosConnection``."""
 
-    def made(self, connection: Connection) -> None:
+    def made(self, connection: TcprosConnection) -> None:
         """It is connected."""
 
-    def header(self, connection: Connection, fields: dict[str, str]) -> None:
+    def header(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
         """The peer's header came. ``InvalidFrame`` that is raised closes the connection."""
 
-    def frames(self, connection: Connection, frames: Sequence[bytes]) -> None:
+    def frames(self, connection: TcprosConnection, frames: Sequence[bytes]) -> None:
         """Frames came, oldest first."""
 
-    def lost(self, connection: Connection) -> None:
+    def lost(self, connection: TcprosConnection) -> None:
         """The connection is closed, from whichever side."""
 
-    def writable(self, connection: Connection) -> None:
+    def writable(self, connection: TcprosConnection) -> None:
         """The peer reads again; what waited may be sent."""
 
 
-class Connection(asyncio.Protocol):
+class TcprosConnection(asyncio.Protocol):
     """One TCPROS connection, whose first frame is the header.
 
     ``ready`` is false while the peer does not read as fast as we write. ``reason`` tells why it was closed where we

@@ -13,7 +13,7 @@ from ropeway import aio
 from ropeway.errors import DecodeError, TypeConflict
 from ropeway.graph.base import SEQ_NONE, Sample, Undelivered, new_origin
 from ropeway.graph.history import History
-from ropeway.networks.ros1.tcpros import TRACE, TRACE_BYTES, Connection
+from ropeway.networks.ros1.tcpros import TRACE, TRACE_BYTES, TcprosConnection
 from ropeway.qos import QoS
 from ropeway.types.ros1_convert import Converter
 from ropeway.types.ros1_types import ANY, Ros1Type
@@ -38,7 +38,7 @@ Frame = tuple[bytes | memoryview, ...]
 class _Link:
     """One subscriber: what waits for it."""
 
-    def __init__(self, writer: TopicWriter, connection: Connection, *, traced: bool) -> None:
+    def __init__(self, writer: TopicWriter, connection: TcprosConnection, *, traced: bool) -> None:
         self.connection, self.traced = connection, traced
         self._writer = writer
         self._waiting: deque[tuple[Frame, int]] = deque()
@@ -56,23 +56,23 @@ class _Link:
             self._waiting_bytes -= waiting.popleft()[1]
             self._writer.dropped()
 
-    def made(self, connection: Connection) -> None:
+    def made(self, connection: TcprosConnection) -> None:
         """Part of ``tcpros.Receiver``."""
 
-    def header(self, connection: Connection, fields: dict[str, str]) -> None:
+    def header(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
         """Part of ``tcpros.Receiver``."""
 
-    def frames(self, connection: Connection, frames: Sequence[bytes]) -> None:
+    def frames(self, connection: TcprosConnection, frames: Sequence[bytes]) -> None:
         """Part of ``tcpros.Receiver``: a subscriber has nothing to say."""
 
-    def writable(self, connection: Connection) -> None:
+    def writable(self, connection: TcprosConnection) -> None:
         """Part of ``tcpros.Receiver``."""
         while self._waiting and connection.ready:
             frame, size = self._waiting.popleft()
             self._waiting_bytes -= size
             connection.write(frame)
 
-    def lost(self, connection: Connection) -> None:
+    def lost(self, connection: TcprosConnection) -> None:
         """Part of ``tcpros.Receiver``."""
         self._waiting.clear()
         self._writer.left(self)
@@ -96,7 +96,7 @@ class TopicWriter:
         self.users: list[RawPublisher] = []
         self._seq = 0
 
-    def accept(self, connection: Connection, fields: dict[str, str]) -> None:
+    def accept(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
         """A subscriber connects."""
         ours, asked, caller = self.ros1, fields.get("md5sum", ""), fields.get("callerid", "")
         type = fields.get("type", ANY)

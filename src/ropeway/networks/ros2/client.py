@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from ropeway import aio
 from ropeway.errors import CallError, CallFailed, CallTimeout, GraphUnavailable, NotServed, ProviderLost
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request
-from ropeway.networks.dds.in_flight import Window
-from ropeway.networks.ros2.host import Host
+from ropeway.networks.dds.in_flight import InFlightRequests
+from ropeway.networks.ros2.host import Ros2Host
 
 if TYPE_CHECKING:
     from ropeway.networks.ros2.senders import Lane
@@ -45,7 +45,7 @@ class _Call:
             self.outcome.set_result(outcome)
 
 
-class ClientHost(Host, Protocol):
+class ClientHost(Ros2Host, Protocol):
     """What a client needs of its graph."""
 
     async def remove(self, part: Ros2Client, raw: Any, lane: Lane) -> None:
@@ -70,7 +70,7 @@ class Ros2Client:
         self._pending: dict[int, _Call] = {}  # by sequence number, also from threads
         self._lock = threading.Lock()
         self._waiting = 0
-        self._window = Window(deferred=service.endswith(_DEFERRED))
+        self._window = InFlightRequests(deferred=service.endswith(_DEFERRED))
         self._changed = asyncio.Event()
         self._losing: asyncio.TimerHandle | None = None
         self._served_since: float | None = None

@@ -9,17 +9,17 @@ from ropeway.graph.actions import action_of_service
 from ropeway.graph.base import EndpointInfo, GraphEvent, NodeInfo, TopicInfo
 from ropeway.graph.calls import ServiceInfo
 from ropeway.networks.dds.names import is_hidden
-from ropeway.networks.ros2.snapshot import Picture, is_inner
+from ropeway.networks.ros2.snapshot import Ros2Snapshot, is_inner
 from ropeway.qos import QoS
 
-__all__ = ["Discovery"]
+__all__ = ["Ros2Discovery"]
 
 log = logging.getLogger("ropeway.ros2")
 
 _Thing = tuple[str, str, str, object]  # kind, name, type, and what tells two of them apart
 
 
-class Discovery:
+class Ros2Discovery:
     """``emit`` gets the events, others' only; ``changed`` the topics whose publishers changed."""
 
     def __init__(
@@ -27,7 +27,7 @@ class Discovery:
     ) -> None:
         self._graph, self._gateway_id = graph, gateway_id
         self._emit, self._changed = emit, changed
-        self._picture = Picture()
+        self._picture = Ros2Snapshot()
         self._told: dict[_Thing, str] = {}  # and the node that it was told with
         self._nameless: set[_Thing] = set()
         self._offers: dict[str, frozenset[tuple[bytes, QoS]]] = {}
@@ -65,7 +65,7 @@ class Discovery:
         """True for what belongs to this graph, or to another process of the same gateway."""
         return end.local or (bool(self._gateway_id) and end.gateway == self._gateway_id)
 
-    def apply(self, picture: Picture) -> None:
+    def apply(self, picture: Ros2Snapshot) -> None:
         """Take in a new picture."""
         self._picture = picture
         self.settled = True
@@ -84,7 +84,7 @@ class Discovery:
         self._tell(picture)
         self._warn(picture)
 
-    def _tell(self, picture: Picture) -> None:
+    def _tell(self, picture: Ros2Snapshot) -> None:
         now: dict[_Thing, str] = {}
         nameless: set[_Thing] = set()
         for thing, node in _things(picture):
@@ -103,7 +103,7 @@ class Discovery:
         kind, name, type, _ = thing
         self._emit(GraphEvent(discovered, kind, name, type, "" if kind == "node" else node, self._graph))
 
-    def _warn(self, picture: Picture) -> None:
+    def _warn(self, picture: Ros2Snapshot) -> None:
         for gateway in picture.gateways - self._warned:
             self._warned.add(gateway)
             log.warning(
@@ -118,7 +118,7 @@ def _has_ends(topic: TopicInfo) -> bool:
     return bool(topic.publishers or topic.subscriptions)
 
 
-def _things(picture: Picture) -> Iterator[tuple[_Thing, str]]:
+def _things(picture: Ros2Snapshot) -> Iterator[tuple[_Thing, str]]:
     """Everything of others that is told of, and its node."""
     for topic in picture.topics.values():
         if is_hidden(topic.name):

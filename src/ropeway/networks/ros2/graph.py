@@ -23,21 +23,21 @@ from ropeway.graph.base import (
     Undelivered,
     resolve_name,
 )
-from ropeway.graph.border import Border
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
-from ropeway.graph.qos_adoption import Following, settled
+from ropeway.graph.layout_border import Border
+from ropeway.graph.qos_adoption import AdoptingSubscription, settled
 from ropeway.networks.ros2.client import Ros2Client
-from ropeway.networks.ros2.discovery import Discovery
+from ropeway.networks.ros2.discovery import Ros2Discovery
 from ropeway.networks.ros2.environment import MAX_DOMAIN
 from ropeway.networks.ros2.interfaces import loaded, message_class, service_class
 from ropeway.networks.ros2.origins import Origins
-from ropeway.networks.ros2.participant import Participant
+from ropeway.networks.ros2.participant import Ros2Participant
 from ropeway.networks.ros2.profiles import service_profile, writer_profile
 from ropeway.networks.ros2.publisher import Ros2Publisher
 from ropeway.networks.ros2.readers import Readers, Ros2Subscription
 from ropeway.networks.ros2.senders import Lane
 from ropeway.networks.ros2.service import Ros2Service
-from ropeway.networks.ros2.snapshot import Picture
+from ropeway.networks.ros2.snapshot import Ros2Snapshot
 from ropeway.qos import DEFAULT, QoS
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
@@ -84,8 +84,8 @@ class Ros2Graph:
         self._gateway_id = gateway_id
         self._registry = registry
         self._changes = Changes()
-        self._participant: Participant | None = None
-        self._discovery: Discovery
+        self._participant: Ros2Participant | None = None
+        self._discovery: Ros2Discovery
         self._origins: Origins
         self._readers: Readers
         self._parts: dict[_Part, None] = {}
@@ -99,8 +99,8 @@ class Ros2Graph:
             if self._participant is not None:
                 return
             self._changes = Changes()
-            participant = Participant(self.name, self.domain, self.node, self._gateway_id)
-            self._discovery = Discovery(self.name, self._gateway_id, self._changes.emit, self._readopt)
+            participant = Ros2Participant(self.name, self.domain, self.node, self._gateway_id)
+            self._discovery = Ros2Discovery(self.name, self._gateway_id, self._changes.emit, self._readopt)
             await participant.open(self._on_picture)
             self._origins = Origins(participant.rmw, self._discovery)
             self._readers = Readers(self, participant, self._discovery, self._origins)
@@ -262,7 +262,7 @@ class Ros2Graph:
         return self._participant is None or self._discovery.settled
 
     @property
-    def participant(self) -> Participant:
+    def participant(self) -> Ros2Participant:
         """The side of rclpy. Raises ``GraphUnavailable`` where the graph is not open."""
         if self._participant is None:
             raise GraphUnavailable(self.name, "is not open; call open() first")
@@ -317,7 +317,7 @@ class Ros2Graph:
 
     # Discovery --------------------------------------------------------------------------------------------------
 
-    def _on_picture(self, picture: Picture) -> None:
+    def _on_picture(self, picture: Ros2Snapshot) -> None:
         if self._participant is not None:
             self._discovery.apply(picture)
             self._look()
@@ -353,7 +353,7 @@ class Ros2Graph:
 
     def _readopt(self, topics: set[str]) -> None:
         for subscription in list(self._parts):
-            if isinstance(subscription, Following) and subscription.adopts and subscription.topic in topics:
+            if isinstance(subscription, AdoptingSubscription) and subscription.adopts and subscription.topic in topics:
                 try:
                     subscription.follow(self._readers.adopted(subscription))
                 except GraphUnavailable as error:

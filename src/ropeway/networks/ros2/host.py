@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Protocol
 from ropeway.graph.base import Undelivered
 
 if TYPE_CHECKING:
-    from ropeway.graph.border import Border
-    from ropeway.networks.ros2.participant import Participant
+    from ropeway.graph.layout_border import Border
+    from ropeway.networks.ros2.participant import Ros2Participant
 
-__all__ = ["Host"]
+__all__ = ["Ros2Host"]
 
 
-class Host(Protocol):
+class Ros2Host(Protocol):
     """The graph, as all of its parts see it; each adds what it alone needs."""
 
     name: str
@@ -26,6 +26,6 @@ class Host(Protocol):
         ...
 
     @property
-    def participant(self) -> Participant:
+    def participant(self) -> Ros2Participant:
         """The side of rclpy. Raises ``GraphUnavailable`` where the graph is not open."""
         ...

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from ropeway.networks.ros2.discovery import Discovery
+from ropeway.networks.ros2.discovery import Ros2Discovery
 
 __all__ = ["Origins"]
 
@@ -17,7 +17,7 @@ _LIMIT: Final = 4096
 class Origins:
     """Finds origins, and who is not to be heard: ourselves, and other processes of the same gateway."""
 
-    def __init__(self, rmw: str, discovery: Discovery) -> None:
+    def __init__(self, rmw: str, discovery: Ros2Discovery) -> None:
         self._numbers = rmw in _NUMBERS
         self._discovery = discovery
         self._mine: dict[bytes, None] = {}

@@ -14,11 +14,11 @@ from ropeway.networks.ros2.environment import rclpy_fault
 from ropeway.networks.ros2.interfaces import message_class
 from ropeway.networks.ros2.rcl import Rcl
 from ropeway.networks.ros2.senders import Senders
-from ropeway.networks.ros2.snapshot import MARK_TYPE, Marks, Picture, mark_topic
+from ropeway.networks.ros2.snapshot import MARK_TYPE, Marks, Ros2Snapshot, mark_topic
 from ropeway.networks.ros2.spinner import Spinner
-from ropeway.networks.ros2.watcher import Watcher
+from ropeway.networks.ros2.watcher import GraphWatcher
 
-__all__ = ["Participant"]
+__all__ = ["Ros2Participant"]
 
 log = logging.getLogger("ropeway.ros2")
 
@@ -30,7 +30,7 @@ _OPTIONS: Final = {
 }
 
 
-class Participant:
+class Ros2Participant:
     """The node ``node`` in domain ``domain``, with a context of its own, so that graphs do not share anything."""
 
     def __init__(self, name: str, domain: int, node: str, gateway_id: str) -> None:
@@ -42,13 +42,13 @@ class Participant:
         self.invalid_handle: type[Exception] = RuntimeError
         self.senders = Senders(name)
         self.spinner: Spinner
-        self.watcher: Watcher
+        self.watcher: GraphWatcher
         self._full_name = node
         self._gateway_id = gateway_id
         self._instance = os.urandom(8).hex()
         self._joining = threading.Lock()
 
-    async def open(self, seen: Callable[[Picture], None]) -> None:
+    async def open(self, seen: Callable[[Ros2Snapshot], None]) -> None:
         """Join; ``seen`` gets what is discovered. Raises ``GraphUnavailable`` with what to do."""
         fault = await asyncio.to_thread(rclpy_fault)
         if fault:
@@ -57,7 +57,7 @@ class Participant:
             await asyncio.to_thread(self._join)
             self.spinner = Spinner(self.name, self.context)
             marks = Marks.of(self._instance, self._full_name, self._gateway_id, self.rmw)
-            self.watcher = Watcher(self.name, self.context, self.node, self.rcl, marks, seen)
+            self.watcher = GraphWatcher(self.name, self.context, self.node, self.rcl, marks, seen)
         except (RuntimeError, ValueError, OSError) as error:
             await asyncio.to_thread(self._leave)
             raise GraphUnavailable(self.name, f"ROS 2 does not start: {str(error).splitlines()[0]}") from error

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any, Final, Protocol, TypeVar
 
 from ropeway.graph.base import Sample, Undelivered
-from ropeway.networks.ros2.host import Host
+from ropeway.networks.ros2.host import Ros2Host
 from ropeway.networks.ros2.rcl import RclError
 from ropeway.networks.ros2.senders import Lane
 from ropeway.qos import QoS
@@ -27,7 +27,7 @@ _SHORTEST: Final = 4
 _ACKED_S: Final = 0.5  # how long what was published last may take to arrive once the topic is withdrawn
 
 
-class PublisherHost(Host, Protocol):
+class PublisherHost(Ros2Host, Protocol):
     """What a publisher needs of its graph."""
 
     def count_readers(self, publisher: Ros2Publisher) -> int:

@@ -12,7 +12,7 @@ from ropeway.networks.ros2.origins import Origins
 from ropeway.networks.ros2.rcl import Rcl, RclError
 from ropeway.networks.ros2.spinner import Spinner
 
-__all__ = ["Reader"]
+__all__ = ["SpinnerReader"]
 
 _BURST: Final = 256
 _BURST_BYTES: Final = 8 << 20
@@ -21,7 +21,7 @@ _LITTLE: Final = b"\1"
 _Taken = tuple[bytes, int, bytes, int]  # payload, source time stamp, gid, time of arrival
 
 
-class Reader:
+class SpinnerReader:
     """Takes what arrives in the spinner's thread, and gives samples to ``deliver`` on the loop.
 
     ``turned`` makes little-endian what is not, or ``None`` of what it cannot read.

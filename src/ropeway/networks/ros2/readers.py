@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from ropeway.errors import TypesError
 from ropeway.graph.base import Undelivered
-from ropeway.graph.qos_adoption import Following, SharedReader, settled
-from ropeway.networks.ros2.discovery import Discovery
-from ropeway.networks.ros2.host import Host
+from ropeway.graph.qos_adoption import AdoptingSubscription, SharedReader, settled
+from ropeway.networks.ros2.discovery import Ros2Discovery
+from ropeway.networks.ros2.host import Ros2Host
 from ropeway.networks.ros2.interfaces import message_class
 from ropeway.networks.ros2.origins import Origins
-from ropeway.networks.ros2.participant import Participant
+from ropeway.networks.ros2.participant import Ros2Participant
 from ropeway.networks.ros2.profiles import reader_profile
 from ropeway.networks.ros2.publisher import Ros2Publisher
-from ropeway.networks.ros2.reader import Reader
+from ropeway.networks.ros2.reader import SpinnerReader
 from ropeway.qos import QoS, common_qos
 
 if TYPE_CHECKING:
@@ -33,10 +33,10 @@ _MIN_ADOPTED_DEPTH: Final = 10
 _OWN_S: Final = 0.2
 
 T = TypeVar("T")
-Ros2Subscription = Following[Reader]
+Ros2Subscription = AdoptingSubscription[SpinnerReader]
 
 
-class ReadersHost(Host, Protocol):
+class ReadersHost(Ros2Host, Protocol):
     """What the readers need of their graph."""
 
     @property
@@ -64,15 +64,17 @@ class ReadersHost(Host, Protocol):
 class Readers:
     """What the subscriptions of an opened graph read with."""
 
-    def __init__(self, graph: ReadersHost, participant: Participant, discovery: Discovery, origins: Origins) -> None:
+    def __init__(
+        self, graph: ReadersHost, participant: Ros2Participant, discovery: Ros2Discovery, origins: Origins
+    ) -> None:
         self.name, self.drops = graph.name, graph.drops
         self._graph = graph
         self._participant, self._discovery, self._origins = participant, discovery, origins
-        self._shared: dict[tuple[str, str, QoS], SharedReader[Reader]] = {}
-        self._types: dict[SharedReader[Reader], str] = {}
+        self._shared: dict[tuple[str, str, QoS], SharedReader[SpinnerReader]] = {}
+        self._types: dict[SharedReader[SpinnerReader], str] = {}
         self._changed_at: dict[str, float] = {}
 
-    def attach(self, subscription: Ros2Subscription, qos: QoS) -> SharedReader[Reader]:
+    def attach(self, subscription: Ros2Subscription, qos: QoS) -> SharedReader[SpinnerReader]:
         """A reader for ``subscription``: with others where samples are volatile, its own where history is replayed.
 
         Raises ``GraphUnavailable``.
@@ -86,21 +88,21 @@ class Readers:
         reader.subscriptions = (*reader.subscriptions, subscription)
         return reader
 
-    def _make(self, topic: str, type: str, qos: QoS) -> SharedReader[Reader]:
+    def _make(self, topic: str, type: str, qos: QoS) -> SharedReader[SpinnerReader]:
         participant = self._participant
         cls = message_class(type)
         raw = self._graph.attempt(
             lambda: participant.node.create_subscription(cls, topic, _never, reader_profile(qos), raw=True)
         )
         reader = SharedReader(self, topic, qos)
-        reader.raw = Reader(raw, topic, type, participant.spinner, participant.rcl, self._origins, self._turned)
+        reader.raw = SpinnerReader(raw, topic, type, participant.spinner, participant.rcl, self._origins, self._turned)
         reader.raw.deliver = reader.deliver
         self._types[reader] = type
         participant.spinner.add("subscription", raw.handle, reader.raw.take)
         self._note(topic)
         return reader
 
-    async def detach(self, subscription: Ros2Subscription, reader: SharedReader[Reader]) -> None:
+    async def detach(self, subscription: Ros2Subscription, reader: SharedReader[SpinnerReader]) -> None:
         """Take a subscription off its reader; the last one takes the reader with it."""
         reader.subscriptions = tuple(s for s in reader.subscriptions if s is not subscription)
         if reader.subscriptions:
@@ -124,7 +126,7 @@ class Readers:
         """Run a callback that may fail."""
         self._graph.guard(topic, callback, value)
 
-    def is_matched(self, subscription: Ros2Subscription, reader: SharedReader[Reader]) -> bool:
+    def is_matched(self, subscription: Ros2Subscription, reader: SharedReader[SpinnerReader]) -> bool:
         """True once a reader is matched with every publisher that it should read."""
         if reader.raw is None:
             return True

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from ropeway.errors import CallError
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Request, ServiceHandler
-from ropeway.networks.ros2.host import Host
+from ropeway.networks.ros2.host import Ros2Host
 from ropeway.tasks import Chores
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ _SHORTEST: Final = 4
 _TEXTS: Final = (("success", "message"), ("successful", "reason"))
 
 
-class ServiceHost(Host, Protocol):
+class ServiceHost(Ros2Host, Protocol):
     """What a service needs of its graph."""
 
     async def remove(self, part: Ros2Service, raw: Any, lane: Lane) -> None:

@@ -12,7 +12,7 @@ from ropeway.graph.calls import ProviderInfo, ServiceInfo
 from ropeway.networks.ros2.profiles import from_rclpy
 from ropeway.networks.ros2.rcl import GID_BYTES
 
-__all__ = ["MARK_TYPE", "Marks", "Picture", "is_inner", "mark_topic", "take_picture"]
+__all__ = ["MARK_TYPE", "Marks", "Ros2Snapshot", "is_inner", "mark_topic", "take_picture"]
 
 MARK_TYPE: Final = "builtin_interfaces/msg/Time"
 _MARK: Final = "/_ropeway/"
@@ -53,7 +53,7 @@ class Marks:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class Ros2Snapshot:
     """Everything there is. ``topics`` has those that are parts of actions, too, but no marks of ours."""
 
     topics: dict[str, TopicInfo] = field(default_factory=dict)
@@ -62,7 +62,7 @@ class Picture:
     gateways: frozenset[str] = frozenset()  # the ids of others
 
 
-def take_picture(node: Any, marks: Marks) -> Picture:
+def take_picture(node: Any, marks: Marks) -> Ros2Snapshot:
     """Ask rclpy for everything; takes some milliseconds on a large network."""
     listed = node.get_topic_names_and_types()
     locals_, gateways = _read_marks(node, marks, [name for name, _ in listed if name.startswith(_MARK)])
@@ -85,7 +85,7 @@ def take_picture(node: Any, marks: Marks) -> Picture:
         topics[name] = TopicInfo(name, known or tuple(types), ends["publisher"], ends["subscription"])
     nodes, services = _read_nodes(node, marks, publishes, subscribes)
     others = frozenset(gateways.values()) - {"", marks.gateway_id}
-    return Picture(topics, services, nodes, others)
+    return Ros2Snapshot(topics, services, nodes, others)
 
 
 def _read_marks(node: Any, marks: Marks, names: Iterable[str]) -> tuple[set[bytes], dict[bytes, str]]:

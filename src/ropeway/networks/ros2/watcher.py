@@ -11,10 +11,10 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from ropeway.networks.ros2.rcl import Rcl
-from ropeway.networks.ros2.snapshot import Marks, Picture, take_picture
+from ropeway.networks.ros2.snapshot import Marks, Ros2Snapshot, take_picture
 from ropeway.tasks import keep_running
 
-__all__ = ["Watcher"]
+__all__ = ["GraphWatcher"]
 
 log = logging.getLogger("ropeway.ros2")
 
@@ -24,11 +24,11 @@ _SHARE: Final = 0.2  # of a processor, at most
 _AGAIN_S: Final = (0.25, 1.0, 5.0)
 
 
-class Watcher:
+class GraphWatcher:
     """Gives every picture to ``seen``, on the loop."""
 
     def __init__(
-        self, name: str, context: Any, node: Any, rcl: Rcl, marks: Marks, seen: Callable[[Picture], None]
+        self, name: str, context: Any, node: Any, rcl: Rcl, marks: Marks, seen: Callable[[Ros2Snapshot], None]
     ) -> None:
         from rclpy.guard_condition import GuardCondition
         from rclpy.impl.implementation_singleton import rclpy_implementation

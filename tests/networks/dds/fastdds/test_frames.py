@@ -9,15 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ropeway.networks.dds.fastdds import frames
-from ropeway.networks.dds.fastdds.frames import BadFrame, Frame, Op, Spec, Splitter, encode
+from ropeway.networks.dds.fastdds.frames import BadFrame, HelperFrame, Op, Spec, Splitter, encode
 
 some = st.builds(
-    Frame, st.sampled_from(Op), st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1), st.binary(max_size=200)
+    HelperFrame, st.sampled_from(Op), st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1), st.binary(max_size=200)
 )
 
 
 @given(st.lists(some, max_size=20), st.integers(1, 64))
-def test_round_trip(sent: list[Frame], step: int) -> None:
+def test_round_trip(sent: list[HelperFrame], step: int) -> None:
     """Frames come out as they went in, however the stream is cut."""
     stream = b"".join(map(encode, sent))
     splitter = Splitter()
@@ -27,7 +27,7 @@ def test_round_trip(sent: list[Frame], step: int) -> None:
 
 def test_big() -> None:
     """Big frames among small ones come out whole."""
-    sent = [Frame(Op.CALL, 1, 2, bytes([n]) * (n * 700_000)) for n in range(1, 6)]
+    sent = [HelperFrame(Op.CALL, 1, 2, bytes([n]) * (n * 700_000)) for n in range(1, 6)]
     stream = b"".join(map(encode, sent))
     splitter = Splitter()
     assert [f for at in range(0, len(stream), 1 << 20) for f in splitter.feed(stream[at : at + (1 << 20)])] == sent
@@ -37,7 +37,7 @@ def test_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     """A body above the limit is neither sent nor waited for."""
     monkeypatch.setattr(frames, "MAX_BODY_BYTES", 10)
     with pytest.raises(BadFrame, match="11 bytes"):
-        encode(Frame(Op.CALL, body=bytes(11)))
+        encode(HelperFrame(Op.CALL, body=bytes(11)))
     with pytest.raises(BadFrame, match="11 bytes"):
         list(Splitter().feed(struct.pack("<IBIQ", 11, 5, 0, 0)))
 

@@ -12,12 +12,12 @@ from ropeway.networks.dds import DdsGraph
 from ropeway.networks.dds.fastdds import FastRpc
 from ropeway.networks.dds.fastdds import discovery as module
 from ropeway.networks.dds.profile import make_profile
-from ropeway.networks.dds.records import Joined, Peer
+from ropeway.networks.dds.records import Joined, MatchedEndpoint
 from tests.networks.dds.conftest import Join
 from tests.support.services import ADD
 from tests.support.until import PATIENCE_S, until
 
-FAST = Peer(b"\x01\x0f" + bytes(14), "", 0)
+FAST = MatchedEndpoint(b"\x01\x0f" + bytes(14), "", 0)
 NODE = Joined(b"\x01\x0f" + bytes(14))
 
 

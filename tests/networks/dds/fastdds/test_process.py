@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from ropeway.networks.dds.fastdds import process as module
-from ropeway.networks.dds.fastdds.frames import Frame, Op
-from ropeway.networks.dds.fastdds.process import Helper, Unfit
+from ropeway.networks.dds.fastdds.frames import HelperFrame, Op
+from ropeway.networks.dds.fastdds.process import HelperProcess, Unfit
 from ropeway.networks.dds.profile import make_profile
 from tests.support.until import until
 
@@ -25,9 +25,9 @@ class Watch:
     def __init__(self, domain: int, **order: Any) -> None:
         profile = make_profile("test", "lo")
         self.order = {"domain": domain, "xml": profile.xml, "interface": "lo", "gateway_id": "", "everyone": True}
-        self.frames: list[Frame] = []
+        self.frames: list[HelperFrame] = []
         self.ups = self.downs = 0
-        self.helper = Helper("test", self.order | order, self.on_up, self.frames.append, self.on_down)
+        self.helper = HelperProcess("test", self.order | order, self.on_up, self.frames.append, self.on_down)
 
     def on_up(self) -> None:
         self.ups += 1
@@ -63,7 +63,7 @@ def alive(pid: int) -> bool:
 async def test_life(watch: Start) -> None:
     """A helper is up once it has tested itself, and its process ends with it."""
     one = watch()
-    assert not one.helper.send(Frame(Op.PING))
+    assert not one.helper.send(HelperFrame(Op.PING))
     await one.helper.start()
     assert one.helper.up
     assert len(one.helper.guid) == 16
@@ -128,12 +128,12 @@ async def test_nonsense(watch: Start, caplog: pytest.LogCaptureFixture) -> None:
     one = watch()
     await one.helper.start()
     for op in (Op.CALL, Op.REPLY, Op.FORGET, Op.CLOSE, Op.PONG):
-        one.helper.send(Frame(op, 9, 9, b"x"))
-    one.helper.send(Frame(Op.OPEN_CLIENT, 1, body=b"/add\0no type"))
+        one.helper.send(HelperFrame(op, 9, 9, b"x"))
+    one.helper.send(HelperFrame(Op.OPEN_CLIENT, 1, body=b"/add\0no type"))
     await until(lambda: one.frames)
     assert one.frames[0].op == Op.REFUSED
     assert b"is not a type name" in one.frames[0].body
-    one.helper.send(Frame(Op.OPEN_CLIENT, 2, body=b"\xff"))
+    one.helper.send(HelperFrame(Op.OPEN_CLIENT, 2, body=b"\xff"))
     await until(lambda: one.ups == 2)
     assert "has ended (exit code 1)" in caplog.text
 

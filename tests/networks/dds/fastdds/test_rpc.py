@@ -15,7 +15,7 @@ from ropeway.errors import CallFailed, CallTimeout, DecodeError, GraphUnavailabl
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Client, Request, Service
 from ropeway.networks.dds.fastdds import FastRpc, Surroundings, rpc
-from ropeway.networks.dds.fastdds.frames import Frame, Op
+from ropeway.networks.dds.fastdds.frames import HelperFrame, Op
 from ropeway.networks.dds.profile import make_profile
 from tests.support.services import ADD
 from tests.support.until import PATIENCE_S, until
@@ -134,7 +134,7 @@ async def test_no_answer(make: Make) -> None:
     assert drops["/broken", Undelivered.CALLBACK] == 1
     echo.gate.set()
     assert await slow.call(Request(number(2))) == number(2)
-    near.helper.send(Frame(Op.PING))  # which has it tell what it counted
+    near.helper.send(HelperFrame(Op.PING))  # which has it tell what it counted
     await until(lambda: drops["/slow", Undelivered.LATE] == 1)
 
 

@@ -7,7 +7,7 @@ import random
 import pytest
 
 from ropeway.errors import SealError
-from ropeway.networks.overlay.crypto.channel import Channel, Initiator, peek_channel, respond
+from ropeway.networks.overlay.crypto.channel import Initiator, SecureChannel, peek_channel, respond
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.refusal import Refusal
 from tests.networks.overlay.fleet import fleet, member
@@ -17,7 +17,7 @@ HERE, THERE = bytes(16), bytes(range(16))
 TRUST = Trust(ONE.ca)
 
 
-def pair() -> tuple[Channel, Channel]:
+def pair() -> tuple[SecureChannel, SecureChannel]:
     began = Initiator(ONE, THERE)
     reply, far = respond(TWO, THERE, began.hello, TRUST)
     return began.finish(reply, TRUST), far

@@ -5,13 +5,13 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ropeway.networks.overlay.crypto.replay_window import WINDOW, Window
+from ropeway.networks.overlay.crypto.replay_window import WINDOW, ReplayWindow
 from ropeway.networks.overlay.refusal import Refusal
 
 
 def test_each_once() -> None:
     """A number is taken once, in whatever order they come."""
-    window = Window()
+    window = ReplayWindow()
     for number in (3, 1, 2):
         assert window.judge(number) is None
         window.take(number)
@@ -21,7 +21,7 @@ def test_each_once() -> None:
 
 def test_batches() -> None:
     """A batch is refused where one of its numbers came before."""
-    window = Window()
+    window = ReplayWindow()
     window.take(10, 5)
     assert window.judge(8, 3) is Refusal.REPLAYED
     assert window.judge(14, 4) is Refusal.REPLAYED
@@ -31,7 +31,7 @@ def test_batches() -> None:
 
 def test_too_old() -> None:
     """What is before the window, or before it began, is too old."""
-    window = Window(floor=100)
+    window = ReplayWindow(floor=100)
     assert window.judge(99) is Refusal.TOO_OLD
     window.take(100)
     window.take(100 + WINDOW)
@@ -41,7 +41,7 @@ def test_too_old() -> None:
 
 def test_a_leap() -> None:
     """A leap over everything costs neither time nor memory."""
-    window = Window()
+    window = ReplayWindow()
     window.take(1)
     window.take(2**63)
     assert window.judge(2**63) is Refusal.REPLAYED
@@ -51,7 +51,7 @@ def test_a_leap() -> None:
 @given(st.lists(st.tuples(st.integers(1, 200), st.integers(1, 20)), max_size=60))
 def test_like_a_set(batches: list[tuple[int, int]]) -> None:
     """Within the window it decides as a set of all numbers would."""
-    window, seen = Window(), set[int]()
+    window, seen = ReplayWindow(), set[int]()
     for first, count in batches:
         numbers = set(range(first, first + count))
         assert (window.judge(first, count) is None) == (not numbers & seen)

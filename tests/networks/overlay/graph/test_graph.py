@@ -14,10 +14,10 @@ from ropeway.errors import CallError, CallFailed, ProviderLost
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import Request
 from ropeway.networks.overlay.graph import OverlayGraph
-from ropeway.networks.overlay.graph.packing import Packing
-from ropeway.networks.overlay.item import RAW, Item
+from ropeway.networks.overlay.graph.packing import TopicPacking
 from ropeway.networks.overlay.names import Metadata
 from ropeway.networks.overlay.node import OverlayNode
+from ropeway.networks.overlay.packet_item import RAW, PacketItem
 from ropeway.networks.overlay.router import Router
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from tests.networks.overlay.conftest import Site
@@ -325,8 +325,8 @@ async def test_encodings(site: Site, encoding: str) -> None:
 
 def test_packing_follows_the_path() -> None:
     """Where what was sent took long, the next is compressed; where the path is fast again, it is not."""
-    packing = Packing(STRING, "auto")
-    item = Item(1, 0, 0, bytes(16), 0, RAW, b"x" * 100_000)
+    packing = TopicPacking(STRING, "auto")
+    item = PacketItem(1, 0, 0, bytes(16), 0, RAW, b"x" * 100_000)
     packing.taken(100, 10.0)
     assert not packing.choose(len(item.payload), Counter())
     packing.taken(1_000_000, 1.0)

@@ -217,7 +217,7 @@ async def test_client_closes(stack: AsyncExitStack, fake: FakeServer) -> None:
     say_result(fake, message["id"], {}, 4)
     await until(lambda: graph.drops["", Undelivered.LATE] == 1)
     assert graph.peer is not None
-    assert not graph.peer.complaints.counts
+    assert not graph.peer.fault_log.counts
 
 
 async def test_bad_feedback_of_ours(stack: AsyncExitStack, fake: FakeServer) -> None:

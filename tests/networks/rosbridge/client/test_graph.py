@@ -229,7 +229,7 @@ async def test_fragments_and_images(stack: AsyncExitStack, fake: FakeServer) -> 
     fake.say({"op": "publish", "topic": "/in", "msg": {"data": "end"}})
     await inbox.wait(4)
     assert graph.peer is not None
-    assert graph.peer.complaints.counts == {("png", ""): 3}
+    assert graph.peer.fault_log.counts == {("png", ""): 3}
 
 
 async def test_own_echo(stack: AsyncExitStack, fake: FakeServer) -> None:
@@ -348,7 +348,7 @@ async def test_hostile_server(
     publisher.publish(sample("me too"))
     assert graph.connections == 1
     assert graph.peer is not None
-    assert graph.peer.complaints.total > 500
+    assert graph.peer.fault_log.total > 500
     assert not [r for r in caplog.records if r.levelno >= logging.ERROR], caplog.text[-3000:]
 
 
@@ -367,7 +367,7 @@ async def test_bad_definition(stack: AsyncExitStack, fake: FakeServer) -> None:
     fake.say({"op": "adopted", "channel": channel, "qos": QoS(depth=4).to_json()})
     await until(lambda: profiles[-1].depth == 4)
     assert graph.peer is not None
-    assert graph.peer.complaints.counts == {("adopted", ""): 1}
+    assert graph.peer.fault_log.counts == {("adopted", ""): 1}
 
 
 async def test_refused(stack: AsyncExitStack, fake: FakeServer, caplog: pytest.LogCaptureFixture) -> None:

@@ -161,7 +161,7 @@ async def test_late_answers(stack: AsyncExitStack, fake: FakeServer) -> None:
     fake.say({"op": "service_response", "service": "/odd", "values": {}, "result": True})
     await until(lambda: graph.drops["/add", Undelivered.LATE] == 3)
     assert graph.peer is not None
-    await until(lambda: graph.peer and graph.peer.complaints.counts["answer", "/odd"] == 1)
+    await until(lambda: graph.peer and graph.peer.fault_log.counts["answer", "/odd"] == 1)
     assert not graph.calls.pending
 
 

@@ -209,7 +209,7 @@ async def test_hostile_records(setting: Setting) -> None:
     writer.message(out, 1, 3, b"topic", bytes(16), 1, 1)
     client.send_binary(b"".join(out))
     await until(lambda: handler.operations and handler.arrivals)
-    assert far.complaints.counts == {("frame", ""): 4, ("operation", ""): 2}
+    assert far.fault_log.counts == {("frame", ""): 4, ("operation", ""): 2}
     client.abort()
 
 

@@ -134,7 +134,7 @@ async def test_a_large_message_while_its_topic_changes_its_connection(pair: Pair
     for channel in channels:
         assert pair.bodies(channel.number) == [text("small"), text("x" * 1_000_000)]
         assert channel.sender is pair.near.sender
-    assert not pair.far.complaints.counts
+    assert not pair.far.fault_log.counts
 
 
 async def test_the_second_connection_may_come_late_and_go(pair: Pair) -> None:

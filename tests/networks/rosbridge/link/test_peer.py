@@ -226,7 +226,7 @@ async def test_what_cannot_be_encoded(link: Link) -> None:
         one.put(sample(text("good")))
     await link.arrived(2)
     assert channel.queue.lost == plain.queue.lost == {Lost.ENCODE: 2}
-    assert link.near.complaints.counts == {("message", "/t1"): 2, ("message", "/t2"): 2}
+    assert link.near.fault_log.counts == {("message", "/t1"): 2, ("message", "/t2"): 2}
 
 
 async def test_unknown_types(setting: Setting) -> None:
@@ -252,7 +252,7 @@ async def test_too_big(link: Link) -> None:
     (refused,) = link.near_handler.controls
     assert (refused["op"], refused["channel"]) == ("refused", 1)
     assert str(8 << 20) in refused["reason"]
-    assert link.far.complaints.counts == {("size", "channel 1"): 1}
+    assert link.far.fault_log.counts == {("size", "channel 1"): 1}
     channel.put(sample(text("small")))
     assert (await link.arrived(1))[0].body == text("small")
 
@@ -288,7 +288,7 @@ async def test_control_messages(link: Link) -> None:
     link.near.send({"op": "adopted", "definition": ""})
     link.near.send(ops.Unsubscribe(topic="/x"))
     await until(lambda: link.far_handler.operations)
-    assert link.far.complaints.counts == {("adopted", ""): 1, ("unsubscribe", "/x"): 1}
+    assert link.far.fault_log.counts == {("adopted", ""): 1, ("unsubscribe", "/x"): 1}
     assert not link.far.connection.closed
 
 
@@ -297,9 +297,9 @@ async def test_dialects_are_apart(setting: Setting) -> None:
     client, peer, handler = await setting.client()
     client.send({"op": "hello", "gateway": "x"})
     client.send({"op": "ping", "t": 1})
-    await until(lambda: peer.complaints.total == 2)
+    await until(lambda: peer.fault_log.total == 2)
     assert handler.controls == []
-    assert peer.complaints.counts == {("operation", ""): 2}
+    assert peer.fault_log.counts == {("operation", ""): 2}
 
 
 async def test_clock(setting: Setting) -> None:
@@ -411,7 +411,7 @@ async def test_operations_in_fragments(setting: Setting) -> None:
     client.send({"op": "fragment", "id": "2", "data": "no json", "num": 0, "total": 1})
     client.send({"op": "fragment", "id": "3", "data": "x", "num": 5, "total": 2})
     client.send({"op": "fragment", "data": "x", "num": 0, "total": 2})
-    await until(lambda: peer.complaints.total == 3)
+    await until(lambda: peer.fault_log.total == 3)
     client.send('{"op":"unsubscribe"')
     client.send({"op": "fragment", "id": "4", "data": '{"op":"unsubscribe","topic":"/y"}', "num": 0, "total": 1})
     await until(lambda: len(handler.operations) == 2)
@@ -423,7 +423,7 @@ async def test_a_handler_that_objects(setting: Setting) -> None:
     handler.error = DecodeError(STRING, "none", "it is not")
     client.send('{"op":"publish","topic":"/a","msg":{}}{"op":"publish","topic":"/b","msg":{}}')
     await until(lambda: len(handler.operations) == 2)
-    assert peer.complaints.counts == {("publish", "/a"): 1, ("publish", "/b"): 1}
+    assert peer.fault_log.counts == {("publish", "/a"): 1, ("publish", "/b"): 1}
 
 
 # ── records that are wrong ─────────────────────────────────────────────────────────────────────────────────────────
@@ -447,7 +447,7 @@ async def test_broken_records(setting: Setting, data: bytes) -> None:
     client.send({"op": "demand", "channel": 1, "count": 1})
     await until(lambda: handler.controls)
     assert not handler.arrivals
-    assert peer.complaints.counts == {("frame", ""): 1}
+    assert peer.fault_log.counts == {("frame", ""): 1}
 
 
 async def test_unknown_encoding(link: Link) -> None:
@@ -473,4 +473,4 @@ async def test_fragments_in_fragments(setting: Setting) -> None:
     client.send(fragment(fragment(op, "2"), "3"))
     client.send(fragment(op, "4"))
     await until(lambda: len(handler.operations) == 2)
-    assert peer.complaints.counts["fragment", ""] == 1
+    assert peer.fault_log.counts["fragment", ""] == 1

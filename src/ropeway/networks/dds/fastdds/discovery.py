@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from ropeway.networks.dds import raw
-from ropeway.networks.dds.raw import Endpoint, SampleInfo, check, lib
+from ropeway.networks.dds.raw import BuiltinEndpoint, SampleInfo, check, lib
 
 __all__ = ["Census"]
 
@@ -44,7 +44,7 @@ class Census:
                 count = check(lib.take(reader, samples, infos, _BATCH, _BATCH), "take builtin topic")
                 if not count:
                     break
-                self._missing.difference_update(bytes(Endpoint.from_address(at).key) for at in samples[:count])
+                self._missing.difference_update(bytes(BuiltinEndpoint.from_address(at).key) for at in samples[:count])
                 lib.return_loan(reader, samples, count)
         if time.monotonic() - self._began < (_LIMIT_S if self._missing else _LEAST_S):
             return False

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-__all__ = ["HEAD_BYTES", "MAX_BODY_BYTES", "BadFrame", "Frame", "Op", "Spec", "Splitter", "encode"]
+__all__ = ["HEAD_BYTES", "MAX_BODY_BYTES", "BadFrame", "HelperFrame", "Op", "Spec", "Splitter", "encode"]
 
 MAX_BODY_BYTES: Final = 128 << 20
 """The largest body: far above what anybody sends through a service."""
@@ -68,7 +68,7 @@ class Spec(NamedTuple):
             raise BadFrame(f"{len(body)} bytes do not describe an endpoint") from None
 
 
-class Frame(NamedTuple):
+class HelperFrame(NamedTuple):
     """One frame. ``op`` is a number that may be no ``Op``."""
 
     op: int
@@ -81,7 +81,7 @@ class BadFrame(Exception):
     """The stream is not made of frames."""
 
 
-def encode(frame: Frame) -> bytes:
+def encode(frame: HelperFrame) -> bytes:
     """The frame as bytes. Raises ``BadFrame`` for a body that is too long."""
     if len(frame.body) > MAX_BODY_BYTES:
         raise BadFrame(f"a body of {len(frame.body)} bytes; the limit is {MAX_BODY_BYTES}")
@@ -95,7 +95,7 @@ class Splitter:
         self._data = bytearray()
         self._at = 0
 
-    def feed(self, data: bytes) -> Iterator[Frame]:
+    def feed(self, data: bytes) -> Iterator[HelperFrame]:
         """The frames that are complete with ``data``. Raises ``BadFrame``."""
         self._data += data
         while len(self._data) - self._at >= HEAD_BYTES:
@@ -107,7 +107,7 @@ class Splitter:
                 break
             body = bytes(self._data[self._at + HEAD_BYTES : end])
             self._at = end
-            yield Frame(op, endpoint, number, body)
+            yield HelperFrame(op, endpoint, number, body)
         if self._at == len(self._data) or self._at >= _COMPACT_BYTES:
             del self._data[: self._at]
             self._at = 0

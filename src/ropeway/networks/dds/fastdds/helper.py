@@ -13,7 +13,7 @@ from ropeway.networks.dds.endpoint_qos import user_data
 from ropeway.networks.dds.fastdds.identity import FAST
 from ropeway.networks.dds.fastdds.rpc import FastClient, FastRpc, FastService
 from ropeway.networks.dds.names import dds_service_topics, dds_type
-from ropeway.networks.dds.participant import Participant
+from ropeway.networks.dds.participant import DdsParticipant
 from ropeway.networks.dds.raw import DdsError
 from ropeway.networks.dds.raw_endpoints import RawReader
 from ropeway.networks.dds.records import Discovered, Joined
@@ -29,9 +29,9 @@ log = logging.getLogger("ropeway.dds")
 
 
 class FastHelper:
-    """The ``Helper`` for Fast DDS nodes. It starts ``rpc`` when one of them is there and is served, or is called."""
+    """The ``VendorHelper`` for Fast DDS nodes. It starts ``rpc`` when one of them is served or called."""
 
-    def __init__(self, rpc: FastRpc, participant: Participant) -> None:
+    def __init__(self, rpc: FastRpc, participant: DdsParticipant) -> None:
         self._rpc, self._participant = rpc, participant
         self._known = False
         self._starting: asyncio.Task[bool] | None = None
@@ -60,7 +60,7 @@ class FastHelper:
         return started
 
     async def create_client(self, service: str, type: str) -> FastClient:
-        """See ``Helper``. Raises ``CallFailed`` where Fast DDS nodes cannot be called."""
+        """See ``VendorHelper``. Raises ``CallFailed`` where Fast DDS nodes cannot be called."""
         self.wake()
         assert self._starting is not None
         if not await asyncio.shield(self._starting):
@@ -72,7 +72,7 @@ class FastHelper:
         return await self._rpc.create_client(service, type)
 
     async def create_service(self, service: str, type: str, handler: ServiceHandler) -> PendingService:
-        """See ``Helper``. Gives at once what begins to serve with the first Fast DDS node."""
+        """See ``VendorHelper``. Gives at once what begins to serve with the first Fast DDS node."""
         pending = PendingService(self, service, type, handler, self._weigh(service, type))
         self._services[pending] = None
         if self._rpc.available:

@@ -23,8 +23,8 @@ __all__ = [
     "PID_RELATED_OLD",
     "PREFIX_BYTES",
     "UNKNOWN_SEQ",
-    "Origin",
     "SampleIdentity",
+    "SampleOrigin",
     "is_reader",
     "pack_parameter",
     "parse",
@@ -62,7 +62,7 @@ class SampleIdentity(NamedTuple):
     seq: int
 
 
-class Origin(NamedTuple):
+class SampleOrigin(NamedTuple):
     """Where a sample came from: vendor of the sender, writer and number, and the related identity where it has one.
 
     ``parameter`` is the id under which the related identity came (the standard one if both did), 0 without.
@@ -81,7 +81,7 @@ def is_reader(guid: bytes) -> bool:
     return bool(guid[-1] & _READER_BIT)
 
 
-def parse(header: bytes, submessage: bytes) -> Origin | None:
+def parse(header: bytes, submessage: bytes) -> SampleOrigin | None:
     """Read the header of an RTPS message and a DATA or DATA_FRAG of it up to its payload, as Cyclone DDS leaves them.
 
     ``None`` for bytes that are none.
@@ -90,7 +90,7 @@ def parse(header: bytes, submessage: bytes) -> Origin | None:
         return None
     _, flags, _, _, to_parameters, _, entity, high, low = _fixed.unpack_from(submessage)
     guid = _guid.pack(*_prefix.unpack_from(header, HEADER_BYTES - PREFIX_BYTES), entity)
-    origin = Origin(header[6:8], SampleIdentity(guid, high << 32 | low))
+    origin = SampleOrigin(header[6:8], SampleIdentity(guid, high << 32 | low))
     if not flags & _INLINE_QOS:
         return origin
     found = _related(submessage, _TO_PARAMETERS + to_parameters, "<" if flags & _LITTLE_ENDIAN else ">")

@@ -15,7 +15,7 @@ from ropeway.networks.dds import domain, raw
 from ropeway.networks.dds.endpoint_qos import user_data
 from ropeway.networks.dds.fastdds import serdata_hook as hook
 from ropeway.networks.dds.fastdds.discovery import Census
-from ropeway.networks.dds.fastdds.frames import Frame, Op, Spec
+from ropeway.networks.dds.fastdds.frames import HelperFrame, Op, Spec
 from ropeway.networks.dds.fastdds.identity import FAST
 from ropeway.networks.dds.fastdds.serdata_hook import HookError
 from ropeway.networks.dds.fastdds.service_endpoints import ClientEnd, ServiceEnd
@@ -30,7 +30,7 @@ _MAX_TRIGGERS: Final = 256
 _GUARD_KEY: Final = 0
 _KEYS: Final = 4  # per endpoint: its data, the matches of its reader and of its writer
 
-Emit = Callable[[Frame], None]
+Emit = Callable[[HelperFrame], None]
 
 
 class FastNode:
@@ -106,10 +106,10 @@ class FastNode:
         """Emit what was counted since the last time, and what the hook could not do."""
         with self.lock:
             for (number, reason), count in self._drops.items():
-                self.emit(Frame(Op.DROPPED, number, count, reason.name.encode()))
+                self.emit(HelperFrame(Op.DROPPED, number, count, reason.name.encode()))
             self._drops.clear()
             for text in list(hook.faults):
-                self.emit(Frame(Op.FAULTS, 0, hook.faults.pop(text), text.encode()))
+                self.emit(HelperFrame(Op.FAULTS, 0, hook.faults.pop(text), text.encode()))
 
     # Endpoints --------------------------------------------------------------------------------------------------
 
@@ -135,7 +135,7 @@ class FastNode:
         try:
             self._ends[number] = (ServiceEnd if serves else ClientEnd)(self, number, spec)
         except (DdsError, HookError, RopewayError) as error:
-            self.emit(Frame(Op.REFUSED, number, body=str(error).encode()))
+            self.emit(HelperFrame(Op.REFUSED, number, body=str(error).encode()))
 
     def shut(self, number: int) -> None:
         """Remove an endpoint."""

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from ropeway import aio
-from ropeway.networks.dds.fastdds.frames import BadFrame, Frame, Op, Splitter, encode
+from ropeway.networks.dds.fastdds.frames import BadFrame, HelperFrame, Op, Splitter, encode
 from ropeway.tasks import Supervised, describe, end
 
-__all__ = ["Helper", "Unfit"]
+__all__ = ["HelperProcess", "Unfit"]
 
 log = logging.getLogger("ropeway.dds")
 
@@ -34,7 +34,7 @@ class Unfit(Exception):
     """The helper says why it cannot work on this machine."""
 
 
-class Helper:
+class HelperProcess:
     """Keeps a helper process up. ``order`` is what it is told at the start, as JSON.
 
     ``on_up`` is called when it is ready, after which ``send`` reaches it; ``on_frame`` with what it says; ``on_down``
@@ -46,7 +46,7 @@ class Helper:
         name: str,
         order: dict[str, Any],
         on_up: Callable[[], None],
-        on_frame: Callable[[Frame], None],
+        on_frame: Callable[[HelperFrame], None],
         on_down: Callable[[], None],
     ) -> None:
         self.starts = 0
@@ -80,7 +80,7 @@ class Helper:
         task, self._task = self._task, None
         await end(task)
 
-    def send(self, frame: Frame) -> bool:
+    def send(self, frame: HelperFrame) -> bool:
         """Tell it something; false where it is not up, or takes nothing in any more."""
         writer = self._writer
         if writer is None or writer.transport.get_write_buffer_size() > _UNSENT_LIMIT_BYTES:
@@ -153,7 +153,7 @@ class Helper:
         loop = asyncio.get_running_loop()
         # What was found fit once is so for good; a test would only keep those waiting who call.
         order = {**self._order, "test": self.starts == 1}
-        writer.write(encode(Frame(Op.CONFIGURE, body=json.dumps(order).encode())))
+        writer.write(encode(HelperFrame(Op.CONFIGURE, body=json.dumps(order).encode())))
         splitter = Splitter()
         until = loop.time() + _READY_S
         while True:
@@ -163,7 +163,7 @@ class Helper:
             except TimeoutError:
                 if loop.time() - self._heard > _SILENCE_S if self.up else True:
                     return "it hung"
-                writer.write(encode(Frame(Op.PING)))
+                writer.write(encode(HelperFrame(Op.PING)))
                 until = loop.time() + _PING_S
                 continue
             except ConnectionError:
@@ -180,7 +180,7 @@ class Helper:
             except BadFrame as error:
                 return str(error)
 
-    def _hear(self, frame: Frame, writer: asyncio.StreamWriter) -> bool:
+    def _hear(self, frame: HelperFrame, writer: asyncio.StreamWriter) -> bool:
         """Take in a frame; true for the one that says that it is ready."""
         if frame.op == Op.UNFIT:
             raise Unfit(frame.body.decode(errors="replace"))

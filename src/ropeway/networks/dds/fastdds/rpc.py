@@ -24,10 +24,10 @@ from ropeway.errors import (
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
 from ropeway.logs import failed
-from ropeway.networks.dds.fastdds.frames import MAX_BODY_BYTES, Frame, Op, Spec
-from ropeway.networks.dds.fastdds.process import Helper, Unfit
-from ropeway.networks.dds.in_flight import Window
-from ropeway.networks.dds.pace import Pace
+from ropeway.networks.dds.answer_pacing import AnswerPacing
+from ropeway.networks.dds.fastdds.frames import MAX_BODY_BYTES, HelperFrame, Op, Spec
+from ropeway.networks.dds.fastdds.process import HelperProcess, Unfit
+from ropeway.networks.dds.in_flight import InFlightRequests
 from ropeway.networks.dds.profile import Profile
 from ropeway.tasks import Chores
 
@@ -92,7 +92,7 @@ class FastRpc:
             "gateway_id": gateway_id,
             "everyone": everyone,
         }
-        self.helper = Helper(graph, order, self._on_up, self._on_frame, self._on_down)
+        self.helper = HelperProcess(graph, order, self._on_up, self._on_frame, self._on_down)
 
     @property
     def available(self) -> bool:
@@ -139,11 +139,11 @@ class FastRpc:
     def remove(self, part: FastClient | FastService) -> None:
         """A client or service was closed."""
         if self._ends.pop(part.number, None) is not None:
-            self.helper.send(Frame(Op.CLOSE, part.number))
+            self.helper.send(HelperFrame(Op.CLOSE, part.number))
 
     def send(self, op: Op, part: FastClient | FastService, number: int, body: bytes = b"") -> bool:
         """Tell the helper something about a part; false where that is not possible now."""
-        return self.helper.send(Frame(op, part.number, number, body))
+        return self.helper.send(HelperFrame(op, part.number, number, body))
 
     def _check(self) -> None:
         if not self._available:
@@ -155,13 +155,13 @@ class FastRpc:
 
     def _open(self, part: FastClient | FastService, op: Op) -> None:
         hashes = (self.around.type_hash(part.type + half) for half in ("_Request", "_Response"))
-        self.helper.send(Frame(op, part.number, body=Spec(part.service, part.type, *hashes).encode()))
+        self.helper.send(HelperFrame(op, part.number, body=Spec(part.service, part.type, *hashes).encode()))
 
     # From the helper --------------------------------------------------------------------------------------------
 
     def _on_up(self) -> None:
         if self.around.neighbours is not None:
-            self.helper.send(Frame(Op.EXPECT, body=b"".join(self.around.neighbours())))
+            self.helper.send(HelperFrame(Op.EXPECT, body=b"".join(self.around.neighbours())))
         for part in self._ends.values():
             if isinstance(part, FastClient):
                 part.on_up()
@@ -171,7 +171,7 @@ class FastRpc:
         for part in self._ends.values():
             part.on_down()
 
-    def _on_frame(self, frame: Frame) -> None:
+    def _on_frame(self, frame: HelperFrame) -> None:
         if frame.op == Op.FAULTS:
             text = frame.body.decode(errors="replace")
             log.warning("%s: Fast DDS: %d times could not be done: %s", self.graph, frame.number, text)
@@ -195,7 +195,7 @@ class FastClient:
         self.closed = False
         self._rpc = rpc
         self._loop = asyncio.get_running_loop()
-        self._window = Window(deferred=service.endswith(_DEFERRED))
+        self._window = InFlightRequests(deferred=service.endswith(_DEFERRED))
         self._servers = 0
         self._opened = self._loop.time()
         self._changed = asyncio.Event()
@@ -268,7 +268,7 @@ class FastClient:
         if self.closed:
             raise GraphUnavailable(self._rpc.graph, f"the client of {self.service} is closed")
 
-    def on_frame(self, frame: Frame) -> None:
+    def on_frame(self, frame: HelperFrame) -> None:
         """What the helper says about us."""
         if frame.op == Op.MATCHED:
             self._servers = frame.number
@@ -327,9 +327,9 @@ class FastService:
         self._rpc = rpc
         self._handler = handler
         self._serving = Chores()
-        self._paces: dict[bytes, Pace] = {}
+        self._paces: dict[bytes, AnswerPacing] = {}
 
-    def on_frame(self, frame: Frame) -> None:
+    def on_frame(self, frame: HelperFrame) -> None:
         """What the helper says about us."""
         if frame.op == Op.MATCHED:
             self.clients = frame.number
@@ -342,7 +342,7 @@ class FastService:
             self._serving.start(self._serve(frame.number, request, guid), f"serve {self.service}")
 
     async def _serve(self, number: int, request: Request, caller: bytes) -> None:
-        pace = self._paces.setdefault(caller, Pace())
+        pace = self._paces.setdefault(caller, AnswerPacing())
         pace.came()
         try:
             await self._serve_at(pace, number, request)
@@ -351,7 +351,7 @@ class FastService:
             if pace.idle:
                 del self._paces[caller]
 
-    async def _serve_at(self, pace: Pace, number: int, request: Request) -> None:
+    async def _serve_at(self, pace: AnswerPacing, number: int, request: Request) -> None:
         life = self._rpc.helper.starts
         try:
             request.payload = self._rpc.around.little_endian(f"{self.type}_Request", request.payload)

@@ -14,7 +14,7 @@ from typing import Final
 
 from ropeway.errors import GraphUnavailable
 from ropeway.networks.dds.fastdds import serdata_hook as hook
-from ropeway.networks.dds.fastdds.frames import Frame, Op, Spec
+from ropeway.networks.dds.fastdds.frames import HelperFrame, Op, Spec
 from ropeway.networks.dds.fastdds.identity import PID_RELATED, PID_RELATED_OLD, SampleIdentity
 from ropeway.networks.dds.fastdds.node import FastNode
 from ropeway.networks.dds.fastdds.serdata_hook import HookError
@@ -42,8 +42,8 @@ def wrong() -> str:
 
 class _Call:
     def __init__(self) -> None:
-        self._asked: queue.SimpleQueue[Frame] = queue.SimpleQueue()
-        self._told: queue.SimpleQueue[Frame] = queue.SimpleQueue()
+        self._asked: queue.SimpleQueue[HelperFrame] = queue.SimpleQueue()
+        self._told: queue.SimpleQueue[HelperFrame] = queue.SimpleQueue()
         self._failed = ""
         self._calls = 0
         self._past: set[bytes] = set()  # requests that were sent more than once may still come
@@ -107,7 +107,7 @@ class _Call:
             return "a reply does not arrive"
         return "" if told.body == response else "a reply is another one"
 
-    def _next(self, frames: queue.SimpleQueue[Frame], op: Op, timeout_s: float) -> Frame | None:
+    def _next(self, frames: queue.SimpleQueue[HelperFrame], op: Op, timeout_s: float) -> HelperFrame | None:
         until = min(self._until, time.monotonic() + timeout_s)
         try:
             while (frame := frames.get(timeout=max(0.0, until - time.monotonic()))).op != op:

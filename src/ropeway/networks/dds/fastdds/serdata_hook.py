@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ropeway.networks.dds import raw
-from ropeway.networks.dds.fastdds.identity import HEADER_BYTES, Origin, SampleIdentity, pack_parameter, parse
+from ropeway.networks.dds.fastdds.identity import HEADER_BYTES, SampleIdentity, SampleOrigin, pack_parameter, parse
 from ropeway.networks.dds.raw import SERDATA_TIMESTAMP, DdsError, check, lib
 from ropeway.networks.dds.raw_endpoints import tell_padding
 
@@ -85,7 +85,7 @@ class _Note:
 
     __slots__ = ("origin", "parameter", "slot")
 
-    def __init__(self, origin: Origin | None = None, parameter: bytes = b"") -> None:
+    def __init__(self, origin: SampleOrigin | None = None, parameter: bytes = b"") -> None:
         self.origin, self.parameter = origin, parameter
         self.slot = 0  # where the key hash is in the message that is being put together
 
@@ -94,7 +94,7 @@ notes: dict[int, _Note] = {}
 """By address of the serdata."""
 
 
-def origin_of(serdata: int) -> Origin | None:
+def origin_of(serdata: int) -> SampleOrigin | None:
     """Where a received sample came from; to be asked before its reference is given back."""
     note = notes.get(serdata)
     return note.origin if note is not None else None

@@ -16,14 +16,14 @@ from ropeway.graph.base import Undelivered
 from ropeway.networks.dds import raw
 from ropeway.networks.dds.endpoint_qos import reader_qos, writer_qos
 from ropeway.networks.dds.fastdds import serdata_hook as hook
-from ropeway.networks.dds.fastdds.frames import MAX_BODY_BYTES, Frame, Op, Spec
+from ropeway.networks.dds.fastdds.frames import MAX_BODY_BYTES, HelperFrame, Op, Spec
 from ropeway.networks.dds.fastdds.identity import (
     NOBODY,
     PID_RELATED,
     PREFIX_BYTES,
     UNKNOWN_SEQ,
-    Origin,
     SampleIdentity,
+    SampleOrigin,
     is_reader,
 )
 from ropeway.networks.dds.fastdds.serdata_hook import RelatedWriter
@@ -45,11 +45,11 @@ _MATCH_S: Final = 1.0  # how long an answer waits until its reader is matched
 _request_head = struct.Struct("<16sq")
 
 
-class Host(Protocol):
+class EndpointHost(Protocol):
     """What an endpoint needs of the node that it belongs to."""
 
     participant: int
-    emit: Callable[[Frame], None]
+    emit: Callable[[HelperFrame], None]
 
     def mark_of(self, type_hash: str) -> bytes:
         """Return the USER_DATA of an endpoint whose messages have this hash."""
@@ -75,7 +75,7 @@ class Host(Protocol):
 class _End:
     """A reader and a writer on the topics of one service."""
 
-    def __init__(self, node: Host, number: int, spec: Spec, *, serves: bool) -> None:
+    def __init__(self, node: EndpointHost, number: int, spec: Spec, *, serves: bool) -> None:
         self.number = number
         self.node = node
         self._refs = (ct.c_uint64 * _BATCH)()
@@ -179,7 +179,7 @@ class _End:
                 self._writers[handle] = guid
         return guid
 
-    def on_sample(self, origin: Origin, payload: bytes) -> None:
+    def on_sample(self, origin: SampleOrigin, payload: bytes) -> None:
         """A request or a reply."""
         raise NotImplementedError
 
@@ -222,7 +222,7 @@ class _End:
 class ClientEnd(_End):
     """Calls a service. ``emit`` tells how many serve it, and what becomes of each call."""
 
-    def __init__(self, node: Host, number: int, spec: Spec) -> None:
+    def __init__(self, node: EndpointHost, number: int, spec: Spec) -> None:
         self._calls: dict[int, tuple[int, set[bytes]]] = {}
         self._numbers: dict[int, int] = {}
         self.last = 0  # the number of the latest request on the network
@@ -247,7 +247,7 @@ class ClientEnd(_End):
         """Nobody waits for this call any more."""
         self._calls.pop(self._numbers.pop(number, 0), None)
 
-    def on_sample(self, origin: Origin, payload: bytes) -> None:
+    def on_sample(self, origin: SampleOrigin, payload: bytes) -> None:
         """Pass a reply on if it is one of ours."""
         related = origin.related
         if related is None or related.guid not in (self.reader_guid, self.writer.guid):
@@ -257,7 +257,7 @@ class ClientEnd(_End):
             self.node.count(self.number, Undelivered.LATE)
             return
         del self._numbers[found[0]]
-        self.node.emit(Frame(Op.RESPONSE, self.number, found[0], payload))
+        self.node.emit(HelperFrame(Op.RESPONSE, self.number, found[0], payload))
 
     def on_matches(self) -> set[bytes]:
         """Take note of who serves it, and give up the calls whose servers have left."""
@@ -288,16 +288,16 @@ class ClientEnd(_End):
         ready = sum(now - since > (_SETTLE_S if heard else _PATIENCE_S) for since in self.matched.values())
         if ready != self._ready:
             self._ready = ready
-            self.node.emit(Frame(Op.MATCHED, self.number, ready))
+            self.node.emit(HelperFrame(Op.MATCHED, self.number, ready))
 
     def _tell(self, op: Op, number: int, text: str) -> None:
-        self.node.emit(Frame(op, self.number, number, text.encode()))
+        self.node.emit(HelperFrame(op, self.number, number, text.encode()))
 
 
 class ServiceEnd(_End):
     """Serves a service. ``emit`` passes each request on, under a number that its answer is to carry."""
 
-    def __init__(self, node: Host, number: int, spec: Spec) -> None:
+    def __init__(self, node: EndpointHost, number: int, spec: Spec) -> None:
         self._requests: dict[int, tuple[int, SampleIdentity]] = {}
         self._last = 0
         self._clients = 0
@@ -305,7 +305,7 @@ class ServiceEnd(_End):
         super().__init__(node, number, spec, serves=True)
         self._make(self._writes, self._entities, writes=True)  # what makes up for ``FastHelper``'s weight
 
-    def on_sample(self, origin: Origin, payload: bytes) -> None:
+    def on_sample(self, origin: SampleOrigin, payload: bytes) -> None:
         """Pass a request on."""
         if len(self._requests) >= _PENDING_LIMIT:
             self.node.count(self.number, Undelivered.BACKLOG)
@@ -315,7 +315,7 @@ class ServiceEnd(_End):
         self._last += 1
         self._requests[self._last] = (origin.parameter or PID_RELATED, identity)
         head = _request_head.pack(*origin.identity)
-        self.node.emit(Frame(Op.REQUEST, self.number, self._last, head + payload))
+        self.node.emit(HelperFrame(Op.REQUEST, self.number, self._last, head + payload))
 
     def asked(self, number: int) -> tuple[int, SampleIdentity] | None:
         """Under which parameter, and with which related identity, a request is to be answered."""
@@ -346,7 +346,7 @@ class ServiceEnd(_End):
         super().tick()
         if len(self.matched) != self._clients:
             self._clients = len(self.matched)
-            self.node.emit(Frame(Op.MATCHED, self.number, self._clients))
+            self.node.emit(HelperFrame(Op.MATCHED, self.number, self._clients))
         now = time.monotonic()
         for _ in range(len(self._waiting)):
             until, parameter, identity, payload = self._waiting.popleft()

@@ -16,7 +16,7 @@ import threading
 from ropeway.errors import GraphUnavailable
 from ropeway.networks.dds import raw
 from ropeway.networks.dds.fastdds import selfcall
-from ropeway.networks.dds.fastdds.frames import BadFrame, Frame, Op, Spec, Splitter, encode
+from ropeway.networks.dds.fastdds.frames import BadFrame, HelperFrame, Op, Spec, Splitter, encode
 from ropeway.networks.dds.fastdds.identity import GUID_BYTES
 from ropeway.networks.dds.fastdds.node import FastNode
 from ropeway.networks.dds.fastdds.serdata_hook import HookError
@@ -24,7 +24,7 @@ from ropeway.networks.dds.fastdds.service_endpoints import ClientEnd, ServiceEnd
 from ropeway.networks.dds.profile import Profile
 from ropeway.networks.dds.raw import DdsError
 
-__all__ = ["Worker", "main"]
+__all__ = ["HelperWorker", "main"]
 
 _RECEIVE_BYTES = 1 << 20
 # Where this process is killed, nodes forget it in half the usual time, and take its successor for what it is.
@@ -34,7 +34,7 @@ _LIVELY = (
 )
 
 
-class Worker:
+class HelperWorker:
     """Does what the frames of the gateway say, until it hangs up."""
 
     def __init__(self, link: socket.socket) -> None:
@@ -54,7 +54,7 @@ class Worker:
         if self._node is not None:
             self._node.close()
 
-    def emit(self, frame: Frame) -> None:
+    def emit(self, frame: HelperFrame) -> None:
         """Tell the gateway something; without one there is nothing to live for."""
         try:
             with self._sending:
@@ -62,11 +62,11 @@ class Worker:
         except OSError:
             os._exit(0)
 
-    def _do(self, frame: Frame) -> None:
+    def _do(self, frame: HelperFrame) -> None:
         if frame.op == Op.CONFIGURE:
             self._configure(frame.body)
         elif frame.op == Op.PING:
-            self.emit(Frame(Op.PONG, 0, frame.number))
+            self.emit(HelperFrame(Op.PONG, 0, frame.number))
             if self._node is not None:
                 self._node.tell_drops()
         elif self._node is not None:
@@ -85,11 +85,11 @@ class Worker:
         except (DdsError, GraphUnavailable, HookError) as error:
             text = str(error)
         if self._node is None:
-            self.emit(Frame(Op.UNFIT, body=text.encode()))
+            self.emit(HelperFrame(Op.UNFIT, body=text.encode()))
         else:
-            self.emit(Frame(Op.READY, body=self._node.guid))
+            self.emit(HelperFrame(Op.READY, body=self._node.guid))
 
-    def _on_endpoint(self, node: FastNode, frame: Frame) -> None:
+    def _on_endpoint(self, node: FastNode, frame: HelperFrame) -> None:
         if frame.op in (Op.OPEN_CLIENT, Op.OPEN_SERVICE):
             node.open(frame.endpoint, Spec.decode(frame.body), serves=frame.op == Op.OPEN_SERVICE)
             return
@@ -119,7 +119,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the gateway, which hangs up when it is done
     with socket.socket(fileno=int(sys.argv[1])) as link:
         link.setblocking(True)
-        worker = Worker(link)
+        worker = HelperWorker(link)
         code = 0
         try:
             worker.run()

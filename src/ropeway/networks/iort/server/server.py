@@ -14,16 +14,16 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 from ropeway.errors import ConnectFailed
-from ropeway.fault_log import Complaints
+from ropeway.fault_log import FaultLog
 from ropeway.iort import DEFAULT_PORT, MAX_PACKET_BYTES, NOT_HTTP, NodeError
 from ropeway.limits import LOGIN_S, NODE_PACKET_S, NODE_SILENCE_S
 from ropeway.listener.authorization import Access, Role
 from ropeway.listener.connection import peer_address
 from ropeway.listener.entrance import Entrance
-from ropeway.listener.http import Request
+from ropeway.listener.http import HttpRequest
 from ropeway.listener.http_upgrade import identified
 from ropeway.listener.listener import Listener, keep_alive, open_listener
-from ropeway.networks.iort.server.session import Session
+from ropeway.networks.iort.server.session import IortSession
 from ropeway.networks.iort.space import Space
 from ropeway.store import Entry
 from ropeway.tasks import Chores, Supervised, end
@@ -68,15 +68,15 @@ class IortServer:
         self.unfinished_s, self.silence_s, self.login_s = unfinished_s, silence_s, login_s
         self.render = render or _no_text
         self.kinds = dict(kinds or {})
-        self.sessions: dict[Session, None] = {}
+        self.sessions: dict[IortSession, None] = {}
         self.counts: Counter[str] = Counter()
         self.denied: Counter[str] = Counter()
-        self._complaints = Complaints("iort")
+        self._fault_log = FaultLog("iort")
         self.listeners: list[Listener] = []
         self._tasks = Chores()
         self._ticker: Supervised | None = None
         self._names: Counter[str] = Counter()
-        self._strangers: set[Session] = set()  # connected, but not in
+        self._strangers: set[IortSession] = set()  # connected, but not in
 
     async def listen(self, url: str, *, ssl_context: ssl.SSLContext | None = None, reuse_port: bool = False) -> int:
         """Listen on ``iort://host:port`` or ``iorts://host:port``; the port is returned. Raises ``ConnectFailed``."""
@@ -89,7 +89,7 @@ class IortServer:
             f"{named}:{port}",
             host,
             port,
-            lambda visit: Session(self, visit),
+            lambda visit: IortSession(self, visit),
             lobby=self.entrance.lobby,
             handshake_s=_HANDSHAKE_S,
             context=ssl_context if parts.scheme == "iorts" else None,
@@ -139,7 +139,7 @@ class IortServer:
 
     # ── what sessions call ─────────────────────────────────────────────────────────────────────────────────────
 
-    def welcome(self, session: Session, transport: asyncio.Transport) -> None:
+    def welcome(self, session: IortSession, transport: asyncio.Transport) -> None:
         """Take a node that connected: it is let in when something comes of it, or when it says who it is."""
         keep_alive(transport)
         session.peer = session.node = peer_address(transport.get_extra_info("peername"))
@@ -148,7 +148,7 @@ class IortServer:
         if not isinstance(self.entrance.door.role_of(_request(transport)), Role):
             session.expect_login(self.login_s)
 
-    def heard(self, session: Session) -> bool:
+    def heard(self, session: IortSession) -> bool:
         """Let a node in of which the first has come, unless it has to say who it is; return whether it may stay."""
         assert session.transport is not None
         role = self.entrance.door.role_of(_request(session.transport))
@@ -160,7 +160,7 @@ class IortServer:
                 return False
         return True
 
-    def gone(self, session: Session) -> None:
+    def gone(self, session: IortSession) -> None:
         """Forget a node, which is gone."""
         self._strangers.discard(session)
         if session in self.sessions:
@@ -170,7 +170,7 @@ class IortServer:
             assert session.access is not None
             self.entrance.left(session.access.role)
 
-    def hello(self, session: Session, name: str, token: str | None) -> str:
+    def hello(self, session: IortSession, name: str, token: str | None) -> str:
         """A node says who it is; what it should know is returned. Raises ``NodeError`` if it may not come in."""
         transport = session.transport
         assert transport is not None
@@ -185,25 +185,25 @@ class IortServer:
         self._rename(session, name)
         if self._names[name] > 1:
             self.counts["two of one name"] += 1
-            self._complaints.note("name", "", f"{session.peer}: another node is named {name}, too; both are served")
+            self._fault_log.note("name", "", f"{session.peer}: another node is named {name}, too; both are served")
             return f"another node is named {name}, too"
         return ""
 
-    def too_late(self, session: Session) -> None:
+    def too_late(self, session: IortSession) -> None:
         """Give up a node that did not say who it is."""
         self.counts["no login"] += 1
-        self._complaints.note("login", "", f"{session.peer} did not say who it is within {self.login_s:g} s")
+        self._fault_log.note("login", "", f"{session.peer} did not say who it is within {self.login_s:g} s")
         session.close("login", f"say who you are within {self.login_s:g} s")
 
-    def browser_came(self, session: Session) -> None:
+    def browser_came(self, session: IortSession) -> None:
         """Send a browser away."""
         assert session.transport is not None
         self.counts["http"] += 1
-        self._complaints.note("http", "", f"{session.peer} speaks HTTP; to a browser this port is closed")
+        self._fault_log.note("http", "", f"{session.peer} speaks HTTP; to a browser this port is closed")
         session.transport.write(NOT_HTTP)
         session.transport.close()
 
-    def _let_in(self, session: Session, role: Role) -> None:
+    def _let_in(self, session: IortSession, role: Role) -> None:
         """Give a node its role, and a part in the space. Raises ``NodeError`` where there is no place for it."""
         before = session.access.role if session.access is not None else None
         full = self.entrance.full(role) if before is None or before.name != role.name else ""
@@ -211,7 +211,7 @@ class IortServer:
             full = f"there are {self.max_clients} nodes, and no more may come"
         if full:
             self.counts["no place"] += 1
-            self._complaints.note("place", "", f"{session.peer} is not let in: {full}")
+            self._fault_log.note("place", "", f"{session.peer} is not let in: {full}")
             raise NodeError("full", full)
         if before is None:
             self._strangers.discard(session)
@@ -223,7 +223,7 @@ class IortServer:
         size = min(self.max_packet_bytes, role.max_message_bytes or self.max_packet_bytes)
         session.let_in(Access(role, self.entrance.door.globs, client=session.peer, tally=self.denied), size)
 
-    def _rename(self, session: Session, name: str) -> None:
+    def _rename(self, session: IortSession, name: str) -> None:
         self._names[session.node] -= 1
         if self._names[session.node] <= 0:
             del self._names[session.node]
@@ -257,7 +257,7 @@ def _no_text(entry: Entry) -> bytes:
     raise NodeError("conversion", f"it is a message of {entry.type}, which nobody makes text of here")
 
 
-def _request(transport: asyncio.Transport, token: str | None = None) -> Request:
+def _request(transport: asyncio.Transport, token: str | None = None) -> HttpRequest:
     """Return what a node shows as the request that a client of HTTP would send."""
     headers = {} if token is None else {"authorization": f"Bearer {token}"}
-    return identified(Request("GET", "/", "HTTP/1.1", headers), transport)
+    return identified(HttpRequest("GET", "/", "HTTP/1.1", headers), transport)

@@ -18,13 +18,13 @@ from ropeway.limits import HTTP_HEAD_BYTES, NODE_UNREAD_BYTES, WRONG_TOKENS_PER_
 from ropeway.listener.authorization import Access
 from ropeway.listener.lobby import Visit
 from ropeway.networks.iort.server.pushes import Pushes
-from ropeway.networks.iort.space import Endpoint, is_pattern
+from ropeway.networks.iort.space import MemberEndpoint, is_pattern
 from ropeway.store import Entry, as_json
 
 if TYPE_CHECKING:
     from ropeway.networks.iort.server.server import IortServer
 
-__all__ = ["Session"]
+__all__ = ["IortSession"]
 
 log = logging.getLogger("ropeway.iort")
 
@@ -32,7 +32,7 @@ _OURS: Final = "00"  # the identifier of the server
 _IDENTIFIER_CHARACTERS: Final = 40  # of one that is shown in the status
 
 
-class Session(asyncio.Protocol):
+class IortSession(asyncio.Protocol):
     """See the module. It is a member of the space."""
 
     def __init__(self, server: IortServer, visit: Visit) -> None:
@@ -234,7 +234,7 @@ class Session(asyncio.Protocol):
         self.superseded += 1
         self.server.counts["superseded"] += 1
 
-    def event(self, endpoint: Endpoint, there: bool) -> None:
+    def event(self, endpoint: MemberEndpoint, there: bool) -> None:
         """Somebody began or ceased to publish or read."""
         if self.access is None or not self.access.allows("subscribe", f"/{endpoint.system}/{endpoint.topic}"):
             return
@@ -496,16 +496,16 @@ class Session(asyncio.Protocol):
 
 
 _FOR_STRANGERS: Final = frozenset(("+hello", "+ping", "+bye", "d"))  # what a node may say that is not in
-_HANDLERS: Final[dict[str, Callable[[Session, Packet, str], None]]] = {
-    "+hello": Session._hello,
-    "+get": Session._get,
-    "+sub": Session._subscribe,
-    "+unsub": Session._unsubscribe,
-    "+adv": Session._advertise,
-    "+unadv": Session._withdraw,
-    "+watch": Session._watch,
-    "+list": Session._list,
-    "+del": Session._delete,
-    "+ping": Session._ping,
-    "+bye": Session._bye,
+_HANDLERS: Final[dict[str, Callable[[IortSession, Packet, str], None]]] = {
+    "+hello": IortSession._hello,
+    "+get": IortSession._get,
+    "+sub": IortSession._subscribe,
+    "+unsub": IortSession._unsubscribe,
+    "+adv": IortSession._advertise,
+    "+unadv": IortSession._withdraw,
+    "+watch": IortSession._watch,
+    "+list": IortSession._list,
+    "+del": IortSession._delete,
+    "+ping": IortSession._ping,
+    "+bye": IortSession._bye,
 }

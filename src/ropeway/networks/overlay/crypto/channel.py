@@ -27,11 +27,11 @@ from ropeway.errors import SealError
 from ropeway.networks.overlay.crypto.cbor import loads, pair
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.identity import Identity
-from ropeway.networks.overlay.crypto.replay_window import Window
+from ropeway.networks.overlay.crypto.replay_window import ReplayWindow
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.refusal import Refusal
 
-__all__ = ["Channel", "Initiator", "peek_channel", "respond"]
+__all__ = ["Initiator", "SecureChannel", "peek_channel", "respond"]
 
 _ID_BYTES: Final = 16
 _HEAD: Final = struct.Struct(">16sQ")
@@ -42,14 +42,14 @@ _LIFE_S: Final = 600.0
 _PACKETS: Final = 1 << 31
 
 
-class Channel:
+class SecureChannel:
     """One side of an open channel. ``peer`` is the other side's certificate."""
 
     def __init__(self, id: bytes, peer: Certificate, out: bytes, into: bytes) -> None:
         self.id, self.peer = id, peer
         self._out, self._in = AESGCM(out), AESGCM(into)
         self._counter = 0
-        self._window = Window()
+        self._window = ReplayWindow()
         self._ends = time.monotonic() + _LIFE_S
 
     def usable(self) -> bool:
@@ -97,7 +97,7 @@ class Initiator:
         body = cbor2.dumps((identity.certificate.der, _public(self._own), os.urandom(16)))
         self.hello = cbor2.dumps((body, identity.sign(_hash(_HELLO_TAG, target, body))))
 
-    def finish(self, reply: bytes, trust: Trust) -> Channel:
+    def finish(self, reply: bytes, trust: Trust) -> SecureChannel:
         """The channel. Raises ``SealError`` where the reply is not from who we asked, or not to be believed."""
         body, signature = pair(reply, "a greeting")
         fields = loads(body, "a greeting")
@@ -109,10 +109,10 @@ class Initiator:
         if not peer.verify_signature(_hash(_REPLY_TAG, self.hello, body), signature):
             raise SealError(Refusal.BAD_SIGNATURE, f"a reply of {peer.name}")
         out, into = _keys(self._own, public, self.hello, body)
-        return Channel(id, peer, out, into)
+        return SecureChannel(id, peer, out, into)
 
 
-def respond(identity: Identity, own: bytes, hello: bytes, trust: Trust) -> tuple[bytes, Channel]:
+def respond(identity: Identity, own: bytes, hello: bytes, trust: Trust) -> tuple[bytes, SecureChannel]:
     """The reply to a hello that was sent to us (gateway id ``own``), and the channel. Raises ``SealError``."""
     body, signature = pair(hello, "a greeting")
     fields = loads(body, "a greeting")
@@ -126,7 +126,7 @@ def respond(identity: Identity, own: bytes, hello: bytes, trust: Trust) -> tuple
     answer = cbor2.dumps((identity.certificate.der, _public(mine), id, own))
     reply = cbor2.dumps((answer, identity.sign(_hash(_REPLY_TAG, hello, answer))))
     into, out = _keys(mine, public, hello, answer)
-    return reply, Channel(id, peer, out, into)
+    return reply, SecureChannel(id, peer, out, into)
 
 
 def _keys(own: X25519PrivateKey, public: bytes, hello: bytes, answer: bytes) -> tuple[bytes, bytes]:

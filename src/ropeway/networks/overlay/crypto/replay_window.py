@@ -6,12 +6,12 @@ from typing import Final
 
 from ropeway.networks.overlay.refusal import Refusal
 
-__all__ = ["WINDOW", "Window"]
+__all__ = ["WINDOW", "ReplayWindow"]
 
 WINDOW: Final = 4096
 
 
-class Window:
+class ReplayWindow:
     """The numbers that came, from ``floor`` on; smaller ones are too old."""
 
     __slots__ = ("_seen", "_top", "floor")

@@ -28,10 +28,10 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from ropeway.errors import SealError
 from ropeway.limits import OVERLAY_MESSAGES_PER_PACKET
 from ropeway.networks.overlay.crypto.cbor import loads
-from ropeway.networks.overlay.crypto.replay_window import Window
+from ropeway.networks.overlay.crypto.replay_window import ReplayWindow
 from ropeway.networks.overlay.refusal import Refusal
 
-__all__ = ["ContentKey", "Grant", "Header", "Opened", "Opener", "Sealer", "check_signature", "peek"]
+__all__ = ["ContentKey", "Grant", "Opened", "Opener", "PacketHeader", "Sealer", "check_signature", "peek"]
 
 _HEAD: Final = struct.Struct(">BBBBIQHH")
 _MAGIC: Final = 0x52
@@ -46,7 +46,7 @@ _PACKETS: Final = 1 << 31  # under one key
 _KEYS: Final = 4  # that a reader keeps: the one before, the current, the next, and one to spare
 
 
-class Header(NamedTuple):
+class PacketHeader(NamedTuple):
     """The head of a packet."""
 
     epoch: int
@@ -56,7 +56,7 @@ class Header(NamedTuple):
     signed: bool
 
 
-def peek(packet: bytes) -> Header:
+def peek(packet: bytes) -> PacketHeader:
     """The head of a packet, not checked yet. Raises ``SealError``: TRUNCATED or MALFORMED."""
     if len(packet) < _HEAD.size + _TAG_BYTES:
         raise SealError(Refusal.TRUNCATED, f"a packet of {len(packet)} bytes")
@@ -67,7 +67,7 @@ def peek(packet: bytes) -> Header:
         raise SealError(Refusal.TOO_BIG, f"a packet of {count} messages; it may have {OVERLAY_MESSAGES_PER_PACKET}")
     if len(packet) < _HEAD.size + _TAG_BYTES + signature_bytes:
         raise SealError(Refusal.TRUNCATED, f"a packet of {len(packet)} bytes")
-    return Header(epoch, first, count, signature_bytes, bool(flags & _SIGNED))
+    return PacketHeader(epoch, first, count, signature_bytes, bool(flags & _SIGNED))
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +181,9 @@ def _digest(about: bytes, sealed: bytes | memoryview) -> bytes:
     return digest.digest()
 
 
-def check_signature(packet: bytes, name: bytes, publisher: bytes, verify: Callable[[bytes, bytes], bool]) -> Header:
+def check_signature(
+    packet: bytes, name: bytes, publisher: bytes, verify: Callable[[bytes, bytes], bool]
+) -> PacketHeader:
     """Return the head of a packet that its publisher signed, without a key to read it. Raises ``SealError``."""
     head = peek(packet)
     end = len(packet) - head.signature_bytes
@@ -214,12 +216,12 @@ class Opener:
         self._verify = verify
         self._unsigned = unsigned
         self._keys: dict[int, tuple[bytes, AESGCM]] = {}
-        self._window: Window | None = None
+        self._window: ReplayWindow | None = None
 
     def add(self, grant: Grant) -> None:
         """Take the keys. The first grant says where the publisher is: what is older is a replay."""
         if self._window is None:
-            self._window = Window(grant.counter + 1)
+            self._window = ReplayWindow(grant.counter + 1)
         for key in (grant.current, grant.next):
             known = self._keys.get(key.epoch)
             if known is None or known[0] != key.secret:

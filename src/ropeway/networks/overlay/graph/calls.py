@@ -20,7 +20,7 @@ from ropeway.errors import (
     SealError,
 )
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
-from ropeway.graph.local_calls import LEFT, Running, answer
+from ropeway.graph.local_calls import LEFT, InFlight, answer
 from ropeway.limits import OVERLAY_REMEMBERED_BYTES
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.crypto.certificate import Certificate
@@ -47,7 +47,7 @@ class OverlayService:
         self.advert = advert
         self.closed = False
         self._graph, self._handler = graph, handler
-        self._running = Running()
+        self._running = InFlight()
         self._known: dict[bytes, asyncio.Task[bytes] | None] = {}  # ``None``: answered, and its answer forgotten
         self._kept: deque[tuple[bytes, int]] = deque()
         self._kept_bytes = 0
@@ -117,7 +117,7 @@ class OverlayClient:
         self.closed = False
         self._graph = graph
         self._changed = asyncio.Event()
-        self._under_way = Running()
+        self._under_way = InFlight()
         self._asking: dict[asyncio.Task[Any], bytes] = {}
 
     def provider(self) -> Advertisement | None:

@@ -34,7 +34,7 @@ from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.graph.calls import OverlayClient, OverlayService
 from ropeway.networks.overlay.graph.publisher import OverlayPublisher
-from ropeway.networks.overlay.graph.sender import Sender
+from ropeway.networks.overlay.graph.sender import OverlaySender
 from ropeway.networks.overlay.graph.subscription import OverlaySubscription
 from ropeway.networks.overlay.names import Metadata, global_name
 from ropeway.networks.overlay.node import OverlayNode, new_endpoint
@@ -82,7 +82,7 @@ class OverlayGraph:
         self.node_name = node_name
         self.registry = registry or TypeRegistry()
         self.drops: Counter[tuple[str, Undelivered]] = Counter()
-        self.sender: Sender
+        self.sender: OverlaySender
         self._patterns = {"subscribe": tuple(readers), "call": tuple(callers)}
         self._publishers: dict[bytes, OverlayPublisher] = {}
         self._subscriptions: dict[bytes, OverlaySubscription] = {}
@@ -101,7 +101,7 @@ class OverlayGraph:
         if self._open:
             return
         await self.node.open()
-        self.sender = Sender(self)
+        self.sender = OverlaySender(self)
         self._changes = Changes()
         self._stop = self.node.rib.on_change(self._changed)
         self._open = True

@@ -10,16 +10,16 @@ from ropeway.delivery.compression import filters
 from ropeway.delivery.encoding_choice import EncodingChooser
 from ropeway.delivery.outbox import Lost
 from ropeway.delivery.pacing.pace import Pace
-from ropeway.networks.overlay.item import RAW, ZSTD, Item
+from ropeway.networks.overlay.packet_item import RAW, ZSTD, PacketItem
 
-__all__ = ["Packing"]
+__all__ = ["TopicPacking"]
 
 _SMALL_BYTES: Final = 512  # not worth a frame
 _TELLING_BYTES: Final = 32 * 1024  # fewer vanish in queues, whatever the path
 _ALWAYS: Final = ("zstd", "zip", "rawzip")
 
 
-class Packing:
+class TopicPacking:
     """Of one publisher. ``encoding`` is the configured one: ``zstd``, ``zip`` and ``rawzip`` always compress, ``auto``
     where that brings messages over sooner; without loss, by the filters for images and point clouds.
 
@@ -54,7 +54,7 @@ class Packing:
             self.on = self._chooser.choose(size_bytes, self._sent, fell) == "zstd"
         return self.on
 
-    def pack(self, item: Item, on: bool) -> Item:
+    def pack(self, item: PacketItem, on: bool) -> PacketItem:
         """The item as it is to be sent."""
         if not on or len(item.payload) < _SMALL_BYTES or item.encoding != RAW:
             return item

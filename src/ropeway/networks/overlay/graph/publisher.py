@@ -13,9 +13,9 @@ from ropeway.graph.base import SEQ_NONE, Delivery, Sample, Undelivered
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.feed import data_key
 from ropeway.networks.overlay.graph.matching import matches
-from ropeway.networks.overlay.graph.packing import Packing
-from ropeway.networks.overlay.item import RELAYED, Item
-from ropeway.networks.overlay.source import Source
+from ropeway.networks.overlay.graph.packing import TopicPacking
+from ropeway.networks.overlay.packet_item import RELAYED, PacketItem
+from ropeway.networks.overlay.publisher_source import PublisherSource
 
 if TYPE_CHECKING:
     import zenoh
@@ -48,7 +48,7 @@ class OverlayPublisher:
         qos = advert.qos
         keep_all = qos.history == "keep_all"
         depth: int | None = None if keep_all else max(qos.depth, 1)
-        self.source = Source(
+        self.source = PublisherSource(
             advert.global_name,
             advert.endpoint,
             advert.name,
@@ -65,7 +65,7 @@ class OverlayPublisher:
         self.queue: Queue[Sample] = Queue(self, priority=delivery.priority, depth=waiting, lifespan_ns=lifespan_ns)
         self.queue.latched = qos.latched
         self.queue.weight = delivery.weight
-        self.packing = Packing(self.type, delivery.encoding, lambda: graph.sender.slowest(self.queue))
+        self.packing = TopicPacking(self.type, delivery.encoding, lambda: graph.sender.slowest(self.queue))
 
     @property
     def lost(self) -> Counter[Lost]:
@@ -92,7 +92,7 @@ class OverlayPublisher:
             self._short = self._graph.node.fabric.short(self.key)
         return self._short
 
-    def add(self, sample: Sample) -> Item:
+    def add(self, sample: Sample) -> PacketItem:
         """A sample as it goes into a packet, numbered."""
         flags = RELAYED if sample.relayed else 0
         return self.source.add(sample.stamp_ns, sample.seq, sample.origin, flags, bytes(sample.payload))

@@ -17,15 +17,15 @@ from ropeway import aio
 from ropeway.delivery.outbox import LANES, Outbox, Queue
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Sample, Undelivered
-from ropeway.networks.overlay.item import Item
-from ropeway.networks.overlay.mark import Mark
-from ropeway.networks.overlay.path import Path
+from ropeway.networks.overlay.gateway_path import Path
+from ropeway.networks.overlay.packet_item import PacketItem
+from ropeway.networks.overlay.packet_mark import Mark
 
 if TYPE_CHECKING:
     from ropeway.networks.overlay.graph.graph import OverlayGraph
     from ropeway.networks.overlay.graph.publisher import OverlayPublisher
 
-__all__ = ["Sender"]
+__all__ = ["OverlaySender"]
 
 log = logging.getLogger("ropeway.overlay")
 
@@ -39,7 +39,7 @@ _LOOK_S: Final = 0.25  # whether a path has stalled
 _OVERDRAFT_BYTES: Final = 4 * 1024
 _NO_LIMIT: Final = 1 << 40
 
-Job = tuple["OverlayPublisher", list[tuple[Item, bool]]]
+Job = tuple["OverlayPublisher", list[tuple[PacketItem, bool]]]
 Lot = frozenset[bytes]
 """The gateways that a message goes to."""
 
@@ -70,7 +70,7 @@ class _Group:
         return not self.queues and not any(self.cursors)
 
 
-class Sender:
+class OverlaySender:
     """Takes from the outboxes what may go now, and hands it to the threads of the lanes."""
 
     def __init__(self, graph: OverlayGraph) -> None:
@@ -249,7 +249,7 @@ class Sender:
 
     def _gather(self, lane: int, group: _Group, *, small: bool) -> tuple[list[Job], int]:
         """Take what goes whole in one turn, by publisher; what goes in parts is begun."""
-        found: dict[OverlayPublisher, list[tuple[Item, bool]]] = {}
+        found: dict[OverlayPublisher, list[tuple[PacketItem, bool]]] = {}
         outbox, limit = group.outbox, self._part_bytes(group)
         size = count = 0
         while size < min(_BATCH_BYTES, limit) and count < _BATCH:
@@ -329,7 +329,7 @@ class Sender:
 
     # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _begin(self, lane: int, group: _Group, publisher: OverlayPublisher, piece: tuple[Item, bool]) -> None:
+    def _begin(self, lane: int, group: _Group, publisher: OverlayPublisher, piece: tuple[PacketItem, bool]) -> None:
         """Have a message sealed that goes in parts."""
         cursor = group.cursors[lane] = _Cursor(publisher, piece[0].number)
 

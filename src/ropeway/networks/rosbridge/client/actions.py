@@ -23,8 +23,8 @@ from ropeway.errors import (
 from ropeway.graph.base import Delivery, Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Goal, GoalStatus, Outcome
 from ropeway.logs import failed
+from ropeway.networks.rosbridge.client.call_notes import call_note, received
 from ropeway.networks.rosbridge.client.calls import lane, travelling
-from ropeway.networks.rosbridge.client.notes import call_note, received
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
 from ropeway.tasks import end
@@ -89,7 +89,7 @@ class RemoteGoal:
             payload = client.calls.read(f"{client.type}_Feedback", op.values, op.compression, peer)
         except (TypesError, WireError) as error:
             client.calls.graph.drops[client.action, Undelivered.DECODE] += 1
-            peer.complaints.note("feedback", client.action, error)
+            peer.fault_log.note("feedback", client.action, error)
             return
         try:
             on_feedback(payload)

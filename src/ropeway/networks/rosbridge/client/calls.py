@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from ropeway import aio
 from ropeway.errors import GraphUnavailable, InvalidName, RopewayError, UnknownType
 from ropeway.graph.base import NO_HINTS, Delivery, Undelivered
-from ropeway.networks.rosbridge.client.notes import read_note
+from ropeway.networks.rosbridge.client.call_notes import read_note
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.codec import decode_value
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
@@ -262,7 +262,7 @@ class Calls:
         elif isinstance(id, str) and _OURS.fullmatch(id):  # of a client that was closed
             self.late("")
         else:
-            peer.complaints.note("answer", name, "nobody here asked for it")
+            peer.fault_log.note("answer", name, "nobody here asked for it")
 
     def control(self, message: Mapping[str, Any]) -> bool:
         """Take a message between gateways about services and actions; false for others."""

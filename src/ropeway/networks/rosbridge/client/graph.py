@@ -26,25 +26,25 @@ from ropeway.graph.base import (
     Undelivered,
     resolve_name,
 )
-from ropeway.graph.border import Border
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.layout_border import Border
 from ropeway.listener.connection import Connection, Limits
 from ropeway.listener.http import without_token
 from ropeway.listener.websocket import connect
 from ropeway.networks.rosbridge.client.actions import RemoteActionClient
 from ropeway.networks.rosbridge.client.calls import Calls
-from ropeway.networks.rosbridge.client.mirror import Mirror
+from ropeway.networks.rosbridge.client.mirror import RemoteMirror
 from ropeway.networks.rosbridge.client.parts import EchoFilter, RemotePublisher, RemoteSubscription
-from ropeway.networks.rosbridge.client.plain import PlainServer
-from ropeway.networks.rosbridge.client.reconnect import Keeper, LinkState
+from ropeway.networks.rosbridge.client.plain_servers import PlainServer
+from ropeway.networks.rosbridge.client.reconnect import LinkState, Reconnect
 from ropeway.networks.rosbridge.client.refusals import answer_invalid
-from ropeway.networks.rosbridge.client.second import keep_second
+from ropeway.networks.rosbridge.client.ros1_spelling import Spelling
+from ropeway.networks.rosbridge.client.second_connection import keep_second
 from ropeway.networks.rosbridge.client.servers import RemoteActionServer
 from ropeway.networks.rosbridge.client.services import RemoteClient, RemoteService
-from ropeway.networks.rosbridge.client.spelling import Spelling
 from ropeway.networks.rosbridge.link.calls import OP_CHANNELS
 from ropeway.networks.rosbridge.link.express import HEADER as EXPRESS_HEADER
-from ropeway.networks.rosbridge.link.peer import Packing, Peer
+from ropeway.networks.rosbridge.link.peer import Peer, Wrapping
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.codec import unpack_png
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROPEWAY_SUBPROTOCOL
@@ -52,7 +52,7 @@ from ropeway.networks.rosbridge.protocol.records import Arrival
 from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import Supervised, end
 from ropeway.types import TypeRegistry
-from ropeway.types.told import Teller
+from ropeway.types.told_types import DefinitionTeller
 from ropeway.types.variant import Variant
 
 __all__ = ["LinkState", "RosbridgeGraph"]
@@ -114,12 +114,12 @@ class RosbridgeGraph:
         self._subscriptions: dict[int, RemoteSubscription] = {}
         self._changes = Changes()
         self.calls = Calls(self)
-        self.mirror = Mirror(shown, self._changes, self.calls.changed)
-        self._keeper = Keeper(shown, limits or Limits(), self._connect)
+        self.mirror = RemoteMirror(shown, self._changes, self.calls.changed)
+        self._keeper = Reconnect(shown, limits or Limits(), self._connect)
         self._noted_types: set[str] = set()
         self.plain_server = PlainServer(shown, self.registry)
         self.spelling = Spelling(self, ros1)
-        self.teller = Teller(self.registry, graph=True)
+        self.teller = DefinitionTeller(self.registry, graph=True)
         self._traffic = (0, 0)
         self._rosapi_error = ""
         self._wants_calls = False  # somebody asked what is served there
@@ -444,11 +444,11 @@ class RosbridgeGraph:
                     found = True
                     subscription.published(op)
             if not found and self.peer is not None:
-                self.peer.complaints.note("unknown topic", op.topic, "it was not subscribed to")
+                self.peer.fault_log.note("unknown topic", op.topic, "it was not subscribed to")
         elif isinstance(op, ops.Png) and self.peer is not None:
-            self.peer.unpacked(unpack_png(op.data, limit_bytes=self.peer.limit_bytes), Packing.IMAGE)
+            self.peer.unpacked(unpack_png(op.data, limit_bytes=self.peer.limit_bytes), Wrapping.IMAGE)
         elif self.peer is not None and not self.calls.operation(op, self.peer):
-            self.peer.complaints.note("operation", "", f"{op.op} is not for a client")
+            self.peer.fault_log.note("operation", "", f"{op.op} is not for a client")
 
     def control(self, message: Mapping[str, Any]) -> None:
         """A message of the Ropeway dialect came."""
@@ -490,7 +490,7 @@ class RosbridgeGraph:
         if subscription is not None:
             subscription.arrived(arrivals)
         elif self.peer is not None:
-            self.peer.complaints.note("unknown topic", f"channel {channel}", "nobody subscribed to it")
+            self.peer.fault_log.note("unknown topic", f"channel {channel}", "nobody subscribed to it")
 
     def takes(self, channel: int) -> bool:
         """Return whether somebody here reads a channel."""

@@ -10,13 +10,13 @@ from ropeway.graph.base import Changes, EndpointInfo, GraphEvent, NodeInfo, Topi
 from ropeway.graph.calls import ActionInfo, ProviderInfo, ServiceInfo
 from ropeway.qos import DEFAULT, QoS
 
-__all__ = ["Mirror", "describe"]
+__all__ = ["RemoteMirror", "describe"]
 
 Call = Callable[[str, Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
 _Calls = TypeVar("_Calls", ServiceInfo, ActionInfo)
 
 
-class Mirror:
+class RemoteMirror:
     """Keeps topics, nodes, services and actions, and emits an event for every difference.
 
     ``tells_calls``: who is mirrored tells of services and actions, so that what is not here is not served.
@@ -227,7 +227,7 @@ def describe(
     services: Mapping[str, ServiceInfo],
     actions: Mapping[str, ActionInfo],
 ) -> dict[str, Any]:
-    """The JSON form of a graph, which ``Mirror.update`` reads."""
+    """The JSON form of a graph, which ``RemoteMirror.update`` reads."""
 
     def provider(p: ProviderInfo) -> dict[str, Any]:
         told = {"node": p.node, "gateway": p.gateway, "local": p.local, "gid": p.gid.hex(), "since_ns": p.since_ns}

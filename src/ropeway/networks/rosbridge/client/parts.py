@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.delivery.outbox import Lost
 from ropeway.errors import MessageTooBig, TypesError
-from ropeway.graph.answer import Answers
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample, SampleCallback, Undelivered, new_origin
 from ropeway.graph.history import History
+from ropeway.graph.peer_answer import Answers
 from ropeway.logs import failed
 from ropeway.networks.rosbridge.protocol import codec as wire_codec
 from ropeway.networks.rosbridge.protocol import ops
@@ -357,7 +357,7 @@ class RemoteSubscription:
     def _undecodable(self, error: Exception) -> None:
         self.graph.drops[self.topic, Undelivered.DECODE] += 1
         if self._peer is not None:
-            self._peer.complaints.note("message", self.topic, error)
+            self._peer.fault_log.note("message", self.topic, error)
 
     def _deliver(self, batch: list[Sample]) -> None:
         if not batch:

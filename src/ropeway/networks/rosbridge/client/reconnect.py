@@ -12,11 +12,11 @@ from dataclasses import replace
 from typing import Final
 
 from ropeway.errors import ConnectFailed
-from ropeway.graph.answer import Answers
+from ropeway.graph.peer_answer import Answers
 from ropeway.listener.connection import Limits
 from ropeway.tasks import Supervised, describe, end
 
-__all__ = ["Keeper", "LinkState"]
+__all__ = ["LinkState", "Reconnect"]
 
 log = logging.getLogger("ropeway.rosbridge")
 
@@ -38,7 +38,7 @@ class LinkState(enum.Enum):
     CLOSED = "closed"
 
 
-class Keeper:
+class Reconnect:
     """See the module.
 
     ``connect`` makes one connection within the limits that it is given, or raises ``ConnectFailed``; it gives what

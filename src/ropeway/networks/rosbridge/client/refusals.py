@@ -19,7 +19,7 @@ _ABORTED: Final = 6  # as in action_msgs/GoalStatus
 
 def answer_invalid(peer: Peer, calls: Calls, message: Mapping[str, Any], error: WireError) -> None:
     """Answer a request that cannot be understood, and fail a call whose answer cannot be."""
-    peer.complaints.note("operation", str(message.get("topic", ""))[:200], error)
+    peer.fault_log.note("operation", str(message.get("topic", ""))[:200], error)
     if (answer := _answer_to(message, error)) is not None:
         peer.send(answer)
     elif (failure := _failure_in(message, error)) is not None:

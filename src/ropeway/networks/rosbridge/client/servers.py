@@ -11,9 +11,9 @@ from ropeway.errors import CallFailed, GoalRejected, LinkError, ProviderLost, Ro
 from ropeway.graph.base import Delivery, Undelivered
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, ServerGoal
 from ropeway.logs import failed
+from ropeway.networks.rosbridge.client.call_notes import failure, read_note
 from ropeway.networks.rosbridge.client.calls import announced, answer_encoding, lane, travelling
-from ropeway.networks.rosbridge.client.notes import failure, read_note
-from ropeway.networks.rosbridge.client.services import CALLS_LIMIT, Held
+from ropeway.networks.rosbridge.client.services import CALLS_LIMIT, OtherHolder
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROSGW
 from ropeway.tasks import Chores
@@ -47,7 +47,7 @@ class RemoteActionServer:
         self.action = self.name = action
         self.type, self.delivery = type, delivery
         self.id = f"advertise_action:{action}:{calls.next()}"
-        self.held = Held(calls.graph.name, "action", action)
+        self.held = OtherHolder(calls.graph.name, "action", action)
         self.closed = False
         self._calls, self._handlers = calls, handlers
         self._peer: Peer | None = None
@@ -188,7 +188,7 @@ class RemoteActionServer:
         except RopewayError as error:
             reason = Undelivered.WRITE if isinstance(error, LinkError) else Undelivered.ENCODE
             self._calls.graph.drops[self.action, reason] += 1
-            peer.complaints.note("feedback", self.action, error)
+            peer.fault_log.note("feedback", self.action, error)
 
     def _end(self, goal: _Goal, outcome: Outcome) -> None:
         if goal.ended:

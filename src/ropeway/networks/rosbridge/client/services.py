@@ -22,10 +22,10 @@ from ropeway.errors import (
 )
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
-from ropeway.graph.local_calls import Running
+from ropeway.graph.local_calls import InFlight
 from ropeway.logs import failed
+from ropeway.networks.rosbridge.client.call_notes import call_note, failure, read_note, received
 from ropeway.networks.rosbridge.client.calls import announced, answer_encoding, lane, travelling
-from ropeway.networks.rosbridge.client.notes import call_note, failure, read_note, received
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROSGW
 from ropeway.tasks import Chores
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ropeway.networks.rosbridge.client.calls import Calls
     from ropeway.networks.rosbridge.link.peer import Peer
 
-__all__ = ["CALLS_LIMIT", "Held", "RemoteClient", "RemoteService"]
+__all__ = ["CALLS_LIMIT", "OtherHolder", "RemoteClient", "RemoteService"]
 
 log = logging.getLogger("ropeway.rosbridge")
 
@@ -46,7 +46,7 @@ _EARLIER_S: Final = 0.25
 _REMEMBERED_BYTES: Final = 1 << 16  # longer answers are not kept
 
 
-class Held:
+class OtherHolder:
     """Who else holds a name that we offer; the far gateway tells."""
 
     def __init__(self, graph: str, kind: str, name: str) -> None:
@@ -79,7 +79,7 @@ class RemoteClient:
         self.type, self.delivery = type, delivery
         self.closed = False
         self._calls = calls
-        self._under_way = Running()
+        self._under_way = InFlight()
 
     @property
     def available(self) -> bool | None:
@@ -184,7 +184,7 @@ class RemoteService:
         self.service = self.name = service
         self.type, self.delivery = type, delivery
         self.id = f"advertise_service:{service}:{calls.next()}"
-        self.held = Held(calls.graph.name, "service", service)
+        self.held = OtherHolder(calls.graph.name, "service", service)
         self.closed = False
         self._calls, self._handler = calls, handler
         self._peer: Peer | None = None

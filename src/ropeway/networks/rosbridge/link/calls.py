@@ -24,7 +24,7 @@ from ropeway.networks.rosbridge.protocol import ops
 from ropeway.types.cbor import dumps as cbor_dumps
 
 if TYPE_CHECKING:
-    from ropeway.networks.rosbridge.link.sender import Sender
+    from ropeway.networks.rosbridge.link.sender import LinkSender
     from ropeway.networks.rosbridge.protocol.dialect import Dialect
     from ropeway.types import MessageCodec
 
@@ -87,7 +87,7 @@ class _OpChannel(Channel):
 
     __slots__ = ("done",)
 
-    def __init__(self, sender: Sender, number: int, lane: int, done: Callable[[_OutgoingOp], None]) -> None:
+    def __init__(self, sender: LinkSender, number: int, lane: int, done: Callable[[_OutgoingOp], None]) -> None:
         queue: Queue[Outgoing] = Queue("calls", priority=lane, depth=None, limit_bytes=1 << 62)
         super().__init__(sender, number, "(calls)", "", "cbor" if sender.records else "none", queue, None)
         self.done = done
@@ -147,7 +147,7 @@ class OpSender:
     (``None`` where it has not said); both are set once it has said hello.
     """
 
-    def __init__(self, sender: Sender) -> None:
+    def __init__(self, sender: LinkSender) -> None:
         self._sender = sender
         self.records = False
         self.limit_bytes: int | None = None

@@ -13,7 +13,7 @@ from ropeway.networks.rosbridge.protocol import codec as wire_codec
 
 if TYPE_CHECKING:
     from ropeway.networks.rosbridge.link.express import Express
-    from ropeway.networks.rosbridge.link.sender import Sender
+    from ropeway.networks.rosbridge.link.sender import LinkSender
     from ropeway.types import MessageCodec
 
 __all__ = ["Channel", "Outgoing"]
@@ -59,7 +59,7 @@ class Channel:
 
     def __init__(
         self,
-        sender: Sender,
+        sender: LinkSender,
         number: int,
         topic: str,
         type: str,
@@ -114,7 +114,7 @@ class Channel:
     def failed(self, sample: Outgoing, error: BaseException) -> None:
         """Count a message that cannot be encoded."""
         self.queue.lost[Lost.ENCODE] += 1
-        self.sender.complaints.note("message", self.topic, error)
+        self.sender.fault_log.note("message", self.topic, error)
 
     def fragments(self, sample: Outgoing) -> int | None:
         """How many characters of a message's text go in one frame, ``None`` for all of them."""

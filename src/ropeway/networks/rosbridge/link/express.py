@@ -21,7 +21,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.networks.rosbridge.link.sender import RecordSender, Sender
+from ropeway.networks.rosbridge.link.sender import LinkSender, RecordSender
 from ropeway.networks.rosbridge.protocol.records import RecordReader
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class _ExpressSender(RecordSender):
         self.recent: deque[tuple[Channel, Outgoing]] = deque(maxlen=_REMEMBERED)
 
     def take(self, lane: int, *, small: bool = False) -> tuple[Channel, Outgoing, str] | None:
-        """See ``Sender.take``."""
+        """See ``LinkSender.take``."""
         taken = super().take(lane, small=small)
         if taken is not None:
             channel, sample, _ = taken
@@ -95,7 +95,7 @@ class Express:
             self._detach()
         peer = self._peer
         self._connection = connection
-        self._sender = sender = _ExpressSender(connection, peer.complaints, peer.dialect)
+        self._sender = sender = _ExpressSender(connection, peer.fault_log, peer.dialect)
         reader = RecordReader(peer.limit_bytes, peer.refused, peer.takes)
         connection.on_text = peer.take_text
         connection.on_binary = lambda data: peer.take_records(reader, data)
@@ -135,7 +135,7 @@ class Express:
         self._pass(key)
         return True
 
-    def _move(self, channel: Channel, to: Sender) -> None:
+    def _move(self, channel: Channel, to: LinkSender) -> None:
         queue, old = channel.queue, channel.sender
         back = queue.held and self._call_off(channel)
         if queue.under_way and not back:

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 from ropeway.delivery.compression import filters
 from ropeway.errors import InvalidFrame, InvalidOperation, MessageTooBig, RopewayError, WireError
-from ropeway.fault_log import Complaints
+from ropeway.fault_log import FaultLog
 from ropeway.limits import UNREAD_ANSWERS_BYTES
 from ropeway.networks.rosbridge.link.calls import OP_CHANNELS, WAITING_LIMIT_BYTES, OpSender, Unsent
 from ropeway.networks.rosbridge.link.channel import Channel, Outgoing
 from ropeway.networks.rosbridge.link.express import Express
-from ropeway.networks.rosbridge.link.sender import PlainSender, RecordSender, Sender
+from ropeway.networks.rosbridge.link.sender import LinkSender, PlainSender, RecordSender
 from ropeway.networks.rosbridge.protocol import codec as wire_codec
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, Dialect, by_subprotocol, detect
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ropeway.listener.connection import Connection
     from ropeway.types import MessageCodec, TypeRegistry
 
-__all__ = ["CONTROL_OPS", "Channel", "Outgoing", "Packing", "Peer", "PeerHandler", "Unsent"]
+__all__ = ["CONTROL_OPS", "Channel", "Outgoing", "Peer", "PeerHandler", "Unsent", "Wrapping"]
 
 CONTROL_OPS: Final = frozenset(
     {
@@ -58,7 +58,7 @@ _CALLS: Final = 1  # calls and answers in records
 _REQUESTS: Final = ("call_service", "send_action_goal")  # answered with or without an id
 
 
-class Packing(enum.IntEnum):
+class Wrapping(enum.IntEnum):
     """In what the text of an operation came, the outer first."""
 
     FRAGMENTS = 1
@@ -100,9 +100,9 @@ class Peer:
         self.handler = handler
         self.dialect = dialect or by_subprotocol(connection.subprotocol)
         self.limit_bytes = connection.limits.max_message_bytes
-        self.complaints = Complaints(connection.peer)
+        self.fault_log = FaultLog(connection.peer)
         kind = RecordSender if self.dialect is ROPEWAY else PlainSender
-        self.sender: Sender = kind(connection, self.complaints, self.dialect)
+        self.sender: LinkSender = kind(connection, self.fault_log, self.dialect)
         self.express = Express(self)
         self.greeted = False  # a Ropeway gateway that has said hello
         self.heard_hello = asyncio.Event()
@@ -114,7 +114,7 @@ class Peer:
         self._reader = RecordReader(self.limit_bytes, self.refused, self.takes)
         self._assembler = wire_codec.JsonAssembler(limit_bytes=self.limit_bytes)
         self._defragmenter = Defragmenter(limit_bytes=self.limit_bytes)
-        self._packing: Packing | None = None  # of the operations that are being taken
+        self._packing: Wrapping | None = None  # of the operations that are being taken
         connection.on_text = self.take_text
         connection.on_binary = self._on_binary
         connection.on_writable = self.sender.pump
@@ -247,7 +247,7 @@ class Peer:
         """Take a text frame, of either connection."""
         self._objects(data, text=True)
 
-    def unpacked(self, text: bytes, packing: Packing) -> None:
+    def unpacked(self, text: bytes, packing: Wrapping) -> None:
         """Take the operations of a text that came in fragments or in an image. Raises ``InvalidFrame``.
 
         An image may come in fragments; nothing else is packed twice.
@@ -283,7 +283,7 @@ class Peer:
         try:
             arrivals = reader.read(data)
         except InvalidFrame as error:
-            self.complaints.note("frame", "", error)
+            self.fault_log.note("frame", "", error)
             return
         if not arrivals:
             return
@@ -337,7 +337,7 @@ class Peer:
         if isinstance(op, str) and known:
             self.on_invalid(message, InvalidOperation(op, error.reason, id=id))
         else:
-            self.complaints.note("frame", "", error)
+            self.fault_log.note("frame", "", error)
 
     def _object(self, message: Mapping[str, Any]) -> None:
         op = message.get("op")
@@ -362,14 +362,14 @@ class Peer:
             if isinstance(parsed, ops.Fragment):
                 text = self._defragmenter.add(parsed)
                 if text is not None:
-                    self.unpacked(text, Packing.FRAGMENTS)
+                    self.unpacked(text, Wrapping.FRAGMENTS)
             else:
                 self.handler.operation(parsed)
         except RopewayError as error:
-            self.complaints.note(str(op), str(message.get("topic", ""))[:200], error)
+            self.fault_log.note(str(op), str(message.get("topic", ""))[:200], error)
 
     def _invalid(self, message: Mapping[str, Any], error: WireError) -> None:
-        self.complaints.note("operation", str(message.get("topic", ""))[:200], error)
+        self.fault_log.note("operation", str(message.get("topic", ""))[:200], error)
 
     def _greeted(self, message: Mapping[str, Any]) -> None:
         self.greeted = True
@@ -384,7 +384,7 @@ class Peer:
         try:
             self.handler.control(message)
         except RopewayError as error:
-            self.complaints.note(op, "", error)
+            self.fault_log.note(op, "", error)
 
     def decode(self, arrival: Arrival, codec: MessageCodec | None) -> bytes:
         """The CDR of a message that came in a record. Raises ``DecodeError`` or ``MessageTooBig``."""
@@ -405,7 +405,7 @@ class Peer:
 
     def refused(self, channel: int, error: WireError) -> None:
         """Note a message of a channel that was refused."""
-        self.complaints.note("size" if isinstance(error, MessageTooBig) else "frame", f"channel {channel}", error)
+        self.fault_log.note("size" if isinstance(error, MessageTooBig) else "frame", f"channel {channel}", error)
         if isinstance(error, MessageTooBig):
             self.send({"op": "refused", "channel": channel, "reason": str(error)})
 

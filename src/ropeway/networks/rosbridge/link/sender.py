@@ -20,12 +20,12 @@ from ropeway.networks.rosbridge.protocol.fragment import Fragmenter
 from ropeway.networks.rosbridge.protocol.records import HEADER_BYTES, RecordWriter
 
 if TYPE_CHECKING:
-    from ropeway.fault_log import Complaints
+    from ropeway.fault_log import FaultLog
     from ropeway.listener.connection import Connection
     from ropeway.networks.rosbridge.protocol.dialect import Dialect
     from ropeway.types import TypeRegistry
 
-__all__ = ["PlainSender", "RecordSender", "Sender"]
+__all__ = ["LinkSender", "PlainSender", "RecordSender"]
 
 _PART_MIN_BYTES: Final = 1400  # what a packet carries
 _PART_MAX_BYTES: Final = 1 << 20
@@ -33,13 +33,13 @@ _PART_S: Final = 0.002  # a part takes about so long on the wire, so that an urg
 _AHEAD_S: Final = 0.004  # before the end of a message the next is encoded, so that the link does not wait for it
 
 
-class Sender:
+class LinkSender:
     """What waits for one link, and the turn of the event loop in which it goes."""
 
     records: ClassVar[bool] = False
 
-    def __init__(self, connection: Connection, complaints: Complaints, dialect: Dialect) -> None:
-        self.connection, self.complaints, self.dialect = connection, complaints, dialect
+    def __init__(self, connection: Connection, fault_log: FaultLog, dialect: Dialect) -> None:
+        self.connection, self.fault_log, self.dialect = connection, fault_log, dialect
         self.outbox: Outbox[Outgoing] = Outbox()
         self.channels: dict[int, Channel] = {}
         self._loop = asyncio.get_running_loop()
@@ -137,11 +137,11 @@ class Sender:
             future.cancel()
 
 
-class PlainSender(Sender):
+class PlainSender(LinkSender):
     """Sends rosbridge frames, in the order of their topics' turns."""
 
-    def __init__(self, connection: Connection, complaints: Complaints, dialect: Dialect) -> None:
-        super().__init__(connection, complaints, dialect)
+    def __init__(self, connection: Connection, fault_log: FaultLog, dialect: Dialect) -> None:
+        super().__init__(connection, fault_log, dialect)
         self._fragmenter = Fragmenter()
         self._fragments: deque[bytes] = deque()  # of the text that is being sent
         self._busy = False  # a thread encodes the next message
@@ -211,13 +211,13 @@ class _Cursor:
         self.at = 0
 
 
-class RecordSender(Sender):
+class RecordSender(LinkSender):
     """Sends records; of the messages of a lane that are under way the last begun goes on first."""
 
     records = True
 
-    def __init__(self, connection: Connection, complaints: Complaints, dialect: Dialect) -> None:
-        super().__init__(connection, complaints, dialect)
+    def __init__(self, connection: Connection, fault_log: FaultLog, dialect: Dialect) -> None:
+        super().__init__(connection, fault_log, dialect)
         self._writer = RecordWriter()
         self._under_way: list[list[_Cursor]] = [[] for _ in range(LANES)]
         self._parts = 0  # messages under way, in all lanes

@@ -9,12 +9,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import CallFailed, NotServed, TypesError, ValueMismatch
-from ropeway.graph.border import Distributed
+from ropeway.graph.layout_border import Distributed
 from ropeway.listener.globs import Globs
+from ropeway.networks.rosbridge.rosapi.definition_texts import Ros1Texts, Texts
 from ropeway.networks.rosbridge.rosapi.master_params import MasterParams, ParameterServer
 from ropeway.networks.rosbridge.rosapi.params import Params
-from ropeway.networks.rosbridge.rosapi.snapshot import Picture
-from ropeway.networks.rosbridge.rosapi.texts import Ros1Texts, Texts
+from ropeway.networks.rosbridge.rosapi.snapshot import GraphSnapshot
 from ropeway.types.rosbridge import ROSBRIDGE_INTERFACES
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ class Rosapi:
         self._texts: Texts | Ros1Texts = Texts(registry) if ros1 is None else Ros1Texts(ros1)
         own = {self._prefix + name: type for name, type in SERVICES.items()}
         shown = globs or Globs()
-        self._picture = Picture(hub.graph, shown, own, lambda: self._view.own_changes.emitted)
+        self._picture = GraphSnapshot(hub.graph, shown, own, lambda: self._view.own_changes.emitted)
         self._params: Params | MasterParams
         if isinstance(hub.graph, ParameterServer):
             self._params = MasterParams(hub.graph, shown, params_timeout_s)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ropeway.graph.base import Graph, NodeInfo
     from ropeway.graph.calls import ServiceInfo
 
-__all__ = ["Picture", "is_hidden", "is_hidden_node"]
+__all__ = ["GraphSnapshot", "is_hidden", "is_hidden_node"]
 
 _FRESH_S: Final = 0.02  # a web client asks for the details of every node at once
 
@@ -32,7 +32,7 @@ def is_hidden_node(name: str) -> bool:
     return not last or last.startswith("_")
 
 
-class Picture:
+class GraphSnapshot:
     """A graph as rosapi shows it. ``own`` are the services of rosapi itself, by name, with their types."""
 
     def __init__(self, graph: Graph, globs: Globs, own: Mapping[str, str], changes: Callable[[], int]) -> None:

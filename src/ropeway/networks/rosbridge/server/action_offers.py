@@ -9,7 +9,7 @@ from ropeway.errors import CallFailed, GoalRejected, InvalidOperation, ProviderL
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
 from ropeway.limits import GOALS_PER_OFFERED_ACTION
-from ropeway.networks.rosbridge.client.notes import call_note, received
+from ropeway.networks.rosbridge.client.call_notes import call_note, received
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.server.bodies import codec_of, decode_body, text_of
 from ropeway.networks.rosbridge.server.service_ops import tell_state

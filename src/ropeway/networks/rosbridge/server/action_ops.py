@@ -284,7 +284,7 @@ class SentGoal:
         if not op.feedback and session.peer.dialect is not ROSGW:  # which does not ask, and wants it
             return
         if session.peer.connection.unsent_bytes > UNREAD_STATUS_BYTES:
-            session.peer.complaints.note("action_feedback", op.action, "feedback is not read")
+            session.peer.fault_log.note("action_feedback", op.action, "feedback is not read")
             return
         session.peer.send_op(
             ops.ActionFeedback(action=op.action, values=None, id=op.id),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ropeway.errors import DecodeError, TypesError, ValueMismatch
-from ropeway.networks.rosbridge.client.notes import failure, read_note
+from ropeway.networks.rosbridge.client.call_notes import failure, read_note
 from ropeway.networks.rosbridge.protocol import codec as wire_codec
 from ropeway.networks.rosbridge.protocol.dialect import ROSBRIDGE
 from ropeway.types.definition import short_name

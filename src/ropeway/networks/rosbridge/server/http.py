@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any, Final
 
 from ropeway import __version__
-from ropeway.listener.authentication import Refusal
-from ropeway.listener.http import Request, Response, reply
+from ropeway.listener.authentication import Rejection
+from ropeway.listener.http import HttpRequest, Response, reply
 
 __all__ = ["PROTOCOL", "Pages"]
 
@@ -29,21 +29,21 @@ class Pages:
     def __init__(
         self,
         reasons: Callable[[], Sequence[str]],
-        refuses: Callable[[Request], Response | None],
-        more: Callable[[Request], Response | asyncio.Protocol | None] = lambda request: None,
+        refuses: Callable[[HttpRequest], Response | None],
+        more: Callable[[HttpRequest], Response | asyncio.Protocol | None] = lambda request: None,
     ) -> None:
         self._reasons, self._refuses, self._more = reasons, refuses, more
 
-    def __call__(self, request: Request) -> Response | asyncio.Protocol:
+    def __call__(self, request: HttpRequest) -> Response | asyncio.Protocol:
         """The answer."""
         found = self._more(request)
         if found is None:
             found = self._refuses(request) or self._own(request)
-        if not isinstance(found, Response) or isinstance(found, Refusal):
+        if not isinstance(found, Response) or isinstance(found, Rejection):
             return found
         return replace(found, headers={**found.headers, **_readable(request)})
 
-    def _own(self, request: Request) -> Response:
+    def _own(self, request: HttpRequest) -> Response:
         status, value = self._page(request.path)
         headers: dict[str, str] = {}
         if status != 404 and request.method not in ("GET", "HEAD"):
@@ -62,7 +62,7 @@ class Pages:
         return 404, {"error": f"there is nothing at {path}"}
 
 
-def _readable(request: Request) -> dict[str, str]:
+def _readable(request: HttpRequest) -> dict[str, str]:
     """Return what lets the web page that sent this read the answer; pages that may not are refused before."""
     origin = request.headers.get("origin", "")
     return {"Access-Control-Allow-Origin": origin, "Vary": "Origin"} if origin else {}

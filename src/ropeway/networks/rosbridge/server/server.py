@@ -14,17 +14,17 @@ from urllib.parse import urlsplit
 
 from ropeway.errors import ConnectFailed, RopewayError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
-from ropeway.listener.authentication import Refusal, refusal, subprotocol, unserved
+from ropeway.listener.authentication import Rejection, refusal, subprotocol, unserved
 from ropeway.listener.authorization import EVERYTHING, Access, Role
 from ropeway.listener.connection import Connection, Limits
 from ropeway.listener.entrance import Entrance
 from ropeway.listener.globs import Globs
-from ropeway.listener.http import Request, Response
+from ropeway.listener.http import HttpRequest, Response
 from ropeway.listener.http_upgrade import Admission
 from ropeway.listener.listener import Listener
 from ropeway.listener.presence import Presence, ip_address
 from ropeway.listener.store_pages import StorePages
-from ropeway.listener.store_watcher import Watcher
+from ropeway.listener.store_watcher import StoreWatcher
 from ropeway.listener.websocket import listen
 from ropeway.networks.rosbridge.link.express import HEADER
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
@@ -106,7 +106,7 @@ class RosbridgeServer:
         )
         self._pages = Pages(reasons, self.entrance.admit_page, self._more_pages)
         self._store_pages = pages
-        self.watchers: set[Watcher] = set()
+        self.watchers: set[StoreWatcher] = set()
         self.presence: Presence | None = None
         self.rosout: Rosout | None = None
         self._publish_clients, self._publish_rosout = publish_clients, publish_rosout
@@ -157,7 +157,7 @@ class RosbridgeServer:
         except RopewayError as error:
             log.warning("%s does not take what the server tells about itself: %s", self.hub.graph.name, error)
 
-    def _more_pages(self, request: Request) -> Response | asyncio.Protocol | None:
+    def _more_pages(self, request: HttpRequest) -> Response | asyncio.Protocol | None:
         """Pages beyond the server's own: what the store has, for who may read it."""
         pages = self._store_pages
         if pages is None or not pages.knows(request.path):
@@ -166,7 +166,7 @@ class RosbridgeServer:
         if not isinstance(role, Role):
             return role
         found = pages(request, Access(role, self.entrance.door.globs, client=request.peer, tally=self.denied))
-        if not isinstance(found, Watcher):
+        if not isinstance(found, StoreWatcher):
             return found
         full = self._full(role)
         if full:
@@ -175,15 +175,15 @@ class RosbridgeServer:
         found.on_begin, found.on_end = self._watcher_came, self._watcher_left
         return found
 
-    def _watcher_came(self, watcher: Watcher) -> None:
+    def _watcher_came(self, watcher: StoreWatcher) -> None:
         self.watchers.add(watcher)
         self.entrance.came(watcher.access.role)
 
-    def _watcher_left(self, watcher: Watcher) -> None:
+    def _watcher_left(self, watcher: StoreWatcher) -> None:
         self.watchers.discard(watcher)
         self.entrance.left(watcher.access.role)
 
-    def _admit(self, request: Request) -> Admission | Response:
+    def _admit(self, request: HttpRequest) -> Admission | Response:
         role = self.entrance.admit(request)
         if not isinstance(role, Role):
             return role
@@ -197,7 +197,7 @@ class RosbridgeServer:
             limits = replace(limits, max_message_bytes=size)
         return Admission(subprotocol(request), limits, role)
 
-    def _refusal(self, role: Role, request: Request) -> Refusal | None:
+    def _refusal(self, role: Role, request: HttpRequest) -> Rejection | None:
         """The answer to a client of this role that may come in, but not now or not like this."""
         if full := self._full(role):
             return refusal(503, full, Retry_After="10")
@@ -220,7 +220,7 @@ class RosbridgeServer:
         """
         door = self.entrance.door
 
-        def stays(request: Request | None, role: Role) -> bool:
+        def stays(request: HttpRequest | None, role: Role) -> bool:
             if request is None or (certificates and request.fingerprint):
                 return False
             return door.role_of(request) == role
@@ -244,7 +244,7 @@ class RosbridgeServer:
             ros1_actions=self.hub.graph.actions if ros1 else None,
         )
 
-    def _link_of(self, request: Request | None) -> Session | None:
+    def _link_of(self, request: HttpRequest | None) -> Session | None:
         """Return the session whose second connection a request is for, if it shows the secret of one."""
         secret = "" if request is None else request.headers.get(HEADER.lower(), "")
         if not secret:

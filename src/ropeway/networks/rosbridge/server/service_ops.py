@@ -25,7 +25,7 @@ from ropeway.errors import (
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import Request
 from ropeway.limits import CALLS_PER_CLIENT, CALLS_PER_OFFERED_SERVICE, LONGEST_CALL_S, SERVICES_PER_CLIENT
-from ropeway.networks.rosbridge.client.notes import call_note, received
+from ropeway.networks.rosbridge.client.call_notes import call_note, received
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.server.bodies import (
     answer_encoding,

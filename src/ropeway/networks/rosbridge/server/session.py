@@ -19,13 +19,13 @@ from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
 from ropeway.networks.rosbridge.protocol.records import Arrival
 from ropeway.networks.rosbridge.server.action_ops import ActionOps
+from ropeway.networks.rosbridge.server.graph_watch import Watch
 from ropeway.networks.rosbridge.server.names import Names
 from ropeway.networks.rosbridge.server.service_ops import ServiceOps
 from ropeway.networks.rosbridge.server.topic_channels import TopicIn, TopicOut
 from ropeway.networks.rosbridge.server.topic_ops import Retire, TopicOps
 from ropeway.networks.rosbridge.server.turns import Turns
-from ropeway.networks.rosbridge.server.watch import Watch
-from ropeway.types.told import Teller
+from ropeway.types.told_types import DefinitionTeller
 
 if TYPE_CHECKING:
     from ropeway.hub.hub import Hub
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ropeway.types import MessageCodec, TypeRegistry
     from ropeway.types.ros1_spelling import Ros1Spelling
 
-__all__ = ["Rosapi", "Session"]
+__all__ = ["RosapiAnswers", "Session"]
 
 log = logging.getLogger("ropeway.server")
 
@@ -49,7 +49,7 @@ _RATED: Final[Mapping[type, tuple[str, str]]] = {
 }
 
 
-class Rosapi(Protocol):
+class RosapiAnswers(Protocol):
     """Answers the services of rosapi; see ``ropeway.networks.rosbridge.rosapi``."""
 
     def serves(self, name: str) -> bool:
@@ -87,7 +87,7 @@ class Session:
         call_timeout_s: float = DEFAULT_TIMEOUT_S,
         cancel_goals: bool = True,
         access: Access | None = None,
-        rosapi: Rosapi | None = None,
+        rosapi: RosapiAnswers | None = None,
         names: Names | None = None,
         ros1: Ros1Spelling | None = None,
     ) -> None:
@@ -109,7 +109,7 @@ class Session:
         self.actions = ActionOps(self, cancel_goals=cancel_goals or self.gateway)
         self._rated_bytes = 0
         self._watch: Watch | None = None
-        self._teller = Teller(registry)
+        self._teller = DefinitionTeller(registry)
         self._gone = False
         self._requests_bytes = 0
         self._searches = asyncio.Semaphore(SEARCHES_PER_CLIENT)  # for what nobody is known to serve
@@ -123,7 +123,7 @@ class Session:
         self._long_texts = query.get("int64", [""])[-1] == "text"
         self._long_codecs: dict[str, MessageCodec] = {}
         if self._tells_status:
-            self.peer.complaints.on_note = lambda kind, text, id: self._send_status("error", f"{kind}: {text}", id)
+            self.peer.fault_log.on_note = lambda kind, text, id: self._send_status("error", f"{kind}: {text}", id)
         if self.gateway:
             self.peer.hello(gateway_id, name, express=True)
             self.peer.ping()
@@ -301,7 +301,7 @@ class Session:
     def complain(self, kind: str, name: str, error: object, id: object = ops.ABSENT) -> None:
         """Count and log something that the client did wrong, and tell it, if it wants to know."""
         if not isinstance(error, AccessDenied):
-            self.peer.complaints.note(kind, name, error, id=id)
+            self.peer.fault_log.note(kind, name, error, id=id)
         elif self._tells_status:  # it is counted and logged by ``access``
             self._send_status("error", str(error), id)
 
@@ -334,7 +334,7 @@ class Session:
             "denied": dict(self.access.denied),
             "bytes_in": connection.bytes_in,
             "bytes_out": connection.bytes_out,
-            "complaints": {f"{kind} {topic}".strip(): n for (kind, topic), n in self.peer.complaints.counts.items()},
+            "complaints": {f"{kind} {topic}".strip(): n for (kind, topic), n in self.peer.fault_log.counts.items()},
             "topics": list(self.topics.status()),
             "services": list(self.services.status()),
             "actions": list(self.actions.status()),

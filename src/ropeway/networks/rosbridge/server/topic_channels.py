@@ -128,7 +128,7 @@ class TopicIn:
                     needs = wire_codec.encoding_name(arrival.encoding) not in ("rawzip", "zstd")
                     payload = peer.decode(arrival, self.codec() if needs else None)
                 except (TypesError, MessageTooBig) as error:
-                    peer.complaints.note("message", self.topic, error)
+                    peer.fault_log.note("message", self.topic, error)
                     continue
             self.encoding = wire_codec.ENCODINGS[arrival.encoding]
             sent = arrival.stamp_ns - offset if arrival.stamp_ns and offset is not None else 0

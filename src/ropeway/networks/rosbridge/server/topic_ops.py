@@ -48,15 +48,15 @@ class TopicOps:
         self._on_advertised = on_advertised
         self._numbers = 0
         self._lingering: dict[str, asyncio.TimerHandle] = {}
-        self._unborn: dict[str, dict[str, ops.Subscribe]] = {}  # subscriptions that wait until the topic has a type
-        self._births: Supervised | None = None
+        self._untyped: dict[str, dict[str, ops.Subscribe]] = {}  # subscriptions that wait until the topic has a type
+        self._type_watch: Supervised | None = None
 
     # ── lifecycle ──────────────────────────────────────────────────────────────────────────────────────────────
 
     async def leave(self) -> None:
         """The client has left: take back everything but the topics that linger; ``withdraw`` takes those back."""
-        await end(self._births)
-        self._unborn.clear()
+        await end(self._type_watch)
+        self._untyped.clear()
         for handle in self._lingering.values():
             handle.cancel()
         for output in self._all_outputs():
@@ -78,7 +78,7 @@ class TopicOps:
     @property
     def held_bytes(self) -> int:
         """What is kept for the client's topics."""
-        waiting = sum(map(len, self._unborn.values()))
+        waiting = sum(map(len, self._untyped.values()))
         inputs = sum(topic.held_bytes for topic in self._all_inputs())
         outputs = sum(output.held_bytes for output in self._all_outputs())
         return inputs + outputs + REGISTRATION_BYTES * waiting
@@ -287,7 +287,7 @@ class TopicOps:
         name = session.names.resolve(op.topic)
         session.access.check("subscribe", name)
         if not op.type and not self._types(name):
-            self._wait_for_birth(op)
+            self._wait_for_type(op)
             return
         type = type_of(session, op.type, "msg") if op.type else self._inferred(op.topic)
         session.learn(type, op.ropeway)
@@ -345,11 +345,11 @@ class TopicOps:
                 if output.topic == op.topic and _key(op.id) in output.requests:
                     await self._drop_output(output)
             return
-        unborn = self._unborn.get(op.topic)
-        if unborn is not None:
-            _remove(unborn, op.id)
-            if not unborn:
-                del self._unborn[op.topic]
+        untyped = self._untyped.get(op.topic)
+        if untyped is not None:
+            _remove(untyped, op.id)
+            if not untyped:
+                del self._untyped[op.topic]
         shared = self.outputs.get(op.topic)
         if shared is None:
             return
@@ -366,28 +366,30 @@ class TopicOps:
             del self.output_channels[output.number]
         await output.close()
 
-    def _wait_for_birth(self, op: ops.Subscribe) -> None:
+    def _wait_for_type(self, op: ops.Subscribe) -> None:
         """Subscribe when the topic appears (rosbridge fails, and the client has to ask again)."""
         if self.session.gateway:
             raise UnknownTopicError(op.topic)
-        if op.topic not in self._unborn:
+        if op.topic not in self._untyped:
             self._check_count()
-        waiting = self._unborn.setdefault(op.topic, {})
+        waiting = self._untyped.setdefault(op.topic, {})
         if len(waiting) >= IDS_PER_TOPIC:
             raise InvalidOperation("", f"a topic may have {IDS_PER_TOPIC} ids at most")
         waiting[_key(op.id)] = op
-        if self._births is None:
+        if self._type_watch is None:
             view = self.session.view
-            self._births = Supervised(lambda: self._watch_births(view.changes()), "topics that are waited for").start()
+            self._type_watch = Supervised(
+                lambda: self._watch_types(view.changes()), "topics that are waited for"
+            ).start()
         text = f"{op.topic} is not advertised yet; it is subscribed to when it appears"
         self.session.inform(text, op.id)
 
-    async def _watch_births(self, changes: Any) -> None:
+    async def _watch_types(self, changes: Any) -> None:
         async for event in changes:
             if event.kind != "publisher" or not event.discovered:
                 continue
-            for topic in [t for t in self._unborn if self.session.names.resolve(t) == event.name]:
-                for op in self._unborn.pop(topic).values():
+            for topic in [t for t in self._untyped if self.session.names.resolve(t) == event.name]:
+                for op in self._untyped.pop(topic).values():
                     self.session.turns.push(op)
 
     # ── checks ─────────────────────────────────────────────────────────────────────────────────────────────────
@@ -403,7 +405,7 @@ class TopicOps:
 
     def _check_count(self) -> None:
         inputs = len(self.inputs) + len(self.input_channels)
-        count = inputs + len(self.outputs) + len(self.output_channels) + len(self._unborn)
+        count = inputs + len(self.outputs) + len(self.output_channels) + len(self._untyped)
         if count >= TOPICS_PER_CLIENT:
             raise InvalidOperation("", f"a client may have {TOPICS_PER_CLIENT} topics at most")
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-__all__ = ["Advice", "Others", "Situation"]
+__all__ = ["Advice", "Competition", "Situation"]
 
 _CUT: Final = 0.8  # of the window is left after a cut that should show
 _HALF: Final = 0.5  # of the window is used while we look whose queue it is
@@ -49,7 +49,7 @@ class Advice(NamedTuple):
     base_s: float | None = None
 
 
-class Others:
+class Competition:
     """What is known of others on one link."""
 
     def __init__(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ropeway.delivery.pacing.others import Others, Situation
+from ropeway.delivery.pacing.competition import Competition, Situation
 
 PACE = 1e6
 
@@ -14,14 +14,14 @@ def situation(window: int, queue_s: float, now_s: float = 0.0, base_s: float = 0
 
 def test_no_long_queue() -> None:
     """With the queue that we want, the usual law holds."""
-    others = Others()
+    others = Competition()
     assert all(others.advise(situation(25_000, 0.005)) is None for _ in range(100))
     assert others.kept_bytes(0.0, 0.02) == 0
 
 
 def test_a_queue_of_ours() -> None:
     """A long queue that is shorter with half of the window is ours: the usual law holds again."""
-    others = Others()
+    others = Competition()
     advice = others.advise(situation(80_000, 0.06))
     assert advice is not None
     assert (advice.window_bytes, advice.base_s) == (40_000, None)
@@ -32,7 +32,7 @@ def test_a_queue_of_ours() -> None:
 
 def test_a_queue_of_others() -> None:
     """A long queue that stays as long is part of the path; half of the pace from before is kept for a while."""
-    others = Others()
+    others = Competition()
     others.calm(PACE)
     others.advise(situation(80_000, 0.06))
     advice = others.advise(situation(40_000, 0.06))
@@ -46,7 +46,7 @@ def test_a_queue_of_others() -> None:
 
 def test_others_have_left() -> None:
     """A queue that becomes shorter after all is ours: the shortest round trip is that of before."""
-    others = Others()
+    others = Competition()
     others.advise(situation(80_000, 0.06))
     others.advise(situation(40_000, 0.06))
     others.advise(situation(80_000, 0.06, 1.0, 0.08))
@@ -58,7 +58,7 @@ def test_others_have_left() -> None:
 
 def test_the_least_window() -> None:
     """A long queue with the least window there is cannot be ours."""
-    others = Others()
+    others = Competition()
     others.calm(PACE)
     advice = others.advise(situation(4096, 0.06))
     assert advice is not None
@@ -66,7 +66,7 @@ def test_the_least_window() -> None:
     assert advice.window_bytes > 40_000
 
 
-def ask(others: Others, window: int, queue_s: float = 0.01) -> float:
+def ask(others: Competition, window: int, queue_s: float = 0.01) -> float:
     """See a queue that stays until more is sent; return how much."""
     for _ in range(100):
         advice = others.advise(situation(window, queue_s))
@@ -77,7 +77,7 @@ def ask(others: Others, window: int, queue_s: float = 0.01) -> float:
 
 def test_a_queue_that_stays() -> None:
     """Beside a queue that does not become longer as more is sent, ever more is sent; until it does, or is full."""
-    others = Others()
+    others = Competition()
     window = ask(others, 20_000)
     assert 20_000 < window <= 40_000
     advice = others.advise(situation(int(window), 0.01))

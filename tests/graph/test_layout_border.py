@@ -9,8 +9,8 @@ import pytest
 
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import SEQ_NONE, Sample, new_origin
-from ropeway.graph.border import Border
 from ropeway.graph.calls import Request
+from ropeway.graph.layout_border import Border
 from ropeway.networks.factory import make_graph
 from ropeway.networks.rosbridge.client import RosbridgeGraph
 from ropeway.types import TypeRegistry

@@ -1,4 +1,4 @@
-"""ropeway.gateway.process.files: room for connections, and what is done where there is little."""
+"""ropeway.gateway.process.open_files: room for connections, and what is done where there is little."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ CODE = """
 import logging, resource, sys
 logging.basicConfig(format="%(message)s", level="INFO")
 from ropeway.errors import GraphUnavailable
-from ropeway.gateway.process.files import make_room
+from ropeway.gateway.process.open_files import make_room
 resource.setrlimit(resource.RLIMIT_NOFILE, (min(300, int(sys.argv[1])), int(sys.argv[1])))
 try:
     room = make_room(int(sys.argv[2]))

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import pytest
 
-from ropeway.networks.overlay.held import Held
-from ropeway.networks.overlay.mark import Mark
-from ropeway.networks.overlay.parts import Parts
+from ropeway.networks.overlay.held_bytes import HeldBytes
+from ropeway.networks.overlay.packet_assembly import PacketAssembly
+from ropeway.networks.overlay.packet_mark import Mark
 
 
-def feed(parts: Parts, *pieces: tuple[int, int, bytes]) -> list[bytes | None]:
+def feed(parts: PacketAssembly, *pieces: tuple[int, int, bytes]) -> list[bytes | None]:
     return [parts.take(Mark(4, number, at, size), raw) for number, (at, size, raw) in enumerate(pieces, 1)]
 
 
 def test_put_together() -> None:
     """The last part completes a packet, and nothing is held after it."""
-    held = Held()
-    parts = Parts(100, held)
+    held = HeldBytes()
+    parts = PacketAssembly(100, held)
     assert feed(parts, (0, 6, b"ab"), (2, 6, b"cd"), (4, 6, b"ef")) == [None, None, b"abcdef"]
     assert held.bytes == 0
     assert feed(parts, (0, 2, b"g"), (1, 2, b"h")) == [None, b"gh"]
@@ -35,8 +35,8 @@ def test_put_together() -> None:
 )
 def test_what_does_not_fit(pieces: list[tuple[int, int, bytes]]) -> None:
     """Parts that do not follow one another make no packet, and hold nothing."""
-    held = Held()
-    parts = Parts(100, held)
+    held = HeldBytes()
+    parts = PacketAssembly(100, held)
     assert feed(parts, *pieces)[-1] is None
     assert held.bytes == 0
     assert feed(parts, (0, 2, b"g"), (1, 2, b"h")) == [None, b"gh"]
@@ -44,8 +44,8 @@ def test_what_does_not_fit(pieces: list[tuple[int, int, bytes]]) -> None:
 
 def test_no_room() -> None:
     """A packet for which the budget has no room is lost, the next one is not."""
-    held = Held(4)
-    parts = Parts(100, held)
+    held = HeldBytes(4)
+    parts = PacketAssembly(100, held)
     assert feed(parts, (0, 6, b"abc"), (3, 6, b"def")) == [None, None]
     assert held.bytes == 0
     assert feed(parts, (0, 3, b"ab"), (2, 3, b"c")) == [None, b"abc"]

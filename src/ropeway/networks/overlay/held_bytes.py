@@ -6,10 +6,10 @@ import threading
 
 from ropeway.limits import OVERLAY_HELD_BYTES
 
-__all__ = ["Held"]
+__all__ = ["HeldBytes"]
 
 
-class Held:
+class HeldBytes:
     """Counts bytes that are held; the owner of some gives them back when it lets them go. Thread-safe."""
 
     __slots__ = ("_lock", "bytes", "limit_bytes")

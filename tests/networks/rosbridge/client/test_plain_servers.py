@@ -1,4 +1,4 @@
-"""ropeway.networks.rosbridge.client.plain: what servers that are no Ropeway gateways are sent."""
+"""ropeway.networks.rosbridge.client.plain_servers: what servers that are no Ropeway gateways are sent."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import pytest
 
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample
 from ropeway.networks.rosbridge.client import RosbridgeGraph
-from ropeway.networks.rosbridge.client.plain import rosgw_reads
+from ropeway.networks.rosbridge.client.plain_servers import rosgw_reads
 from ropeway.qos import LATCHED
 from ropeway.types import TypeRegistry
 from tests.support.until import until

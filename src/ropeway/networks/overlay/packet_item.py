@@ -19,7 +19,7 @@ from ropeway.errors import MessageTooBig, SealError
 from ropeway.limits import OVERLAY_BATCH_BYTES, OVERLAY_MESSAGE_BYTES
 from ropeway.networks.overlay.refusal import Refusal
 
-__all__ = ["RAW", "RELAYED", "ZSTD", "Item", "head", "pack", "read_item", "read_items", "unpack"]
+__all__ = ["RAW", "RELAYED", "ZSTD", "PacketItem", "head", "pack", "read_item", "read_items", "unpack"]
 
 RELAYED: Final = 1
 """The flag of a message whose origin was lost on the way here."""
@@ -30,7 +30,7 @@ ZSTD: Final = 1
 _HEAD: Final = struct.Struct(">QqQ16sBB")
 
 
-class Item(NamedTuple):
+class PacketItem(NamedTuple):
     """A message of a packet."""
 
     number: int
@@ -42,27 +42,27 @@ class Item(NamedTuple):
     payload: bytes
 
 
-def head(item: Item) -> bytes:
+def head(item: PacketItem) -> bytes:
     """What stands before the payload."""
     return _HEAD.pack(*item[:6])
 
 
-def pack(item: Item) -> bytes:
+def pack(item: PacketItem) -> bytes:
     """The bytes of a message."""
     return head(item) + item.payload
 
 
-def unpack(raw: bytes | memoryview) -> Item:
+def unpack(raw: bytes | memoryview) -> PacketItem:
     """The message of some bytes. Raises ``SealError``."""
     if len(raw) < _HEAD.size:
         raise SealError(Refusal.TRUNCATED, f"a message of {len(raw)} bytes")
     number, stamp_ns, seq, origin, flags, encoding = _HEAD.unpack_from(raw)
     if encoding not in (RAW, ZSTD):
         raise SealError(Refusal.MALFORMED, f"a message in encoding {encoding}")
-    return Item(number, stamp_ns, seq, origin, flags, encoding, bytes(raw[_HEAD.size :]))
+    return PacketItem(number, stamp_ns, seq, origin, flags, encoding, bytes(raw[_HEAD.size :]))
 
 
-def read_item(raw: bytes | memoryview, limit_bytes: int = OVERLAY_MESSAGE_BYTES) -> Item:
+def read_item(raw: bytes | memoryview, limit_bytes: int = OVERLAY_MESSAGE_BYTES) -> PacketItem:
     """Return a message with its payload as it was published, ``limit_bytes`` at most. Raises ``SealError``."""
     if len(raw) > _HEAD.size + limit_bytes:
         raise SealError(Refusal.TOO_BIG, f"a message may have {limit_bytes} bytes at most")
@@ -81,12 +81,12 @@ def read_items(
     raws: Iterable[bytes | memoryview],
     limit_bytes: int = OVERLAY_MESSAGE_BYTES,
     more_bytes: int = OVERLAY_BATCH_BYTES,
-) -> list[Item]:
+) -> list[PacketItem]:
     """Return the messages of a packet: one of ``limit_bytes``, and others of ``more_bytes`` in all, unpacked.
 
     A message that would be above is refused before memory is taken for it, and with it the packet: ``SealError``.
     """
-    items: list[Item] = []
+    items: list[PacketItem] = []
     left = limit_bytes + more_bytes
     for raw in raws:
         item = read_item(raw, min(limit_bytes, left))

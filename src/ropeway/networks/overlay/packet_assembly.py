@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from ropeway.networks.overlay.held import Held
-from ropeway.networks.overlay.mark import Mark
+from ropeway.networks.overlay.held_bytes import HeldBytes
+from ropeway.networks.overlay.packet_mark import Mark
 
-__all__ = ["Parts"]
+__all__ = ["PacketAssembly"]
 
 
-class Parts:
+class PacketAssembly:
     """The packet of one publisher that is coming in parts, in order: ``limit_bytes`` at most, out of a budget.
 
     A part that does not follow the one before ends the packet: it is lost, as any other may be. Not thread-safe.
     """
 
-    def __init__(self, limit_bytes: int, held: Held) -> None:
+    def __init__(self, limit_bytes: int, held: HeldBytes) -> None:
         self._limit_bytes, self._held = limit_bytes, held
         self._size = 0
         self._came = bytearray()

@@ -6,13 +6,13 @@ import asyncio
 from collections import deque
 from typing import Final
 
-__all__ = ["Pace"]
+__all__ = ["AnswerPacing"]
 
 _BURST: Final = 5
 _STEP_S: Final = 0.002  # rclpy takes one in less, also on a busy machine
 
 
-class Pace:
+class AnswerPacing:
     """The answers to one client.
 
     A client that asks again once it has its answer never waits. One that asks much at a time gets its answers in a

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from ropeway.delivery.outbox import LANES
-from ropeway.delivery.pacing.model import LinkModel, Reading
+from ropeway.delivery.pacing.model import LinkModel, LinkReading
 from ropeway.delivery.pacing.pace import Pace
 
 __all__ = ["Path"]
@@ -136,12 +136,12 @@ class Path:
         self._deviation_s += _DEVIATION_WEIGHT * (abs(rtt_s - self._rtt_s) - self._deviation_s)
         self._rtt_s += _RTT_WEIGHT * (rtt_s - self._rtt_s)
 
-    def _reading(self, now_s: float) -> Reading:
+    def _reading(self, now_s: float) -> LinkReading:
         shortest_s = min(self._samples, default=0.0)
         in_flight, pace = self.in_flight_bytes, self.model.pace.bytes_per_s
         if pace is not None:  # what is there already, behind a packet that was lost, is not on the way
             in_flight -= int(min(pace * max(self._rtt_s - shortest_s, 0.0), _MOST_BLOCKED * in_flight))
-        return Reading(
+        return LinkReading(
             now_s,
             self._delivered_bytes,
             in_flight,

@@ -1,4 +1,4 @@
-"""ropeway.networks.overlay.probe: why no router can be reached."""
+"""ropeway.networks.overlay.router_probe: why no router can be reached."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ropeway.networks.overlay.fleet import Fleet
 from ropeway.networks.overlay.graph import OverlayGraph
 from ropeway.networks.overlay.links import Links
 from ropeway.networks.overlay.node import OverlayNode
-from ropeway.networks.overlay.probe import unreachable
+from ropeway.networks.overlay.router_probe import unreachable
 from tests.networks.overlay.conftest import Site
 from tests.networks.overlay.fleet import member
 from tests.support.ports import free_endpoint

@@ -12,17 +12,17 @@ from ropeway.errors import SealError
 from ropeway.limits import OVERLAY_HISTORY_BYTES
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.seal import Sealer
-from ropeway.networks.overlay.item import RAW, Item, head, pack
+from ropeway.networks.overlay.packet_item import RAW, PacketItem, head, pack
 from ropeway.networks.overlay.refusal import Refusal
 
-__all__ = ["Source"]
+__all__ = ["PublisherSource"]
 
 _KEEP_BYTES: Final = 64 << 20  # above, the oldest go, whatever the depth; one message always stays
 _ON_THE_WAY_S: Final = 0.9  # a little less than the time between two heartbeats
 _KEEP_ALL: Final = 10_000
 
 
-class Source:
+class PublisherSource:
     """One publisher. ``name`` is its global name, ``endpoint`` its own 16 bytes, ``topic`` its ROS name.
 
     ``depth`` messages are kept for those who missed them or come late, ``None`` for as many as fit, 0 for none;
@@ -50,7 +50,7 @@ class Source:
         self._sealer = Sealer(name, endpoint, sign)
         self._depth = _KEEP_ALL if depth is None else depth
         self._lifespan_ns = None if lifespan_s is None else int(lifespan_s * 1e9)
-        self._kept: deque[Item] = deque()
+        self._kept: deque[PacketItem] = deque()
         self._kept_bytes = 0
         self._may = may
         self._rotate_s = rotate_s
@@ -58,10 +58,10 @@ class Source:
         self._readers: dict[bytes, Certificate] = {}
         self._lock = threading.Lock()
 
-    def add(self, stamp_ns: int, seq: int, origin: bytes, flags: int, payload: bytes) -> Item:
+    def add(self, stamp_ns: int, seq: int, origin: bytes, flags: int, payload: bytes) -> PacketItem:
         """A message with its number; it is kept."""
         self.number += 1
-        item = Item(self.number, stamp_ns, seq, origin, flags, RAW, payload)
+        item = PacketItem(self.number, stamp_ns, seq, origin, flags, RAW, payload)
         if self._depth:
             self.active = time.monotonic()
             kept = self._kept
@@ -84,7 +84,7 @@ class Source:
             self._tails = come, self._sent, now_s
         return come
 
-    def seal(self, items: Sequence[Item]) -> bytes:
+    def seal(self, items: Sequence[PacketItem]) -> bytes:
         """One packet."""
         pieces = [(head(item), item.payload) for item in items]
         with self._lock:

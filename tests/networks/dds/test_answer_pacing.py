@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from ropeway.networks.dds.pace import Pace
+from ropeway.networks.dds.answer_pacing import AnswerPacing
 from ropeway.tasks import end
 from tests.support.clock import Stopwatch
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.jumping
 async def test_one_after_the_other() -> None:
     """A client that asks again once it has its answer never waits."""
     watch = Stopwatch()
-    pace = Pace()
+    pace = AnswerPacing()
     for _ in range(100):
         pace.came()
         await pace.turn()
@@ -27,7 +27,7 @@ async def test_one_after_the_other() -> None:
 
 async def test_burst() -> None:
     """Of many answers at a time a few go at once, the others one by one."""
-    pace = Pace()
+    pace = AnswerPacing()
     for _ in range(20):
         pace.came()
     turns = [asyncio.create_task(pace.turn()) for _ in range(20)]
@@ -43,7 +43,7 @@ async def test_burst() -> None:
 
 async def test_in_order() -> None:
     """The others follow, in order, and who has gone is passed over."""
-    pace = Pace()
+    pace = AnswerPacing()
     went: list[int] = []
 
     async def answer(number: int) -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import get_types_from_msg
 
 from ropeway.errors import TypesError
-from ropeway.networks.rosbridge.rosapi.texts import Texts
+from ropeway.networks.rosbridge.rosapi.definition_texts import Texts
 from ropeway.types import TypeRegistry
 
 _base = TypeRegistry()

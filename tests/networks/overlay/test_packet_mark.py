@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ropeway.networks.overlay.mark import Mark
+from ropeway.networks.overlay.packet_mark import Mark
 
 
 @pytest.mark.parametrize("mark", [Mark(4, 17), Mark(7, 1 << 63, 4096, 300_000)])

@@ -6,8 +6,8 @@ import subprocess
 import sys
 
 from ropeway.gateway.config.config import parse
+from ropeway.gateway.factory import make_gateway
 from ropeway.gateway.gateway import Gateway
-from ropeway.gateway.making import make_gateway
 from ropeway.gateway.process.supervisor import Supervisor
 
 
@@ -20,7 +20,7 @@ def test_as_the_configuration_says() -> None:
 def test_a_supervisor_loads_no_network() -> None:
     """A process that only supervises does not load what its workers need."""
     program = (
-        "import sys; from ropeway.gateway.config.config import parse; from ropeway.gateway.making import make_gateway;"
+        "import sys; from ropeway.gateway.config.config import parse; from ropeway.gateway.factory import make_gateway;"
         "make_gateway(parse({'gateway': {'workers': 2}})); print('ropeway.gateway.gateway' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)

@@ -1,4 +1,4 @@
-"""ropeway.types.told: what peers tell about types."""
+"""ropeway.types.told_types: what peers tell about types."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from ropeway import limits
 from ropeway.errors import InvalidDefinition, TypeConflict, UnknownType
 from ropeway.types import TypeRegistry
-from ropeway.types.told import Teller
+from ropeway.types.told_types import DefinitionTeller
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def fields(registry: TypeRegistry, name: str) -> list[str]:
 
 def test_forgotten_with_its_teller(registry: TypeRegistry) -> None:
     """A definition that one peer told is known until that peer leaves, and so is what was made of it."""
-    teller = Teller(registry)
+    teller = DefinitionTeller(registry)
     teller.tell("my/msg/Speed", "float64 v\nmy/Unit unit\n================\nMSG: my/Unit\nstring name\n")
     codec = registry.codec("my/msg/Speed")
     assert codec.decode(codec.encode({"v": 2.0}))["v"] == 2.0
@@ -41,7 +41,7 @@ def test_forgotten_with_its_teller(registry: TypeRegistry) -> None:
 
 def test_told_by_several(registry: TypeRegistry) -> None:
     """A definition that several told stays until the last of them leaves, parts of others included."""
-    first, second = Teller(registry), Teller(registry)
+    first, second = DefinitionTeller(registry), DefinitionTeller(registry)
     part = "\n================\nMSG: my/Unit\nstring name\n"
     first.tell("my/msg/Speed", "my/Unit unit" + part)
     second.tell("my/msg/Way", "my/Unit unit" + part)
@@ -54,7 +54,7 @@ def test_told_by_several(registry: TypeRegistry) -> None:
 
 def test_services_are_forgotten(registry: TypeRegistry) -> None:
     """A service and its parts are forgotten as messages are."""
-    teller = Teller(registry)
+    teller = DefinitionTeller(registry)
     teller.tell("my/srv/Go", "bool a\n---\nbool b\n")
     registry.codec("my/srv/Go_Request")
     assert "my/srv/Go" in registry.names("srv")
@@ -65,7 +65,7 @@ def test_services_are_forgotten(registry: TypeRegistry) -> None:
 
 def test_first_client_counts(registry: TypeRegistry) -> None:
     """While a client is connected, another cannot change what it told; once it has left, the other's counts."""
-    wrong, right = Teller(registry), Teller(registry)
+    wrong, right = DefinitionTeller(registry), DefinitionTeller(registry)
     wrong.tell("my/msg/Speed", "string poisoned\n")
     with pytest.raises(TypeConflict):
         right.tell("my/msg/Speed", "float64 v\n")
@@ -76,7 +76,7 @@ def test_first_client_counts(registry: TypeRegistry) -> None:
 
 def test_a_graph_knows_better(registry: TypeRegistry) -> None:
     """What a graph tells takes the place of what a client told, and stays when the client leaves."""
-    client, graph = Teller(registry), Teller(registry, graph=True)
+    client, graph = DefinitionTeller(registry), DefinitionTeller(registry, graph=True)
     client.tell("my/msg/Speed", "string poisoned\n")
     registry.codec("my/msg/Speed")
     graph.tell("my/msg/Speed", "float64 v\n")
@@ -91,7 +91,7 @@ def test_a_graph_knows_better(registry: TypeRegistry) -> None:
 
 def test_built_in_definitions_stay(registry: TypeRegistry) -> None:
     """What the system defines cannot be told otherwise, and is not forgotten with who told the same."""
-    teller = Teller(registry, graph=True)
+    teller = DefinitionTeller(registry, graph=True)
     teller.tell("std_msgs/msg/String", "int8 data\n")
     assert fields(registry, "std_msgs/msg/String") == ["string data"]
     with pytest.raises(TypeConflict):
@@ -130,7 +130,7 @@ BOMBS = {
 def test_bombs(registry: TypeRegistry, text: str) -> None:
     """A definition that would cost much more than its text is refused before any code is made of it."""
     registry.codec("std_msgs/msg/Empty")
-    teller = Teller(registry)
+    teller = DefinitionTeller(registry)
     tracemalloc.start()
     try:
         with pytest.raises(InvalidDefinition):
@@ -146,7 +146,7 @@ def test_bombs(registry: TypeRegistry, text: str) -> None:
 
 def test_parts_told_later_count(registry: TypeRegistry) -> None:
     """A type whose part is told later is bounded with that part."""
-    teller = Teller(registry)
+    teller = DefinitionTeller(registry)
     teller.tell("my/msg/Outer", "my/Inner[100] a\n")
     teller.tell("my/msg/Inner", "string[1000] a\n")
     with pytest.raises(InvalidDefinition, match="texts and messages"):
@@ -155,12 +155,12 @@ def test_parts_told_later_count(registry: TypeRegistry) -> None:
 
 def test_too_many(registry: TypeRegistry) -> None:
     """One peer may tell so many definitions and fields, and not more."""
-    teller = Teller(registry)
+    teller = DefinitionTeller(registry)
     for i in range(limits.DEFINITIONS_PER_CONNECTION):
         teller.tell(f"my/msg/T{i}", "bool a\n")
     with pytest.raises(InvalidDefinition, match="one too many"):
         teller.tell("my/msg/Next", "bool a\n")
-    other = Teller(registry)
+    other = DefinitionTeller(registry)
     many = "".join(f"bool a{i}\n" for i in range(limits.DEFINITION_FIELDS))
     with pytest.raises(InvalidDefinition, match="would be told"):
         for i in range(limits.FIELDS_PER_CONNECTION // limits.DEFINITION_FIELDS + 1):
@@ -170,7 +170,7 @@ def test_too_many(registry: TypeRegistry) -> None:
 
 def test_told_names_are_not_suggested(registry: TypeRegistry) -> None:
     """Who misspells a name is told what the system has, whatever peers told."""
-    teller = Teller(registry)
+    teller = DefinitionTeller(registry)
     teller.tell("sensor_msgs/msg/Imagf", "bool a\n")
     with pytest.raises(UnknownType, match="did you mean sensor_msgs/msg/Image"):
         registry.codec("sensor_msgs/msg/Imagg")

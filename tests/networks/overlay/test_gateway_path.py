@@ -7,7 +7,7 @@ import itertools
 
 import pytest
 
-from ropeway.networks.overlay.path import Path
+from ropeway.networks.overlay.gateway_path import Path
 
 LANE = 4
 PART_BYTES = 4096

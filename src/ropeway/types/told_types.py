@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ropeway.types.layout import Plan
     from ropeway.types.registry import TypeRegistry
 
-__all__ = ["Teller", "Told", "check_size", "check_text"]
+__all__ = ["DefinitionTeller", "Told", "check_size", "check_text"]
 
 _STATEMENT: Final = re.compile(r"^[ \t]*[A-Za-z]", re.MULTILINE)  # a line that is no comment
 _FIELD_BYTES: Final = 8 << 10  # of a field, with the code that reads and writes it
@@ -37,7 +37,7 @@ class Told:
     """Who told which definition of one registry."""
 
     def __init__(self) -> None:
-        self._tellers: dict[str, set[Teller]] = {}  # by the name of the definition
+        self._tellers: dict[str, set[DefinitionTeller]] = {}  # by the name of the definition
 
     def __contains__(self, name: str) -> bool:
         return name in self._tellers
@@ -45,7 +45,7 @@ class Told:
     def __len__(self) -> int:
         return len(self._tellers)
 
-    def replaceable(self, name: str, teller: Teller) -> bool:
+    def replaceable(self, name: str, teller: DefinitionTeller) -> bool:
         """Return whether ``teller`` knows better: it is a graph, and only clients told ``name`` before."""
         tellers = self._tellers.get(name)
         return teller.graph and tellers is not None and not any(other.graph for other in tellers)
@@ -54,11 +54,11 @@ class Told:
         """Note that what was told of ``name`` is no longer believed."""
         self._tellers.pop(name, None)
 
-    def enter(self, name: str, teller: Teller) -> None:
+    def enter(self, name: str, teller: DefinitionTeller) -> None:
         """Note that ``teller`` told ``name``, too."""
         self._tellers.setdefault(name, set()).add(teller)
 
-    def leave(self, names: Iterable[str], teller: Teller) -> list[str]:
+    def leave(self, names: Iterable[str], teller: DefinitionTeller) -> list[str]:
         """Forget that ``teller`` told these; return those that nobody else did."""
         alone = []
         for name in names:
@@ -69,7 +69,7 @@ class Told:
         return alone
 
 
-class Teller:
+class DefinitionTeller:
     """One peer that tells definitions. ``graph`` is true for one that a graph vouches for."""
 
     def __init__(self, registry: TypeRegistry, *, graph: bool = False) -> None:

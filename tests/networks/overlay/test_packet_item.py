@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ropeway.errors import SealError
-from ropeway.networks.overlay.item import RAW, RELAYED, ZSTD, Item, pack, read_item, read_items, unpack
+from ropeway.networks.overlay.packet_item import RAW, RELAYED, ZSTD, PacketItem, pack, read_item, read_items, unpack
 from ropeway.networks.overlay.refusal import Refusal
 from tests.networks.overlay.hostile import bomb, peak_bytes
 
@@ -19,20 +19,20 @@ MIB = 1 << 20
 
 
 def packed(payload: bytes, encoding: int = ZSTD) -> bytes:
-    return pack(Item(1, 0, 1, b"o" * 16, 0, encoding, payload))
+    return pack(PacketItem(1, 0, 1, b"o" * 16, 0, encoding, payload))
 
 
 @given(st.integers(0, 2**64 - 1), st.integers(-(2**63), 2**63 - 1), st.binary(max_size=50))
 def test_round_trip(number: int, stamp_ns: int, payload: bytes) -> None:
     """What is packed is unpacked, every field as it was."""
-    item = Item(number, stamp_ns, 2**64 - 1, bytes(range(16)), RELAYED, ZSTD, payload)
+    item = PacketItem(number, stamp_ns, 2**64 - 1, bytes(range(16)), RELAYED, ZSTD, payload)
     assert unpack(pack(item)) == item
     assert unpack(memoryview(pack(item))) == item
 
 
 def test_layout() -> None:
     """The bytes are those of the table in the module."""
-    raw = pack(Item(1, 2, 3, b"o" * 16, 4, 5, b"data"))
+    raw = pack(PacketItem(1, 2, 3, b"o" * 16, 4, 5, b"data"))
     assert raw == bytes([0] * 7 + [1] + [0] * 7 + [2] + [0] * 7 + [3]) + b"o" * 16 + b"\x04\x05data"
 
 
