@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import inspect
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ropeway.api.callbacks import Callbacks, MessageCallback
+from ropeway.api.calls import OfferPart, UserPart
 from ropeway.api.inbox import QUEUE_BYTES, QUEUE_MESSAGES, Inbox
 from ropeway.api.message import MessageType, TypedMessage
-from ropeway.api.part import Part
-from ropeway.errors import NotServed
 from ropeway.graph.calls import (
     DEFAULT_TIMEOUT_S,
     ActionHandlers,
@@ -22,11 +20,11 @@ from ropeway.graph.calls import (
     Outcome,
     ServerGoal,
 )
+from ropeway.hub.actions import ViewActionClient, ViewActionServer
 from ropeway.tasks import Chores
 from ropeway.types import TypeRegistry
 
 if TYPE_CHECKING:
-    from ropeway.hub.actions import ViewActionClient, ViewActionServer
     from ropeway.hub.hub import View
 
 __all__ = [
@@ -89,25 +87,14 @@ class AsyncGoal:
         return await self._inner.cancel(timeout_s)
 
 
-class AsyncActionClient(Part):
+class AsyncActionClient(UserPart[ViewActionClient]):
     """An action that a program uses; ``AsyncGraph.action_client`` makes it."""
 
     def __init__(self, view: View, inner: ViewActionClient, messages: ActionMessages, caller: str) -> None:
-        super().__init__(view)
-        self.action, self.type = inner.action, inner.type
-        self._inner = inner
+        super().__init__(view, inner, "action", inner.action)
+        self.action = inner.action
         self._messages, self._caller = messages, caller
         self._followers = Chores()
-
-    @property
-    def available(self) -> bool | None:
-        """Return whether somebody serves it now, ``None`` where the network cannot tell before a goal is sent."""
-        return self._inner.available
-
-    async def wait_available(self, *, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
-        """Wait until somebody serves it; return at once where the network cannot tell. Raises ``NotServed``."""
-        if self.available is False and not await self._inner.wait_available(timeout_s):
-            raise NotServed(self.action, "action")
 
     async def send_goal(
         self,
@@ -123,10 +110,7 @@ class AsyncActionClient(Part):
         ``CallTimeout``, ``ProviderLost``.
         """
         raw = self._messages.goal.encode(goal)
-        loop = asyncio.get_running_loop()
-        deadline = loop.time() + timeout_s
-        await self.wait_available(timeout_s=timeout_s)
-        left_s = max(deadline - loop.time(), 0.001)
+        left_s = await self._found(timeout_s)
         request = Goal(raw, caller=self._caller)
         if on_feedback is None:
             return AsyncGoal(await self._inner.send_goal(request, timeout_s=left_s), self._messages.result)
@@ -200,7 +184,7 @@ AcceptGoal = Callable[[TypedMessage], bool | Awaitable[bool]]
 """Returns whether a goal is taken; may be a coroutine function."""
 
 
-class AsyncActionServer(Part):
+class AsyncActionServer(OfferPart[ViewActionServer]):
     """An action that a program offers; ``AsyncGraph.serve_action`` makes it.
 
     Goals are carried out at the same time; ``close`` aborts them.
@@ -210,11 +194,6 @@ class AsyncActionServer(Part):
         super().__init__(view)
         self._messages = messages
         self._execute, self._accept = execute, accept
-        self._inner: ViewActionServer | None = None
-
-    def attach(self, inner: ViewActionServer) -> None:
-        """Follow the action on the graph."""
-        self._inner = inner
 
     def handlers(self) -> ActionHandlers:
         """Return what the graph calls for each goal."""
@@ -233,20 +212,7 @@ class AsyncActionServer(Part):
     @property
     def action(self) -> str:
         """Return its name."""
-        assert self._inner is not None
-        return self._inner.action
-
-    @property
-    def type(self) -> str:
-        """Return its type, such as ``example_interfaces/action/Fibonacci``."""
-        assert self._inner is not None
-        return self._inner.type
-
-    @property
-    def taken_by(self) -> str:
-        """Return who else serves the name, until which leaves this one waits; ``""`` while it serves."""
-        assert self._inner is not None
-        return self._inner.taken_by
+        return self._server.action
 
 
 def action_messages(registry: TypeRegistry, type: str) -> ActionMessages:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import AsyncExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ from ropeway.networks.factory import make_graph
 from ropeway.qos import QoS
 
 __all__ = ["AsyncBridge", "open_bridge"]
+
+_Bridge = TopicBridge | ServiceBridge | ActionBridge
 
 
 def open_bridge(
@@ -69,7 +72,7 @@ class AsyncBridge(Closing):
     def __init__(self, left: View, right: View, stack: AsyncExitStack) -> None:
         self._left, self._right = left, right
         self._stack = stack
-        self._bridges: list[tuple[str, TopicBridge | ServiceBridge | ActionBridge]] = []
+        self._bridges: list[tuple[str, _Bridge]] = []
         self._closed = False
 
     async def topic(
@@ -89,12 +92,8 @@ class AsyncBridge(Closing):
         a link treats the topic. Without ``type`` a publisher is waited for, up to ``timeout_s``. Raises
         ``WaitTimeout``.
         """
-        source, target = self._sides(reverse)
-        topic, other = resolve_name(name), resolve_name(rename or name)
-        full = await type_of(source, "topic", topic, type, timeout_s)
-        await self._start(
-            "topic", TopicBridge(source, target, topic, other, full, qos=profile_of(qos), delivery=delivery)
-        )
+        make = partial(TopicBridge, qos=profile_of(qos), delivery=delivery)
+        await self._join("topic", make, name, type, rename, reverse, timeout_s)
 
     async def service(
         self,
@@ -111,10 +110,8 @@ class AsyncBridge(Closing):
         A call may take ``call_timeout_s``, a minute unless given. Without ``type`` a server is waited for, up to
         ``timeout_s``. Raises ``WaitTimeout``.
         """
-        source, target = self._sides(reverse)
-        service, other = resolve_name(name), resolve_name(rename or name)
-        full = await type_of(source, "service", service, type, timeout_s)
-        await self._start("service", ServiceBridge(source, target, service, other, full, timeout_s=call_timeout_s))
+        make = partial(ServiceBridge, timeout_s=call_timeout_s)
+        await self._join("service", make, name, type, rename, reverse, timeout_s)
 
     async def action(
         self,
@@ -131,10 +128,8 @@ class AsyncBridge(Closing):
         A goal may take ``goal_timeout_s``, any time unless given. Without ``type`` a server is waited for, up to
         ``timeout_s``. Raises ``WaitTimeout``.
         """
-        source, target = self._sides(reverse)
-        action, other = resolve_name(name), resolve_name(rename or name)
-        full = await type_of(source, "action", action, type, timeout_s)
-        await self._start("action", ActionBridge(source, target, action, other, full, timeout_s=goal_timeout_s))
+        make = partial(ActionBridge, timeout_s=goal_timeout_s)
+        await self._join("action", make, name, type, rename, reverse, timeout_s)
 
     def status(self) -> list[dict[str, Any]]:
         """Return each name that is joined: its state and why it failed, and what has crossed, as JSON."""
@@ -145,18 +140,28 @@ class AsyncBridge(Closing):
         self._closed = True
         await self._stack.aclose()
 
-    def _sides(self, reverse: bool) -> tuple[View, View]:
+    async def _join(
+        self,
+        kind: str,
+        make: Callable[[View, View, str, str, str], _Bridge],
+        name: str,
+        type: str,
+        rename: str,
+        reverse: bool,
+        timeout_s: float | None,
+    ) -> None:
+        """Start what ``make`` gives for the source and the target, both names, and the type."""
         if self._closed:
             raise GraphUnavailable(self._left.name, "the bridge is closed")
-        return (self._right, self._left) if reverse else (self._left, self._right)
-
-    async def _start(self, kind: str, bridge: TopicBridge | ServiceBridge | ActionBridge) -> None:
+        source, target = (self._right, self._left) if reverse else (self._left, self._right)
+        here, there = resolve_name(name), resolve_name(rename or name)
+        bridge = make(source, target, here, there, await type_of(source, kind, here, type, timeout_s))
         await bridge.start()
         self._stack.push_async_callback(bridge.close)
         self._bridges.append((kind, bridge))
 
 
-def _row(kind: str, bridge: TopicBridge | ServiceBridge | ActionBridge) -> dict[str, Any]:
+def _row(kind: str, bridge: _Bridge) -> dict[str, Any]:
     row = {"kind": kind, "type": bridge.type, "source": bridge.source.name, "target": bridge.target.name}
     if isinstance(bridge, TopicBridge):
         names = {"name": bridge.source_topic, "rename": bridge.target_topic}

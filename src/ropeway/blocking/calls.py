@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from typing import TypeVar
 
 from ropeway.api.actions import (
     AsyncActionClient,
@@ -30,7 +31,43 @@ __all__ = [
 ]
 
 
-class BlockingClient(BlockingPart[AsyncClient]):
+_User = TypeVar("_User", bound=AsyncClient | AsyncActionClient)
+_Server = TypeVar("_Server", bound=AsyncService | AsyncActionServer)
+
+
+class _UserPart(BlockingPart[_User]):
+    """A service or an action that a program uses."""
+
+    @property
+    def type(self) -> str:
+        """Return the full name of its type."""
+        return self._inner.type
+
+    @property
+    def available(self) -> bool | None:
+        """Return whether somebody serves it now, ``None`` where the network cannot tell before it is used."""
+        return self._inner.available
+
+    def wait_available(self, *, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
+        """Wait until somebody serves it. Raises ``NotServed``."""
+        portal.run(lambda: self._inner.wait_available(timeout_s=timeout_s), None)
+
+
+class _OfferPart(BlockingPart[_Server]):
+    """A service or an action that a program offers."""
+
+    @property
+    def type(self) -> str:
+        """Return the full name of its type."""
+        return self._inner.type
+
+    @property
+    def taken_by(self) -> str:
+        """Return who else serves the name, until which leaves this one waits; ``""`` while it serves."""
+        return self._inner.taken_by
+
+
+class BlockingClient(_UserPart[AsyncClient]):
     """A service that a program calls; ``BlockingGraph.client`` makes it. Threads may call at the same time."""
 
     @property
@@ -38,42 +75,18 @@ class BlockingClient(BlockingPart[AsyncClient]):
         """Return the name of the service."""
         return self._inner.service
 
-    @property
-    def type(self) -> str:
-        """Return its type, such as ``std_srvs/srv/SetBool``."""
-        return self._inner.type
-
-    @property
-    def available(self) -> bool | None:
-        """Return whether somebody serves it now, ``None`` where the network cannot tell before a call."""
-        return self._inner.available
-
-    def wait_available(self, *, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
-        """Wait until somebody serves it. Raises ``NotServed``."""
-        portal.run(lambda: self._inner.wait_available(timeout_s=timeout_s), None)
-
     def call(self, request: object = None, *, timeout_s: float = DEFAULT_TIMEOUT_S) -> TypedMessage:
         """Return the response to ``request``; see ``AsyncClient.call``."""
         return portal.run(lambda: self._inner.call(request, timeout_s=timeout_s), None)
 
 
-class BlockingService(BlockingPart[AsyncService]):
+class BlockingService(_OfferPart[AsyncService]):
     """A service that a program offers; ``BlockingGraph.serve`` makes it. Calls run in threads, at the same time."""
 
     @property
     def service(self) -> str:
         """Return its name."""
         return self._inner.service
-
-    @property
-    def type(self) -> str:
-        """Return its type, such as ``std_srvs/srv/SetBool``."""
-        return self._inner.type
-
-    @property
-    def taken_by(self) -> str:
-        """Return who else serves the name, until which leaves this one waits; ``""`` while it serves."""
-        return self._inner.taken_by
 
 
 class BlockingGoal:
@@ -92,27 +105,13 @@ class BlockingGoal:
         return portal.run(lambda: self._inner.cancel(timeout_s=timeout_s), None)
 
 
-class BlockingActionClient(BlockingPart[AsyncActionClient]):
+class BlockingActionClient(_UserPart[AsyncActionClient]):
     """An action that a program uses; ``BlockingGraph.action_client`` makes it."""
 
     @property
     def action(self) -> str:
         """Return the name of the action."""
         return self._inner.action
-
-    @property
-    def type(self) -> str:
-        """Return its type, such as ``example_interfaces/action/Fibonacci``."""
-        return self._inner.type
-
-    @property
-    def available(self) -> bool | None:
-        """Return whether somebody serves it now, ``None`` where the network cannot tell before a goal is sent."""
-        return self._inner.available
-
-    def wait_available(self, *, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
-        """Wait until somebody serves it. Raises ``NotServed``."""
-        portal.run(lambda: self._inner.wait_available(timeout_s=timeout_s), None)
 
     def send_goal(
         self,
@@ -150,11 +149,7 @@ class BlockingExecutingGoal:
 
     def feedback(self, message: object) -> None:
         """Send feedback; see ``ExecutingGoal.feedback``."""
-
-        async def feedback() -> None:
-            self._inner.feedback(message)
-
-        portal.run(feedback)
+        portal.call(lambda: self._inner.feedback(message))
 
     def succeed(self, result: object = None) -> Outcome:
         """Return the outcome of a goal that was reached; returning ``result`` itself means the same."""
@@ -184,20 +179,10 @@ def executed_in_thread(execute: Callable[[BlockingExecutingGoal], object]) -> Ex
     return carry_out
 
 
-class BlockingActionServer(BlockingPart[AsyncActionServer]):
+class BlockingActionServer(_OfferPart[AsyncActionServer]):
     """An action that a program offers; ``BlockingGraph.serve_action`` makes it. Goals are carried out in threads."""
 
     @property
     def action(self) -> str:
         """Return its name."""
         return self._inner.action
-
-    @property
-    def type(self) -> str:
-        """Return its type, such as ``example_interfaces/action/Fibonacci``."""
-        return self._inner.type
-
-    @property
-    def taken_by(self) -> str:
-        """Return who else serves the name, until which leaves this one waits; ``""`` while it serves."""
-        return self._inner.taken_by

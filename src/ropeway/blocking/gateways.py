@@ -12,7 +12,7 @@ from ropeway.api.bridge import AsyncBridge
 from ropeway.api.gateway import AsyncGateway
 from ropeway.api.graph import OPEN_TIMEOUT_S
 from ropeway.blocking.part import BlockingRoot, opened
-from ropeway.blocking.portal import STEP_S, portal
+from ropeway.blocking.portal import portal
 from ropeway.graph.base import NO_HINTS, Delivery
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.qos import QoS
@@ -65,11 +65,11 @@ class BlockingBridge(BlockingRoot[AsyncBridge]):
         timeout_s: float = DEFAULT_TIMEOUT_S,
     ) -> None:
         """Publish on the target what is published on the source; see ``AsyncBridge.topic``."""
-        portal.run(
+        portal.wait(
             lambda: self._inner.topic(
                 name, type, rename=rename, reverse=reverse, qos=qos, delivery=delivery, timeout_s=timeout_s
             ),
-            timeout_s + STEP_S,
+            timeout_s,
         )
 
     def service(
@@ -83,11 +83,11 @@ class BlockingBridge(BlockingRoot[AsyncBridge]):
         timeout_s: float = DEFAULT_TIMEOUT_S,
     ) -> None:
         """Offer on the target the service of the source; see ``AsyncBridge.service``."""
-        portal.run(
+        portal.wait(
             lambda: self._inner.service(
                 name, type, rename=rename, reverse=reverse, call_timeout_s=call_timeout_s, timeout_s=timeout_s
             ),
-            timeout_s + STEP_S,
+            timeout_s,
         )
 
     def action(
@@ -101,20 +101,16 @@ class BlockingBridge(BlockingRoot[AsyncBridge]):
         timeout_s: float = DEFAULT_TIMEOUT_S,
     ) -> None:
         """Offer on the target the action of the source; see ``AsyncBridge.action``."""
-        portal.run(
+        portal.wait(
             lambda: self._inner.action(
                 name, type, rename=rename, reverse=reverse, goal_timeout_s=goal_timeout_s, timeout_s=timeout_s
             ),
-            timeout_s + STEP_S,
+            timeout_s,
         )
 
     def status(self) -> list[dict[str, Any]]:
         """Return each name that is joined: its state and why it failed, and what has crossed, as JSON."""
-
-        async def work() -> list[dict[str, Any]]:
-            return self._inner.status()
-
-        return portal.run(work)
+        return portal.call(self._inner.status)
 
 
 class BlockingGateway(BlockingRoot[AsyncGateway]):
@@ -132,16 +128,8 @@ class BlockingGateway(BlockingRoot[AsyncGateway]):
 
     def status(self) -> dict[str, Any]:
         """Return everything as it stands, as ``ropeway run --json`` prints it."""
-
-        async def work() -> dict[str, Any]:
-            return self._inner.status()
-
-        return portal.run(work)
+        return portal.call(self._inner.status)
 
     def reload(self) -> None:
         """Read certificates and tokens again. Raises ``ConfigError`` if they are no good; nothing has changed then."""
-
-        async def work() -> None:
-            self._inner.reload()
-
-        portal.run(work)
+        portal.call(self._inner.reload)

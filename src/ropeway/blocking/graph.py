@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import ssl
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TypeVar
 
 from ropeway.api import graph as asynchronous
 from ropeway.api.graph import OPEN_TIMEOUT_S, AsyncGraph
@@ -21,15 +20,13 @@ from ropeway.blocking.calls import (
     executed_in_thread,
 )
 from ropeway.blocking.part import BlockingRoot, opened
-from ropeway.blocking.portal import STEP_S, portal
+from ropeway.blocking.portal import portal
 from ropeway.blocking.topics import BlockingPublisher, BlockingSubscription
 from ropeway.graph.base import NO_HINTS, Delivery, Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.qos import QoS
 
 __all__ = ["BlockingGraph", "open"]
-
-T = TypeVar("T")
 
 
 def open(
@@ -72,7 +69,7 @@ class BlockingGraph(BlockingRoot[AsyncGraph]):
         self, topic: str, type: str, *, qos: QoS | str | None = None, delivery: Delivery = NO_HINTS
     ) -> BlockingPublisher:
         """Publish ``topic``; see ``AsyncGraph.publisher``."""
-        return BlockingPublisher(_made(lambda: self._inner.publisher(topic, type, qos=qos, delivery=delivery)))
+        return BlockingPublisher(portal.wait(lambda: self._inner.publisher(topic, type, qos=qos, delivery=delivery)))
 
     def subscribe(
         self,
@@ -89,7 +86,7 @@ class BlockingGraph(BlockingRoot[AsyncGraph]):
         """Read ``topic``; see ``AsyncGraph.subscribe``. ``callback`` runs in a thread, one message at a time."""
         take = None if callback is None else portal.in_thread(callback)
         return BlockingSubscription(
-            _made(
+            portal.wait(
                 lambda: self._inner.subscribe(
                     topic,
                     type,
@@ -106,23 +103,23 @@ class BlockingGraph(BlockingRoot[AsyncGraph]):
 
     def client(self, service: str, type: str = "", *, timeout_s: float | None = DEFAULT_TIMEOUT_S) -> BlockingClient:
         """Prepare to call ``service``; see ``AsyncGraph.client``."""
-        return BlockingClient(_made(lambda: self._inner.client(service, type, timeout_s=timeout_s), timeout_s))
+        return BlockingClient(portal.wait(lambda: self._inner.client(service, type, timeout_s=timeout_s), timeout_s))
 
     def call(
         self, service: str, request: object = None, type: str = "", *, timeout_s: float = DEFAULT_TIMEOUT_S
     ) -> TypedMessage:
         """Call ``service`` once; see ``AsyncGraph.call``."""
-        return _made(lambda: self._inner.call(service, request, type, timeout_s=timeout_s), timeout_s)
+        return portal.wait(lambda: self._inner.call(service, request, type, timeout_s=timeout_s), timeout_s)
 
     def serve(self, service: str, type: str, handler: Callable[[TypedMessage], object]) -> BlockingService:
         """Offer ``service``; see ``AsyncGraph.serve``. ``handler`` runs in a thread for each call."""
-        return BlockingService(_made(lambda: self._inner.serve(service, type, portal.in_thread(handler))))
+        return BlockingService(portal.wait(lambda: self._inner.serve(service, type, portal.in_thread(handler))))
 
     def action_client(
         self, action: str, type: str = "", *, timeout_s: float | None = DEFAULT_TIMEOUT_S
     ) -> BlockingActionClient:
         """Prepare to use ``action``; see ``AsyncGraph.action_client``."""
-        made = _made(lambda: self._inner.action_client(action, type, timeout_s=timeout_s), timeout_s)
+        made = portal.wait(lambda: self._inner.action_client(action, type, timeout_s=timeout_s), timeout_s)
         return BlockingActionClient(made)
 
     def serve_action(
@@ -136,32 +133,22 @@ class BlockingGraph(BlockingRoot[AsyncGraph]):
         """Offer ``action``; see ``AsyncGraph.serve_action``. ``execute`` and ``accept`` run in threads."""
         carry_out = executed_in_thread(execute)
         decide = None if accept is None else portal.in_thread(accept)
-        return BlockingActionServer(_made(lambda: self._inner.serve_action(action, type, carry_out, accept=decide)))
+        return BlockingActionServer(
+            portal.wait(lambda: self._inner.serve_action(action, type, carry_out, accept=decide))
+        )
 
     def topics(self) -> dict[str, tuple[str, ...]]:
         """Return the topics that are discovered now, each with its types. Just opened, a graph knows few of them."""
-        return _now(self._inner.topics)
+        return portal.call(self._inner.topics)
 
     def services(self) -> dict[str, tuple[str, ...]]:
         """Return the services that are discovered now, each with its types."""
-        return _now(self._inner.services)
+        return portal.call(self._inner.services)
 
     def actions(self) -> dict[str, tuple[str, ...]]:
         """Return the actions that are discovered now, each with its types."""
-        return _now(self._inner.actions)
+        return portal.call(self._inner.actions)
 
     def nodes(self) -> list[str]:
         """Return the full names of the nodes that are discovered now."""
-        return _now(self._inner.nodes)
-
-
-def _made(work: Callable[[], Awaitable[T]], timeout_s: float | None = 0.0) -> T:
-    """Return what ``work`` gives, which may wait for others up to ``timeout_s`` and takes a step beside that."""
-    return portal.run(work, None if timeout_s is None else timeout_s + STEP_S)
-
-
-def _now(look: Callable[[], T]) -> T:
-    async def work() -> T:
-        return look()
-
-    return portal.run(work)
+        return portal.call(self._inner.nodes)

@@ -114,6 +114,18 @@ class Portal:
             future.cancel()
             raise
 
+    def wait(self, work: Callable[[], Awaitable[T]], timeout_s: float | None = 0.0) -> T:
+        """Return what ``work`` gives, which may wait for others up to ``timeout_s`` and takes a step beside that."""
+        return self.run(work, None if timeout_s is None else timeout_s + STEP_S)
+
+    def call(self, function: Callable[[], T]) -> T:
+        """Return what ``function`` returns, called on the loop."""
+
+        async def work() -> T:
+            return function()
+
+        return self.run(work)
+
     def in_thread(self, function: Callable[[A], T]) -> Callable[[A], Coroutine[Any, Any, T]]:
         """Return a coroutine function that runs ``function`` in a thread, where it may wait."""
 

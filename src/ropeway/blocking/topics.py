@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TypeVar
 
 from ropeway.api.message import TypedMessage
 from ropeway.api.topics import AsyncPublisher, AsyncSubscription
@@ -15,8 +16,11 @@ from ropeway.qos import QoS
 __all__ = ["BlockingPublisher", "BlockingSubscription"]
 
 
-class BlockingPublisher(BlockingPart[AsyncPublisher]):
-    """A topic that a program publishes; ``BlockingGraph.publisher`` makes it."""
+_Topic = TypeVar("_Topic", bound=AsyncPublisher | AsyncSubscription)
+
+
+class _TopicPart(BlockingPart[_Topic]):
+    """A topic that a program publishes or reads."""
 
     @property
     def topic(self) -> str:
@@ -30,8 +34,12 @@ class BlockingPublisher(BlockingPart[AsyncPublisher]):
 
     @property
     def qos(self) -> QoS:
-        """Return the profile in use."""
+        """Return the profile in use: as asked, or else what the publishers of a topic that is read offer."""
         return self._inner.qos
+
+
+class BlockingPublisher(_TopicPart[AsyncPublisher]):
+    """A topic that a program publishes; ``BlockingGraph.publisher`` makes it."""
 
     @property
     def subscribers(self) -> int | None:
@@ -40,37 +48,18 @@ class BlockingPublisher(BlockingPart[AsyncPublisher]):
 
     def publish(self, message: object) -> None:
         """Publish a message; see ``AsyncPublisher.publish``. Does not wait for the network."""
-
-        async def publish() -> None:
-            self._inner.publish(message)
-
-        portal.run(publish)
+        portal.call(lambda: self._inner.publish(message))
 
     def wait_for_subscribers(self, count: int = 1, *, timeout_s: float | None = DEFAULT_TIMEOUT_S) -> None:
         """Wait until ``count`` subscriptions read the topic. Raises ``WaitTimeout``."""
         portal.run(lambda: self._inner.wait_for_subscribers(count, timeout_s=timeout_s), None)
 
 
-class BlockingSubscription(BlockingPart[AsyncSubscription]):
+class BlockingSubscription(_TopicPart[AsyncSubscription]):
     """A topic that a program reads; ``BlockingGraph.subscribe`` makes it.
 
     A loop over it gives each message, and waits for the next until somebody closes the subscription.
     """
-
-    @property
-    def topic(self) -> str:
-        """Return the name of the topic."""
-        return self._inner.topic
-
-    @property
-    def type(self) -> str:
-        """Return its type, such as ``std_msgs/msg/String``."""
-        return self._inner.type
-
-    @property
-    def qos(self) -> QoS:
-        """Return the profile in use: as asked, or what the publishers offer."""
-        return self._inner.qos
 
     @property
     def dropped(self) -> int:
