@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from ropeway.graph.base import Graph
+from ropeway.group import Group
 from ropeway.hub.hub import Hub
 from ropeway.networks.dds import DdsGraph
 from ropeway.networks.iort import IortGraph, LocalLink, RemoteLink, Space
@@ -86,6 +87,17 @@ ABILITIES = {
 async def open_memory(stack: AsyncExitStack) -> Pair:
     network = f"contract-{next(_numbers)}"
     near, far = MemoryGraph(network, node="/near"), MemoryGraph(network, node="/far")
+    for graph in (near, far):
+        await graph.open()
+        stack.push_async_callback(graph.close)
+    return Pair(near, far, stack)
+
+
+async def open_group(stack: AsyncExitStack) -> Pair:
+    """A group of one network of two, of which the other is empty; and a participant of that network."""
+    network, empty = f"contract-{next(_numbers)}", f"contract-{next(_numbers)}"
+    members = {"first": MemoryGraph(network, node="/near"), "second": MemoryGraph(empty, node="/near")}
+    near, far = Group(members), MemoryGraph(network, node="/far")
     for graph in (near, far):
         await graph.open()
         stack.push_async_callback(graph.close)
@@ -204,6 +216,7 @@ async def open_ros1(stack: AsyncExitStack) -> Pair:
 KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
     "memory": open_memory,
     "hub": open_hub,
+    "group": open_group,
     "iort": open_iort,
     "iort-local": open_iort_local,
     "dds": open_dds,

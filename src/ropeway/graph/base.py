@@ -208,6 +208,10 @@ class Undelivered(enum.Enum):
     CLOSED = "the graph was closed"
     WRITE = "the network refused it"
     LATE = "nobody waits for the answer any more"
+    ANSWERED = "another member of the group answered first"
+    OUTDATED = "a newer request was answered before"
+    STANDBY = "from a member of the group that is not in use"
+    NOBODY = "no member of the group is there"
 
 
 @dataclass(frozen=True, slots=True)

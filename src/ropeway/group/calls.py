@@ -1,0 +1,203 @@
+"""Calls of a group: who is asked, who is asked next, and which answer counts.
+
+A call is answered once, whatever happens. Whether it may be sent to a second member after a first that may have
+carried it out is for ``stateless`` to say; a member that refused it before, or was not there, may always be followed
+by another.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from typing import Final, Protocol, TypeVar
+
+from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, GraphUnavailable, NotServed, RopewayError
+from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Client, Request
+from ropeway.group.chooser import Chooser
+from ropeway.tasks import end
+
+__all__ = ["GroupClient", "Ways", "any_of", "first_true"]
+
+T = TypeVar("T")
+
+Ask = Callable[[str, float], Awaitable[T]]
+"""Asks one member, within a time."""
+
+_UNTOUCHED: Final = (NotServed, GraphUnavailable)  # nobody has begun to carry it out
+
+
+class Available(Protocol):
+    """Who can tell whether a name is served."""
+
+    @property
+    def available(self) -> bool | None:
+        """Return whether it is served now, ``None`` where that is not known."""
+
+    async def wait_available(self, timeout_s: float) -> bool:
+        """Wait until it is."""
+
+
+class Ways:
+    """How the calls of one name go to the members of a group."""
+
+    def __init__(self, group: Chooser, name: str, kind: str = "service") -> None:
+        self.group, self.name, self.kind = group, name, kind
+        self.closed = False
+        self._numbers = 0
+
+    async def wait(self, client: Available, timeout_s: float) -> float:
+        """Wait until a member can be asked; return what is left of the time, in seconds.
+
+        Raises ``NotServed``, ``CallTimeout``, or ``GraphUnavailable`` once the client is closed.
+        """
+        loop = asyncio.get_running_loop()
+        ends_s = loop.time() + timeout_s
+        served = client.available is not False or await client.wait_available(timeout_s)
+        if self.closed:
+            raise GraphUnavailable(self.group.name, f"the client of {self.name} is closed")
+        if not served:
+            raise NotServed(self.name, self.kind)
+        left_s = ends_s - loop.time()
+        if left_s <= 0:
+            raise CallTimeout(self.name, timeout_s, self.kind)
+        return left_s
+
+    async def ask(self, ask: Ask[T], able: Callable[[str], bool], timeout_s: float, *, alone: bool = False) -> T:
+        """Return the answer of the first that answers; ``able`` tells who could. ``alone``: of one at a time.
+
+        Raises the error of the one whose failure says most, if none does.
+        """
+        loop = asyncio.get_running_loop()
+        deadline_s = loop.time() + timeout_s
+        waiting = [name for name in self._order() if able(name)]
+        if not waiting:
+            raise NotServed(self.name, self.kind)
+        first = [name for name in self.group.targets() if name in waiting] or waiting[:1]
+        first = first[:1] if alone else first
+        errors: list[RopewayError] = []
+        tasks: dict[asyncio.Task[T], None] = {}
+
+        def begin(names: Iterable[str]) -> None:
+            for name in names:
+                waiting.remove(name)
+                work = self._measured(ask, name, max(0.0, deadline_s - loop.time()))
+                tasks[asyncio.create_task(work, name=f"{self.name} at {name}")] = None
+
+        begin(first)
+        hedge_at_s = loop.time() + self.group.hedge_after_s() if self.group.second() and not alone else None
+        try:
+            while tasks:
+                pause_s = None if hedge_at_s is None or not waiting else max(0.0, hedge_at_s - loop.time())
+                done, _ = await asyncio.wait(tasks, timeout=pause_s, return_when=asyncio.FIRST_COMPLETED)
+                if not done:
+                    begin(waiting[:1])
+                    hedge_at_s = None
+                for task in done:
+                    del tasks[task]
+                    error = task.exception()
+                    if error is None:
+                        return task.result()
+                    if not isinstance(error, RopewayError):
+                        raise error
+                    errors.append(error)
+                    if waiting and not tasks and self._may_go_on(error, alone) and loop.time() < deadline_s:
+                        begin(waiting[:1])
+            raise _telling(errors)
+        finally:
+            await end(*tasks)
+            self.group.tell()
+
+    def _order(self) -> list[str]:
+        return self.group.scheduler.ranked(self.group.now())
+
+    def _may_go_on(self, error: RopewayError, alone: bool) -> bool:
+        """Return whether another may be asked after that: nobody has begun it, or it may be done twice."""
+        if isinstance(error, (CallFailed, GoalRejected, CallTimeout)):
+            return False  # it was answered, or the time is over
+        return (self.group.stateless and not alone) or isinstance(error, _UNTOUCHED)
+
+    async def _measured(self, ask: Ask[T], name: str, timeout_s: float) -> T:
+        self._numbers += 1
+        key, scheduler = (self, self._numbers), self.group.scheduler
+        scheduler.asked((name,), key, self.group.now())
+        try:
+            answer = await ask(name, timeout_s)
+        except _UNTOUCHED:
+            scheduler.refused(name, key)
+            raise
+        except CallError as error:
+            if isinstance(error, CallFailed):
+                scheduler.answered(name, key, self.group.now())
+            else:
+                scheduler.gave_up(name, key, self.group.now())
+            raise
+        except asyncio.CancelledError:  # another was sooner: it took at least until now
+            scheduler.gave_up(name, key, self.group.now())
+            raise
+        scheduler.answered(name, key, self.group.now())
+        return answer
+
+
+def _telling(errors: Iterable[RopewayError]) -> RopewayError:
+    """Return the error that says most: what a provider said, what may have been begun, or that nobody is there."""
+    ranks = (CallFailed, CallTimeout, CallError)
+
+    def rank(error: RopewayError) -> int:
+        if isinstance(error, _UNTOUCHED):
+            return len(ranks)
+        return next((i for i, kind in enumerate(ranks) if isinstance(error, kind)), len(ranks) - 1)
+
+    return min(errors, key=rank)
+
+
+class GroupClient:
+    """One service of a group, as a client per member."""
+
+    def __init__(self, ways: Ways, parts: Mapping[str, Client]) -> None:
+        first = next(iter(parts.values()))
+        self.service, self.type = first.service, first.type
+        self._ways, self._parts = ways, dict(parts)
+
+    @property
+    def available(self) -> bool | None:
+        """Return whether a member serves it, ``None`` where none can tell."""
+        return any_of(part.available for part in self._parts.values())
+
+    async def wait_available(self, timeout_s: float) -> bool:
+        """See ``Client``."""
+        return await first_true([part.wait_available(timeout_s) for part in self._parts.values()])
+
+    async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
+        """See ``Client``."""
+        left_s = await self._ways.wait(self, timeout_s)
+        return await self._ways.ask(
+            lambda name, limit_s: self._parts[name].call(request, limit_s),
+            lambda name: self._parts[name].available is not False,
+            left_s,
+        )
+
+    async def close(self) -> None:
+        """See ``Client``."""
+        self._ways.closed = True
+        for part in self._parts.values():
+            await part.close()
+        self._ways.group.closed(self)
+
+
+def any_of(known: Iterable[bool | None]) -> bool | None:
+    """Return whether one is true, ``None`` where none is and one is not known."""
+    answers = set(known)
+    return True if True in answers else None if None in answers else False
+
+
+async def first_true(waits: Iterable[Awaitable[bool]]) -> bool:
+    """Return whether one of them comes true, as soon as one does."""
+    tasks = {asyncio.ensure_future(wait) for wait in waits}
+    try:
+        while tasks:
+            done, tasks = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            if any(task.result() for task in done):
+                return True
+        return False
+    finally:
+        await end(*tasks)

@@ -1,0 +1,376 @@
+"""The graph that several graphs are together: replicas on several machines, asked as one.
+
+What is published goes to the member that the scheduler chooses *here*, at the sender: which one is a variable, so
+exactly one gets each message, from the first on, and a change happens between two messages. The others stay connected
+and matched. What members publish is taken from the one in use; answers to requests (``Exchange``) from whoever answers
+first.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import enum
+import functools
+import logging
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import AsyncExitStack
+from typing import Any, Final, Protocol, TypeVar, runtime_checkable
+
+from ropeway.errors import GraphUnavailable, RopewayError
+from ropeway.graph.base import (
+    NO_HINTS,
+    Changes,
+    Delivery,
+    Graph,
+    GraphEvent,
+    NodeInfo,
+    Publisher,
+    SampleCallback,
+    Subscription,
+    TopicInfo,
+    Undelivered,
+    resolve_name,
+)
+from ropeway.graph.calls import (
+    ActionClient,
+    ActionHandlers,
+    ActionInfo,
+    ActionServer,
+    Client,
+    Service,
+    ServiceHandler,
+    ServiceInfo,
+)
+from ropeway.group.actions import GroupActionClient
+from ropeway.group.bound import LatencyBound
+from ropeway.group.calls import GroupClient, Ways
+from ropeway.group.exchange import Exchange
+from ropeway.group.offers import GroupActionServer, GroupService
+from ropeway.group.scheduler import Options, Scheduler
+from ropeway.group.stamp import stamp_reader
+from ropeway.group.topics import GroupPublisher, GroupSubscription
+from ropeway.qos import QoS
+from ropeway.tasks import Supervised, describe, end
+from ropeway.types import TypeRegistry
+
+__all__ = ["Connecting", "Group", "Policy"]
+
+log = logging.getLogger("ropeway.group")
+
+T = TypeVar("T")
+
+HEDGE_PERCENT: Final = 95.0
+"""A second member is asked once the first takes longer than so many percent of its answers do: 5 % more requests."""
+
+HEDGE_S: Final = 0.1
+"""When the second is asked while nothing is known of the first, and no bound says what is late."""
+
+
+class Policy(enum.Enum):
+    """Which members get a request."""
+
+    ONE = "one"
+    HEDGE = "hedge"
+    ALL = "all"
+
+
+@runtime_checkable
+class Connecting(Protocol):
+    """A graph that comes and goes, and tells."""
+
+    def on_reached(self, callback: Callable[[bool], None]) -> None:
+        """Call with whether the far side is reached, now and at each change."""
+
+
+class Group:
+    """Several graphs as one; see the module.
+
+    ``members`` has them by the names that they are called by. ``policy`` says who is asked: ``one`` the member that
+    the scheduler chooses by ``bound``; ``hedge`` that one, and the next if its answer takes longer than usual; ``all``
+    every one, and the first answer wins. The last two need ``stateless``: a request may be carried out more than once.
+    ``exchanges`` pairs topics: ``{"/yolo/input": "/yolo/output"}`` is asked on the first and answered on the second,
+    which is how latencies of topics are known. Latencies of services and actions are measured without being asked for.
+    """
+
+    kind = "group"
+
+    def __init__(
+        self,
+        members: Mapping[str, Graph],
+        *,
+        name: str = "group",
+        policy: Policy = Policy.ONE,
+        bound: LatencyBound = LatencyBound(),  # noqa: B008 - frozen
+        stateless: bool = False,
+        exchanges: Mapping[str, str] | None = None,
+        registry: TypeRegistry | None = None,
+        options: Options = Options(),  # noqa: B008 - frozen
+        clock: Callable[[], float] | None = None,
+    ) -> None:
+        if not members:
+            raise ValueError("a group has one member at least")
+        if policy is not Policy.ONE and not stateless:
+            raise ValueError(
+                f'policy "{policy.value}" asks several members, so a request may be carried out more than once; write '
+                '"stateless": true if that does no harm'
+            )
+        self.name, self.members = name, dict(members)
+        self.policy, self.stateless = policy, stateless
+        self.scheduler = Scheduler(list(members), bound, stateless=stateless, options=options)
+        self.drops: Counter[tuple[str, Undelivered]] = Counter()
+        self.registry = registry or TypeRegistry()
+        self._clock = clock
+        self._responses = {resolve_name(a): resolve_name(b) for a, b in (exchanges or {}).items()}
+        self._exchanges = {response: Exchange(self.scheduler) for response in self._responses.values()}
+        self._changes = Changes()
+        self._watchers: list[Supervised] = []
+        self._stack = AsyncExitStack()
+        self._parts: dict[Any, None] = {}
+        self._told: int = 0
+        self._open = False
+
+    # ── opening, members, closing ──────────────────────────────────────────────────────────────────────────────
+
+    async def open(self) -> None:
+        """Open every member. Raises ``GraphUnavailable`` if none can be opened; of others the log tells why."""
+        if self._open:
+            return
+        self._changes = Changes()
+        names = list(self.members)
+        results = await asyncio.gather(*(self.members[name].open() for name in names), return_exceptions=True)
+        failed = {name: r for name, r in zip(names, results, strict=True) if isinstance(r, BaseException)}
+        for name, error in failed.items():
+            if not isinstance(error, RopewayError):
+                raise error
+            log.warning("%s: member %s cannot be had: %s", self.name, name, error)
+        if len(failed) == len(names):
+            raise GraphUnavailable(self.name, "; ".join(map(describe, failed.values())))
+        self._open = True
+        for name in names:
+            if name in failed:
+                continue
+            graph = self.members[name]
+            self._stack.push_async_callback(graph.close)
+            if isinstance(graph, Connecting):
+                graph.on_reached(functools.partial(self._reached, name))
+            else:
+                self._reached(name, True)
+            watch = functools.partial(self._watch, graph.changes())
+            self._watchers.append(Supervised(watch, f"changes of {name} in {self.name}").start())
+
+    async def close(self) -> None:
+        """Leave every member with everything that was created here."""
+        if not self._open:
+            return
+        self._open = False
+        await end(*self._watchers)
+        self._watchers.clear()
+        for part in list(self._parts):
+            await part.close()
+        await self._stack.aclose()
+        self._changes.close()
+
+    def now(self) -> float:
+        """Return the time of the steady clock that latencies are measured with."""
+        return asyncio.get_running_loop().time() if self._clock is None else self._clock()
+
+    def _reached(self, name: str, reached: bool) -> None:
+        if reached:
+            self.scheduler.came(name, self.now())
+        else:
+            self.scheduler.left(name, self.now())
+            for exchange in self._exchanges.values():
+                exchange.forget(name)
+        self.tell()
+
+    async def _watch(self, changes: AsyncIterator[GraphEvent]) -> None:
+        async for event in changes:
+            self._changes.emit(event)
+
+    def tell(self) -> None:
+        """Log what the scheduler has decided since the last time."""
+        decisions = self.scheduler.decisions
+        new = self.scheduler.decided - self._told
+        self._told = self.scheduler.decided
+        for decision in list(decisions)[-new:] if new else ():
+            log.info("%s: %s", self.name, decision)
+
+    def status(self) -> dict[str, Any]:
+        """Return the group as it stands, as JSON."""
+        return {
+            "policy": self.policy.value,
+            **self.scheduler.status(self.now()),
+            "paired": {response: dict(e.how()) for response, e in self._exchanges.items()},
+            "drops": {f"{topic}: {why.value}": n for (topic, why), n in self.drops.items() if n},
+        }
+
+    # ── who is asked ───────────────────────────────────────────────────────────────────────────────────────────
+
+    def targets(self) -> tuple[str, ...]:
+        """Return the members that get the next request at once."""
+        if self.policy is Policy.ALL:
+            return tuple(self.scheduler.here)
+        found = self.scheduler.targets(self.now())
+        self.tell()
+        return found
+
+    def second(self) -> str:
+        """Return who is asked next if the first is late, ``""`` for nobody."""
+        ranked = self.scheduler.ranked(self.now())
+        return ranked[1] if self.policy is Policy.HEDGE and len(ranked) > 1 else ""
+
+    def hedge_after_s(self) -> float:
+        """Return how long the first has before the second is asked, too."""
+        current = self.scheduler.current
+        found = self.scheduler.window(current).statistics(self.now()) if current else None
+        if found is not None and found.answered:
+            return found.percentile(HEDGE_PERCENT)
+        return self.scheduler.bound.limit_s or HEDGE_S
+
+    # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def create_publisher(
+        self, topic: str, type: str, qos: QoS | None = None, *, delivery: Delivery = NO_HINTS
+    ) -> GroupPublisher:
+        """See ``Graph.create_publisher``: it is announced to every member, and each message goes where it is due."""
+        name = resolve_name(topic)
+        parts: dict[str, Publisher] = await self._each(
+            lambda graph: graph.create_publisher(topic, type, qos, delivery=delivery)
+        )
+        exchange = self._exchanges.get(self._responses.get(name, ""))
+        stamp = stamp_reader(self.registry, type) if exchange is not None else None
+        return self._keep(GroupPublisher(self, name, parts, exchange, stamp))
+
+    async def create_subscription(
+        self,
+        topic: str,
+        type: str,
+        qos: QoS | None,
+        callback: SampleCallback,
+        *,
+        delivery: Delivery = NO_HINTS,
+    ) -> GroupSubscription:
+        """See ``Graph.create_subscription``: every member is read, and what counts is handed on."""
+        name = resolve_name(topic)
+        exchange = self._exchanges.get(name) or Exchange(self.scheduler)
+        made = GroupSubscription(self, name, callback, exchange, stamp_reader(self.registry, type))
+        parts: dict[str, Subscription] = {}
+        try:
+            for member, graph in self._opened():
+                arrived = functools.partial(made.arrived, member)
+                parts[member] = await graph.create_subscription(topic, type, qos, arrived, delivery=delivery)
+        except BaseException:
+            for part in parts.values():
+                await part.close()
+            raise
+        made.join(parts)
+        return self._keep(made)
+
+    async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> GroupClient:
+        """See ``Graph.create_client``."""
+        parts: dict[str, Client] = await self._each(lambda g: g.create_client(service, type, delivery=delivery))
+        return self._keep(GroupClient(Ways(self, resolve_name(service)), parts))
+
+    async def create_service(
+        self, service: str, type: str, handler: ServiceHandler, *, delivery: Delivery = NO_HINTS
+    ) -> GroupService:
+        """See ``Graph.create_service``: it is served to every member."""
+        parts: dict[str, Service] = await self._each(
+            lambda g: g.create_service(service, type, handler, delivery=delivery)
+        )
+        return self._keep(GroupService(self, resolve_name(service), next(iter(parts.values())).type, parts))
+
+    async def create_action_client(self, action: str, type: str, *, delivery: Delivery = NO_HINTS) -> GroupActionClient:
+        """See ``Graph.create_action_client``: a goal stays with the member that accepted it."""
+        parts: dict[str, ActionClient] = await self._each(
+            lambda graph: graph.create_action_client(action, type, delivery=delivery)
+        )
+        return self._keep(GroupActionClient(Ways(self, resolve_name(action), "action"), parts))
+
+    async def create_action_server(
+        self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
+    ) -> GroupActionServer:
+        """See ``Graph.create_action_server``: it is served to every member."""
+        parts: dict[str, ActionServer] = await self._each(
+            lambda graph: graph.create_action_server(action, type, handlers, delivery=delivery)
+        )
+        return self._keep(GroupActionServer(self, resolve_name(action), next(iter(parts.values())).type, parts))
+
+    def _opened(self) -> list[tuple[str, Graph]]:
+        if not self._open:
+            raise GraphUnavailable(self.name, "is not open; call open() first")
+        return list(self.members.items())
+
+    async def _each(self, make: Callable[[Graph], Any]) -> dict[str, Any]:
+        """Make a part on every member; what was made is closed again if one cannot be."""
+        made: dict[str, Any] = {}
+        try:
+            for name, graph in self._opened():
+                made[name] = await make(graph)
+        except BaseException:
+            for part in made.values():
+                await part.close()
+            raise
+        return made
+
+    def _keep(self, part: T) -> T:
+        self._parts[part] = None
+        return part
+
+    def closed(self, part: object) -> None:
+        """Forget a part that was closed."""
+        self._parts.pop(part, None)
+
+    # ── discovery ──────────────────────────────────────────────────────────────────────────────────────────────
+
+    def topics(self) -> dict[str, TopicInfo]:
+        """Return what is discovered on any member."""
+        found: dict[str, list[TopicInfo]] = {}
+        for graph in self.members.values():
+            for name, info in graph.topics().items():
+                found.setdefault(name, []).append(info)
+        return {
+            name: TopicInfo(
+                name, _types(infos), _all(i.publishers for i in infos), _all(i.subscriptions for i in infos)
+            )
+            for name, infos in found.items()
+        }
+
+    def services(self) -> dict[str, ServiceInfo]:
+        """Return what is served on any member."""
+        found: dict[str, list[ServiceInfo]] = {}
+        for graph in self.members.values():
+            for name, info in graph.services().items():
+                found.setdefault(name, []).append(info)
+        return {
+            name: ServiceInfo(name, _types(infos), _all(i.servers for i in infos), _all(i.clients for i in infos))
+            for name, infos in found.items()
+        }
+
+    def actions(self) -> dict[str, ActionInfo]:
+        """Return the actions of any member."""
+        found: dict[str, list[ActionInfo]] = {}
+        for graph in self.members.values():
+            for name, info in graph.actions().items():
+                found.setdefault(name, []).append(info)
+        return {
+            name: ActionInfo(name, _types(infos), _all(i.servers for i in infos), _all(i.clients for i in infos))
+            for name, infos in found.items()
+        }
+
+    def nodes(self) -> dict[str, NodeInfo]:
+        """Return the nodes of every member; one that is on several is told of once."""
+        return {name: info for graph in self.members.values() for name, info in graph.nodes().items()}
+
+    def changes(self) -> AsyncIterator[GraphEvent]:
+        """Return what changes on any member from now on."""
+        return self._changes.listen()
+
+
+def _types(infos: Sequence[TopicInfo | ServiceInfo | ActionInfo]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(type for info in infos for type in info.types))
+
+
+def _all(many: Any) -> tuple[Any, ...]:
+    return tuple(dict.fromkeys(one for some in many for one in some))

@@ -1,0 +1,137 @@
+"""Latencies of one member over the last seconds, with what is known of requests that have no answer yet. Sans-I/O."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import deque
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Final
+
+__all__ = ["LatencyWindow", "Statistics"]
+
+WINDOW_S: Final = 3.0
+"""How far back a window looks unless configured: ``latency_window`` of FogROS2-LS."""
+
+_MOST: Final = 4096  # latencies in a window: 90 frames a second for 45 s
+_MOST_PENDING: Final = 1024  # requests without an answer that are remembered
+_GIVE_UP_WINDOWS: Final = 10  # a request that is older than so many windows is forgotten: nobody waits for it
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """What a window holds, in seconds.
+
+    ``answered`` requests count with their latency, ``pending`` ones with their age: they take at least that long.
+    ``values`` are all of them, in order of size.
+    """
+
+    answered: int
+    pending: int
+    values: tuple[float, ...]
+
+    @property
+    def min(self) -> float:
+        """Return the smallest."""
+        return self.values[0]
+
+    @property
+    def max(self) -> float:
+        """Return the largest."""
+        return self.values[-1]
+
+    @property
+    def mean(self) -> float:
+        """Return the mean."""
+        return statistics.fmean(self.values)
+
+    @property
+    def median(self) -> float:
+        """Return the median."""
+        return statistics.median(self.values)
+
+    @property
+    def stddev(self) -> float:
+        """Return the standard deviation of the population, as the thesis uses it; 0 for a single value."""
+        return statistics.pstdev(self.values)
+
+    def percentile(self, percent: float) -> float:
+        """Return the smallest value that ``percent`` of all do not exceed."""
+        return self.values[max(0, math.ceil(len(self.values) * percent / 100) - 1)]
+
+    def as_json(self) -> dict[str, float | int]:
+        """Return the numbers that people look at, in seconds."""
+        named = {name: round(getattr(self, name), 6) for name in ("min", "median", "mean", "max", "stddev")}
+        return {"answered": self.answered, "pending": self.pending, **named, "p99": round(self.percentile(99), 6)}
+
+
+class LatencyWindow:
+    """The latencies of one member within the last ``window_s`` seconds.
+
+    Times are those of a steady clock. The window ages by that clock, not by what comes: a member that has fallen silent
+    does not keep its good name, and an empty window means that nothing is known.
+    """
+
+    def __init__(self, window_s: float = WINDOW_S) -> None:
+        self.window_s = window_s
+        self._latencies: deque[tuple[float, float]] = deque(maxlen=_MOST)  # when it was known, and how long it took
+        self._pending: dict[Hashable, float] = {}  # when it was asked, oldest first
+
+    def asked(self, now_s: float, key: Hashable) -> None:
+        """Note a request that was sent. ``key`` tells it from others."""
+        if len(self._pending) >= _MOST_PENDING:
+            self.gave_up(now_s, next(iter(self._pending)))
+        self._pending.setdefault(key, now_s)
+
+    def answered(self, now_s: float, key: Hashable) -> float | None:
+        """Return how long the answer to ``key`` took, ``None`` for an answer to no request that is known."""
+        asked_s = self._pending.pop(key, None)
+        if asked_s is None:
+            return None
+        self.add(now_s, now_s - asked_s)
+        return now_s - asked_s
+
+    def gave_up(self, now_s: float, key: Hashable) -> None:
+        """Nobody waits for the answer to ``key`` any more: it took at least until now."""
+        self.answered(now_s, key)
+
+    def forget(self, key: Hashable) -> None:
+        """Take back a request that says nothing of the member: it was refused before it was carried out."""
+        self._pending.pop(key, None)
+
+    def add(self, now_s: float, latency_s: float) -> None:
+        """Note a latency that was measured elsewhere."""
+        self._latencies.append((now_s, max(0.0, latency_s)))
+
+    def clear(self) -> None:
+        """Forget everything: the member is another one now."""
+        self._latencies.clear()
+        self._pending.clear()
+
+    def oldest_pending_s(self, now_s: float) -> float | None:
+        """Return the age of the oldest request without an answer."""
+        return now_s - next(iter(self._pending.values())) if self._pending else None
+
+    def statistics(self, now_s: float) -> Statistics | None:
+        """Return what the window holds, ``None`` while nothing is known.
+
+        A request without an answer counts as soon as it is older than half of the answers took: a younger one says
+        nothing yet. Where nothing was answered, all of them count.
+        """
+        self._age(now_s)
+        answered = sorted(latency for _, latency in self._latencies)
+        ages = [now_s - asked_s for asked_s in self._pending.values()]
+        if answered:
+            usual_s = answered[(len(answered) - 1) // 2]
+            ages = [age for age in ages if age > usual_s]
+        if not answered and not ages:
+            return None
+        return Statistics(len(answered), len(ages), tuple(sorted([*answered, *ages])))
+
+    def _age(self, now_s: float) -> None:
+        while self._latencies and self._latencies[0][0] <= now_s - self.window_s:
+            self._latencies.popleft()
+        forgotten_s = now_s - _GIVE_UP_WINDOWS * self.window_s
+        for key in [key for key, asked_s in self._pending.items() if asked_s <= forgotten_s]:
+            del self._pending[key]

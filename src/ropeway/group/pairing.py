@@ -1,0 +1,73 @@
+"""Tells which request a message on a response topic answers. Sans-I/O.
+
+A machine that is called over two topics names the request in its answer at best by the time stamp in the header, which
+most perception nodes copy from the picture to what they found in it. Where there is none, one request under way is the
+one that is answered; where several are, they are taken to be answered in order. Which of the three it was is counted,
+since the latencies of the last kind are a guess.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections import Counter, OrderedDict
+from collections.abc import Hashable
+from typing import Final
+
+__all__ = ["How", "Pairing"]
+
+_MOST: Final = 1024  # requests that are remembered
+
+
+class How(enum.Enum):
+    """How a response was paired with its request."""
+
+    STAMP = "equal header stamp"
+    ONLY = "the only request under way"
+    ORDER = "by order"
+
+
+class Pairing:
+    """The requests of one topic and their answers.
+
+    ``key`` of a request is whatever tells it from others; ``stamp`` the time in its header, ``None`` without one. A
+    request is answered once: ``answered`` gives its key for the first answer, and ``None`` for any other.
+    """
+
+    def __init__(self) -> None:
+        self.counts: Counter[How] = Counter()
+        self._open: OrderedDict[Hashable, Hashable | None] = OrderedDict()  # key: stamp
+        self._by_stamp: dict[Hashable, Hashable] = {}
+        self._stamped = False  # an answer has carried the stamp of a request: the others will, too
+
+    def __len__(self) -> int:
+        """Return how many requests have no answer."""
+        return len(self._open)
+
+    def asked(self, key: Hashable, stamp: Hashable | None) -> None:
+        """Note a request."""
+        if len(self._open) >= _MOST:
+            self._close(next(iter(self._open)))
+        self._open[key] = stamp
+        if stamp is not None:
+            self._by_stamp[stamp] = key
+
+    def answered(self, stamp: Hashable | None) -> Hashable | None:
+        """Return the key of the request that is answered, ``None`` if it is none that waits for an answer."""
+        key = None if stamp is None else self._by_stamp.get(stamp)
+        if key is not None:
+            self._stamped = True
+            self.counts[How.STAMP] += 1
+        elif self._stamped and stamp is not None:
+            return None  # it was answered before, or nobody asked
+        elif self._open:
+            key = next(iter(self._open))
+            self.counts[How.ONLY if len(self._open) == 1 else How.ORDER] += 1
+        else:
+            return None
+        self._close(key)
+        return key
+
+    def _close(self, key: Hashable) -> None:
+        stamp = self._open.pop(key, None)
+        if stamp is not None and self._by_stamp.get(stamp) == key:
+            del self._by_stamp[stamp]

@@ -1,0 +1,141 @@
+"""Topics of a group: where a message goes, and which messages count."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+
+from ropeway.graph.base import Publisher, Sample, SampleCallback, Subscription, Undelivered
+from ropeway.group.chooser import Chooser
+from ropeway.group.exchange import Exchange
+from ropeway.group.stamp import StampReader
+from ropeway.qos import QoS, common_qos
+
+__all__ = ["GroupPublisher", "GroupSubscription"]
+
+
+class GroupPublisher:
+    """One topic, announced to every member, so that each stands ready."""
+
+    def __init__(
+        self,
+        group: Chooser,
+        topic: str,
+        parts: Mapping[str, Publisher],
+        exchange: Exchange | None,
+        stamp: StampReader | None,
+    ) -> None:
+        first = next(iter(parts.values()))
+        self.topic, self.type, self.qos = topic, first.type, first.qos
+        self._group, self._parts = group, dict(parts)
+        self._exchange, self._stamp = exchange, stamp
+        self._timers: set[asyncio.TimerHandle] = set()
+
+    def publish(self, sample: Sample) -> None:
+        """Give the message to whoever is in use, and to a second where the policy says so."""
+        names = self._group.targets()
+        if not names:
+            self._group.drops[self.topic, Undelivered.NOBODY] += 1
+            return
+        if self._exchange is not None and self._stamp is not None:
+            key = (self.topic, sample.origin, sample.seq)
+            stamp = self._stamp(sample.payload)
+            self._exchange.asked(names, key, stamp, self._group.now())
+            second = self._group.second()
+            if second and second not in names:
+                self._hedge(second, sample, key, stamp)
+        for name in names:
+            self._parts[name].publish(sample)
+
+    def _hedge(self, name: str, sample: Sample, key: object, stamp: bytes | None) -> None:
+        exchange = self._exchange
+        assert exchange is not None
+
+        def late() -> None:
+            self._timers.discard(timer)
+            if exchange.is_open(key) and name in self._parts:
+                exchange.asked((name,), key, stamp, self._group.now())
+                self._parts[name].publish(sample)
+
+        timer = asyncio.get_running_loop().call_later(self._group.hedge_after_s(), late)
+        self._timers.add(timer)
+
+    @property
+    def subscribers(self) -> int | None:
+        """Return how many read it on the member that has most; standby readers count, so that they are kept warm."""
+        known = [n for part in self._parts.values() if (n := part.subscribers) is not None]
+        return max(known) if known else None
+
+    def on_demand(self, callback: Callable[[int], None]) -> None:
+        """See ``Publisher``."""
+        told: list[int | None] = [None]
+
+        def changed(_: int) -> None:
+            if (n := self.subscribers) != told[0] and n is not None:
+                told[0] = n
+                callback(n)
+
+        for part in self._parts.values():
+            part.on_demand(changed)
+
+    async def close(self) -> None:
+        """See ``Publisher``."""
+        for timer in self._timers:
+            timer.cancel()
+        self._timers.clear()
+        for part in self._parts.values():
+            await part.close()
+        self._group.closed(self)
+
+
+class GroupSubscription:
+    """One topic, read from every member."""
+
+    def __init__(
+        self, group: Chooser, topic: str, callback: SampleCallback, exchange: Exchange, stamp: StampReader
+    ) -> None:
+        self.topic, self.type = topic, ""
+        self._group, self._callback = group, callback
+        self._exchange, self._stamp = exchange, stamp
+        self._parts: dict[str, Subscription] = {}
+
+    def join(self, parts: Mapping[str, Subscription]) -> None:
+        """Take the subscriptions of the members."""
+        self._parts = dict(parts)
+        self.type = next(iter(self._parts.values())).type
+
+    def arrived(self, name: str, batch: Sequence[Sample]) -> None:
+        """Hand on what counts of what a member has published."""
+        now = self._group.now()
+        wanted = []
+        for sample in batch:
+            why = self._exchange.came(name, self._stamp(sample.payload), now)
+            if why is None:
+                wanted.append(sample)
+            else:
+                self._group.drops[self.topic, why] += 1
+        if wanted:
+            self._callback(wanted)
+
+    @property
+    def qos(self) -> QoS:
+        """Return what every member's publishers meet."""
+        return common_qos(part.qos for part in self._parts.values())
+
+    def on_qos(self, callback: Callable[[QoS], None]) -> None:
+        """See ``Subscription``."""
+        told: list[QoS | None] = [None]
+
+        def changed(_: QoS) -> None:
+            if (qos := self.qos) != told[0]:
+                told[0] = qos
+                callback(qos)
+
+        for part in self._parts.values():
+            part.on_qos(changed)
+
+    async def close(self) -> None:
+        """See ``Subscription``."""
+        for part in self._parts.values():
+            await part.close()
+        self._group.closed(self)
