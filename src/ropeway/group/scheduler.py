@@ -26,6 +26,7 @@ from ropeway.group.latency import WINDOW_S, LatencyWindow
 __all__ = ["Decision", "Options", "Phase", "Scheduler"]
 
 _LATE_IN_A_ROW: Final = 2  # requests above the limit, one after the other, that start a comparison: one may be a hiccup
+_ENOUGH: Final = 4  # times the pairs that may show one side late: to compare means, or to give a rival up
 _TELLING: Final = 2  # late requests more than the rival's, of as many: one more may be chance
 _MOST_DECISIONS: Final = 256
 _MOST_PENALTY_S: Final = 300.0
@@ -317,7 +318,7 @@ class Scheduler:
             return
         if not (missed or suspicious) or found is None:
             return
-        rival = self._rival(now_s)
+        rival = self._rival(now_s, whoever=self.stateless)
         if rival is None:
             return
         why = (
@@ -330,18 +331,20 @@ class Scheduler:
         elif now_s - self._since_s >= self.options.least_dwell_s and (missed or member.late > _LATE_IN_A_ROW):
             self._change(rival.name, now_s, why)
             self._came_from = member.name
+            rival.window.clear()  # it has to prove itself now
 
     def _probation(self, member: _Member, bad: bool, now_s: float) -> None:
         """Go back at once if a change that could not be compared beforehand has proved wrong."""
         before = self._members[self._came_from]
-        found = member.window.statistics(now_s)
+        found, was = member.window.statistics(now_s), before.window.statistics(now_s)
         if found is None or found.answered + found.pending < self.options.pairs:
             return
-        was = before.window.statistics(now_s)
-        if bad and before.here and (was is None or not was.answered or found.median > was.median):
+        if bad and before.here and (was is None or found.median > was.median):
             self._lost(member, now_s)
             self._change(before.name, now_s, f"{member.name} proved no better ({self._numbers(member, now_s)})")
-        elif not bad:
+        elif found.answered < self.options.pairs:
+            return  # nothing is proved yet
+        else:
             self._lost(before, now_s)
         self._came_from = ""
 
@@ -356,31 +359,33 @@ class Scheduler:
         numbers = (
             f"{rival.name} {1e3 * theirs.mean_s:.1f} ms, {mine.name} {1e3 * ours.mean_s:.1f} ms, {len(pairs)} pairs"
         )
-        sooner = theirs.mean_s < ours.mean_s * (1 - self.options.margin)
+        sooner = len(pairs) >= _ENOUGH * self.options.pairs and theirs.mean_s < ours.mean_s * (1 - self.options.margin)
         beaten = ours.late - theirs.late >= _TELLING or (ours.late == theirs.late and sooner)
         settled = mine.late == 0 and self.bound.judge(mine.window.statistics(now_s)) is not Verdict.MISSED
-        if beaten and not self.held and now_s - self._since_s >= self.options.least_dwell_s:
-            self._comparison = None
+        rested = now_s - self._since_s >= self.options.least_dwell_s and rival.alone_until_s <= now_s
+        if beaten and rested and not self.held:
             self._lost(mine, now_s)
             self._change(rival.name, now_s, f"it answers the same requests sooner: {numbers}")
+            self._comparison = _Comparison(mine.name)  # until the bound is met, the first answer wins
         elif settled and not beaten:
             self._comparison = None
-            self._note(now_s, f"meets the bound again: {numbers}")
-        elif not beaten and len(pairs) >= 2 * self.options.pairs:
+            self._note(now_s, f"meets the bound: {numbers}")
+        elif not beaten and len(pairs) >= _ENOUGH * self.options.pairs:
             self._lost(rival, now_s)
-            other = self._rival(now_s)
-            self._comparison = _Comparison(
-                (other or rival).name
-            )  # the first answer wins as long as the bound is missed
-        elif len(pairs) >= 8 * self.options.pairs:
+            self._comparison = _Comparison((self._rival(now_s, whoever=True) or rival).name)
+        elif len(pairs) >= 2 * _ENOUGH * self.options.pairs:
             self._comparison = _Comparison(rival.name)  # on newer requests
 
     def _side(self, took: Sequence[float]) -> _Side:
         limit_s = self.bound.limit_s
         return _Side(0 if limit_s is None else sum(t > limit_s for t in took), statistics.fmean(took))
 
-    def _rival(self, now_s: float) -> _Member | None:
-        free = [m for m in self._members.values() if m.here and m.name != self.current and m.alone_until_s <= now_s]
+    def _rival(self, now_s: float, *, whoever: bool = False) -> _Member | None:
+        """Return the most promising of the others; with ``whoever``, even one to be left alone."""
+        others = [m for m in self._members.values() if m.here and m.name != self.current]
+        free = [m for m in others if m.alone_until_s <= now_s]
+        if not free and whoever:
+            return min(others, key=lambda m: m.alone_until_s, default=None)
         return min(free, key=lambda m: self._rank(m, now_s), default=None)
 
     def _rank(self, member: _Member, now_s: float) -> tuple[int, float, float]:
