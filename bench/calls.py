@@ -26,6 +26,7 @@ import uvloop
 from bench.netns import Process
 from bench.paper import config
 from bench.report import table
+from ropeway.aio import timeout
 from ropeway.gateway.config.config import load
 from ropeway.gateway.gateway import Gateway
 from ropeway.graph.base import Sample
@@ -174,7 +175,7 @@ async def _topic(pair: Pair, source: DdsGraph, sink: DdsGraph, name: str, sample
         publisher.publish(sample)
         await arrived.wait()
 
-    async with asyncio.timeout(_WAIT_S):
+    async with timeout(_WAIT_S):
         while not arrived.is_set():  # until everybody has found everybody
             publisher.publish(sample)
             await asyncio.sleep(_SETTLE_S)

@@ -53,6 +53,8 @@ ALLOWED_TASKS = {
     "cli/session.py:discover": AWAITED,
     "gateway/process/worker.py:_run": AWAITED,
     "graph/actions/client.py:send_goal": AWAITED,
+    "group/calls.py:begin": AWAITED,
+    "group/calls.py:first_true": AWAITED,
     "hub/hub.py:_merged": AWAITED,
     "hub/calls.py:either": AWAITED,
     "networks/overlay/graph/calls.py:_call": AWAITED,

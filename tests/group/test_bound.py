@@ -4,36 +4,36 @@ from __future__ import annotations
 
 import pytest
 
-from ropeway.group.bound import LatencyBound, Verdict
+from ropeway.group.bound import LatencyBound, Standing
 from ropeway.group.latency import Statistics
 
 FAST = Statistics(4, 0, (0.01, 0.01, 0.02, 0.06))
 
 
 @pytest.mark.parametrize(
-    ("limits", "verdict"),
+    ("limits", "standing"),
     [
-        ({}, Verdict.MET),
-        ({"median": 0.3}, Verdict.MET),
-        ({"max": 0.05}, Verdict.MISSED),
-        ({"max": 0.07, "mean": 0.02}, Verdict.MISSED),
-        ({"min": 0.005}, Verdict.MISSED),
-        ({"stddev": 0.1}, Verdict.MET),
-        ({"p75": 0.02}, Verdict.MET),
-        ({"p99": 0.05}, Verdict.MISSED),
+        ({}, Standing.MET),
+        ({"median": 0.3}, Standing.MET),
+        ({"max": 0.05}, Standing.MISSED),
+        ({"max": 0.07, "mean": 0.02}, Standing.MISSED),
+        ({"min": 0.005}, Standing.MISSED),
+        ({"stddev": 0.1}, Standing.MET),
+        ({"p75": 0.02}, Standing.MET),
+        ({"p99": 0.05}, Standing.MISSED),
     ],
 )
-def test_each_statistic_is_bounded_from_above(limits: dict[str, float], verdict: Verdict) -> None:
+def test_each_statistic_is_bounded_from_above(limits: dict[str, float], standing: Standing) -> None:
     """A bound is met if no statistic that it names is larger; what it does not name is not looked at."""
-    assert LatencyBound.of(limits).judge(FAST) is verdict
+    assert LatencyBound.of(limits).judge(FAST) is standing
 
 
 def test_unknown() -> None:
     """Nothing known is neither met nor missed, and requests without an answer can only miss."""
     bound = LatencyBound.of({"median": 0.3})
-    assert bound.judge(None) is Verdict.UNKNOWN
-    assert bound.judge(Statistics(0, 1, (0.1,))) is Verdict.UNKNOWN
-    assert bound.judge(Statistics(0, 1, (0.4,))) is Verdict.MISSED
+    assert bound.judge(None) is Standing.UNKNOWN
+    assert bound.judge(Statistics(0, 1, (0.1,))) is Standing.UNKNOWN
+    assert bound.judge(Statistics(0, 1, (0.4,))) is Standing.MISSED
 
 
 def test_says_what_is_missed() -> None:

@@ -10,7 +10,7 @@ from typing import Final
 
 from ropeway.group.latency import Statistics
 
-__all__ = ["STATISTICS", "LatencyBound", "Verdict"]
+__all__ = ["STATISTICS", "LatencyBound", "Standing"]
 
 STATISTICS: Final = ("max", "mean", "median", "min", "stddev")
 """The statistics of FogROS2-LS (thesis, Listing 1) that can be bounded from above; percentiles are written p99."""
@@ -18,7 +18,7 @@ STATISTICS: Final = ("max", "mean", "median", "min", "stddev")
 _PERCENTILE: Final = re.compile(r"p(\d{1,2}(?:\.\d+)?)")
 
 
-class Verdict(enum.Enum):
+class Standing(enum.Enum):
     """How a member stands against a bound."""
 
     MET = "met"
@@ -52,15 +52,15 @@ class LatencyBound:
         """
         return max((limit for name, limit in self.limits if name != "stddev"), default=None)
 
-    def judge(self, found: Statistics | None) -> Verdict:
+    def judge(self, found: Statistics | None) -> Standing:
         """Return whether ``found`` meets every bound; requests without an answer can only miss one."""
         if not self.limits:
-            return Verdict.MET
+            return Standing.MET
         if found is None:
-            return Verdict.UNKNOWN
+            return Standing.UNKNOWN
         if any(_value(found, name) > limit for name, limit in self.limits):
-            return Verdict.MISSED
-        return Verdict.MET if found.answered else Verdict.UNKNOWN
+            return Standing.MISSED
+        return Standing.MET if found.answered else Standing.UNKNOWN
 
     def missed(self, found: Statistics) -> str:
         """Return which bounds ``found`` misses, with the numbers, for the log."""

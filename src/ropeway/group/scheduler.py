@@ -20,7 +20,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-from ropeway.group.bound import LatencyBound, Verdict
+from ropeway.group.bound import LatencyBound, Standing
 from ropeway.group.latency import WINDOW_S, LatencyWindow
 
 __all__ = ["Decision", "Options", "Phase", "Scheduler"]
@@ -184,7 +184,7 @@ class Scheduler:
             "members": {
                 m.name: {
                     "here": m.here,
-                    "verdict": self.bound.judge(found).value,
+                    "standing": self.bound.judge(found).value,
                     "latency_s": None if found is None else found.as_json(),
                     "alone_for_s": round(max(0.0, m.alone_until_s - now_s), 3),
                 }
@@ -312,7 +312,7 @@ class Scheduler:
         overdue = pending_s is not None and pending_s > limit_s
         suspicious = member.late + overdue >= _LATE_IN_A_ROW
         found = member.window.statistics(now_s)
-        missed = self.bound.judge(found) is Verdict.MISSED
+        missed = self.bound.judge(found) is Standing.MISSED
         if self._came_from:
             self._probation(member, missed or suspicious, now_s)
             return
@@ -361,7 +361,7 @@ class Scheduler:
         )
         sooner = len(pairs) >= _ENOUGH * self.options.pairs and theirs.mean_s < ours.mean_s * (1 - self.options.margin)
         beaten = ours.late - theirs.late >= _TELLING or (ours.late == theirs.late and sooner)
-        settled = mine.late == 0 and self.bound.judge(mine.window.statistics(now_s)) is not Verdict.MISSED
+        settled = mine.late == 0 and self.bound.judge(mine.window.statistics(now_s)) is not Standing.MISSED
         rested = now_s - self._since_s >= self.options.least_dwell_s and rival.alone_until_s <= now_s
         if beaten and rested and not self.held:
             self._lost(mine, now_s)
@@ -390,8 +390,8 @@ class Scheduler:
 
     def _rank(self, member: _Member, now_s: float) -> tuple[int, float, float]:
         found = member.window.statistics(now_s)
-        verdict = (Verdict.MET, Verdict.UNKNOWN, Verdict.MISSED).index(self.bound.judge(found))
-        return verdict, 0.0 if found is None else found.median, member.alone_until_s
+        standing = (Standing.MET, Standing.UNKNOWN, Standing.MISSED).index(self.bound.judge(found))
+        return standing, 0.0 if found is None else found.median, member.alone_until_s
 
     def _lost(self, member: _Member, now_s: float) -> None:
         forgiven = now_s - member.lost_at_s > self.options.forgive_s
