@@ -23,9 +23,6 @@ ID_CHARACTERS: Final = 1_024
 PATTERN_CHARACTERS: Final = 256
 """A pattern for names: as long as a name."""
 
-PATTERNS: Final = 64
-"""Patterns of one peer. Each is tried on every name that appears."""
-
 SHOWN_TEXT_CHARACTERS: Final = 500
 """What a peer says went wrong, as far as it is logged or passed on."""
 

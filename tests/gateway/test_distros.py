@@ -12,14 +12,14 @@ import pytest
 from ropeway.gateway.config.config import parse
 from ropeway.gateway.gateway import Gateway
 from ropeway.graph.base import SEQ_NONE, Sample, new_origin
-from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
+from ropeway.graph.calls import Request
 from ropeway.networks.dds import DdsGraph
 from ropeway.types import TypeRegistry
 from tests.support.inbox import Inbox
 from tests.support.isolation import isolated_dds
+from tests.support.layouts import GO, LOOK, RANGE, drive_8_m, halves
 from tests.support.until import until
 
-RANGE, LOOK, GO = "sensor_msgs/msg/Range", "my_msgs/srv/Look", "my_msgs/action/Go"
 _TEXTS = {
     "srv/Look.srv": "sensor_msgs/Range seen\n---\nsensor_msgs/Range found\n",
     "action/Go.action": "sensor_msgs/Range goal\n---\nsensor_msgs/Range end\n---\nsensor_msgs/Range way\n",
@@ -92,14 +92,8 @@ async def test_topics_services_and_actions_between_distributions(stack: AsyncExi
         seen = theirs.codec(f"{LOOK}_Request").decode(request.payload)["seen"]
         return theirs.codec(f"{LOOK}_Response").encode({"found": {"range": seen["range"] + 1}})
 
-    async def execute(goal: ServerGoal) -> Outcome:
-        far = theirs.codec(f"{GO}_Goal").decode(goal.payload)["goal"]["range"]
-        goal.feedback(theirs.codec(f"{GO}_Feedback").encode({"way": {"range": far / 2}}))
-        await until(lambda: bool(fed))
-        return Outcome(GoalStatus.SUCCEEDED, theirs.codec(f"{GO}_Result").encode({"end": {"range": far}, "code": 7}))
-
     await robot.create_service("/look", LOOK, look)
-    await robot.create_action_server("/go", GO, ActionHandlers(execute))
+    await robot.create_action_server("/go", GO, halves(theirs, fed, code=7))
     inbox = Inbox()
     await cloud.create_subscription("/range", RANGE, None, inbox)
     publisher = await robot.create_publisher("/range", RANGE)
@@ -114,13 +108,4 @@ async def test_topics_services_and_actions_between_distributions(stack: AsyncExi
     assert ours.codec(f"{LOOK}_Response").decode(answer)["found"]["range"] == 3.0
 
     user = await cloud.create_action_client("/go", GO)
-    assert await user.wait_available(20)
-    goal = await user.send_goal(
-        Goal(ours.codec(f"{GO}_Goal").encode({"goal": {"range": 8.0}})),
-        on_feedback=lambda way: fed.append(ours.codec(f"{GO}_Feedback").decode(way)["way"]["range"]),
-        timeout_s=20,
-    )
-    outcome = await goal.result(20)
-    assert outcome.payload is not None
-    assert ours.codec(f"{GO}_Result").decode(outcome.payload)["end"]["range"] == 8.0
-    assert fed == [4.0]
+    await drive_8_m(user, ours, fed, 20)

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
-import json
 import os
-import sys
-from asyncio.subprocess import PIPE
 from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
@@ -20,11 +16,11 @@ from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Serve
 from ropeway.networks.dds import DdsGraph
 from ropeway.types import TypeRegistry
 from tests.support.actions import FIBONACCI, order, sequence
+from tests.support.ros2 import CYCLONE, need_rclpy, start_peer
 from tests.support.until import PATIENCE_S, until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
-if importlib.util.find_spec("rclpy") is None:
-    pytest.skip("needs a sourced ROS 2 with rclpy", allow_module_level=True)
+need_rclpy()
 
 PROGRAM = Path(__file__).with_name("ros2_peer.py")
 DOMAIN = 130 + os.getpid() % 20
@@ -39,7 +35,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
-    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
+    monkeypatch.setenv("RMW_IMPLEMENTATION", CYCLONE)
 
 
 @pytest.fixture
@@ -56,25 +52,7 @@ def start(here: None, stack: AsyncExitStack) -> Start:
     """Starts a genuine node; gives what it says."""
 
     async def start(*words: str) -> Said:
-        process = await asyncio.create_subprocess_exec(sys.executable, str(PROGRAM), *words, stdout=PIPE)
-        said: Said = []
-
-        async def read() -> None:
-            assert process.stdout is not None
-            async for line in process.stdout:
-                if line.startswith(b"{"):
-                    said.append(json.loads(line))
-
-        reader = asyncio.create_task(read())
-
-        async def end() -> None:
-            if process.returncode is None:
-                process.kill()
-            await process.wait()
-            await reader
-
-        stack.push_async_callback(end)
-        return said
+        return (await start_peer(stack, PROGRAM, *words, env={})).said
 
     return start
 

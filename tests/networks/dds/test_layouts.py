@@ -8,19 +8,17 @@ from pathlib import Path
 import pytest
 
 from ropeway.graph.base import SEQ_NONE, Sample, new_origin
-from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
+from ropeway.graph.calls import Request
 from ropeway.networks.dds import DdsGraph
 from ropeway.types import TypeRegistry
 from ropeway.types.variant import Variant
 from tests.support.inbox import Inbox
+from tests.support.layouts import GO, LOOK, RANGE, drive_8_m, halves
 from tests.support.until import until
 
 from .conftest import Join
 
-RANGE = "sensor_msgs/msg/Range"
 EVENT = "lifecycle_msgs/msg/TransitionEvent"
-LOOK = "my_msgs/srv/Look"
-GO = "my_msgs/action/Go"
 _HUMBLE_RANGE = TypeRegistry("humble", alone=True).text(RANGE)
 
 
@@ -198,21 +196,6 @@ async def test_actions_cross_between_distributions(join: Join, serves: str) -> N
     mine, yours = (HUMBLE, HERE) if serves == "there" else (HERE, HUMBLE)
     fed: list[float] = []
 
-    async def execute(goal: ServerGoal) -> Outcome:
-        distance = mine.codec(f"{GO}_Goal").decode(goal.payload)["goal"]["range"]
-        goal.feedback(mine.codec(f"{GO}_Feedback").encode({"way": {"range": distance / 2}}))
-        await until(lambda: bool(fed))
-        return Outcome(GoalStatus.SUCCEEDED, mine.codec(f"{GO}_Result").encode({"end": {"range": distance}}))
-
-    await server.create_action_server("/go", GO, ActionHandlers(execute))
+    await server.create_action_server("/go", GO, halves(mine, fed))
     caller = await client.create_action_client("/go", GO)
-    assert await caller.wait_available(10)
-    goal = await caller.send_goal(
-        Goal(yours.codec(f"{GO}_Goal").encode({"goal": {"range": 8.0}})),
-        on_feedback=lambda raw: fed.append(yours.codec(f"{GO}_Feedback").decode(raw)["way"]["range"]),
-        timeout_s=10,
-    )
-    outcome = await goal.result(10)
-    assert outcome.payload is not None
-    assert yours.codec(f"{GO}_Result").decode(outcome.payload)["end"]["range"] == 8.0
-    assert fed == [4.0]
+    await drive_8_m(caller, yours, fed, 10)

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
-import json
 import os
 import struct
-import sys
 import time
-from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import AsyncIterator, Callable
+from asyncio.subprocess import DEVNULL, PIPE
+from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -23,52 +19,17 @@ from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Reque
 from ropeway.networks.dds import DdsGraph
 from ropeway.types import TypeRegistry
 from tests.networks.dds.calls import TRIGGER, Adder, add, called
+from tests.support.ros2 import CYCLONE, FAST, Peer, need_rclpy, need_rmw, start_peer
 from tests.support.services import ADD
 from tests.support.until import PATIENCE_S, until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
-if importlib.util.find_spec("rclpy") is None:
-    pytest.skip("needs a sourced ROS 2 with rclpy", allow_module_level=True)
+need_rclpy()
+need_rmw(CYCLONE)
 
 FIBONACCI = "example_interfaces/action/Fibonacci"
 PROGRAM = Path(__file__).with_name("ros2_calls_peer.py")
-CYCLONE, FAST = "rmw_cyclonedds_cpp", "rmw_fastrtps_cpp"
 DOMAIN = 140 + os.getpid() % 10
-
-
-def has(rmw: str) -> bool:
-    """True if the middleware is installed."""
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    return any((Path(p) / "lib" / f"lib{rmw}.so").exists() for p in prefixes if p)
-
-
-if not has(CYCLONE):
-    pytest.skip(f"{CYCLONE} is not installed", allow_module_level=True)
-
-
-class Peer:
-    """A genuine node in a process of its own, and what it said."""
-
-    def __init__(self, process: Process) -> None:
-        self.process = process
-        self.said: dict[str, Any] = {}
-        self._reader = asyncio.create_task(self._read())
-
-    async def _read(self) -> None:
-        assert self.process.stdout is not None
-        async for line in self.process.stdout:
-            if line.startswith(b"{"):
-                self.said.update(json.loads(line))
-
-    async def wait(self, what: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:
-        """Wait until something holds of what the peer said."""
-        await until(what, timeout_s)
-
-    async def end(self) -> None:
-        if self.process.returncode is None:
-            self.process.kill()
-        await self.process.wait()
-        await self._reader
 
 
 class World:
@@ -79,12 +40,10 @@ class World:
         self.registry = TypeRegistry()
 
     async def node(self, *words: object, rmw: str = CYCLONE) -> Peer:
-        env = {**os.environ, "RMW_IMPLEMENTATION": rmw, "ROS_DOMAIN_ID": str(DOMAIN)}
-        command = (sys.executable, str(PROGRAM), *map(str, words))
-        peer = Peer(await asyncio.create_subprocess_exec(*command, stdout=PIPE, env=env))
-        self.stack.push_async_callback(peer.end)
-        await peer.wait(lambda: "ready" in peer.said)
-        assert peer.said["ready"] == rmw
+        env = {"RMW_IMPLEMENTATION": rmw, "ROS_DOMAIN_ID": str(DOMAIN)}
+        peer = await start_peer(self.stack, PROGRAM, *words, env=env)
+        await peer.wait(lambda: "ready" in peer.told)
+        assert peer.told["ready"] == rmw
         return peer
 
     async def graph(self, name: str = "ours", *, fast: bool = True) -> DdsGraph:
@@ -132,7 +91,7 @@ async def test_calls_a_node(world: World) -> None:
     print(f"a node answers in {sorted(times)[50] * 1e6:.0f} us (p50)")
     sums = await asyncio.gather(*(add(client, 1000 + number, timeout_s=30) for number in range(1000)))
     assert sums == list(range(1000, 2000))
-    await peer.wait(lambda: peer.said["served"] == 1100)
+    await peer.wait(lambda: peer.told["served"] == 1100)
     (server,) = graph.services()["/add"].servers
     assert (server.node, server.gateway, server.local) == ("/peer", "", False)
 
@@ -154,8 +113,8 @@ async def test_slow_node(world: World) -> None:
     peer = await world.node("serve", "/add", "--delay", 0.02)
     client = await called(graph, "/add")
     assert await asyncio.gather(*(add(client, i, timeout_s=60) for i in range(100))) == list(range(100))
-    await peer.wait(lambda: peer.said["served"] == 100)
-    assert peer.said["different"] == 100
+    await peer.wait(lambda: peer.told["served"] == 100)
+    assert peer.told["different"] == 100
 
 
 async def test_node_leaves(world: World) -> None:
@@ -176,12 +135,12 @@ async def test_serves_nodes(world: World) -> None:
     adder = Adder()
     await graph.create_service("/add", ADD, adder)
     one = await world.node("call", "/add", "--count", 200)
-    await one.wait(lambda: "right" in one.said)
-    assert one.said["right"] == 200
-    print(f"a node gets its answer in {one.said['p50_us']:.0f} us (p50)")
+    await one.wait(lambda: "right" in one.told)
+    assert one.told["right"] == 200
+    print(f"a node gets its answer in {one.told['p50_us']:.0f} us (p50)")
     burst = await world.node("call", "/add", "--count", 300, "--burst")
-    await burst.wait(lambda: "right" in burst.said)
-    assert burst.said["right"] == 300
+    await burst.wait(lambda: "right" in burst.told)
+    assert burst.told["right"] == 300
     assert len(adder.requests) == 500
     assert {request.caller for request in adder.requests} == {"/peer"}
 
@@ -207,8 +166,7 @@ async def test_ros2_service(world: World) -> None:
 
 async def test_fast_dds(world: World) -> None:
     """Without help, nodes of Fast DDS are neither called nor answered in a mapping that they do not speak."""
-    if not has(FAST):
-        pytest.skip(f"{FAST} is not installed")
+    need_rmw(FAST)
     graph = await world.graph(fast=False)
     peer = await world.node("serve", "/theirs", rmw=FAST)
     client = await graph.create_client("/theirs", ADD)
@@ -220,7 +178,7 @@ async def test_fast_dds(world: World) -> None:
     await world.node("call", "/ours", "--patience", 2, rmw=FAST)
     await until(lambda: service.ignored)
     assert not adder.requests
-    assert "served" not in peer.said
+    assert "served" not in peer.told
 
 
 # Actions ------------------------------------------------------------------------------------------------------------
@@ -295,11 +253,11 @@ async def test_serves_an_action(world: World) -> None:
     graph = await world.graph()
     await graph.create_action_server("/fibonacci", FIBONACCI, ActionHandlers(count))
     peer = await world.node("goal", "/fibonacci", "--order", 6)
-    await peer.wait(lambda: "status" in peer.said)
-    assert (peer.said["status"], peer.said["sequence"], peer.said["heard"]) == (4, [0, 1, 1, 2, 3, 5], [3, 4, 5, 6])
+    await peer.wait(lambda: "status" in peer.told)
+    assert (peer.told["status"], peer.told["sequence"], peer.told["heard"]) == (4, [0, 1, 1, 2, 3, 5], [3, 4, 5, 6])
     peer = await world.node("goal", "/fibonacci", "--order", 40, "--cancel")
-    await peer.wait(lambda: "status" in peer.said)
-    assert (peer.said["cancelling"], peer.said["status"]) == (1, 5)
+    await peer.wait(lambda: "status" in peer.told)
+    assert (peer.told["cancelling"], peer.told["status"]) == (1, 5)
 
 
 async def test_many_goals(world: World) -> None:

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
-import json
 import os
-import sys
 import time
-from asyncio.subprocess import PIPE, Process
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -24,51 +19,16 @@ from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample
-from tests.support.until import PATIENCE_S, until
+from tests.support.ros2 import CYCLONE, FAST, Peer, has_rmw, need_rclpy, need_rmw, start_peer
+from tests.support.until import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
-if importlib.util.find_spec("rclpy") is None:
-    pytest.skip("needs a sourced ROS 2 with rclpy", allow_module_level=True)
+need_rclpy()
 
 IMAGE = "sensor_msgs/msg/Image"
 PROGRAM = Path(__file__).with_name("ros2_peer.py")
-RMWS = ("rmw_cyclonedds_cpp", "rmw_fastrtps_cpp")
+RMWS = (CYCLONE, FAST)
 DOMAIN = 120 + os.getpid() % 10  # and ten further on for the other network
-
-
-def has(rmw: str) -> bool:
-    """True if the middleware is installed."""
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    return any((Path(p) / "lib" / f"lib{rmw}.so").exists() for p in prefixes if p)
-
-
-class Peer:
-    """A genuine node in a process of its own, and what it said."""
-
-    def __init__(self, process: Process) -> None:
-        self.process = process
-        self.said: list[dict[str, Any]] = []
-        self._reader = asyncio.create_task(self._read())
-
-    async def _read(self) -> None:
-        assert self.process.stdout is not None
-        async for line in self.process.stdout:
-            if line.startswith(b"{"):
-                self.said.append(json.loads(line))
-
-    @property
-    def heard(self) -> list[str]:
-        return [s["text"] for s in self.said if "text" in s]
-
-    async def wait(self, condition: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:
-        """Wait until something holds of what the peer said."""
-        await until(condition, timeout_s)
-
-    async def end(self) -> None:
-        if self.process.returncode is None:
-            self.process.kill()
-        await self.process.wait()
-        await self._reader
 
 
 class World:
@@ -78,10 +38,8 @@ class World:
         self.rmw, self.stack = rmw, stack
 
     async def node(self, *words: str, domain: int = DOMAIN, rmw: str = "") -> Peer:
-        env = {**os.environ, "RMW_IMPLEMENTATION": rmw or self.rmw, "ROS_DOMAIN_ID": str(domain)}
-        process = await asyncio.create_subprocess_exec(sys.executable, str(PROGRAM), *words, stdout=PIPE, env=env)
-        peer = Peer(process)
-        self.stack.push_async_callback(peer.end)
+        env = {"RMW_IMPLEMENTATION": rmw or self.rmw, "ROS_DOMAIN_ID": str(domain)}
+        peer = await start_peer(self.stack, PROGRAM, *words, env=env)
         if words[0] != "look":
             await peer.wait(lambda: peer.said)
             assert peer.said[0]["ready"] == (rmw or self.rmw)
@@ -97,8 +55,7 @@ class World:
 @pytest.fixture(params=RMWS)
 async def world(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[World]:
     """Nodes of one middleware that stay on this machine; all are ended."""
-    if not has(request.param):
-        pytest.skip(f"{request.param} is not installed")
+    need_rmw(request.param)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)  # genuine nodes have no tag
     async with AsyncExitStack() as stack:
@@ -256,7 +213,7 @@ async def test_two_gateways(world: World, operation: str) -> None:
     )
     await world.stack.enter_async_context(robot)
     source, sink = (near, far) if operation == "publish" else (far, near)
-    other = next(r for r in RMWS if r != world.rmw) if all(map(has, RMWS)) else world.rmw
+    other = next(r for r in RMWS if r != world.rmw) if all(map(has_rmw, RMWS)) else world.rmw
     await world.node("pub", "/live", STRING, domain=source)
     await world.node("pub", "/best_effort", STRING, "--best-effort", "--node", "b", domain=source)
     for name in ("one", "two"):

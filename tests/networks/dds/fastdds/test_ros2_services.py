@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
-import json
 import os
 import signal
 import struct
-import sys
-from asyncio.subprocess import PIPE, Process
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from pathlib import Path
@@ -24,15 +20,13 @@ from ropeway.hub.hub import Hub
 from ropeway.networks.dds import DdsGraph
 from ropeway.networks.rosbridge.server import RosbridgeServer
 from ropeway.types import TypeRegistry
+from tests.support.ros2 import FAST, Peer, need_rclpy, need_rmw, start_peer
 from tests.support.until import PATIENCE_S, until
 from tests.support.websocket import Client
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
-if importlib.util.find_spec("rclpy") is None:
-    pytest.skip("needs a sourced ROS 2 with rclpy", allow_module_level=True)
-_PREFIXES = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-if not any((Path(prefix) / "lib" / "librmw_fastrtps_cpp.so").exists() for prefix in _PREFIXES if prefix):
-    pytest.skip("rmw_fastrtps_cpp is not installed", allow_module_level=True)
+need_rclpy()
+need_rmw(FAST)
 
 ADD = "example_interfaces/srv/AddTwoInts"
 CAMERA = "sensor_msgs/srv/SetCameraInfo"
@@ -43,46 +37,15 @@ REGISTRY = TypeRegistry()
 NUMBERS = [0, 1, 1, 2, 3, 5, 8]
 
 
-class Node:
-    """A genuine node in a process of its own, and what it said."""
-
-    def __init__(self, process: Process) -> None:
-        self.process = process
-        self.said: list[dict[str, Any]] = []
-        self._reader = asyncio.create_task(self._read())
-
-    async def _read(self) -> None:
-        assert self.process.stdout is not None
-        async for line in self.process.stdout:
-            for text in line.splitlines():
-                if text.startswith(b"{"):
-                    self.said.append(json.loads(text))
-
-    async def done(self) -> dict[str, Any]:
-        """The last that it said."""
-        await self.process.wait()
-        await self._reader
-        return self.said[-1]
-
-    async def end(self) -> None:
-        if self.process.returncode is None:
-            self.process.kill()
-        await self.process.wait()
-        await self._reader
-
-
 class World:
     """Genuine nodes, and our graphs beside them."""
 
     def __init__(self, stack: AsyncExitStack) -> None:
         self.stack = stack
 
-    async def node(self, *words: str, rmw: str = "rmw_fastrtps_cpp") -> Node:
-        env = {**os.environ, "RMW_IMPLEMENTATION": rmw, "ROS_DOMAIN_ID": str(DOMAIN)}
-        env.pop("CYCLONEDDS_URI", None)
-        process = await asyncio.create_subprocess_exec(sys.executable, str(PROGRAM), *words, stdout=PIPE, env=env)
-        node = Node(process)
-        self.stack.push_async_callback(node.end)
+    async def node(self, *words: str, rmw: str = FAST) -> Peer:
+        env = {"RMW_IMPLEMENTATION": rmw, "ROS_DOMAIN_ID": str(DOMAIN)}
+        node = await start_peer(self.stack, PROGRAM, *words, env=env)
         await until(lambda: node.said)
         assert node.said[0]["ready"] == rmw
         return node

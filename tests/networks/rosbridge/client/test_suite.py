@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import os
 import signal
 import time
@@ -23,11 +22,11 @@ from ropeway.qos import LATCHED, QoS
 from ropeway.types import TypeRegistry
 from tests.support.inbox import Inbox
 from tests.support.ports import free_port
+from tests.support.ros2 import need_suite
 from tests.support.until import PATIENCE_S, until
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
-if importlib.util.find_spec("rosbridge_library") is None:
-    pytest.skip("needs a sourced ROS 2 with rosbridge_suite", allow_module_level=True)
+need_suite()
 
 STRING, IMAGE, JOINTS = "std_msgs/msg/String", "sensor_msgs/msg/Image", "sensor_msgs/msg/JointState"
 MESSAGES: dict[str, dict[str, Any]] = {

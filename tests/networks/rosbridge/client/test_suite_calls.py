@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import sys
 import time
-from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 
@@ -15,9 +12,10 @@ import pytest
 from ropeway.errors import CallError, CallTimeout, GraphUnavailable, NotServed, ProviderLost
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.networks.rosbridge.client import RosbridgeGraph
-from tests.networks.ros2.test_calls import CYCLONE, PROGRAM, Peer
+from tests.networks.ros2.test_calls import PROGRAM
 from tests.networks.rosbridge.client.test_suite import DOMAIN, Suite
 from tests.support.actions import FIBONACCI, order, sequence
+from tests.support.ros2 import CYCLONE, Peer, start_peer
 from tests.support.services import ADD, Gate, add, addends, total
 from tests.support.until import PATIENCE_S
 
@@ -29,11 +27,9 @@ class Calls(Suite):
 
     async def node(self, *words: object) -> Peer:
         """A node, once it is there."""
-        env = {**os.environ, "RMW_IMPLEMENTATION": CYCLONE, "ROS_DOMAIN_ID": str(DOMAIN)}
-        command = (sys.executable, str(PROGRAM), *map(str, words))
-        peer = Peer(await asyncio.create_subprocess_exec(*command, stdout=PIPE, env=env))
-        self.stack.push_async_callback(peer.end)
-        await peer.wait(lambda: "ready" in peer.said)
+        env = {"RMW_IMPLEMENTATION": CYCLONE, "ROS_DOMAIN_ID": str(DOMAIN)}
+        peer = await start_peer(self.stack, PROGRAM, *words, env=env)
+        await peer.wait(lambda: "ready" in peer.told)
         return peer
 
 
@@ -96,18 +92,18 @@ async def test_serves(suite: Calls) -> None:
     graph = await suite.client()
     service = await graph.create_service("/sum", ADD, add)
     caller = await suite.node("call", "/sum", "--count", 20)
-    await caller.wait(lambda: "right" in caller.said)
-    assert caller.said["right"] == 20
+    await caller.wait(lambda: "right" in caller.told)
+    assert caller.told["right"] == 20
     burst = await suite.node("call", "/sum", "--count", 8, "--burst")
-    await burst.wait(lambda: "right" in burst.said)
-    assert burst.said["right"] == 8
+    await burst.wait(lambda: "right" in burst.told)
+    assert burst.told["right"] == 8
     await service.close()
     gate = Gate()
     await graph.create_service("/sum", ADD, gate)
     gate.open.set()
     again = await suite.node("call", "/sum", "--count", 1)
-    await again.wait(lambda: "right" in again.said)
-    assert again.said["right"] == 1
+    await again.wait(lambda: "right" in again.told)
+    assert again.told["right"] == 1
     assert len(gate.seen) == 1
 
 
@@ -145,12 +141,12 @@ async def test_serves_an_action(suite: Calls) -> None:
     graph = await suite.client()
     await graph.create_action_server("/fib", FIBONACCI, ActionHandlers(execute))
     sender = await suite.node("goal", "/fib", "--order", 6)
-    await sender.wait(lambda: "status" in sender.said)
-    assert (sender.said["status"], sender.said["sequence"]) == (4, [1, 2, 3])
-    assert sender.said["heard"] == [1, 2, 3]
+    await sender.wait(lambda: "status" in sender.told)
+    assert (sender.told["status"], sender.told["sequence"]) == (4, [1, 2, 3])
+    assert sender.told["heard"] == [1, 2, 3]
     aborted = await suite.node("goal", "/fib", "--order", 7)
-    await aborted.wait(lambda: "status" in aborted.said)
-    assert aborted.said["status"] == 6
+    await aborted.wait(lambda: "status" in aborted.told)
+    assert aborted.told["status"] == 6
 
 
 async def test_cancelled_by_a_node(suite: Calls) -> None:
@@ -165,6 +161,6 @@ async def test_cancelled_by_a_node(suite: Calls) -> None:
     graph = await suite.client()
     await graph.create_action_server("/fib", FIBONACCI, ActionHandlers(execute))
     sender = await suite.node("goal", "/fib", "--cancel")
-    await sender.wait(lambda: "status" in sender.said)
-    assert sender.said["cancelling"] == 1
-    assert sender.said["status"] == 5
+    await sender.wait(lambda: "status" in sender.told)
+    assert sender.told["cancelling"] == 1
+    assert sender.told["status"] == 5

@@ -21,7 +21,7 @@ from tests.support.websocket import BINARY, Client
 
 pytestmark = pytest.mark.jumping
 
-SET, TRIGGER, EMPTY = "std_srvs/srv/SetBool", "std_srvs/srv/Trigger", "std_srvs/srv/Empty"
+TRIGGER, EMPTY = "std_srvs/srv/Trigger", "std_srvs/srv/Empty"
 CALL = '{"op":"call_service","id":"call_service:/add:1","service":"/add","type":"example_interfaces/AddTwoInts",'
 
 
@@ -37,10 +37,6 @@ async def calling(place: Place, name: str = "/add", type: str = ADD) -> GraphCli
     client = await place.robot.create_client(name, type)
     assert await client.wait_available(PATIENCE_S)
     return client
-
-
-def json_of(place: Place, type: str, payload: bytes) -> Any:
-    return json.loads(place.registry.codec(type).json(payload))
 
 
 # ── calling ────────────────────────────────────────────────────────────────────────────────────────────────────────
