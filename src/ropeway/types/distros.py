@@ -7,18 +7,22 @@ kinds meet in a gateway, and a message that does not fit our layout is then one 
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from ropeway.errors import TypesError
+from ropeway.types.bundled import Bundled
+from ropeway.types.bundled import has_changed as bundle_has_changed
 from ropeway.types.definition import Definition
-from ropeway.types.parser import parse_msg
+from ropeway.types.interfaces import owner_of
+from ropeway.types.parser import parse_interface, parse_msg
 from ropeway.types.stores import DISTROS, store_table
 
 if TYPE_CHECKING:
     from ropeway.types.registry import TypeRegistry
     from ropeway.types.variant import Variant
 
-__all__ = ["CHANGED", "ROS2_DISTROS", "OtherDistros"]
+__all__ = ["CHANGED", "ROS2_DISTROS", "OtherDistros", "has_changed"]
 
 ROS2_DISTROS: Final = tuple(distro for distro in DISTROS if distro != "noetic")
 """The distributions that a ROS 2 network can be of."""
@@ -34,12 +38,17 @@ CHANGED: Final = frozenset(
         "visualization_msgs/msg/Marker",
     )
 )
-"""The messages whose layouts differ between distributions of ROS 2. A test holds them against the stores.
+"""The messages of the core whose layouts differ between distributions of ROS 2. A test holds them against the stores.
 
 ``rmw_dds_common/Gid`` is left out: only discovery uses it, and reads both.
 """
 
-_TRIED: Final = ("humble", "kilted", "iron", "galactic", "foxy", "lyrical")  # Jazzy has Kilted's layouts
+_TRIED: Final = ("humble", "jazzy", "kilted", "iron", "galactic", "foxy", "lyrical")
+
+
+def has_changed(name: str) -> bool:
+    """Return whether an interface, or a part of one, has several layouts in the distributions of ROS 2."""
+    return name in CHANGED or bundle_has_changed(name)
 
 
 class OtherDistros:
@@ -54,10 +63,7 @@ class OtherDistros:
     def have(self, definition: Definition) -> bool:
         """Return whether some distribution defines a message so."""
         name = definition.name
-        if name not in CHANGED:
-            return False
-        tables = map(store_table, ROS2_DISTROS)
-        return any(name in table and parse_msg(name, table[name]).same_layout(definition) for table in tables)
+        return has_changed(name) and any(known.same_layout(definition) for known in _layouts(name))
 
     def touches(self, type: str) -> bool:
         """Return whether the type, or one that it is made of, has another layout in some distribution."""
@@ -66,7 +72,7 @@ class OtherDistros:
             names = (type, *registry.dependencies(type))
         except TypesError:
             return False
-        return any(name in CHANGED and registry.is_standard(name) for name in names)
+        return any(has_changed(name) and registry.is_standard(name) for name in names)
 
     def adapted(self, type: str, raw: bytes) -> bytes | None:
         """Return the CDR of a message that another distribution has written; ``None`` where none would write it."""
@@ -97,6 +103,16 @@ class OtherDistros:
             return self._registry
         state, known = self._hashes.get(type, (-1, {}))
         if state != self._registry.changes:
-            known = {self.variant(distro).hash(type): self.variant(distro) for distro in _TRIED[::-1]}
+            known = {self.variant(distro).hash(type): self.variant(distro) for distro in reversed(_TRIED)}
             self._hashes[type] = (self._registry.changes, known)
         return known.get(hash)
+
+
+def _layouts(name: str) -> Iterator[Definition]:
+    """Yield what each distribution of ROS 2 makes of a message, or of a part of a service or action."""
+    for distro in ROS2_DISTROS:
+        table, bundle, owner = store_table(distro), Bundled(distro), owner_of(name)
+        if name in table:
+            yield parse_msg(name, table[name])
+        elif owner in bundle:
+            yield from (part for part in parse_interface(owner, bundle[owner]) if part.name == name)

@@ -1,8 +1,8 @@
 """Every message definition that Ropeway knows, by name, without a ROS installation.
 
 Definitions come from those that a ROS distribution ships, from a table of standard services and
-actions, from files the user names or a sourced workspace has, and from peers and bags. They are read when they are
-first asked for.
+actions, from packages that many robots have, from files the user names or a sourced workspace has, and from peers and
+bags. They are read when they are first asked for.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ropeway.errors import InvalidDefinition, InvalidTypeName, TypeConflict, TypesError, UnknownType
+from ropeway.types.bundled import Bundled
 from ropeway.types.codec import MessageCodec
 from ropeway.types.definition import Definition, FieldType, canonical_name, short_name
 from ropeway.types.distros import OtherDistros
@@ -50,6 +51,7 @@ class TypeRegistry:
         self.changes = 0  # how often definitions were added, replaced or forgotten
         self._store = store_table(self.distro)
         self._interfaces: Mapping[str, str] = INTERFACES
+        self._bundled: Mapping[str, str] = Bundled(self.distro)
         self._lock = threading.RLock()
         self._definitions: dict[str, Definition] = {}
         self._builtin: set[str] = set()
@@ -85,13 +87,21 @@ class TypeRegistry:
         Services and actions stand here under their own names, not with their parts.
         """
         with self._lock:
-            found = {*self._store, *self._interfaces, *self._files, *self._sources}
-            found.update(name for name in self._definitions if name.split("/")[1] == "msg")
+            found = {*self._store, *self._interfaces, *self._bundled, *self._added()}
         return sorted(name for name in found if kind is None or name.split("/")[1] == kind)
+
+    def _added(self) -> set[str]:
+        """Return the names of what was added, or read from what is built in."""
+        added = {name for name in self._definitions if name.split("/")[1] == "msg"}
+        return added.union(self._files, self._sources)
 
     def is_builtin(self, name: str) -> bool:
         """True for a message that is defined as the distribution has it."""
         return self._known(name) and (name in self._builtin or name not in self._definitions)
+
+    def is_guess(self, name: str) -> bool:
+        """True for an interface of a package that is no part of a distribution's core: a robot may have another."""
+        return owner_of(name) in self._bundled and self.is_builtin(name)
 
     def is_standard(self, name: str) -> bool:
         """True for a message that is defined as this distribution has it, or another one."""
@@ -221,11 +231,13 @@ class TypeRegistry:
         self._add(*parse_full(self.canonical(name), text), replace=replace)
 
     def add_unknown(self, name: str, text: str) -> None:
-        """Add what is not known yet of a concatenated definition. Raises ``InvalidDefinition``."""
+        """Add what is not known yet, or only guessed, of a concatenated definition. Raises ``InvalidDefinition``."""
         definitions, sources = parse_full(self.canonical(name), text)
         with self._lock:
-            fresh = [definition for definition in definitions if not self._known(definition.name)]
-            self._add(fresh, {each: source for each, source in sources.items() if not self._known(each)})
+            over = self._guessed_wrong(definitions)
+            fresh = [each for each in definitions if each.name in over or not self._known(each.name)]
+            names = {owner_of(each.name) for each in fresh}
+            self._add(fresh, {each: source for each, source in sources.items() if each in names}, over=over)
 
     def add_told(self, name: str, text: str, teller: DefinitionTeller) -> None:
         """Add a concatenated definition that a peer told; ``DefinitionTeller.tell`` is the way to call it."""
@@ -236,6 +248,8 @@ class TypeRegistry:
         with self._lock:
             names = [*(definition.name for definition in definitions), *sources]
             over = {each for each in names if self.told.replaceable(each, teller)}
+            if teller.graph:
+                over |= self._guessed_wrong(definitions)
             known = {each for each in names if self._known(each)}
             self._add(definitions, sources, over=over)
             for each in over:
@@ -299,7 +313,7 @@ class TypeRegistry:
         return any(
             name in table
             for name in (full, owner)
-            for table in (self._definitions, self._sources, self._files, self._interfaces, self._store)
+            for table in (self._definitions, self._sources, self._files, self._interfaces, self._store, self._bundled)
         )
 
     def _load(self, full: str) -> None:
@@ -319,15 +333,24 @@ class TypeRegistry:
                 return
             if full in self._store:
                 self._add_builtin([parse_msg(full, self._store[full])])
-            elif owner in self._interfaces:
-                self._add_builtin(parse_interface(owner, self._interfaces[owner]))
+                return
+            text = self._interfaces.get(owner)
+            if text is None:
+                text = self._bundled.get(owner)
+            if text is not None:
+                self._add_builtin(parse_interface(owner, text))
                 if owner not in self._definitions:
-                    self._sources.setdefault(owner, self._interfaces[owner])
+                    self._sources.setdefault(owner, text)
 
     def _add_builtin(self, definitions: Iterable[Definition]) -> None:
         for definition in definitions:
             if self._definitions.setdefault(definition.name, definition) is definition:
                 self._builtin.add(definition.name)
+
+    def _guessed_wrong(self, definitions: Iterable[Definition]) -> set[str]:
+        """Return the names of those that a bundled package has in another layout."""
+        guesses = [each for each in definitions if self.is_guess(each.name)]
+        return {each.name for each in guesses if not self.definition(each.name).same_layout(each)}
 
     def _is_of_another(self, definition: Definition) -> bool:
         """True for a standard message as another distribution has it, which our own stands for."""

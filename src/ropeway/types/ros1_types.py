@@ -1,9 +1,9 @@
 """What ROS 1 makes of the types that Ropeway knows by their ROS 2 names: layout, MD5 sum, full text.
 
 The ROS 1 definition of a type is, in this order: what a publisher's connection header told, what ROS Noetic ships,
-what follows from the ROS 2 definition (``builtin_interfaces/Time`` becomes ``time``, the header gets its ``seq``,
-bounds and defaults go). The parts of an action are messages of their own in ROS 1: ``pkg/NameGoal``,
-``pkg/NameActionGoal`` and so on.
+what a bundled package has in Noetic, what follows from the ROS 2 definition (``builtin_interfaces/Time`` becomes
+``time``, the header gets its ``seq``, bounds and defaults go). The parts of an action are messages of their own in
+ROS 1: ``pkg/NameGoal``, ``pkg/NameActionGoal`` and so on.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from typing import Final
 from ropeway.errors import InvalidDefinition, TypeConflict, TypesError, UnknownType
 from ropeway.limits import DEFINITIONS_PER_GATEWAY
 from ropeway.types import TypeRegistry
+from ropeway.types.bundled import Bundled
 from ropeway.types.definition import HEADER, TIMES, Definition, Field, FieldType, canonical_name, short_name
 from ropeway.types.hashes import definition_md5
+from ropeway.types.interfaces import owner_of
 from ropeway.types.parser import parse_interface, parse_msg, parse_sections
 from ropeway.types.ros1_convert import Converter
 from ropeway.types.stores import store_table
@@ -52,6 +54,7 @@ class Ros1Types:
     def __init__(self, registry: TypeRegistry) -> None:
         self.registry = registry
         self._store = store_table("noetic")
+        self._bundled = Bundled("noetic")
         self._told: dict[str, Definition] = {}
         self._teller = DefinitionTeller(registry, graph=True)
         self._definitions: dict[str, Definition] = {}
@@ -72,12 +75,23 @@ class Ros1Types:
         if full in self._store:
             return parse_msg(full, self._store[full])
         for source in (full, self._part_of_action(full)):
+            bundled = self._bundled_part(source) if source else None
+            if bundled is not None:
+                return replace(bundled, name=full, source="")
             if source and self.registry.has(source):
                 return _as_ros1(full, self.registry.definition(source, needed_by=needed_by))
         made = self._action_message(full)
         if made is None:
             raise UnknownType(full, needed_by=needed_by)
         return made
+
+    def _bundled_part(self, full: str) -> Definition | None:
+        """Return what a bundled package has in Noetic, unless somebody told or named another definition."""
+        owner = owner_of(full)
+        text = self._bundled.get(owner)
+        if text is None or (self.registry.has(full) and not self.registry.is_builtin(full)):
+            return None
+        return next((part for part in parse_interface(owner, text) if part.name == full), None)
 
     def _part_of_action(self, full: str) -> str:
         """``pkg/action/Name_Goal`` for ``pkg/msg/NameGoal``, ``""`` where there is none."""

@@ -9,10 +9,11 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-__all__ = ["DISTROS", "NEWEST", "store_table"]
+__all__ = ["DISTROS", "NEWEST", "Block", "read_blocks", "store_table"]
 
 NEWEST: Final = "kilted"
 """What a registry has by default: all of Jazzy in the same layouts, and more. Lyrical has dropped some."""
@@ -21,6 +22,24 @@ DISTROS: Final = ("noetic", "foxy", "galactic", "humble", "iron", "jazzy", "kilt
 """The distributions a registry can be named after, from the oldest to the newest."""
 
 _BLOCK: Final = re.compile(r"^=== (?P<name>\S+) (?P<first>\S+) (?P<last>\S+)\n(?P<text>(?:(?!===).*\n)*)", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """One layout of an interface, with the places in ``DISTROS`` of the first and the last that has it."""
+
+    name: str
+    first: int
+    last: int
+    text: str
+
+
+def read_blocks(file: Path) -> list[Block]:
+    """Return what a file of definitions holds."""
+    return [
+        Block(found["name"], DISTROS.index(found["first"]), DISTROS.index(found["last"]), found["text"])
+        for found in _BLOCK.finditer(file.read_text("utf-8"))
+    ]
 
 
 @functools.cache
@@ -32,13 +51,9 @@ def store_table(distro: str) -> Mapping[str, str]:
     if distro not in DISTROS:
         raise ValueError(f"{distro!r} is not a known ROS distribution; known are {', '.join(DISTROS)}")
     index = DISTROS.index(distro)
-    return {
-        block["name"]: block["text"]
-        for block in _blocks()
-        if DISTROS.index(block["first"]) <= index <= DISTROS.index(block["last"])
-    }
+    return {block.name: block.text for block in _blocks() if block.first <= index <= block.last}
 
 
 @functools.cache
-def _blocks() -> list[re.Match[str]]:
-    return list(_BLOCK.finditer(Path(__file__).with_name("definitions.txt").read_text("utf-8")))
+def _blocks() -> list[Block]:
+    return read_blocks(Path(__file__).with_name("definitions.txt"))

@@ -87,11 +87,15 @@ class DefinitionTeller:
     def tell(self, name: str, text: str) -> None:
         """Take the definition of ``name`` (in full) with all that it needs, unless the system has one.
 
+        What is bundled is no more than a guess, which a graph corrects.
+
         Raises ``InvalidDefinition`` for one that is no good, too large or one too many, ``TypeConflict`` where others
         told something else.
         """
         registry = self._registry
-        if self._texts.get(name) == text or (registry.has(name) and name not in registry.told):
+        if self._texts.get(name) == text:
+            return
+        if registry.has(name) and name not in registry.told and not (self.graph and registry.is_guess(name)):
             return
         check_text(name, text)
         most = DEFINITIONS_PER_GATEWAY if self.graph else DEFINITIONS_PER_CONNECTION

@@ -12,9 +12,11 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from ropeway.errors import TypesError
+from ropeway.types.bundled import Bundled
 from ropeway.types.codec import MessageCodec
 from ropeway.types.definition import Definition
 from ropeway.types.distros import CHANGED, ROS2_DISTROS
+from ropeway.types.interfaces import owner_of
 from ropeway.types.registry import TypeRegistry
 from ropeway.types.translation import Translate, make_translation
 
@@ -46,13 +48,14 @@ class Variant(TypeRegistry):
         self.told = ours.told
         self._interfaces = {}
         self._store = {name: self._store[name] for name in CHANGED if distro and name in self._store}
+        self._bundled = Bundled(distro, changed=True) if distro else {}
         self._seen = (0, 0)  # states of ours and of this
         self._different: dict[str, bool] = {}
         self._translations: dict[tuple[str, bool], Translate] = {}
         self._said: set[str] = set()
         for path in paths:
             self.add_path(path)
-        for name in self._own_names():
+        for name in self._added():
             if not ours.has(name):
                 ours.add_full_text(name, self.full_text(name))
 
@@ -142,14 +145,12 @@ class Variant(TypeRegistry):
             self._said.add(text)
             log.warning("%s", text)
 
-    def _own_names(self) -> list[str]:
-        return [name for name in super().names() if name not in self._store]
-
     def _is_own(self, full: str) -> bool:
         """True for what this network defines itself: its distribution only where ours is a distribution's, too."""
         if not super()._known(full):
             return False
-        return full not in self._store or full in self._sources or self.ours.is_standard(full)
+        shipped = full in self._store or owner_of(full) in self._bundled
+        return not shipped or (full in self._sources and full not in self._bundled) or self.ours.is_standard(full)
 
     def _known(self, full: str) -> bool:
         return self._is_own(full) or self.ours.has(full)
