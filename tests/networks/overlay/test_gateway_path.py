@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import random
+from collections import deque
 
 import pytest
 
@@ -103,3 +105,69 @@ def test_lanes_overtake() -> None:
     path.sent(0, 1, 100, 0.0)
     path.acknowledged([(0, 1)], 0.01)
     assert path.in_flight_bytes == 5000
+
+
+class Losing:
+    """A link that loses packets; what comes is in order, and what was lost comes one and a half round trips later."""
+
+    def __init__(self, rate: float, delay_s: float, loss: float) -> None:
+        self.rate, self.delay_s, self.loss = rate, delay_s, loss
+        self.chance = random.Random(1)
+        self.free_at_s = self.came_s = 0.0
+        self.carried = 0
+        self.queues_s: list[float] = []
+
+    def send(self, now_s: float, size: int) -> float:
+        """Return when it is acknowledged."""
+        self.free_at_s = max(self.free_at_s, now_s) + size / self.rate
+        arrives_s = self.free_at_s + self.delay_s
+        while self.chance.random() < self.loss:
+            arrives_s += 3 * self.delay_s
+        self.came_s = max(self.came_s, arrives_s)
+        if now_s > 2.0:
+            self.queues_s.append(self.free_at_s - now_s)
+            self.carried += size
+        return self.came_s + self.delay_s
+
+
+@pytest.mark.parametrize("loss", [0.01, 0.03, 0.06])
+def test_full_although_packets_are_lost(loss: float) -> None:
+    """A link that loses packets, of which each holds up all behind it, is filled, and little waits before it."""
+    rate, look_s = 2.5e6, 0.004
+    path, link = Path(), Losing(rate, 0.01, loss)
+    coming: deque[tuple[float, int]] = deque()
+    numbers, now_s = itertools.count(1), 0.0
+    while now_s < 12.0:
+        while path.room_bytes(now_s) > 0:
+            number = next(numbers)
+            path.hand(PART_BYTES)
+            path.sent(LANE, number, PART_BYTES, now_s)
+            path.landed(PART_BYTES)
+            coming.append((link.send(now_s, PART_BYTES), number))
+        now_s = min(now_s + look_s, coming[0][0])
+        while coming and coming[0][0] <= now_s:
+            path.acknowledged([(LANE, coming.popleft()[1])], now_s)
+    assert link.carried > 0.7 * rate * 10
+    assert sum(link.queues_s) / len(link.queues_s) < 0.04  # two round trips
+    assert path.model.pace.bytes_per_s == pytest.approx(rate, rel=0.3)
+
+
+def test_what_is_late_has_left_the_link() -> None:
+    """While a lost packet holds up what was sent after it, as much again may be sent, and no more."""
+    path, now_s = Path(), 0.0
+    for number in range(1, 200):
+        path.sent(LANE, number, PART_BYTES, now_s)
+        path.acknowledged([(LANE, number)], now_s + 0.02)
+        now_s += 0.002
+    path.model.starting = False
+    window, numbers, sent = path.model.window_bytes, itertools.count(200), []
+    for at_s in (now_s, now_s + 0.1, now_s + 0.2):
+        sent.append(0)
+        while path.room_bytes(at_s) > 0:
+            path.hand(PART_BYTES)
+            path.sent(LANE, next(numbers), PART_BYTES, at_s)
+            path.landed(PART_BYTES)
+            sent[-1] += PART_BYTES
+    assert window <= sent[0] <= window + PART_BYTES
+    assert window - PART_BYTES <= sent[1] <= window + PART_BYTES
+    assert sent[2] == 0

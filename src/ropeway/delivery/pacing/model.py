@@ -25,7 +25,7 @@ from typing import Final, NamedTuple
 from ropeway.delivery.pacing.competition import Advice, Competition, Situation
 from ropeway.delivery.pacing.pace import Pace
 
-__all__ = ["LinkModel", "LinkReading"]
+__all__ = ["LinkModel", "LinkReading", "LinkTraits"]
 
 _FIRST_WINDOW_BYTES: Final = 16 * 1024  # what TCP itself begins with
 _LEAST_WINDOW_BYTES: Final = 4 * 1024
@@ -78,6 +78,23 @@ class LinkReading(NamedTuple):
     segment_bytes: int
 
 
+class LinkTraits(NamedTuple):
+    """What sets a path apart from a TCP connection of ours, of which the kernel tells everything.
+
+    ``part_bytes`` are handed over at once, at least, and not spread by the kernel. Round trips vary by ``slack_s`` for
+    reasons that have nothing to do with the link, and a queue that becomes longer shows in them after ``echo_rounds``.
+    The window is at most ``most_windows`` times what the pace fills.
+    """
+
+    part_bytes: int = 0
+    slack_s: float = 0.0
+    echo_rounds: int = 1
+    most_windows: float = float("inf")
+
+
+_OURS: Final = LinkTraits()
+
+
 class LinkModel:
     """The model of one connection.
 
@@ -85,9 +102,9 @@ class LinkModel:
     ``look_in_s`` when to read again.
     """
 
-    def __init__(self, pace: Pace | None = None, *, part_bytes: int = 0) -> None:
+    def __init__(self, pace: Pace | None = None, traits: LinkTraits = _OURS) -> None:
         self.pace = pace or Pace()
-        self._part_bytes = part_bytes  # what is handed over at once, at least, and not spread by the kernel
+        self._traits = traits
         self.window_bytes = _FIRST_WINDOW_BYTES
         self.room_bytes = _FIRST_UNSENT_BYTES
         self.outstanding_bytes = 0
@@ -149,9 +166,9 @@ class LinkModel:
         """The queue that keeps the link busy between two looks."""
         pace, base_s = self.pace.bytes_per_s, self.base_rtt_s or 0.0
         target_s = max(_LEAST_QUEUE_S, min(_QUEUE_SHARE * base_s, _MOST_QUEUE_S))
-        if pace is None:
-            return target_s
-        return max(target_s, max(self._part_bytes, self._least_bytes) / pace)  # segments go and are told of in pairs
+        if pace is not None:  # segments go and are told of in pairs
+            target_s = max(target_s, max(self._traits.part_bytes, self._least_bytes) / pace)
+        return target_s + self._traits.slack_s
 
     @property
     def _long_queue_s(self) -> float:
@@ -332,8 +349,11 @@ class LinkModel:
         self._set_window(advice.window_bytes)
 
     def _set_window(self, size_bytes: float) -> None:
+        pace, base_s, before = self.pace.bytes_per_s, self.base_rtt_s, self.window_bytes
+        if pace is not None and base_s is not None and not self.starting:
+            size_bytes = min(size_bytes, self._traits.most_windows * pace * (base_s + self.target_queue_s))
         self.window_bytes = int(min(max(size_bytes, self._least_bytes), _MOST_WINDOW_BYTES))
-        self._settling = 1
+        self._settling = self._traits.echo_rounds if self.window_bytes > before else 1
 
 
 class _Round:

@@ -26,19 +26,11 @@ _LONGEST_PAUSE_S: Final = 0.1
 class Pace:
     """The pace of one connection. ``bytes_per_s`` is ``None`` until enough was sent to see it.
 
-    A row that ends is measured if it took ``least_row_s``, one that goes on whenever it took ``shortest_row_s``. A row
-    that was slower counts for the share ``down``.
+    A measurement that is faster than was thought counts for the share ``up``, one that is slower for ``down``.
     """
 
-    def __init__(
-        self,
-        *,
-        least_row_s: float = _LEAST_ROW_S,
-        shortest_row_s: float = _SHORTEST_ROW_S,
-        down: float = _DOWN,
-    ) -> None:
-        self._down = down
-        self._least_row_s, self._shortest_row_s = least_row_s, shortest_row_s
+    def __init__(self, *, up: float = _UP, down: float = _DOWN) -> None:
+        self._up, self._down = up, down
         self.bytes_per_s: float | None = None
         self._from: tuple[float, int] | None = None  # where the row began: time and bytes delivered
         self._last_s = 0.0  # when bytes arrived last, as far as we looked
@@ -66,7 +58,7 @@ class Pace:
         self._busy = self._busy and busy
         seconds, size = now_s - self._from[0], delivered_bytes - self._from[1]
         least = self._least_bytes(segment_bytes)
-        if size >= least and (seconds >= _LONGEST_ROW_S or (seconds >= self._shortest_row_s and size >= 4 * least)):
+        if size >= least and (seconds >= _LONGEST_ROW_S or (seconds >= _SHORTEST_ROW_S and size >= 4 * least)):
             self._end_row(segment_bytes)
             self._from = (now_s, delivered_bytes)
             self._busy = busy
@@ -78,7 +70,7 @@ class Pace:
         if before is None:
             self.bytes_per_s = rate
         elif rate > before:
-            self.bytes_per_s = before + _UP * (rate - before)
+            self.bytes_per_s = before + self._up * (rate - before)
         elif busy:
             self.bytes_per_s = before + self._down * (rate - before)
 
@@ -96,5 +88,5 @@ class Pace:
         if begin is None:
             return
         size, seconds = self._last_bytes - begin[1], self._last_s - begin[0]
-        if seconds >= self._least_row_s and size >= self._least_bytes(segment_bytes):
+        if seconds >= _LEAST_ROW_S and size >= self._least_bytes(segment_bytes):
             self.carried(size, seconds, busy=self._busy)

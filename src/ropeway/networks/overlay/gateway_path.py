@@ -3,17 +3,28 @@
 What is handed to Zenoh waits in queues of its own, in the kernel's and in those of the routers between, and what waits
 there is stale. So each packet has a number, the far gateway tells the newest number that came, and a model of links
 tells from that how much may be under way.
+
+Packets come in order. One that the link loses holds up all that were sent after it, for a round trip and more, and
+then they come all at once. Neither is a sign of a full link, so what is measured has to bear it:
+
+* of the last few round trips the **shortest** counts: the queue is what even that one waited;
+* a packet that is **late**, more so than that, has most likely left the link and waits for one before it. It is not
+  counted as under way, up to a window of such packets;
+* the **pace** is what arrived in a round trip over the time in which it was sent, or that in which it came, whichever
+  was longer: what comes all at once was sent more slowly (the delivery rate of Cheng, Cardwell, Hassas Yeganeh and
+  Jacobson).
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from typing import Final
+from typing import Final, NamedTuple
 
 from ropeway.delivery.outbox import LANES
-from ropeway.delivery.pacing.model import LinkModel, LinkReading
+from ropeway.delivery.pacing.model import LinkModel, LinkReading, LinkTraits
 from ropeway.delivery.pacing.pace import Pace
+from ropeway.networks.overlay.shortest_round_trip import ShortestRoundTrip
 
 __all__ = ["Path"]
 
@@ -28,14 +39,48 @@ _PART_S: Final = 0.002  # a part takes about so long, so that an urgent message 
 _PART_MIN_BYTES: Final = 4 * 1024
 _PART_MAX_BYTES: Final = 1 << 20
 _NO_LIMIT: Final = 1 << 40
-_SAMPLES: Final = 8
-"""Of so many round trips the shortest counts: what waits behind a packet that was lost comes late on any link."""
-_LEAST_ROW_S: Final = 0.01  # what waited behind a packet that was lost comes all at once
-_SHORTEST_ROW_S: Final = 0.03
-_DOWN: Final = 0.05  # a row that such a packet held up says little of the link
-_MOST_BLOCKED: Final = 0.75
+_SAMPLED_ROUND_TRIPS: Final = 3  # of those of so many the shortest counts
+_LATE_S: Final = 0.004  # what comes so long after it should was held up by a packet that was lost
+_LATE_PARTS: Final = 2  # on a slow path, the time that so many parts take
+_TELLING_BYTES: Final = 8 * _SEGMENT_BYTES  # fewer, in less time, say nothing of the pace
+_TELLING_S: Final = 0.05
+_UP: Final = 0.25  # of the difference, per round trip
+_DOWN: Final = 0.125
+_TRAITS: Final = LinkTraits(
+    part_bytes=_PART_MIN_BYTES,
+    slack_s=0.002,  # receipts are bundled for so long
+    echo_rounds=_SAMPLED_ROUND_TRIPS,
+    most_windows=1.5,  # losses hide a queue, so the window is bounded by the pace as well
+)
 _RTT_WEIGHT: Final = 1 / 8  # as TCP smooths it (RFC 6298)
 _DEVIATION_WEIGHT: Final = 1 / 4
+
+
+class _Packet(NamedTuple):
+    """A packet under way, and what had come when it was sent: how much, when, and when the last of that was sent.
+
+    It was ``held`` if there was more to send than the path had room for.
+    """
+
+    number: int
+    size_bytes: int
+    sent_s: float
+    delivered_bytes: int
+    came_s: float
+    before_s: float
+    held: bool
+
+
+class _PathPace(Pace):
+    """The pace of a path, which measures it round trip by round trip."""
+
+    def __init__(self) -> None:
+        super().__init__(up=_UP, down=_DOWN)
+
+    def observe(
+        self, now_s: float, delivered_bytes: int, *, in_flight_bytes: int, busy: bool, segment_bytes: int
+    ) -> None:
+        """Measure nothing: of what comes all at once a row of acknowledgements tells too much."""
 
 
 class Path:
@@ -46,16 +91,17 @@ class Path:
     """
 
     def __init__(self) -> None:
-        pace = Pace(least_row_s=_LEAST_ROW_S, shortest_row_s=_SHORTEST_ROW_S, down=_DOWN)
-        self.model = LinkModel(pace, part_bytes=_PART_MIN_BYTES)
+        self.model = LinkModel(_PathPace(), _TRAITS)
         self.stalled = False
-        self._under_way: list[deque[tuple[int, int, float]]] = [deque() for _ in range(LANES)]  # number, bytes, when
+        self._under_way: list[deque[_Packet]] = [deque() for _ in range(LANES)]
         self._sent_bytes = [0] * LANES  # each changed by its lane's thread alone
         self._delivered_bytes = 0
         self._pending_bytes = 0
         self._rtt_s = self._deviation_s = 0.0
-        self._samples: deque[float] = deque(maxlen=_SAMPLES)
-        self._heard_s = float("-inf")
+        self._shortest = ShortestRoundTrip()
+        self._heard_s = 0.0
+        self._came = (0.0, 0.0)  # when a packet came last, or the first one left, and when that was sent
+        self._round_bytes = 0  # what had come when the round trip began
 
     # ── what goes out ──────────────────────────────────────────────────────────────────────────────────────────
 
@@ -70,7 +116,11 @@ class Path:
 
     def sent(self, lane: int, number: int, size_bytes: int, now_s: float) -> None:
         """Note a packet just before it is put; in the lane's thread."""
-        self._under_way[lane].append((number, size_bytes, now_s))
+        if not any(self._under_way):
+            self._came = (now_s, now_s)
+        came_s, before_s = self._came
+        held = self.model.room_bytes <= 0
+        self._under_way[lane].append(_Packet(number, size_bytes, now_s, self._delivered_bytes, came_s, before_s, held))
         self._sent_bytes[lane] += size_bytes
 
     def room_bytes(self, now_s: float) -> int:
@@ -114,50 +164,84 @@ class Path:
 
         Numbers that were not sent count for as much as was.
         """
-        latest_s, moved = float("-inf"), False
+        latest: _Packet | None = None
         for lane, number in newest:
             if not 0 <= lane < LANES:
                 continue
             under_way = self._under_way[lane]
-            while under_way and under_way[0][0] <= number:
-                _, size, at_s = under_way.popleft()
-                self._delivered_bytes += size
-                latest_s, moved = max(latest_s, at_s), True
-        if moved:
-            self.stalled, self._heard_s = False, now_s
-            self._sample(max(now_s - latest_s, 1e-6))
-            self.model.observe(self._reading(now_s))
+            while under_way and under_way[0].number <= number:
+                packet = under_way.popleft()
+                self._delivered_bytes += packet.size_bytes
+                if latest is None or packet.sent_s > latest.sent_s:
+                    latest = packet
+        if latest is None:
+            return
+        gap_s = now_s - self._heard_s
+        self._shortest.passed(gap_s, pause=gap_s > self._slack_s)
+        self.stalled, self._heard_s, self._came = False, now_s, (now_s, latest.sent_s)
+        self._sample(max(now_s - latest.sent_s, 1e-6))
+        if latest.delivered_bytes >= self._round_bytes:
+            self._round_bytes = self._delivered_bytes
+            self._measure(latest, now_s)
+        self.model.observe(self._reading(now_s))
 
     def _sample(self, rtt_s: float) -> None:
-        self._samples.append(rtt_s)
+        rounds = (
+            0 if self.model.starting else _SAMPLED_ROUND_TRIPS
+        )  # while the window doubles a queue is to show at once
+        self._shortest.add(rtt_s, rounds * (self.model.base_rtt_s or rtt_s))
         if not self._rtt_s:
             self._rtt_s, self._deviation_s = rtt_s, rtt_s / 2
             return
         self._deviation_s += _DEVIATION_WEIGHT * (abs(rtt_s - self._rtt_s) - self._deviation_s)
         self._rtt_s += _RTT_WEIGHT * (rtt_s - self._rtt_s)
 
+    def _measure(self, latest: _Packet, now_s: float) -> None:
+        """Measure the pace of the round trip that this packet ends."""
+        size = self._delivered_bytes - latest.delivered_bytes
+        seconds = max(now_s - latest.came_s, latest.sent_s - latest.before_s)
+        if size >= _TELLING_BYTES or seconds >= _TELLING_S:
+            self.model.pace.carried(size, seconds, busy=latest.held)
+
+    @property
+    def _slack_s(self) -> float:
+        """Return how long after the one before a packet may come that nothing held up."""
+        pace = self.model.pace.bytes_per_s
+        return _LATE_S if not pace else max(_LATE_S, _LATE_PARTS * self.part_bytes / pace)
+
+    def _late_bytes(self, now_s: float) -> int:
+        """Return what has most likely left the link, and waits for a packet that was lost before it."""
+        if not self._shortest:
+            return 0
+        before_s = now_s - self._shortest.rtt_s - self._slack_s
+        late = 0
+        for under_way in self._under_way:
+            for index in range(len(under_way)):  # its lane's thread may add to it meanwhile
+                packet = under_way[index]
+                if packet.sent_s >= before_s:
+                    break
+                late += packet.size_bytes
+        return late
+
     def _reading(self, now_s: float) -> LinkReading:
-        shortest_s = min(self._samples, default=0.0)
-        in_flight, pace = self.in_flight_bytes, self.model.pace.bytes_per_s
-        if pace is not None:  # what is there already, behind a packet that was lost, is not on the way
-            in_flight -= int(min(pace * max(self._rtt_s - shortest_s, 0.0), _MOST_BLOCKED * in_flight))
+        late = min(self._late_bytes(now_s), self.model.window_bytes)
         return LinkReading(
             now_s,
             self._delivered_bytes,
-            in_flight,
+            max(self.in_flight_bytes - late, 0),
             0,
-            shortest_s,
+            self._shortest.rtt_s,
             self._deviation_s,
             0,
             _SEGMENT_BYTES,
         )
 
     def _is_stalled(self, now_s: float) -> bool:
-        oldest_s = min((under_way[0][2] for under_way in self._under_way if under_way), default=now_s)
+        oldest_s = min((under_way[0].sent_s for under_way in self._under_way if under_way), default=now_s)
         return now_s - max(oldest_s, self._heard_s) > max(_STALLED_S, _STALLED_ROUND_TRIPS * self._rtt_s)
 
     def _forget(self) -> None:
         """Count on no acknowledgement of what is under way."""
         for under_way in self._under_way:
             while under_way:
-                self._delivered_bytes += under_way.popleft()[1]
+                self._delivered_bytes += under_way.popleft().size_bytes

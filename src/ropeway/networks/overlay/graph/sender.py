@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Final, cast
@@ -34,9 +35,10 @@ _BATCH: Final = 256
 _AHEAD_BYTES: Final = 2 * _BATCH_BYTES  # of small messages the next batch is made ready while one is sealed
 _ITEM_BYTES: Final = 64  # what a message costs beside its payload
 _PACKET_BYTES: Final = 200  # and what a packet costs
+_AHEAD_S: Final = 0.01  # before the end of a message the next is sealed, so that the path does not wait for it
 _FLUSH_S: Final = 2.0
-_LOOK_S: Final = 0.25  # whether a path has stalled
-_OVERDRAFT_BYTES: Final = 4 * 1024
+_LOOK_S: Final = 0.004  # at paths that have no room: what is late, or stalled, makes some
+_OVERDRAFT_BYTES: Final = 4 * 1024  # of small messages, while there is no room
 _NO_LIMIT: Final = 1 << 40
 
 Job = tuple["OverlayPublisher", list[tuple[PacketItem, bool]]]
@@ -62,7 +64,8 @@ class _Group:
         self.lot = lot
         self.outbox: Outbox[Sample] = Outbox()
         self.queues: set[Queue[Sample]] = set()
-        self.cursors: list[_Cursor | None] = [None] * LANES
+        self.cursors: list[deque[_Cursor]] = [deque() for _ in range(LANES)]  # the first is being sent
+        self.overdrawn_bytes = 0
 
     @property
     def idle(self) -> bool:
@@ -227,18 +230,23 @@ class OverlaySender:
     def _send_within(self, room_bytes: int, lane: int, group: _Group) -> bool:
         """Send the next; small messages need not wait until the path has room, as they hardly take any."""
         if room_bytes > 0:
+            group.overdrawn_bytes = 0
             return self._send_next(lane, group)
-        return room_bytes > -_OVERDRAFT_BYTES and self._send_whole(lane, group, small=True)
+        if group.overdrawn_bytes >= _OVERDRAFT_BYTES:
+            return False
+        before = self._pending[lane]
+        sent = self._send_whole(lane, group, small=True)
+        group.overdrawn_bytes += self._pending[lane] - before
+        return sent
 
     def _send_next(self, lane: int, group: _Group) -> bool:
-        cursor = group.cursors[lane]
-        if cursor is None or group.outbox.overtakes(lane, cursor.publisher.queue):
-            if self._send_whole(lane, group, small=cursor is not None):
-                return True
-            cursor = group.cursors[lane]
-        if cursor is None or cursor.packet is None:
+        cursors = group.cursors[lane]
+        overtaken = not cursors or group.outbox.overtakes(lane, cursors[0].publisher.queue)
+        if overtaken and self._send_whole(lane, group, small=bool(cursors)):
+            return True
+        if not cursors or cursors[0].packet is None:
             return False
-        self._send_part(lane, group, cursor, cursor.packet)
+        self._send_part(lane, group, cursors[0], cursors[0].packet)
         return True
 
     def _send_whole(self, lane: int, group: _Group, *, small: bool) -> bool:
@@ -257,9 +265,7 @@ class OverlaySender:
             if taken is None:
                 break
             queue, sample = taken
-            publisher = cast("OverlayPublisher", queue.key)
-            length = len(sample.payload) + _ITEM_BYTES
-            piece = publisher.add(sample), publisher.packing.choose(length, queue.lost)
+            publisher, length, piece = self._piece(queue, sample)
             if length + _PACKET_BYTES > limit and not small:
                 self._begin(lane, group, publisher, piece)
                 break
@@ -269,6 +275,13 @@ class OverlaySender:
             size += length
             count += 1
         return list(found.items()), size + _PACKET_BYTES * len(found)
+
+    @staticmethod
+    def _piece(queue: Queue[Sample], sample: Sample) -> tuple[OverlayPublisher, int, tuple[PacketItem, bool]]:
+        """Return whose message it is, its length, and the message as it is to be sent."""
+        publisher = cast("OverlayPublisher", queue.key)
+        length = len(sample.payload) + _ITEM_BYTES
+        return publisher, length, (publisher.add(sample), publisher.packing.choose(length, queue.lost))
 
     def _done(self, group: _Group, queue: Queue[Sample]) -> None:
         group.outbox.done(queue)
@@ -331,7 +344,8 @@ class OverlaySender:
 
     def _begin(self, lane: int, group: _Group, publisher: OverlayPublisher, piece: tuple[PacketItem, bool]) -> None:
         """Have a message sealed that goes in parts."""
-        cursor = group.cursors[lane] = _Cursor(publisher, piece[0].number)
+        cursor = _Cursor(publisher, piece[0].number)
+        group.cursors[lane].append(cursor)
 
         def seal() -> bytes:
             return publisher.source.seal([publisher.packing.pack(*piece)])
@@ -362,9 +376,24 @@ class OverlaySender:
         group.outbox.served(publisher.queue, len(raw))
         if cursor.at >= size:
             self._finish(lane, group, cursor)
+        elif len(group.cursors[lane]) == 1:
+            self._begin_next(lane, group, size - cursor.at)
+
+    def _begin_next(self, lane: int, group: _Group, left_bytes: int) -> None:
+        """Have the next message sealed that goes in parts, once little is left of this one: the path is not to wait."""
+        paces = [path.model.pace.bytes_per_s or 0.0 for path in self._paths(group)]
+        if left_bytes > _AHEAD_S * min(paces, default=0.0):
+            return
+        first = group.outbox.first(lane)
+        if first is None or len(first[1].payload) + _ITEM_BYTES + _PACKET_BYTES <= self._part_bytes(group):
+            return
+        taken = group.outbox.take(lane, time.time_ns())
+        if taken is not None:
+            publisher, _, piece = self._piece(*taken)
+            self._begin(lane, group, publisher, piece)
 
     def _finish(self, lane: int, group: _Group, cursor: _Cursor) -> None:
-        group.cursors[lane] = None
+        group.cursors[lane].remove(cursor)
         cursor.publisher.source.sent(cursor.number)
         self._done(group, cursor.publisher.queue)
         if group.idle:
