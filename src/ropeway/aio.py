@@ -1,4 +1,4 @@
-"""What newer asyncio has and Python 3.10 lacks: the only place that asks which Python it is.
+"""Supplies the parts of newer asyncio that Python 3.10 lacks; no other module asks which Python it runs on.
 
 Use these names instead of those of ``asyncio``: ``aio.timeout``, ``aio.TaskGroup``, ``aio.Runner``. From Python 3.11 on
 they are those of the standard library; for 3.10 they come from ``ropeway.aio310``.

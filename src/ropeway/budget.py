@@ -67,7 +67,7 @@ class Budget:
 
 
 class Account:
-    """What is held for one connection, as it was at the last look."""
+    """The bytes held for one connection, as of the last check."""
 
     __slots__ = ("_budget", "_holders", "_looked_at_bytes", "_open", "end", "held_bytes")
 

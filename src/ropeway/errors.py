@@ -1,4 +1,4 @@
-"""Everything that can go wrong, in one screen.
+"""Defines every error of the package, in one tree.
 
 ::
 
@@ -148,7 +148,7 @@ class InvalidDefinition(TypesError):
 
 
 class TypeConflict(TypesError):
-    """One name with two types, or one type name with two definitions."""
+    """Raised for one name with two types, or one type name with two definitions."""
 
     def __init__(self, name: str, known: str, offered: str) -> None:
         self.name, self.known, self.offered = name, known, offered
@@ -235,7 +235,7 @@ class CallError(GraphError):
 
 
 class NotServed(CallError):
-    """Nobody serves it. The texts are those of rosbridge. ``kind`` is ``service`` or ``action``."""
+    """Raised when nobody serves a name. The texts are those of rosbridge. ``kind`` is ``service`` or ``action``."""
 
     def __init__(self, name: str, kind: str = "service") -> None:
         self.kind = kind
@@ -243,7 +243,7 @@ class NotServed(CallError):
 
 
 class CallTimeout(CallError):
-    """No answer in time. The text for a service is that of rosbridge."""
+    """Raised when no answer came in time. The text for a service is that of rosbridge."""
 
     def __init__(self, name: str, timeout_s: float, kind: str = "service") -> None:
         self.timeout_s, self.kind = timeout_s, kind
@@ -252,7 +252,9 @@ class CallTimeout(CallError):
 
 
 class ProviderLost(CallError):
-    """Who served it, or the link to it, has gone in mid-call; it may have been carried out or not."""
+    """Raised when the provider, or the link to it, vanished in mid-call; the call may or may not have been
+    carried out.
+    """
 
     def __init__(self, name: str, reason: str) -> None:
         self.reason = reason
@@ -275,7 +277,9 @@ class LinkError(RopewayError):
 
 
 class ConnectFailed(LinkError):
-    """Nobody answered, or the answer was a refusal. ``retryable`` tells whether trying again can help."""
+    """Raised when a peer did not answer or refused the connection. ``retryable`` tells whether trying again
+    can help.
+    """
 
     def __init__(self, address: str, reason: str, *, retryable: bool = True) -> None:
         self.address, self.reason, self.retryable = address, reason, retryable
@@ -291,7 +295,7 @@ class Refused(LinkError):
 
 
 class OutboxFull(LinkError):
-    """More calls and answers wait for the link than it may hold: it is slow, or its peer does not read."""
+    """Raised when more calls and answers wait for the link than it may hold: it is slow, or its peer does not read."""
 
     def __init__(self, address: str, waiting_bytes: int, limit_bytes: int) -> None:
         self.address, self.waiting_bytes, self.limit_bytes = address, waiting_bytes, limit_bytes
@@ -313,7 +317,9 @@ class IdentityError(OverlayError):
 
 
 class SealError(OverlayError):
-    """What came sealed or signed is refused; ``reason`` is a ``ropeway.networks.overlay.refusal.Refusal``."""
+    """Raised for sealed or signed data that is refused; ``reason`` is a
+    ``ropeway.networks.overlay.refusal.Refusal``.
+    """
 
     def __init__(self, reason: enum.Enum, detail: str = "") -> None:
         self.reason, self.detail = reason, detail
@@ -341,7 +347,9 @@ class ValueRefused(StoreError):
 
 
 class WaitTimeout(RopewayError, TimeoutError):
-    """What a program waits for has not come in time: a message, a subscriber, the type of a topic."""
+    """Raised when something that a program waits for has not come in time: a message, a subscriber, the type of a
+    topic.
+    """
 
     def __init__(self, waiting_for: str, timeout_s: float, hint: str = "") -> None:
         self.waiting_for, self.timeout_s = waiting_for, timeout_s

@@ -33,7 +33,7 @@ ABSENT: Final = _Absent()
 
 
 class FaultLog:
-    """What one peer did wrong.
+    """Counts what one peer did wrong, and logs it at a limited rate.
 
     ``counts`` maps (kind, topic) to how often. Kinds are short words: ``frame``, ``operation``, ``type``,
     ``message``, ``size``, ``unknown topic``. What the peer sent is kept and logged in short and printable form.
@@ -70,12 +70,12 @@ class FaultLog:
 
     @property
     def total(self) -> int:
-        """How many faults there were."""
+        """The number of faults."""
         return sum(self.counts.values())
 
 
 def _nobody(kind: str, text: str, id: object) -> None:
-    """Nobody wants to know."""
+    """Ignore the fault: nobody listens."""
 
 
 def _shown(text: str, limit: int) -> str:

@@ -1,4 +1,4 @@
-"""What peers may send, at most: every limit on counts, sizes, depth and time, with its unit and its reason.
+"""Bounds what peers may send: every limit on counts, sizes, depth and time, with its unit and its reason.
 
 A limit belongs here if somebody on a network can run into it: a client, a node, another gateway, a member of the
 overlay. What operators choose (sizes of messages, numbers of clients, memory) is in the configuration instead.

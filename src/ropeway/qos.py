@@ -27,7 +27,7 @@ _FOREVER_S: Final = 2.0**31
 
 @dataclass(frozen=True, slots=True)
 class QoS:
-    """One profile.
+    """A quality-of-service profile.
 
     ``depth`` counts samples (used with ``keep_last``); 0 stands for a depth that was not told, as of Fast DDS
     publishers; it is ``QOS_DEPTH_SAMPLES`` at most, whoever asks for more: a client, a writer on the network, a remote.
@@ -47,17 +47,17 @@ class QoS:
 
     @property
     def reliable(self) -> bool:
-        """True unless the profile is best effort."""
+        """Whether delivery is reliable: always, unless the profile is best effort."""
         return self.reliability != "best_effort"
 
     @property
     def transient_local(self) -> bool:
-        """True where late joiners get what was published before."""
+        """Whether late joiners get what was published before."""
         return self.durability == "transient_local"
 
     @property
     def latched(self) -> bool:
-        """True where late joiners get it however late they are."""
+        """Whether late joiners get earlier messages however late they are."""
         return self.transient_local and self.lifespan_s is None
 
     @classmethod
@@ -89,7 +89,7 @@ class QoS:
         return replace(base or cls(), **changes)
 
     def to_json(self) -> dict[str, Any]:
-        """The rosbridge form; infinite durations are left out."""
+        """Return the rosbridge form; infinite durations are left out."""
         out: dict[str, Any] = {
             "history": self.history,
             "depth": self.depth,
@@ -155,7 +155,7 @@ def unmet(offer: QoS, ask: QoS | None) -> tuple[str, ...]:
 
 
 def common_qos(offered: Iterable[QoS], fallback: QoS = DEFAULT) -> QoS:
-    """The strongest request that every one of ``offered`` satisfies.
+    """Return the strongest request that every one of ``offered`` satisfies.
 
     A reader that asks for this matches all of these writers: reliable only if all are, transient local only if
     all are. It is as deep as the deepest; where all are transient local as all of them together, so that what

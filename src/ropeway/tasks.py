@@ -55,7 +55,7 @@ class _Attempts:
         self._began = 0.0
 
     def begin(self) -> None:
-        """One more begins."""
+        """Record that another attempt begins."""
         self.error = ""
         self._began = time.monotonic()
         _failing.pop(self, None)
@@ -74,7 +74,7 @@ class _Attempts:
         return pause_s
 
     def end(self) -> None:
-        """There are no more."""
+        """Record that no more attempts follow."""
         _failing.pop(self, None)
 
 
@@ -280,7 +280,7 @@ class Interruptible:
 
     @property
     def mine(self) -> bool:
-        """True if it is the block that the caller runs in."""
+        """Whether the caller runs in this block."""
         return self._task is not None and self._task is asyncio.current_task()
 
     def interrupt(self, error: Exception) -> None:

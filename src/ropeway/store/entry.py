@@ -1,4 +1,4 @@
-"""What the store keeps: the last value of a topic of a system, with where it is from and which version it is."""
+"""Defines what the store keeps: the last value of a topic of a system, with its origin and version."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One value.
+    """A stored value.
 
     ``version`` grows with every value of a topic (microseconds since 1970, unless clocks are wrong; see
     ``Versions``), ``origin`` names who wrote it and decides between equal versions. ``stamp_ns`` is when it was
@@ -62,7 +62,7 @@ class Entry:
 
     @property
     def key(self) -> Key:
-        """Where it is kept."""
+        """The system and the topic under which the value is kept."""
         return self.system, self.topic
 
     @property
@@ -85,7 +85,7 @@ class Entry:
             return None
 
     def at(self, version: int) -> Entry:
-        """The same value as another version."""
+        """Return the same value with another version."""
         return replace(self, version=version)
 
 
@@ -101,13 +101,13 @@ class Versions:
         self.last = 0
 
     def next(self, after: int = 0) -> int:
-        """A version later than all that were made here, and than ``after``."""
+        """Return a version later than all that were made here, and later than ``after``."""
         self.last = max(self._clock_ns() // 1000, self.last + 1, after + 1)
         return self.last
 
 
 class Backend(Protocol):
-    """Where values are kept over a restart. All methods block, and are called from one thread at a time.
+    """Keeps values over a restart. All methods block, and are called from one thread at a time.
 
     Everything raises ``StoreUnavailable`` where it cannot be done now; what was done before stays done.
     """
@@ -132,7 +132,7 @@ class Backend(Protocol):
         """Forget topics, with their history."""
 
     def history(self, key: Key) -> list[Entry]:
-        """The values before the last one, newest first."""
+        """Return the values before the last one, newest first."""
 
     def close(self) -> None:
         """Let go; harmless twice."""
@@ -147,7 +147,9 @@ def whole(value: object) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What others changed in a mirror: values, and topics that are gone; ``read_ns`` is when reading began."""
+    """Lists what other writers changed in a shared backend: values, and topics that are gone; ``read_ns`` is when
+    reading began.
+    """
 
     entries: list[Entry]
     gone: list[Key]
@@ -166,13 +168,13 @@ class SharedBackend(Backend, Protocol):
 
     @property
     def pause_s(self) -> float:
-        """How long to wait before changes are asked for again."""
+        """The time to wait before asking for changes again."""
 
     def find(self, key: Key) -> tuple[Entry | None, bool]:
-        """The last value of a topic, and whether its system is known."""
+        """Return the last value of a topic, and whether its system is known."""
 
     def changes(self) -> Change:
-        """What others changed since the last time; may wait for a second."""
+        """Return what others changed since the last call; this may wait for a second."""
 
 
 def check_name(system: str, topic: str) -> None:
@@ -189,7 +191,7 @@ def check_name(system: str, topic: str) -> None:
 
 
 def as_json(entry: Entry, **more: Any) -> dict[str, Any]:
-    """An entry for people and programs; data that is no text is in base64 under ``base64``.
+    """Return an entry as JSON for people and programs; binary data is in base64 under ``base64``.
 
     ``kind`` is that of the node that wrote it: ``robot``, ``pc``, or empty.
     """

@@ -17,13 +17,13 @@ _MONGO: Final = re.compile(r"mongodb(\+srv)?://")
 
 
 def is_mongo(url: str) -> bool:
-    """True for the URL of a database elsewhere."""
+    """Return whether ``url`` is that of a MongoDB database."""
     return _MONGO.match(url) is not None
 
 
 def make_backend(url: str) -> Backend:
-    """What keeps values at ``url``: MongoDB for its URLs, JSON files for a directory (or a path with a slash at its
-    end), nothing for ``memory:``, and else an SQLite file.
+    """Make the backend for ``url``: MongoDB for its URLs, JSON files for a directory (or a path that ends in a slash),
+    nothing for ``memory:``, and otherwise an SQLite file.
     """
     if is_mongo(url):
         return make_mirror(url)
@@ -42,6 +42,6 @@ def make_mirror(url: str) -> SharedBackend:
 
 
 def default_path(name: str) -> str:
-    """Where the values of the gateway ``name`` are kept: under ``XDG_STATE_HOME``, or ``~/.local/state``."""
+    """Return where the gateway ``name`` keeps its values: under ``XDG_STATE_HOME``, or ``~/.local/state``."""
     state = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
     return str(Path(state).expanduser() / "ropeway" / f"{name}.sqlite")

@@ -95,13 +95,13 @@ class FilesBackend:
                     path.parent.rmdir()
 
     def history(self, key: Key) -> list[Entry]:
-        """The values before the last one, newest first."""
+        """Return the values before the last one, newest first."""
         with self._told():
             found = [_read(path) for path in self._path(key).with_suffix(_HISTORY).glob("*.json")]
         return sorted((e for e in found if e is not None), key=lambda entry: entry.order, reverse=True)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no file is held open."""
 
     def _path(self, key: Key) -> Path:
         system, topic = key

@@ -37,11 +37,11 @@ _NOT_YET: Final = "not connected yet"
 
 
 class Mirrored(Protocol):
-    """What a mirror needs of the store whose values it keeps."""
+    """Describes what a mirror needs of the store whose values it keeps."""
 
     @property
     def backend(self) -> Backend:
-        """Where the store itself keeps them."""
+        """The backend that the store itself writes to."""
         ...
 
     def get(self, system: str, topic: str) -> Entry | None:

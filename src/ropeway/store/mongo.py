@@ -59,7 +59,7 @@ class MongoBackend:
 
     @property
     def pause_s(self) -> float:
-        """How long to wait before ``changes`` is called again."""
+        """The time to wait before ``changes`` is called again."""
         return 0.0 if self._stream is not None else self._pause_s
 
     def open(self) -> None:
@@ -86,7 +86,7 @@ class MongoBackend:
             return self._look_at_all().entries
 
     def find(self, key: Key) -> tuple[Entry | None, bool]:
-        """The last value of a topic, and whether its system has a collection."""
+        """Return the last value of a topic, and whether its system has a collection."""
         system, topic = key
         name, read_ns = _collection(system), time.time_ns()
         with self._lock, self._told():
@@ -98,7 +98,7 @@ class MongoBackend:
             return None, name in database.list_collection_names(filter={"name": name})
 
     def changes(self) -> Change:
-        """What others changed since the last call; on a stream it waits for a second."""
+        """Return what others changed since the last call; on a stream this waits for a second."""
         with self._told():
             if self._stream is None:
                 with self._lock:
@@ -163,7 +163,7 @@ class MongoBackend:
         return Change(entries, gone, read_ns)
 
     def _news(self, system: str, document: dict[str, Any], read_ns: int) -> Entry | None:
-        """The entry of a document, if it is another than the one that was seen or written last."""
+        """Return the entry of a document, if it differs from the one seen or written last."""
         key, mark = (system, document["_id"]), _mark(document)
         if self._seen.get(key) == mark or not isinstance(key[1], str):
             return None
@@ -219,7 +219,7 @@ class MongoBackend:
                 self._seen.pop((system, topic), None)
 
     def history(self, key: Key) -> list[Entry]:
-        """The values before the last one, newest first."""
+        """Return the values before the last one, newest first."""
         system, topic = key
         with self._told():
             document = self._db()[_collection(system)].find_one({"_id": topic}) or {}
@@ -250,7 +250,9 @@ class MongoBackend:
 
 
 def _collection(system: str) -> str:
-    """The name of a collection: no dollar, no dot at an end or beside another, not one of the database's own."""
+    """Return a valid collection name: no dollar, no dot at an end or next to another, none of the database's
+    own names.
+    """
     name = quote(system, safe=" ()+,=@[]{}-_~")
     odd = name.startswith((".", "system.")) or name.endswith(".") or ".." in name
     return name.replace(".", "%2E") if odd else name
@@ -269,12 +271,14 @@ def _document(entry: Entry) -> dict[str, Any]:
 
 
 def _mark(document: dict[str, Any]) -> int:
-    """A number that differs where the value of a document does."""
+    """Return a number that changes with the value of a document."""
     return hash(repr([document.get(key) for key in ("data", "version", "origin", "type", "form")]))
 
 
 def _entry(system: str, document: dict[str, Any], read_ns: int) -> Entry | None:
-    """The value of a document; one of another program may lack a version (then it is 0) and has the time of reading."""
+    """Return the value of a document; if another program left out the version it is 0, and the stamp is the time of
+    reading.
+    """
     topic, data = document.get("_id"), document.get("data")
     if not isinstance(topic, str) or data is None:
         return None
@@ -292,7 +296,7 @@ def _entry(system: str, document: dict[str, Any], read_ns: int) -> Entry | None:
 
 
 def _number(value: object) -> int:
-    """A whole number of up to 62 bits; 0 for what is none."""
+    """Return a whole number of up to 62 bits, or 0 for anything else."""
     return int(value) if isinstance(value, int) and not isinstance(value, bool) and 0 < value < 1 << 62 else 0
 
 

@@ -1,4 +1,4 @@
-"""What changes in a database of MongoDB, a batch of events at a time.
+"""Follows the changes in a MongoDB database, a batch of events at a time.
 
 The driver's own change streams give one event at a time and wait for the next before they say that there is none, so
 that whoever takes all that is there waits for as long as changes come.
@@ -24,7 +24,7 @@ class ChangeStream:
 
     @property
     def ended(self) -> bool:
-        """True once the database was dropped or renamed, after which nothing comes any more."""
+        """Whether the database was dropped or renamed, after which no more events come."""
         return not self._cursor["id"]
 
     def take(self) -> list[dict[str, Any]]:

@@ -121,7 +121,7 @@ class SqliteBackend:
                 db.executemany(f"DELETE FROM {table} WHERE system = ? AND topic = ?", keys)  # noqa: S608 - constants
 
     def history(self, key: Key) -> list[Entry]:
-        """The values before the last one, newest first."""
+        """Return the values before the last one, newest first."""
         query = (
             f"SELECT {_FIELDS} FROM earlier_values WHERE system = ? AND topic = ? ORDER BY version DESC, origin DESC"  # noqa: S608 - constant
         )

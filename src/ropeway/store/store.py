@@ -55,10 +55,10 @@ class StoreLimits:
 
 
 class Sink(Protocol):
-    """Who wants to know when values are kept."""
+    """Is told when values have been written."""
 
     def kept(self, tokens: list[Any], error: StoreUnavailable | None) -> None:
-        """The values of these tokens survive a crash now, or do not (yet) because of ``error``."""
+        """Take note that the values of these tokens now survive a crash, or do not (yet) because of ``error``."""
 
 
 class Store:
@@ -141,16 +141,16 @@ class Store:
     # ── values ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     def get(self, system: str, topic: str) -> Entry | None:
-        """The last value, ``None`` where there is none (any more)."""
+        """Return the last value, ``None`` if there is none (any more)."""
         entry = self._entries.get((system, topic))
         return None if entry is None or self._is_old(entry) else entry
 
     def has_system(self, system: str) -> bool:
-        """True if there is a value of the system."""
+        """Return whether the system has any value."""
         return system in self._systems
 
     def entries(self, system: str = "*", topic: str = "*") -> list[Entry]:
-        """The last values whose names fit the patterns, in the order of their names."""
+        """Return the last values whose names match the patterns, sorted by name."""
         if "*" not in system + topic and "?" not in system + topic and "[" not in system + topic:
             entry = self.get(system, topic)
             return [] if entry is None else [entry]
@@ -234,7 +234,7 @@ class Store:
         return entry is not None
 
     async def history(self, system: str, topic: str) -> list[Entry]:
-        """The values before the last one, newest first. Raises ``StoreUnavailable``."""
+        """Return the values before the last one, newest first. Raises ``StoreUnavailable``."""
         await self.settled()
         return await self._run(self.backend.history, (system, topic))
 
@@ -248,7 +248,7 @@ class Store:
         return False
 
     def status(self) -> dict[str, Any]:
-        """How it stands, as JSON."""
+        """Return the state of the store as JSON."""
         found: dict[str, Any] = {
             "url": self.backend.url,
             "values": len(self._entries),
@@ -379,7 +379,7 @@ class Store:
             self._idle.set()
 
     def _restore(self, dirty: dict[Key, list[Entry]]) -> None:
-        """What could not be written is written with what came meanwhile."""
+        """Queue what could not be written again, together with what has arrived meanwhile."""
         most = self.limits.history + 1
         for key, entries in dirty.items():
             if key in self._entries:

@@ -25,18 +25,18 @@ class WideFloat(float):
 
 
 def wide(value: float) -> float:
-    """``value``, as a ``WideFloat`` if it is not finite."""
+    """Return ``value``, as a ``WideFloat`` if it is not finite."""
     return value if math.isfinite(value) else WideFloat(value)
 
 
 def plain_numbers(raw: bytes, start: int, count: int, code: str) -> list[Any]:
-    """``count`` little-endian numbers as a list."""
+    """Return ``count`` little-endian numbers as a list."""
     found = list(struct.unpack_from(f"<{count}{code}", raw, start))
     return list(map(wide, found)) if code in "fd" and not math.isfinite(sum(found)) else found
 
 
 def dumps(value: Any) -> bytes:
-    """The CBOR of ``value``, which may hold what ``MessageCodec.cbor`` and ``rosgw`` give."""
+    """Return the CBOR of ``value``, which may hold anything that ``MessageCodec.cbor`` and ``rosgw`` return."""
     coded = cbor2.dumps(value)
     # the plain way is twice as fast, so the other is taken only where a half float may be
     return cbor2.dumps(value, encoders=_ENCODERS) if _HALF in coded else coded

@@ -30,7 +30,7 @@ _INTEGERS: Final = {
 
 
 def explain(name: str, value: Any, definition: Callable[[str], Definition]) -> ValueMismatch:
-    """The error that tells what is wrong with ``value`` as a message of type ``name``."""
+    """Return the error that says what is wrong with ``value`` as a message of type ``name``."""
     walk = _Walk(name, definition)
     try:
         walk.message(name, value, (), ())
@@ -190,7 +190,7 @@ def _scalar(type: FieldType) -> str:
 
 
 def _idl(type: FieldType) -> str:
-    """The type as rosbridge's texts name it: ``sequence<double, 3>``, ``float[9]``."""
+    """Spell the type as rosbridge's texts do: ``sequence<double, 3>``, ``float[9]``."""
     base = short_name(type.base) if type.is_message else _scalar(type)
     if type.bound:
         base = f"{base}<{type.bound}>"

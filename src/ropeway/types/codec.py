@@ -74,7 +74,7 @@ class MessageCodec:
         return self._registry.hash(self.type)
 
     def decode(self, cdr: bytes) -> dict[str, Any]:
-        """The message as nested dicts.
+        """Decode CDR to nested dicts.
 
         Arrays of uint8, char and byte are ``bytes``, other arrays of numbers read-only numpy arrays over ``cdr``,
         arrays of bool and string lists. Raises ``DecodeError``.
@@ -82,65 +82,73 @@ class MessageCodec:
         return self._read("object", cdr)  # type: ignore[no-any-return]
 
     def encode(self, message: Mapping[str, Any]) -> bytes:
-        """The CDR of nested dicts; fields left out get their defaults. Raises ``ValueMismatch``."""
+        """Encode nested dicts as CDR; fields left out get their defaults. Raises ``ValueMismatch``."""
         return self._encode(message)
 
     def default(self) -> dict[str, Any]:
-        """A new message as nested dicts with every field at its default."""
+        """Return a new message as nested dicts, with every field at its default."""
         return self.decode(self._encode({}))
 
     def json(self, cdr: bytes) -> bytes:
-        """The JSON text that rosbridge sends for this message, in ASCII. Raises ``DecodeError``."""
+        """Return the JSON text that rosbridge sends for this message, in ASCII. Raises ``DecodeError``."""
         text = orjson.dumps(self._read(self._json, cdr), option=_JSON)
         return text if text.isascii() else _BEYOND_ASCII.sub(_escape, text.decode()).encode()
 
     @property
     def long_texts(self) -> bool:
-        """True for a codec that ``with_long_texts`` gave."""
+        """Whether this codec was made by ``with_long_texts``."""
         return self._json == "json64"
 
     def with_long_texts(self) -> MessageCodec:
-        """The same codec, but its JSON has integers of 64 bits as texts, which JavaScript cannot round."""
+        """Return a copy whose JSON writes 64-bit integers as texts, so that JavaScript does not round them."""
         codec = copy.copy(self)
         codec._json = "json64"
         return codec
 
     def from_json(self, value: Any, *, now_ns: Callable[[], int] = time.time_ns) -> bytes:
-        """The CDR of a parsed JSON value, by rosbridge's rules.
+        """Encode a parsed JSON value as CDR, by rosbridge's rules.
 
         A header without stamp gets the time ``now_ns()``, as does the Time ``"now"``. Raises ``ValueMismatch``.
         """
         return self._encode(stamp_header(value, now_ns) if self.has_header else value, now_ns)
 
     def cbor(self, cdr: bytes) -> dict[str, Any]:
-        """The object whose CBOR rosbridge sends: typed arrays by the tags of RFC 8746. Raises ``DecodeError``.
+        """Return the object that rosbridge sends as CBOR: typed arrays carry the tags of RFC 8746.
+
+        Raises ``DecodeError``.
 
         ``ropeway.types.cbor.dumps`` writes it; ``cbor2.dumps`` does too, but gives NaN as a half float.
         """
         return self._read("cbor", cdr)  # type: ignore[no-any-return]
 
     def from_cbor(self, value: Any, *, now_ns: Callable[[], int] = time.time_ns) -> bytes:
-        """The CDR of a parsed CBOR value: arrays may be tagged, plain or bytes. Raises ``ValueMismatch``."""
+        """Encode a parsed CBOR value as CDR: arrays may be tagged, plain or bytes. Raises ``ValueMismatch``."""
         return self._encode(stamp_header(value, now_ns) if self.has_header else value, now_ns)
 
     def raw(self, cdr: bytes) -> bytes:
-        """The bytes that ``cbor-raw`` carries: the CDR as it is."""
+        """Return the bytes that ``cbor-raw`` carries: the CDR unchanged."""
         return cdr
 
     def from_raw(self, raw: bytes) -> bytes:
-        """The CDR in what a peer sent as ``cbor-raw``, once it was seen to be of this type. Raises ``DecodeError``."""
+        """Return the CDR that a peer sent as ``cbor-raw``, after checking that it is of this type.
+
+        Raises ``DecodeError``.
+        """
         return self.fitting(raw)
 
     def rosgw(self, cdr: bytes) -> dict[str, Any]:
-        """The object that rosgw writes as CBOR: every array of numbers a plain byte string. Raises ``DecodeError``."""
+        """Return the object that rosgw writes as CBOR: every array of numbers is a plain byte string.
+
+        Raises ``DecodeError``.
+        """
         return self._read("rosgw", cdr)  # type: ignore[no-any-return]
 
     def from_rosgw(self, value: Any) -> bytes:
-        """The CDR of a parsed CBOR value from a rosgw gateway. Raises ``ValueMismatch``."""
+        """Encode a parsed CBOR value from a rosgw gateway as CDR. Raises ``ValueMismatch``."""
         return self._encode(value)
 
     def ros1(self, cdr: bytes) -> bytes:
-        """The message as ROS 1 serialises it; headers get the ``seq`` 0. Raises ``DecodeError``."""
+        """Serialise the message as ROS 1 does; headers get the ``seq`` 0. Raises ``DecodeError``."""
         message = self._read("object", cdr)
         out: list[bytes] = []
         try:
@@ -150,7 +158,7 @@ class MessageCodec:
         return b"".join(out)
 
     def from_ros1(self, raw: bytes) -> bytes:
-        """The CDR of a message that ROS 1 serialised. Raises ``DecodeError``."""
+        """Convert a message that ROS 1 serialised to CDR. Raises ``DecodeError``."""
         data = raw if raw.__class__ is bytes else bytes(raw)
         try:
             value, end = self._ros1_functions()[0](data, 0, len(data))
@@ -164,7 +172,7 @@ class MessageCodec:
             raise DecodeError(self.type, "ROS 1", error.reason) from None
 
     def header_stamp_ns(self, cdr: bytes) -> int | None:
-        """The stamp of the header that the message begins with, in nanoseconds; ``None`` where it has none."""
+        """Return the stamp of the header that the message begins with, in nanoseconds, or ``None`` without one."""
         if not self._stamped:
             return None
         try:
@@ -200,7 +208,7 @@ class MessageCodec:
         return None if others is None else others.adapted(self.type, bytes(cdr))
 
     def fitting(self, cdr: bytes) -> bytes:
-        """The message in our layout, also where another distribution has written it. Raises ``DecodeError``."""
+        """Return the message in our layout, even if another distribution wrote it. Raises ``DecodeError``."""
         if not self.fields and len(cdr) == len(_CDR_HEADER):
             cdr = bytes(cdr) + b"\0"  # the byte of a message without fields, which some leave out
         try:

@@ -1,4 +1,4 @@
-"""What a message looks like: names of types, fields, constants, and the text they are written in.
+"""Describes message types: their names, fields and constants, and the text that they are written in.
 
 A ``Definition`` is immutable and knows nothing of other definitions; ``TypeRegistry`` joins them by name. Names
 are always in full, ``pkg/msg/Name``; the parts of a service or an action have names of their own, as in ROS 2
@@ -62,7 +62,7 @@ _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 
 
 def canonical_name(name: str, kind: str = "msg") -> str:
-    """The full name ``pkg/msg/Name`` of a type.
+    """Return the full name ``pkg/msg/Name`` of a type.
 
     Takes ``pkg/Name``, ``pkg/msg/Name`` and ``pkg.msg.Name``; superfluous slashes do not matter. ``kind`` is the
     middle part where the name has none. Raises ``InvalidTypeName``.
@@ -83,7 +83,7 @@ def _canonical(name: str, kind: str) -> str:
 
 
 def short_name(name: str) -> str:
-    """The two-part form of a full name: ``std_msgs/String`` for ``std_msgs/msg/String``."""
+    """Return the two-part form of a full name: ``std_msgs/String`` for ``std_msgs/msg/String``."""
     package, _, base = name.split("/")
     return f"{package}/{base}"
 
@@ -104,11 +104,11 @@ class FieldType:
 
     @property
     def is_message(self) -> bool:
-        """True where the base is another message."""
+        """Whether the base is another message."""
         return "/" in self.base
 
     def spelled(self, base: str | None = None) -> str:
-        """The type as a ``.msg`` file writes it, ``string<=5[<=3]``; ``base`` replaces the name of the base."""
+        """Spell the type as a ``.msg`` file does, ``string<=5[<=3]``; ``base`` replaces the name of the base."""
         text = base or (short_name(self.base) if "/msg/" in self.base else self.base)
         if self.bound:
             text += f"<={self.bound}"
@@ -121,7 +121,7 @@ class FieldType:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field. ``default`` is a Python value (a list for arrays) or ``None`` for the type's zero."""
+    """A field. ``default`` is a Python value (a list for arrays) or ``None`` for the type's zero."""
 
     name: str
     type: FieldType
@@ -130,7 +130,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """One constant. ``text`` is the value as it was written."""
+    """A constant. ``text`` is the value as it was written."""
 
     name: str
     type: str
@@ -155,14 +155,14 @@ class Definition:
         return self.fields
 
     def same_layout(self, other: Definition) -> bool:
-        """True if messages of both are the same bytes with the same field names."""
+        """Return whether messages of both are the same bytes with the same field names."""
         mine, theirs = self.wire_fields, other.wire_fields
         return len(mine) == len(theirs) and all(
             a.name == b.name and _plain(a.type) == _plain(b.type) for a, b in zip(mine, theirs, strict=True)
         )
 
     def text(self) -> str:
-        """The definition as a ``.msg`` file: as it was read, or written out from fields and constants."""
+        """Return the definition as a ``.msg`` file: as it was read, or written from fields and constants."""
         if self.source:
             return self.source
         lines = [f"{c.type} {c.name}={c.text}" for c in self.constants]

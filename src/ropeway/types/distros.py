@@ -52,7 +52,7 @@ def has_changed(name: str) -> bool:
 
 
 class OtherDistros:
-    """What other distributions make of the types of ``registry``, where it has them as some distribution does."""
+    """The definitions that other distributions have for types that ``registry`` takes from a distribution."""
 
     def __init__(self, registry: TypeRegistry) -> None:
         self._registry = registry

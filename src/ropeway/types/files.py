@@ -69,7 +69,7 @@ def _rank(file: str) -> tuple[bool, str]:
 
 
 def read_text(path: Path, name: str) -> str:
-    """The text of a definition file. Raises ``InvalidDefinition`` where it cannot be read."""
+    """Read the text of a definition file. Raises ``InvalidDefinition`` where it cannot be read."""
     try:
         return path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
@@ -77,7 +77,7 @@ def read_text(path: Path, name: str) -> str:
 
 
 def _name_of(file: Path, packages: dict[Path, str]) -> str:
-    """The full name of what ``file`` defines, ``""`` where its place does not tell."""
+    """Return the full name of the type that ``file`` defines, ``""`` if its location does not tell."""
     kind = file.suffix[1:]
     for directory in file.parents:
         if directory.name == kind or (file.suffix == ".idl" and directory.name in KINDS):

@@ -39,7 +39,7 @@ Members = Callable[[str], Sequence[tuple[str, FieldType]]]
 
 
 def interface_members(full: str) -> list[tuple[str, FieldType]]:
-    """The members that stand for a service or an action in its type description."""
+    """Return the members that represent a service or an action in its type description."""
     if full.split("/")[1] == "action" and not full.endswith(("_SendGoal", "_GetResult")):
         ends = {
             "goal": "_Goal",
@@ -55,7 +55,7 @@ def interface_members(full: str) -> list[tuple[str, FieldType]]:
 
 
 def rihs01(full: str, members: Members) -> str:
-    """The hash of ``full``; ``members`` gives names and types of the fields of any type."""
+    """Return the type hash of ``full``; ``members`` gives names and types of the fields of any type."""
     described: dict[str, dict[str, Any]] = {}
     waiting = [full]
     while waiting:

@@ -37,7 +37,7 @@ _DEEPEST_MODULE: Final = 16
 
 
 def parse_idl(name: str, text: str, *, file: str = "") -> list[Definition]:
-    """The definitions in ``text``, among them those of the interface ``name`` with all that ROS 2 derives from it.
+    """Return the definitions in ``text``, including the interface ``name`` and everything that ROS 2 derives from it.
 
     Raises ``InvalidDefinition`` with the number of the line.
     """
@@ -68,7 +68,7 @@ class _Reader(Expressions):
         self.constants: dict[Path, list[Constant]] = {}
 
     def read(self) -> dict[str, Definition]:
-        """The messages by full name."""
+        """Read the text and return its messages by full name."""
         while self.token.kind != "end":
             self.declaration()
         return {
@@ -199,7 +199,7 @@ class _Reader(Expressions):
         self.expect("}")
 
     def bits(self, notes: dict[str, Value], usual: int) -> str:
-        """The unsigned type that holds as many bits as ``@bit_bound`` says."""
+        """Return the unsigned type that holds as many bits as ``@bit_bound`` says."""
         count = notes.get("bit_bound", usual)
         for size in (8, 16, 32, 64):
             if isinstance(count, int) and 0 < count <= size:
@@ -272,7 +272,7 @@ class _Reader(Expressions):
         raise IdlError(line, f"{'::'.join(parts)} is no type that is declared here; write PACKAGE::msg::{parts[-1]}")
 
     def type_name(self, path: Path) -> str:
-        """The full name of the message at ``path``."""
+        """Return the full name of the message at ``path``."""
         try:
             if len(path) == 2 and path[0] in KINDS and len(self.scope) > 1:
                 path = (self.scope[0], *path)
@@ -292,7 +292,7 @@ class _Reader(Expressions):
         return value
 
     def default(self, type: FieldType, value: Value) -> object:
-        """The default of a field; that of an array is a text with a Python tuple, as ROS 2 writes it."""
+        """Return the default of a field; for an array it is a text with a Python tuple, as ROS 2 writes it."""
         if type.is_message:
             raise self.fault("a field of a message type has no default", back=1)
         if type.kind == "scalar":
@@ -308,7 +308,7 @@ class _Reader(Expressions):
         return [self.fitting(FieldType(type.base, type.bound), item) for item in items]
 
     def fitting(self, type: FieldType, value: object) -> bool | int | float | str:
-        """``value`` as one of ``type``."""
+        """Return ``value`` converted to ``type``."""
         base = type.base
         if base in ("string", "wstring") and isinstance(value, str):
             units = len(value.encode("utf-8", "replace")) if base == "string" else len(value)

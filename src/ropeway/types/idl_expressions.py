@@ -38,7 +38,7 @@ class Expressions:
         return self.tokens[self.position]
 
     def fault(self, reason: str, *, back: int = 0) -> IdlError:
-        """The error at the next token, or ``back`` tokens before it."""
+        """Make the error for the next token, or for the one ``back`` tokens before it."""
         return IdlError(self.tokens[max(self.position - back, 0)].line, reason)
 
     def take(self, text: str) -> bool:
@@ -69,7 +69,7 @@ class Expressions:
         return tuple(parts)
 
     def look_up(self, path: tuple[str, ...]) -> FieldType | Value | None:
-        """What a name means here: the innermost module that has it wins."""
+        """Resolve a name: the innermost module that defines it wins."""
         if path[0] == "":
             return self.known.get(path[1:])
         for depth in range(len(self.scope), -1, -1):

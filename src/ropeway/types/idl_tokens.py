@@ -32,7 +32,7 @@ class IdlError(ValueError):
 
 
 class Token(NamedTuple):
-    """One word, literal or sign. ``kind`` is a group of the pattern, ``end`` at the end of the text."""
+    """A word, literal or sign. ``kind`` is a group of the pattern, ``end`` at the end of the text."""
 
     kind: str
     text: str
@@ -40,7 +40,7 @@ class Token(NamedTuple):
 
 
 def tokens(text: str) -> Iterator[Token]:
-    """The tokens of ``text``, the last of which has the kind ``end``.
+    """Yield the tokens of ``text``; the last one has the kind ``end``.
 
     Comments, includes, pragmas and the guard around a file are left out: what a type needs is found by its name.
     Raises ``IdlError``.

@@ -148,7 +148,7 @@ class Planner:
         self._above: list[str] = []
 
     def plan(self, name: str, *, aligned: bool = True) -> Plan:
-        """The plan of ``name``; ``aligned`` tells that it begins at a multiple of 8.
+        """Return the plan of ``name``; ``aligned`` says that it begins at a multiple of 8.
 
         Raises ``UnknownType``, ``InvalidDefinition`` where a message contains itself or is beyond all size.
         """
@@ -161,7 +161,7 @@ class Planner:
         return self.plans[key]
 
     def enter(self, name: str, parent: str) -> Definition:
-        """The definition of ``name``, noted as under work until ``leave``."""
+        """Return the definition of ``name`` and mark it as being planned until ``leave``."""
         if name in self._above:
             raise InvalidDefinition(name, "it contains itself")
         if len(self._above) >= DEFINITION_NESTING:
@@ -171,12 +171,12 @@ class Planner:
         return found
 
     def leave(self) -> None:
-        """The message entered last is done."""
+        """Unmark the message that was entered last."""
         self._above.pop()
 
 
 class _Draft:
-    """One plan in the making. Positions are known to be ``self.rest`` modulo ``self.step``."""
+    """A plan under construction. Positions are known to be ``self.rest`` modulo ``self.step``."""
 
     def __init__(self, planner: Planner, step: int) -> None:
         self.planner = planner
@@ -223,7 +223,7 @@ class _Draft:
         return leaf
 
     def leaf(self, type: FieldType, default: object = None) -> Leaf:
-        """A new leaf."""
+        """Make a new leaf."""
         self.leaves += 1
         return Leaf(self.leaves, type, default)
 
@@ -311,7 +311,7 @@ class _Draft:
         self.step, self.rest = 1, 0
 
     def _meet(self, step: int, rest: int) -> None:
-        """From now on only what holds both here and at ``rest`` modulo ``step`` is known."""
+        """Keep only what is known of the position both here and at ``rest`` modulo ``step``."""
         common = min(step, self.step)
         while (rest - self.rest) % common:
             common //= 2

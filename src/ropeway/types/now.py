@@ -11,7 +11,7 @@ __all__ = ["replace_now", "stamp_header"]
 
 
 def stamp_header(value: Any, now_ns: Callable[[], int]) -> Any:
-    """``value``, a message with a field ``header``, with a stamp in that header if it has none."""
+    """Return ``value``, a message with a field ``header``, after stamping that header if it has no stamp."""
     if not isinstance(value, Mapping):
         return value
     header = value.get("header", {})
@@ -21,7 +21,7 @@ def stamp_header(value: Any, now_ns: Callable[[], int]) -> Any:
 
 
 def replace_now(name: str, value: Any, definition: Callable[[str], Definition], now_ns: int) -> Any:
-    """``value``, a message of type ``name``, with ``now_ns`` in place of every Time that is ``"now"``.
+    """Return ``value``, a message of type ``name``, with ``now_ns`` in place of every Time that is ``"now"``.
 
     Gives ``value`` itself where there is none; what does not look like the message is left as it is.
     """

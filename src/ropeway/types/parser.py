@@ -63,7 +63,7 @@ PARTS: Final = {"msg": ("",), "srv": ("_Request", "_Response"), "action": ("_Goa
 
 
 def parse_msg(name: str, text: str, *, siblings: Collection[str] = ()) -> Definition:
-    """The definition of the message ``name`` (in full) that ``text`` holds.
+    """Parse the definition of the message ``name`` (in full) from ``text``.
 
     ``siblings`` are types known to stand in the same package: a plain ``Header`` means the package's own only if it
     is among them. Raises ``InvalidDefinition`` with the number of the line.
@@ -113,7 +113,7 @@ def parse_srv(name: str, text: str, *, siblings: Collection[str] = ()) -> list[D
 
 
 def parse_action(name: str, text: str, *, siblings: Collection[str] = ()) -> list[Definition]:
-    """The parts of the action ``name`` and of the services and topics that ROS 2 derives from it.
+    """Parse the parts of the action ``name`` and derive its services and topics as ROS 2 does.
 
     Raises ``InvalidDefinition``.
     """
@@ -127,7 +127,7 @@ def parse_action(name: str, text: str, *, siblings: Collection[str] = ()) -> lis
 
 
 def derived(name: str) -> list[Definition]:
-    """What ROS 2 makes of a service (its event) or an action (its services and feedback) beside the written parts."""
+    """Derive what ROS 2 adds to the written parts: the event of a service, the services and feedback of an action."""
     kind = name.split("/")[1]
     if kind == "srv":
         return [_event(name)]
@@ -149,7 +149,7 @@ def derived(name: str) -> list[Definition]:
 
 
 def parse_interface(name: str, text: str, *, siblings: Collection[str] = ()) -> list[Definition]:
-    """The definitions in ``text``, whose kind the middle part of ``name`` tells. Raises ``InvalidDefinition``."""
+    """Parse the definitions in ``text``; the middle part of ``name`` gives their kind. Raises ``InvalidDefinition``."""
     kind = name.split("/")[1]
     if kind == "srv" and not name.endswith(("_Request", "_Response", "_Event")):
         return parse_srv(name, text, siblings=siblings)
@@ -159,7 +159,7 @@ def parse_interface(name: str, text: str, *, siblings: Collection[str] = ()) -> 
 
 
 def parse_sections(name: str, text: str) -> Iterator[tuple[str, str]]:
-    """The pairs of full name and text in a concatenated definition, the main one first.
+    """Yield the pairs of full name and text in a concatenated definition, the main one first.
 
     Recordings in IDL head the main section, too, and may repeat a section. Raises ``InvalidDefinition`` for a
     section without a proper name.
@@ -180,12 +180,12 @@ def parse_sections(name: str, text: str) -> Iterator[tuple[str, str]]:
 
 
 def is_idl(text: str) -> bool:
-    """True if ``text`` is written in IDL: no line of a .msg begins as a module does."""
+    """Return whether ``text`` is written in IDL: no line of a .msg file begins like a module."""
     return _MODULE.search(text) is not None
 
 
 def _split(name: str, text: str, count: int, wanted: str) -> list[str]:
-    """The parts of a service or action, each with empty lines before it so that its lines keep their numbers."""
+    """Split a service or action into its parts, each preceded by empty lines so that its lines keep their numbers."""
     parts: list[list[str]] = [[]]
     for number, line in enumerate(_LINE_END.split(text), 1):
         if _without_comment(line).strip().startswith("---"):

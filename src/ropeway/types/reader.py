@@ -60,7 +60,7 @@ class _Target(NamedTuple):
 
 
 def make_reader(plan: Plan, flavour: str) -> Reader:
-    """The function that reads messages of this plan. ``start`` is 4 for CDR (behind its header), 0 for ROS 1."""
+    """Make the function that reads messages of this plan. ``start`` is 4 for CDR (behind its header), 0 for ROS 1."""
     empties = values.Empties(_EMPTY_LIMIT)
     read = _Source(plan.layout, flavour, {}, empties).function(plan)
     if not empties.wanted:
@@ -197,7 +197,7 @@ class _Source:
             self.line(f" {name} = list(map(wide, {name}))")
 
     def as_tuple(self, slot: Slot) -> bool:
-        """True where an array of fixed size is best unpacked along with its neighbours."""
+        """Return whether an array of fixed size is best unpacked together with its neighbours."""
         assert slot.leaf is not None
         base = slot.leaf.type.base
         if base == "bool":
@@ -251,7 +251,7 @@ class _Source:
         self.line("p = q")
 
     def array(self, leaf: Leaf, start: str, count: str, end: str) -> str:
-        """An expression for the numbers of ``leaf`` at ``raw[start:end]``."""
+        """Return an expression for the numbers of ``leaf`` at ``raw[start:end]``."""
         type, base = leaf.type, leaf.type.base
         cut = f"raw[{start}:{end}]"
         if base == "bool":

@@ -66,7 +66,7 @@ class TypeRegistry:
         self._told_codecs: dict[str, set[str]] = {}  # made of told definitions, and of which
 
     def canonical(self, name: str, kind: str = "msg") -> str:
-        """The full name ``pkg/msg/Name`` of a type.
+        """Return the full name ``pkg/msg/Name`` of a type.
 
         Takes ``pkg/Name`` (``kind`` is then the middle part), ``pkg/msg/Name`` and ``pkg.msg.Name``; superfluous
         slashes do not matter. Raises ``InvalidTypeName``.
@@ -74,7 +74,7 @@ class TypeRegistry:
         return canonical_name(name, kind)
 
     def has(self, name: str, kind: str = "msg") -> bool:
-        """True if the definition of a message, service or action is known."""
+        """Return whether the definition of a message, service or action is known."""
         try:
             full = self.canonical(name, kind)
         except InvalidTypeName:
@@ -82,7 +82,7 @@ class TypeRegistry:
         return self._known(full)
 
     def names(self, kind: str | None = None) -> list[str]:
-        """The full names of all known interfaces, sorted; ``kind`` (msg, srv, action) selects some.
+        """Return the full names of all known interfaces, sorted; ``kind`` (msg, srv, action) selects some.
 
         Services and actions stand here under their own names, not with their parts.
         """
@@ -96,7 +96,7 @@ class TypeRegistry:
         return added.union(self._files, self._sources)
 
     def is_builtin(self, name: str) -> bool:
-        """True for a message that is defined as the distribution has it."""
+        """Return whether the message is defined exactly as in the distribution."""
         return self._known(name) and (name in self._builtin or name not in self._definitions)
 
     def is_guess(self, name: str) -> bool:
@@ -104,11 +104,11 @@ class TypeRegistry:
         return owner_of(name) in self._bundled and self.is_builtin(name)
 
     def is_standard(self, name: str) -> bool:
-        """True for a message that is defined as this distribution has it, or another one."""
+        """Return whether the message is defined as in this distribution or in another one."""
         return self.is_builtin(name) or (self.others is not None and self.others.have(self.definition(name)))
 
     def definition(self, name: str, *, needed_by: str = "") -> Definition:
-        """The definition of a message or of one part of a service or action.
+        """Return the definition of a message or of one part of a service or action.
 
         Raises ``UnknownType`` with the nearest known name, ``InvalidDefinition`` for a file that cannot be read.
         """
@@ -122,7 +122,7 @@ class TypeRegistry:
         return found
 
     def codec(self, name: str) -> MessageCodec:
-        """The codec of a message or of one part of a service or action; made once, then the same object.
+        """Return the codec of a message or of one part of a service or action; it is made once and then shared.
 
         Raises ``UnknownType`` (also for a type that it needs), ``InvalidDefinition``, ``InvalidTypeName``.
         """
@@ -147,7 +147,7 @@ class TypeRegistry:
         return codec
 
     def dependencies(self, name: str) -> list[str]:
-        """The full names of all messages that ``name`` (a message, service or action) is made of, each once.
+        """Return the full names of all messages that ``name`` (a message, service or action) contains, each once.
 
         The order is that of their first use, depth first. Raises ``UnknownType``.
         """
@@ -164,7 +164,7 @@ class TypeRegistry:
         return [base for base in seen if not self.joins(base)]
 
     def hash(self, name: str) -> str:
-        """The type hash ``RIHS01_…`` of a message, service or action, as ROS 2 announces it.
+        """Return the type hash ``RIHS01_…`` of a message, service or action, as ROS 2 announces it.
 
         Raises ``UnknownType``.
         """
@@ -175,18 +175,18 @@ class TypeRegistry:
         return found
 
     def md5(self, name: str) -> str:
-        """The MD5 sum that ROS 1 gives this message. Raises ``UnknownType``."""
+        """Return the MD5 sum that ROS 1 computes for this message. Raises ``UnknownType``."""
         return definition_md5(self.canonical(name), self.definition)
 
     def text(self, name: str) -> str:
-        """The definition as a ``.msg``, ``.srv`` or ``.action`` file. Raises ``UnknownType``."""
+        """Return the definition as a ``.msg``, ``.srv`` or ``.action`` file. Raises ``UnknownType``."""
         full = self.canonical(name)
         self._load(full)
         source = self._sources.get(full)
         return self.definition(full).text() if source is None else source
 
     def full_text(self, name: str) -> str:
-        """The definition followed by all it depends on, as bags store it and rosapi sends it.
+        """Return the definition followed by all its dependencies, as bags store it and rosapi sends it.
 
         Each dependency comes after a line of 80 ``=`` and a line ``MSG: pkg/Name``. Raises ``UnknownType``.
         """
@@ -203,7 +203,7 @@ class TypeRegistry:
         return found
 
     def typedefs(self, name: str) -> list[dict[str, Any]]:
-        """The ``TypeDef`` objects of rosapi for a message and all it is made of. Raises ``UnknownType``."""
+        """Return the ``TypeDef`` objects of rosapi for a message and all that it contains. Raises ``UnknownType``."""
         full = self.canonical(name)
         return typedefs([full, *self.dependencies(full)], self.definition)
 
@@ -353,7 +353,7 @@ class TypeRegistry:
         return {each.name for each in guesses if not self.definition(each.name).same_layout(each)}
 
     def _is_of_another(self, definition: Definition) -> bool:
-        """True for a standard message as another distribution has it, which our own stands for."""
+        """Return whether this is a standard message as another distribution defines it, for which our own stands in."""
         name, others = definition.name, self.others
         return others is not None and self._known(name) and self.is_standard(name) and others.have(definition)
 

@@ -1,4 +1,4 @@
-"""One message between CDR of its ROS 2 type and the bytes that ROS 1 sends."""
+"""Converts messages between the CDR of their ROS 2 type and the bytes that ROS 1 sends."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Converter:
         self._back: Names = {}
 
     def to_ros1(self, cdr: bytes) -> bytes:
-        """The message as ROS 1 serialises it. Raises ``DecodeError``."""
+        """Convert the message to the bytes of ROS 1. Raises ``DecodeError``."""
         if self.alike:
             return self._codec.ros1(cdr)
         message = renamed(self._codec.decode(cdr), self._names()[0])
@@ -56,7 +56,7 @@ class Converter:
         return b"".join(pieces)
 
     def from_ros1(self, raw: bytes) -> bytes:
-        """The CDR of what ROS 1 serialised. Raises ``DecodeError``."""
+        """Convert bytes of ROS 1 to CDR. Raises ``DecodeError``."""
         if self.alike:
             return self._codec.from_ros1(raw)
         try:
@@ -88,13 +88,13 @@ def _key(name: str) -> str:
 
 
 def _plain(type: FieldType) -> FieldType:
-    """What of a field's type decides about its bytes."""
+    """Reduce a field's type to what determines its bytes."""
     base = {"char": "uint8", "byte": "uint8"}.get(type.base, type.base)
     return FieldType(base, 0, type.kind, type.size if type.kind == "array" else 0)
 
 
 def _alike(here: str, mine: Definitions, there: str, theirs: Definitions) -> bool:
-    """True if both have the same fields but for the spelling of their names, through all depths."""
+    """Return whether both have the same fields at all depths, apart from the spelling of their names."""
     if here == there and here in (*TIMES, HEADER):
         return True
     ours, others = mine(here).wire_fields, theirs(there).wire_fields
@@ -113,7 +113,7 @@ def _alike(here: str, mine: Definitions, there: str, theirs: Definitions) -> boo
 
 
 def names_between(here: str, mine: Definitions, there: str, theirs: Definitions) -> Names:
-    """The fields of ``here`` that ``there`` has, too, through all depths."""
+    """Return the fields of ``here`` that ``there`` has, too, at all depths."""
     if here == there and here in (*TIMES, HEADER):
         return {field.name: (field.name, None) for field in mine(here).wire_fields}
     others = {_key(field.name): field for field in theirs(there).wire_fields}
@@ -134,7 +134,7 @@ def names_between(here: str, mine: Definitions, there: str, theirs: Definitions)
 
 
 def renamed(value: Any, names: Names) -> dict[str, Any]:
-    """The fields of a message that the other side has, under the names that they have there."""
+    """Return the fields that the other side has, too, under the names that it uses for them."""
     out: dict[str, Any] = {}
     for name, (other, inner) in names.items():
         if name not in value:

@@ -35,7 +35,7 @@ _NAMED: Final = {HEADER: ROS1_HEADER, TIMES[0]: ROS1_TIMES[0], TIMES[1]: ROS1_TI
 
 
 class Ros1Spelling:
-    """How the types of ``types`` are written for peers of ROS 1."""
+    """Writes the types of ``types`` for ROS 1 peers."""
 
     def __init__(self, types: Ros1Types) -> None:
         self._types = types
@@ -43,7 +43,7 @@ class Ros1Spelling:
         self._codecs: dict[str, tuple[MessageCodec, Ros1Codec]] = {}
 
     def codec(self, type: str) -> MessageCodec:
-        """The codec of a message or of one part of a service, whose JSON, CBOR and raw bytes are those of ROS 1.
+        """Return the codec of a message or of one part of a service whose JSON, CBOR and raw bytes are those of ROS 1.
 
         Raises as that of the registry does.
         """
@@ -57,14 +57,14 @@ class Ros1Spelling:
             return known[1]
 
     def definition(self, name: str, *, needed_by: str = "") -> Definition:
-        """What the values of ``name`` are made of. Raises ``UnknownType``."""
+        """Return the definition of the values of ``name``. Raises ``UnknownType``."""
         if name in _OWN:
             return Definition(name, tuple(Field(field, FieldType(type)) for type, field in _OWN[name]))
         found = self._types.definition(name, needed_by=needed_by)
         return replace(found, fields=tuple(replace(each, type=_named(each.type)) for each in found.fields), source="")
 
     def typedefs(self, type: str) -> list[dict[str, Any]]:
-        """The ``TypeDef`` objects with which ROS 1's rosapi describes a message. Raises ``UnknownType``."""
+        """Return the ``TypeDef`` objects with which ROS 1's rosapi describes a message. Raises ``UnknownType``."""
         names = dict.fromkeys([self._types.registry.canonical(type)])
         waiting = list(names)
         while waiting:
@@ -75,12 +75,15 @@ class Ros1Spelling:
         return typedefs(names, self._types.definition, ros1=True)
 
     def text(self, type: str) -> str:
-        """The definition with all that it needs, as ROS 1's bags and rosapi have it. Raises ``UnknownType``."""
+        """Return the definition with all its dependencies, as ROS 1's bags and rosapi have it.
+
+        Raises ``UnknownType``.
+        """
         return self._types.message(type).text
 
     @staticmethod
     def name(type: str) -> str:
-        """The name of a type in two parts; what is none stays as it is."""
+        """Return the name of a type in two parts; anything else is returned unchanged."""
         return short_name(type) if type.count("/") == 2 else type
 
 
@@ -106,15 +109,15 @@ class Ros1Codec(MessageCodec):
         self.fields = tuple(field.name for field in definition(self._root).wire_fields)
 
     def raw(self, cdr: bytes) -> bytes:
-        """The bytes that ROS 1 sends. Raises ``DecodeError``."""
+        """Return the bytes that ROS 1 sends. Raises ``DecodeError``."""
         return self._converter.to_ros1(cdr)
 
     def from_raw(self, raw: bytes) -> bytes:
-        """The CDR of bytes of ROS 1. Raises ``DecodeError``."""
+        """Convert bytes of ROS 1 to CDR. Raises ``DecodeError``."""
         return self._converter.from_ros1(raw)
 
     def from_json(self, value: Any, *, now_ns: Callable[[], int] = time.time_ns) -> bytes:
-        """The CDR of a parsed JSON value. Raises ``ValueMismatch``."""
+        """Encode a parsed JSON value as CDR. Raises ``ValueMismatch``."""
         return self._encode(stamp_header(value, now_ns) if self.has_header else value, now_ns)
 
     from_cbor = from_json

@@ -1,4 +1,4 @@
-"""What ROS 1 makes of the types that Ropeway knows by their ROS 2 names: layout, MD5 sum, full text.
+"""Derives the ROS 1 side of types that Ropeway knows by their ROS 2 names: layout, MD5 sum, full text.
 
 The ROS 1 definition of a type is, in this order: what a publisher's connection header told, what ROS Noetic ships,
 what a bundled package has in Noetic, what follows from the ROS 2 definition (``builtin_interfaces/Time`` becomes
@@ -64,7 +64,7 @@ class Ros1Types:
     # ── definitions ────────────────────────────────────────────────────────────────────────────────────────────
 
     def definition(self, full: str, *, needed_by: str = "") -> Definition:
-        """The ROS 1 definition of ``pkg/msg/Name``, or of one part of a service. Raises ``UnknownType``."""
+        """Return the ROS 1 definition of ``pkg/msg/Name``, or of one part of a service. Raises ``UnknownType``."""
         found = self._definitions.get(full) or self._told.get(full)
         if found is None:
             found = self._make(full, needed_by)
@@ -94,7 +94,7 @@ class Ros1Types:
         return next((part for part in parse_interface(owner, text) if part.name == full), None)
 
     def _part_of_action(self, full: str) -> str:
-        """``pkg/action/Name_Goal`` for ``pkg/msg/NameGoal``, ``""`` where there is none."""
+        """Return ``pkg/action/Name_Goal`` for ``pkg/msg/NameGoal``, ``""`` if there is no such action."""
         package, kind, name = full.split("/")
         for part in _ACTION_PARTS:
             if kind == "msg" and name.endswith(part) and self.registry.has(f"{package}/action/{name[: -len(part)]}"):
@@ -102,7 +102,7 @@ class Ros1Types:
         return ""
 
     def _action_message(self, full: str) -> Definition | None:
-        """The definition of ``pkg/msg/NameActionGoal`` and its like."""
+        """Build the definition of ``pkg/msg/NameActionGoal`` and the like."""
         package, _, name = full.split("/")
         for part in _ACTION_PARTS:
             base = name.removesuffix(f"Action{part}")
@@ -118,7 +118,7 @@ class Ros1Types:
         return all(name in self._store or name in self._told or name in TIMES for name in self._needs(full))
 
     def _needs(self, full: str) -> Iterator[str]:
-        """``full`` and the messages it is made of, each once, in the order of their first use."""
+        """Yield ``full`` and the messages that it contains, each once, in the order of their first use."""
         seen: dict[str, None] = {}
         waiting = [full]
         while waiting:
@@ -133,7 +133,7 @@ class Ros1Types:
     # ── what stands in connection headers ──────────────────────────────────────────────────────────────────────
 
     def message(self, type: str) -> Ros1Type:
-        """The message ``pkg/msg/Name``. Raises ``UnknownType`` and ``InvalidDefinition``."""
+        """Return the message ``pkg/msg/Name``. Raises ``UnknownType`` and ``InvalidDefinition``."""
         found = self._types.get(type)
         if found is None:
             full = canonical_name(type)
@@ -142,7 +142,7 @@ class Ros1Types:
         return found
 
     def service(self, type: str) -> Ros1Type:
-        """The service ``pkg/srv/Name``: its sum is that of both parts. Raises as ``message``."""
+        """Return the service ``pkg/srv/Name``, whose MD5 sum covers both parts. Raises as ``message``."""
         full = canonical_name(type, "srv")
         found = self._types.get(full)
         if found is None:
@@ -152,7 +152,7 @@ class Ros1Types:
         return found
 
     def _md5_text(self, full: str) -> str:
-        """The text whose MD5 is that of a message."""
+        """Return the text whose MD5 sum identifies a message."""
         definition = self.definition(full)
         lines = [f"{c.type} {c.name}={c.text}" for c in definition.constants]
         for field in definition.fields:
@@ -233,14 +233,14 @@ class Ros1Types:
 
 
 def _spelled(type: FieldType) -> str:
-    """A field's type as ROS 1 writes it."""
+    """Spell a field's type as ROS 1 writes it."""
     if type.base in TIMES:
         return type.spelled(type.base.rsplit("/", 1)[1].lower())
     return type.spelled()
 
 
 def _as_ros1(full: str, definition: Definition) -> Definition:
-    """A definition of ROS 2 in the terms of ROS 1."""
+    """Translate a ROS 2 definition to ROS 1."""
 
     def plain(type: FieldType) -> FieldType:
         base = "string" if type.base == "wstring" else type.base

@@ -12,7 +12,7 @@ __all__ = ["to_little_endian"]
 
 
 def to_little_endian(plan: Plan, raw: bytes) -> bytes:
-    """The same message with its header saying little-endian and every number turned round.
+    """Return the same message in little-endian order, with its header saying so.
 
     Raises ``Short`` or ``struct.error`` where ``raw`` is not such a message.
     """

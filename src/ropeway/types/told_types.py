@@ -34,7 +34,7 @@ _FIELD_BYTES: Final = 8 << 10  # of a field, with the code that reads and writes
 
 
 class Told:
-    """Who told which definition of one registry."""
+    """Records which peer told which definition of a registry."""
 
     def __init__(self) -> None:
         self._tellers: dict[str, set[DefinitionTeller]] = {}  # by the name of the definition
@@ -70,7 +70,7 @@ class Told:
 
 
 class DefinitionTeller:
-    """One peer that tells definitions. ``graph`` is true for one that a graph vouches for."""
+    """A peer that tells definitions. ``graph`` is true for one that a graph vouches for."""
 
     def __init__(self, registry: TypeRegistry, *, graph: bool = False) -> None:
         self.graph = graph
@@ -81,7 +81,7 @@ class DefinitionTeller:
 
     @property
     def held_bytes(self) -> int:
-        """What is kept of what it told, with the code that is made of it."""
+        """The memory that its definitions take, with the code generated from them."""
         return self._fields * _FIELD_BYTES
 
     def tell(self, name: str, text: str) -> None:

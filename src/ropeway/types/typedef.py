@@ -16,7 +16,7 @@ IDL_NAMES: Final = {"bool": "boolean", "byte": "octet", "char": "uint8", "float3
 def typedefs(
     names: Iterable[str], definition: Callable[[str], Definition], *, ros1: bool = False
 ) -> list[dict[str, Any]]:
-    """One ``TypeDef`` for each of ``names``, in that order, with names of two parts as clients expect them.
+    """Return one ``TypeDef`` for each of ``names``, in that order, with two-part names as clients expect them.
 
     ``ros1`` spells fields as ROS 1 does: a header has its ``seq``, and primitive types keep the names of a .msg.
     """
@@ -64,5 +64,5 @@ def _example(field: Field) -> str:
 
 
 def _text(type: str, value: object) -> str:
-    """A value as Python has it where rosbridge runs: a byte is ``bytes`` there."""
+    """Write a value as Python does where rosbridge runs: a byte is ``bytes`` there."""
     return str(bytes([value])) if type == "byte" and isinstance(value, int) else str(value)

@@ -19,7 +19,7 @@ __all__ = ["cbor_loads", "json_loads", "json_value"]
 
 
 def json_loads(data: bytes | bytearray | memoryview | str, max_depth: int = NESTED_CONTAINERS) -> Any:
-    """One JSON value. Takes ``NaN`` and ``Infinity``; raises ``InvalidFrame``."""
+    """Parse one JSON value. Takes ``NaN`` and ``Infinity``; raises ``InvalidFrame``."""
     if _is_heavy(data):
         value = _lenient(data)
     else:
@@ -67,7 +67,7 @@ def json_value(data: bytes | str) -> Any:
 
 
 def _lenient(data: bytes | bytearray | memoryview | str) -> Any:
-    """What orjson refuses: numbers that are none, or beyond a double."""
+    """Parse what orjson refuses: NaN and infinity, and numbers beyond a double."""
     try:
         text = data if isinstance(data, str) else str(data, "utf-8")
         value = json.loads(text)
@@ -144,7 +144,7 @@ _NO_TAGS: Final[Mapping[int, Callable[..., Any]]] = dict.fromkeys(
 
 
 def cbor_loads(data: bytes | bytearray | memoryview, max_depth: int = NESTED_CONTAINERS) -> Any:
-    """One CBOR value; arrays by RFC 8746 stay ``cbor2.CBORTag``. Raises ``InvalidFrame``."""
+    """Parse one CBOR value; arrays by RFC 8746 stay ``cbor2.CBORTag``. Raises ``InvalidFrame``."""
     check_cbor(data)
     try:
         return cbor2.loads(data, semantic_decoders=_NO_TAGS, max_depth=max_depth)
@@ -153,7 +153,9 @@ def cbor_loads(data: bytes | bytearray | memoryview, max_depth: int = NESTED_CON
 
 
 def _salvaged(data: bytes | bytearray | memoryview) -> dict[Any, Any] | None:
-    """What a CBOR map says beside what is no part of ROS messages, so that it can be refused by its id."""
+    """Recover the rest of a CBOR map with values that are not part of ROS messages, so that it can be refused by its
+    id.
+    """
     try:
         value = cbor2.loads(data, semantic_decoders=_EMPTY_TAGS, max_depth=NESTED_CONTAINERS, str_errors="replace")
     except (cbor2.CBORError, ValueError, TypeError, RecursionError):

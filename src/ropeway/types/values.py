@@ -1,4 +1,4 @@
-"""What the generated functions call for values that are not in their plainest form.
+"""Provides the functions that generated code calls for values that are not in their plainest form.
 
 Readers take pieces of a message out of its bytes; writers bring whatever a JSON or CBOR peer or a program may give
 for a field (lists, base64, byte strings, typed arrays, numpy) to the bytes of the field. ``Misfit`` says only that a
@@ -77,12 +77,12 @@ class Empties(threading.local):
 
 
 def base64_text(raw: bytes, start: int, end: int) -> orjson.Fragment:
-    """A JSON string with the base64 form of ``raw[start:end]``."""
+    """Return a JSON string with the base64 form of ``raw[start:end]``."""
     return orjson.Fragment(b"".join((b'"', pybase64.b64encode(memoryview(raw)[start:end]), b'"')))
 
 
 def from_base64(value: str) -> bytes:
-    """The bytes of a base64 text; what is not of its alphabet (line ends) is passed over, as rosbridge does."""
+    """Decode a base64 text; characters outside its alphabet (line ends) are skipped, as rosbridge does."""
     try:
         return pybase64.b64decode(value, validate=True)  # five times faster
     except ValueError:
@@ -90,7 +90,9 @@ def from_base64(value: str) -> bytes:
 
 
 def json_numbers(raw: bytes, start: int, count: int, code: str) -> Any:
-    """``count`` little-endian numbers in a form that orjson writes with full precision, NaN and infinity as null."""
+    """Return ``count`` little-endian numbers in a form that orjson writes with full precision; NaN and infinity become
+    null.
+    """
     if count <= _SMALL:
         return struct.unpack_from(f"<{count}{code}", raw, start)
     import numpy as np
@@ -100,7 +102,7 @@ def json_numbers(raw: bytes, start: int, count: int, code: str) -> Any:
 
 
 def read_wide(raw: bytes, start: int, count: int) -> str:
-    """The wstring of ``count`` UTF-16 units, each in four bytes as ROS 2's middlewares send them."""
+    """Read a wstring of ``count`` UTF-16 units, each in four bytes as ROS 2's middlewares send them."""
     units = struct.unpack_from(f"<{count}I", raw, start)
     if units and max(units) > 0xFFFF:
         raise Short("a wstring has a character above U+FFFF")
@@ -108,7 +110,7 @@ def read_wide(raw: bytes, start: int, count: int) -> str:
 
 
 def wide(value: Any, bound: int) -> bytes:
-    """The bytes of a wstring."""
+    """Return the bytes of a wstring."""
     if not isinstance(value, str):
         raise Misfit
     coded = value.encode("utf-16-le")
@@ -119,7 +121,7 @@ def wide(value: Any, bound: int) -> bytes:
 
 
 def text(value: Any, bound: int) -> bytes:
-    """The bytes of a string that is bounded, or not plainly a ``str``."""
+    """Return the bytes of a string that is bounded, or not plainly a ``str``."""
     if not isinstance(value, str):
         raise Misfit
     coded = value.encode()
@@ -129,7 +131,7 @@ def text(value: Any, bound: int) -> bytes:
 
 
 def real(value: Any) -> float:
-    """A float from an int, a bool (as rosbridge takes them), ``None`` (NaN) or a numpy number."""
+    """Convert an int, a bool (rosbridge takes them), ``None`` (NaN) or a numpy number to a float."""
     if value is None:
         return math.nan
     if not (isinstance(value, (int, float)) or _is_numpy(value, "iuf")):
@@ -138,28 +140,30 @@ def real(value: Any) -> float:
 
 
 def whole(value: Any) -> int:
-    """An int from a numpy number."""
+    """Convert a numpy number to an int."""
     if not _is_numpy(value, "iu"):
         raise Misfit
     return int(value)
 
 
 def byte(value: Any) -> int:
-    """An octet from a ``bytes`` of length one or a numpy number."""
+    """Convert a ``bytes`` of length one or a numpy number to an octet."""
     if isinstance(value, (bytes, bytearray)) and len(value) == 1:
         return value[0]
     return whole(value)
 
 
 def truth(value: Any) -> bool:
-    """A bool from a numpy one."""
+    """Convert a numpy bool to a bool."""
     if not _is_numpy(value, "b"):
         raise Misfit
     return bool(value)
 
 
 def truths(value: Any, count: int, limit: int) -> bytes:
-    """The bytes of a bool array: ``count`` elements (any number if negative), at most ``limit`` if that is not 0."""
+    """Return the bytes of a bool array: ``count`` elements (any number if negative), at most ``limit`` if that is not
+    0.
+    """
     if isinstance(value, (list, tuple)):
         if not all(item is True or item is False for item in value):
             value = [truth(item) if item is not True and item is not False else item for item in value]
@@ -176,14 +180,14 @@ def truths(value: Any, count: int, limit: int) -> bytes:
 
 
 def mapping(value: Any) -> dict[str, Any]:
-    """A dict from another mapping."""
+    """Convert another mapping to a dict."""
     if not isinstance(value, Mapping):
         raise Misfit
     return dict(value)
 
 
 def items(value: Any, count: int, limit: int) -> Any:
-    """A list or tuple, of ``count`` elements (any number if negative), at most ``limit`` if that is not 0."""
+    """Check a list or tuple of ``count`` elements (any number if negative), at most ``limit`` if that is not 0."""
     if not isinstance(value, (list, tuple)):
         raise Misfit
     return _counted(value, len(value), count, limit)
@@ -204,7 +208,7 @@ def time_parts(value: Any) -> tuple[int, int]:
 
 
 def octets(value: Any, count: int, limit: int) -> bytes:
-    """The bytes of an array of uint8, char or byte: from bytes, base64, numbers, or typed arrays."""
+    """Return the bytes of an array of uint8, char or byte given as bytes, base64, numbers or a typed array."""
     if isinstance(value, bytes):
         coded = value
     elif isinstance(value, str):
@@ -226,7 +230,7 @@ def octets(value: Any, count: int, limit: int) -> bytes:
 
 
 def number_packer(code: str) -> Callable[[Any, int, int], bytes]:
-    """A function that gives the bytes of an array of numbers.
+    """Make a function that returns the bytes of an array of numbers.
 
     Its arguments are the value, how many elements it must have (negative: any number) and the most it may have
     (0: no limit).
@@ -281,7 +285,7 @@ def number_packer(code: str) -> Callable[[Any, int, int], bytes]:
 
 
 def typed_array(value: Any) -> Any:
-    """The numpy array in a typed array of CBOR (RFC 8746), any byte order and width."""
+    """Return the numpy array in a typed array of CBOR (RFC 8746), of any byte order and width."""
     import numpy as np
 
     tag, raw = value.tag, _tag_bytes(value)
@@ -308,7 +312,7 @@ def _tag_bytes(value: Any) -> bytes:
 
 
 def _is_numpy(value: Any, kinds: str) -> bool:
-    """True for a numpy scalar of one of ``kinds``, without importing numpy for that."""
+    """Return whether ``value`` is a numpy scalar of one of ``kinds``, without importing numpy to find out."""
     kind = getattr(getattr(value, "dtype", None), "kind", "")
     return kind != "" and kind in kinds and getattr(value, "shape", None) == ()
 

@@ -29,7 +29,7 @@ log = logging.getLogger("ropeway.types")
 
 
 class Variant(TypeRegistry):
-    """What ``ours`` is on a network of ``distro``, or with the definitions below ``paths``.
+    """The types of ``ours`` as a network of ``distro`` has them, or as the definitions below ``paths`` do.
 
     Everything else is that of ``ours``, whatever becomes of it; what peers tell goes there, too. ``label`` says in the
     log whose types these are. Raises ``ValueError`` for a distribution that is not known, ``InvalidDefinition`` for a
@@ -146,7 +146,9 @@ class Variant(TypeRegistry):
             log.warning("%s", text)
 
     def _is_own(self, full: str) -> bool:
-        """True for what this network defines itself: its distribution only where ours is a distribution's, too."""
+        """Return whether this network defines the type itself; a distribution counts only where ours is a
+        distribution's, too.
+        """
         if not super()._known(full):
             return False
         shipped = full in self._store or owner_of(full) in self._bundled

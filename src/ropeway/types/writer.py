@@ -36,7 +36,7 @@ _EMPTY: Final[dict[str, Any]] = {}
 
 
 def make_writer(plan: Plan) -> Writer:
-    """The function that writes messages of this plan."""
+    """Make the function that writes messages of this plan."""
     return _Source(plan.layout, {}).function(plan)
 
 
@@ -179,7 +179,7 @@ class _Source:
             self.line(f"{name} = {made}")
 
     def array(self, base: str) -> str:
-        """The name of the function that gives the bytes of an array of ``base``."""
+        """Return the name of the function that gives the bytes of an array of ``base``."""
         if base == "bool":
             return self.constant("truths", values.truths)
         if base in ("uint8", "char", "byte"):
@@ -236,7 +236,7 @@ def _bytes_code(slot: Slot) -> str:
 
 
 def _default(leaf: Leaf) -> Any:
-    """What a missing field stands for, in a form the writer takes fastest."""
+    """Return the value of a missing field, in the form that the writer takes fastest."""
     type = leaf.type
     if leaf.default is not None:
         return leaf.default
