@@ -51,7 +51,7 @@ class ActionMessages:
 
 @dataclass(frozen=True, slots=True)
 class GoalResult:
-    """How a goal ended: ``status`` is SUCCEEDED, CANCELED or ABORTED, ``text`` says why, where anybody knows.
+    """The end of a goal: ``status`` is SUCCEEDED, CANCELED or ABORTED, ``text`` says why, if that is known.
 
     ``result`` is ``None`` where the provider gave none, as when it left.
     """

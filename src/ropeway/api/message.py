@@ -17,7 +17,7 @@ _PLAIN: Final = (str, bytes, bytearray, memoryview, bool, int, float, type(None)
 
 
 class MessageType:
-    """One type of messages: makes the bytes of what a program gives, and messages of what a graph gives."""
+    """A type of message: encodes what a program gives, and decodes what a graph gives."""
 
     def __init__(self, registry: TypeRegistry, name: str) -> None:
         self.codec: MessageCodec = registry.codec(name)

@@ -1,4 +1,4 @@
-"""What is opened when somebody waits for it, and closed at the end of a block."""
+"""Defines objects that are opened when awaited, and closed at the end of a block."""
 
 from __future__ import annotations
 

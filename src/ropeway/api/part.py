@@ -1,4 +1,4 @@
-"""What every part that a program makes on a graph has in common: a view of its own, and an end."""
+"""Defines the base of every part that a program makes on a graph: it has a view of its own, and can be closed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every object of ``ropeway.blocking`` has in common: one of asyncio behind it, and an end."""
+"""Defines the base of every object of ``ropeway.blocking``: it wraps one of asyncio, and can be closed."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class BlockingPart(Generic[T]):
 
 
 class BlockingRoot(BlockingPart[T]):
-    """One that keeps the thread of the loop alive until it is closed."""
+    """An object that keeps the thread of the loop alive until it is closed."""
 
     def __init__(self, inner: T) -> None:
         super().__init__(inner)

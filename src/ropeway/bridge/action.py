@@ -27,7 +27,7 @@ log = logging.getLogger("ropeway.bridge")
 
 
 class ActionBridge(Offer):
-    """One action of ``source`` offered on ``target``: exposed if that is the far side, reserved if it is ours.
+    """Offers an action of ``source`` on ``target``: exposed if that is the far side, reserved if it is ours.
 
     A goal that takes longer than ``timeout_s`` is cancelled and aborted; ``None`` lets it take its time.
     """
@@ -49,11 +49,11 @@ class ActionBridge(Offer):
         self._goals: dict[bytes, ClientGoal] = {}
 
     async def make_client(self) -> ActionClient:
-        """The action on the source."""
+        """Create the client of the action on the source."""
         return await self.source.create_action_client(self.source_name, self.type, delivery=self.delivery)
 
     async def make_server(self) -> ActionServer:
-        """The action on the target."""
+        """Create the server of the action on the target."""
         handlers = ActionHandlers(self._execute, self._accept, self._cancel)
         return await self.target.create_action_server(self.target_name, self.type, handlers, delivery=self.delivery)
 

@@ -65,11 +65,11 @@ class Offer:
         self._upkeep = Upkeep(self._set_right, source, self.kind, source_name, label=label, look_s=_LOOK_S)
 
     async def make_client(self) -> Any:
-        """The user of the name on the source."""
+        """Create the user of the name on the source."""
         raise NotImplementedError
 
     async def make_server(self) -> Any:
-        """The provider of the name on the target."""
+        """Create the provider of the name on the target."""
         raise NotImplementedError
 
     async def start(self) -> None:
@@ -86,12 +86,14 @@ class Offer:
 
     @property
     def error(self) -> str:
-        """Why the name cannot be offered, ``""`` where it can."""
+        """The reason why the name cannot be offered, ``""`` if it can."""
         return self._upkeep.error
 
     @property
     def state(self) -> str:
-        """One word: ``active``, ``waiting`` (nobody serves it), ``taken`` (somebody else offers it) or ``failed``."""
+        """The state in one word: ``active``, ``waiting`` (nobody serves it), ``taken`` (another provider offers it) or
+        ``failed``.
+        """
         if self.error:
             return "failed"
         if self.taken_by:
@@ -100,12 +102,14 @@ class Offer:
 
     @property
     def encoding(self) -> str:
-        """In what requests and answers travel, where the side that a link leads to can tell; else as configured."""
+        """The encoding of requests and answers if the side that a link leads to can tell, otherwise the
+        configured one.
+        """
         found = (getattr(part, "encoding", None) for part in (self._server, self._client))
         return next((encoding for encoding in found if encoding is not None), self.delivery.encoding)
 
     def done(self, how: str, took_s: float) -> None:
-        """A request has ended."""
+        """Count a request that has ended."""
         self.counts[how] += 1
         self.took_s = took_s if self.took_s is None else self.took_s + 0.2 * (took_s - self.took_s)
 
@@ -143,4 +147,4 @@ class Offer:
             await self.withdrawn()
 
     async def withdrawn(self) -> None:
-        """The name was withdrawn from the target."""
+        """Clean up after the name was withdrawn from the target."""

@@ -17,7 +17,7 @@ CALL_TIMEOUT_S: Final = 60.0
 
 
 class ServiceBridge(Offer):
-    """One service of ``source`` offered on ``target``: exposed if that is the far side, reserved if it is ours."""
+    """Offers a service of ``source`` on ``target``: exposed if that is the far side, reserved if it is ours."""
 
     kind = "service"
 
@@ -37,11 +37,11 @@ class ServiceBridge(Offer):
         )
 
     async def make_client(self) -> Client:
-        """The service on the source."""
+        """Create the client of the service on the source."""
         return await self.source.create_client(self.source_name, self.type, delivery=self.delivery)
 
     async def make_server(self) -> Service:
-        """The service on the target."""
+        """Create the service on the target."""
         return await self.target.create_service(self.target_name, self.type, self._pass_on, delivery=self.delivery)
 
     async def _pass_on(self, request: Request) -> bytes:

@@ -23,17 +23,17 @@ __all__ = ["Keep", "TopicBridge"]
 
 
 class Keep(Protocol):
-    """Where the last message of a bridge is kept over restarts."""
+    """Keeps the last message of a bridge over restarts."""
 
     def put(self, sample: Sample) -> None:
-        """It passed."""
+        """Keep a message that passed."""
 
     def last(self) -> Sample | None:
-        """The one that passed last, with the stamp of then."""
+        """Return the message that passed last, with its original stamp."""
 
 
 class TopicBridge:
-    """One topic from ``source`` to ``target``.
+    """Passes a topic from ``source`` to ``target``.
 
     ``qos=None`` adopts what the source's publishers offer and follows it. ``delivery`` says how the link between
     the two treats the topic; it goes to whichever side is a link. The pipeline's limits are applied on the near
@@ -84,12 +84,12 @@ class TopicBridge:
 
     @property
     def error(self) -> str:
-        """Why the two sides cannot be kept right, ``""`` while they can."""
+        """The reason why the two sides cannot be maintained, ``""`` while they can."""
         return self._upkeep.error
 
     @property
     def state(self) -> str:
-        """One word: ``active``, ``idle`` (nobody reads), ``waiting`` or ``failed``."""
+        """The state in one word: ``active``, ``idle`` (nobody reads), ``waiting`` or ``failed``."""
         if self.error:
             return "failed"
         if self.publisher is None:

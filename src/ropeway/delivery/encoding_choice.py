@@ -31,7 +31,7 @@ _LAST_RETRY_S: Final = 60.0
 
 
 class Paced(Protocol):
-    """What has a pace: ``ropeway.delivery.pacing.pace.Pace``, and whatever is as fast as the slowest of several."""
+    """Anything with a pace: ``ropeway.delivery.pacing.pace.Pace``, or the slowest of several."""
 
     @property
     def bytes_per_s(self) -> float | None:
@@ -58,7 +58,7 @@ class EncodingChooser:
         self._trial: str | None = None
 
     def choose(self, size_bytes: int, sent: int, lost: int) -> str:
-        """The encoding for the next message; ``sent`` and ``lost`` count those of the topic so far."""
+        """Return the encoding for the next message; ``sent`` and ``lost`` count the messages of the topic so far."""
         if size_bytes < _MIN_BYTES:
             return RAW
         now = self._clock()
@@ -129,7 +129,9 @@ class EncodingChooser:
         return pace / size_bytes > self._rates.get(PACKED, 0.0)
 
     def _wants_sample(self, size_bytes: int, now: float) -> bool:
-        """True now and then, so that the ratio and the cost of compression stay known while messages go raw."""
+        """Return whether to compress this message as a sample, so that ratio and cost of compression stay known while
+        messages go raw.
+        """
         pace = self._pace.bytes_per_s
         if pace is None or size_bytes / pace < _WORTH_S or now - self._sampled < _SAMPLE_S:
             return False

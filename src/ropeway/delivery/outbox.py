@@ -1,4 +1,4 @@
-"""What waits to be sent on one link: priority lanes, and in each the freshest message of every topic.
+"""Holds what waits to be sent on one link: priority lanes, and in each the freshest message of every topic.
 
 A topic with ``keep_last`` may have ``depth`` messages waiting, and no more than 64 KiB unless it is a single one:
 of a camera only the newest frame waits, of a transform tree everything does. What is displaced is the oldest, and
@@ -31,7 +31,7 @@ SMALL_BYTES: Final = 16 * 1024
 
 
 class Lost(enum.Enum):
-    """Why a message was not sent."""
+    """The reasons for which a message was not sent."""
 
     REPLACED = "a fresher one took its place"
     OVERFLOW = "the queue of the topic was full"
@@ -42,7 +42,7 @@ class Lost(enum.Enum):
 
 
 class Message(Protocol):
-    """What the outbox needs to know of a message."""
+    """The fields of a message that the outbox reads."""
 
     payload: bytes
     stamp_ns: int
@@ -55,7 +55,7 @@ Lane = list[tuple[float, int, "Queue[M]"]]
 
 
 class OutboxStatistics(NamedTuple):
-    """What waits now."""
+    """Counts what waits now."""
 
     messages: int
     bytes: int
@@ -180,7 +180,7 @@ class Outbox(Generic[M]):
             self._clear(queue, reason)
 
     def full(self, queue: Queue[M], size: int) -> bool:
-        """True if one more message of ``size`` bytes would displace another."""
+        """Return whether one more message of ``size`` bytes would displace another."""
         count = len(queue.waiting)
         if not count:
             return False
@@ -209,7 +209,7 @@ class Outbox(Generic[M]):
             self._line_up(queue)
 
     def lanes(self) -> Iterator[int]:
-        """The priorities that have something waiting, most urgent first."""
+        """Yield the priorities that have something waiting, most urgent first."""
         for priority, (small, big) in enumerate(zip(self._small, self._big, strict=True)):
             if small or big:
                 yield priority
@@ -272,7 +272,7 @@ class Outbox(Generic[M]):
             self._line_up(queue)
 
     def _time(self, priority: int) -> float:
-        """The virtual time of a lane: that of the topic that was served least, of those that have something to send."""
+        """Return the virtual time of a lane: that of the least-served topic among those that have something to send."""
         times = [heap[0][0] for heap in (self._small[priority], self._big[priority]) if heap]
         times += [queue.served for queue in self._under_way[priority]]
         return min(times) if times else self._times[priority]
@@ -288,7 +288,7 @@ class Outbox(Generic[M]):
         heapq.heapify(queue.lane)
 
     def statistics(self) -> OutboxStatistics:
-        """What waits now."""
+        """Return how much waits now."""
         return OutboxStatistics(self.messages, self.bytes, sum(1 for q in self._queues if q.waiting))
 
     def _drop_oldest(self, queue: Queue[M], reason: Lost) -> None:

@@ -13,7 +13,7 @@ __all__ = ["Drop", "RateLimit", "Step", "build", "lifespan"]
 
 
 class Drop(enum.Enum):
-    """Why a bridge did not pass a message on."""
+    """The reasons for which a bridge does not pass a message on."""
 
     RATE = "more often than the rate limit"
     EXPIRED = "older than its lifespan"
@@ -49,7 +49,7 @@ class RateLimit:
 
 
 def lifespan(seconds: float, clock: Callable[[], int] = time.time_ns) -> Step:
-    """A step that drops what is older than ``seconds`` since the first gateway received it."""
+    """Make a step that drops messages older than ``seconds`` since the first gateway received them."""
     limit_ns = int(seconds * 1e9)
 
     def step(sample: Sample) -> Drop | None:
@@ -59,7 +59,7 @@ def lifespan(seconds: float, clock: Callable[[], int] = time.time_ns) -> Step:
 
 
 def build(delivery: Delivery) -> list[Step]:
-    """The steps that a route's options ask for, cheapest first."""
+    """Make the steps that a route's options ask for, cheapest first."""
     steps: list[Step] = []
     if delivery.lifespan_s is not None:
         steps.append(lifespan(delivery.lifespan_s))

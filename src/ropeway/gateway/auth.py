@@ -22,7 +22,7 @@ _LONGEST: Final = 4096  # characters of a token: it has to fit the head of a req
 
 
 def make_door(settings: GatewayConfig) -> Door:
-    """Who may come in, and as what. Raises ``ConfigError`` where a token cannot be read."""
+    """Build the rules for who may come in, and in which role. Raises ``ConfigError`` where a token cannot be read."""
     auth = settings.auth
     roles = {ALL: EVERYTHING, **{name: _role(name, role) for name, role in auth.roles.items()}}
     default = roles[auth.default_role] if auth.default_role is not None else None
@@ -40,7 +40,7 @@ def make_door(settings: GatewayConfig) -> Door:
 
 
 def read_secret(secret: Secret, path: str) -> str:
-    """The token that ``secret`` refers to; ``path`` is where the configuration does. Raises ``ConfigError``."""
+    """Read the token that ``secret`` refers to; ``path`` is its place in the configuration. Raises ``ConfigError``."""
     if secret.env is not None:
         where, text = f"{path}.env", os.environ.get(secret.env)
         if text is None:

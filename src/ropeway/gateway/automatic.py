@@ -32,12 +32,14 @@ _NEVER: Final = ("/rosout", "/parameter_events", "/client_count", "/connected_cl
 
 
 def _others(endpoints: Iterable[EndpointInfo]) -> bool:
-    """True if one of them is of an ordinary node: gateways follow what there is, and are no reason."""
+    """Return whether an endpoint belongs to an ordinary node: gateways only follow what is there and are no reason to
+    share.
+    """
     return any(not endpoint.local and not endpoint.gateway for endpoint in endpoints)
 
 
 def wanted(topic: TopicInfo) -> str | None:
-    """What to do with a topic: ``publish`` it to the overlay, ``subscribe`` it from there, or nothing."""
+    """Return what to do with a topic: ``publish`` it to the overlay, ``subscribe`` to it from there, or nothing."""
     published, read = _others(topic.publishers), _others(topic.subscriptions)
     if published == read:
         return None
@@ -62,17 +64,17 @@ class Automatic:
         )
 
     def bridges(self) -> list[tuple[Route, TopicBridge]]:
-        """What is bridged now."""
+        """Return the routes that are bridged now."""
         return list(self._bridges.values())
 
     def status(self) -> dict[str, Any]:
-        """How it stands, as JSON: ``left_out`` are topics that cannot be shared, each with the reason."""
+        """Return the state as JSON: ``left_out`` are topics that cannot be shared, each with the reason."""
         error = next((task.error for task in self._tasks if task.error), "")
         state = "failed" if error else "running"
         return {"state": state, "error": error, "shared": len(self._bridges), "left_out": dict(self._left_out)}
 
     def allows(self, name: str) -> bool:
-        """Whether a topic may be shared."""
+        """Return whether a topic may be shared."""
         if name in _NEVER and name not in self._allow:
             return False
         allowed = any(fnmatchcase(name, pattern) for pattern in self._allow)

@@ -16,7 +16,7 @@ _INWARD = ("subscribe", "reserve-service", "reserve-action")
 def make_bridge(
     route: Route, local: Graph, remote: Graph, keep: Keep | None = None
 ) -> TopicBridge | ServiceBridge | ActionBridge:
-    """A bridge between two graphs, not started."""
+    """Make a bridge between two graphs, not started yet."""
     if route.kind == "topic":
         return make_topic_bridge(route, local, remote, keep)
     source, target, source_name, target_name = _ends(route, local, remote)
@@ -33,7 +33,7 @@ def make_bridge(
 
 
 def make_topic_bridge(route: Route, local: Graph, remote: Graph, keep: Keep | None = None) -> TopicBridge:
-    """The same for a topic."""
+    """Make a bridge for a topic, not started yet."""
     source, target, source_name, target_name = _ends(route, local, remote)
     return TopicBridge(
         source,

@@ -1,4 +1,4 @@
-"""What a gateway shows its remotes, and whom it trusts there; both are read again at SIGHUP."""
+"""Loads what a gateway presents to its remotes, and whom it trusts there; both are read again at SIGHUP."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ log = logging.getLogger("ropeway.gateway")
 
 @dataclass(frozen=True)
 class Credentials:
-    """Of one remote. ``trusted`` is a digest of the authorities whose certificates it may show."""
+    """The credentials for one remote. ``trusted`` is a digest of the authorities whose certificates it may show."""
 
     context: ssl.SSLContext | None = None
     token: str | None = None

@@ -159,7 +159,7 @@ class Gateway:
         stack.push_async_callback(Supervised(self._update_meters, "gateway meters").start().close)
 
     async def _open_graph(self, network: GraphConfig) -> Graph:
-        """A graph of ours; a ROS 1 master may come a little later than the gateway of its robot."""
+        """Open one of our graphs, waiting for a ROS 1 master that starts a little later than its robot's gateway."""
         loop, url = asyncio.get_running_loop(), network.address
         deadline = loop.time() + (_MASTER_S if url.partition(":")[0] == "ros1" else 0.0)
         waits = False
@@ -323,7 +323,7 @@ class Gateway:
             bridge.meter.update()
 
     def missing(self) -> list[str]:
-        """Why the gateway is not ready for clients, in sentences; empty once all graphs and listeners are up."""
+        """Return why the gateway is not ready for clients, in sentences; empty once all graphs and listeners are up."""
         settings = self.config.gateway
         reasons = [f"{url} is not open" for url in settings.graphs if url not in self.hubs]
         up = sum(len(server.listeners) for server in self.servers)
@@ -354,7 +354,7 @@ class Gateway:
         log.info("%s has read its certificates and tokens again", settings.name)
 
     def status(self) -> dict[str, Any]:
-        """Everything as it stands, as JSON."""
+        """Return the state of everything as JSON."""
         return {
             "name": self.config.gateway.name,
             "graphs": [

@@ -36,7 +36,7 @@ class LastValue:
             store.put(entry)
 
     def last(self) -> Sample | None:
-        """The message that was kept, as it was."""
+        """Return the message that was kept, unchanged."""
         entry = self.store.get(self.system, self.topic)
         if entry is None or entry.form != CDR or entry.type != self.type:
             return None

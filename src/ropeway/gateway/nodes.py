@@ -94,7 +94,7 @@ class Nodes:
         self.space.close()
 
     def status(self) -> dict[str, Any]:
-        """How it stands, as JSON."""
+        """Return the state as JSON."""
         return {
             **self.server.status(),
             "values": self.space.published,
@@ -128,7 +128,7 @@ class Nodes:
                 yield map
 
     def _render(self, entry: Entry) -> bytes:
-        """A message of ROS as text, by the map of its topic, or as JSON."""
+        """Return a ROS message as text, by the map of its topic, or as JSON."""
         map = self.maps.of(entry.system, entry.topic)
         registry = self.graph.registry
         fits = map is not None and map.type == entry.type and map.form not in ("codes", "angle")

@@ -1,4 +1,4 @@
-"""One remote of a running gateway: the graph on its side, the bridges to it, and how they are."""
+"""Manages one remote of a running gateway: the graph on its side, the bridges to it, and their state."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Remote:
 
     @property
     def state(self) -> str:
-        """One word; ``connected`` where data can flow."""
+        """The state in one word; ``connected`` while data can flow."""
         raise NotImplementedError
 
     def status(self) -> dict[str, Any]:
-        """The remote, for people and programs."""
+        """Return the state of the remote, for people and programs."""
         raise NotImplementedError
 
     def renew(self, credentials: Credentials) -> None:
@@ -51,11 +51,11 @@ class Remote:
         """Hand new credentials on; with ``anew``, a connection that stands is made again."""
 
     def routes(self) -> list[dict[str, Any]]:
-        """One row per bridge."""
+        """Return one row per bridge."""
         return [_route(route, bridge, self.state) for route, bridge in self.bridges]
 
     def topics(self) -> list[TopicBridge]:
-        """The bridges that are metered."""
+        """Return the bridges that are metered."""
         return [bridge for _, bridge in self.bridges if isinstance(bridge, TopicBridge)]
 
 
@@ -71,11 +71,11 @@ class LinkRemote(Remote):
 
     @property
     def state(self) -> str:
-        """One word; ``connected`` where data can flow."""
+        """The state in one word; ``connected`` while data can flow."""
         return "connected" if self.graph.state is LinkState.CONNECTED else self.graph.state.value
 
     def status(self) -> dict[str, Any]:
-        """The link, for people and programs."""
+        """Return the state of the link, for people and programs."""
         peer = self.graph.peer
         bytes_in, bytes_out = self.graph.traffic
         pace = peer.connection.flow.pace.bytes_per_s if peer is not None else None
@@ -109,11 +109,11 @@ class IortRemote(Remote):
 
     @property
     def state(self) -> str:
-        """One word; ``connected`` where data can flow."""
+        """The state in one word; ``connected`` while data can flow."""
         return "connected" if self.link.connected else "connecting"
 
     def status(self) -> dict[str, Any]:
-        """The link, for people and programs."""
+        """Return the state of the link, for people and programs."""
         return {
             "address": without_token(self.config.address),
             "title": self.config.title,
@@ -128,7 +128,7 @@ class IortRemote(Remote):
 
 
 class OverlayRemote(Remote):
-    """Everybody in the overlay."""
+    """The remote that stands for all members of the overlay."""
 
     def __init__(self, config: RemoteConfig, graph: OverlayGraph) -> None:
         super().__init__(config)
@@ -137,12 +137,12 @@ class OverlayRemote(Remote):
 
     @property
     def state(self) -> str:
-        """One word; ``connected`` where a router or another member is linked with us."""
+        """The state in one word; ``connected`` while a router or another member is linked with us."""
         node = self.graph.node
         return "failed" if node.trouble else "connected" if node.fabric.links() else "connecting"
 
     def status(self) -> dict[str, Any]:
-        """The overlay as this member sees it."""
+        """Return the state of the overlay as this member sees it."""
         return {
             "address": without_token(self.config.address),
             "title": self.config.title,
@@ -153,14 +153,14 @@ class OverlayRemote(Remote):
         }
 
     def routes(self) -> list[dict[str, Any]]:
-        """One row per bridge, those that were made automatically, too."""
+        """Return one row per bridge, including those made automatically."""
         found = super().routes()
         if self.automatic is not None:
             found += [_route(route, bridge, self.state) for route, bridge in self.automatic.bridges()]
         return found
 
     def topics(self) -> list[TopicBridge]:
-        """The bridges that are metered."""
+        """Return the bridges that are metered."""
         found = super().topics()
         if self.automatic is not None:
             found += [bridge for _, bridge in self.automatic.bridges()]
@@ -168,7 +168,7 @@ class OverlayRemote(Remote):
 
 
 def _route(route: Route, bridge: Bridge, state: str) -> dict[str, Any]:
-    """One row of the table of routes."""
+    """Return one row of the table of routes."""
     common = {
         "path": route.path,
         "operation": route.operation,

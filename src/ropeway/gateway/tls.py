@@ -54,7 +54,7 @@ def trusted_files(tls: ListenTls | RemoteTls | None) -> bytes:
 
 
 def client_context(tls: RemoteTls | None, path: str) -> ssl.SSLContext | None:
-    """For one remote; ``path`` is where the configuration names it. Raises ``ConfigError``."""
+    """Make the TLS context for one remote; ``path`` is its place in the configuration. Raises ``ConfigError``."""
     if tls is None:
         return None
     if tls.ca is None:

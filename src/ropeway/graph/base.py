@@ -69,7 +69,7 @@ SEQ_NONE: Final = 0
 
 
 class Sample:
-    """One message on its way.
+    """A message on its way.
 
     ``payload``: CDR bytes with their 4-byte header. ``type``: ``pkg/msg/Name``. ``stamp_ns``: when this gateway
     received it (``time.time_ns``). ``origin``: 16 bytes that name who published it first; ``seq``: a number that
@@ -101,7 +101,7 @@ class Sample:
         self.frames: dict[Any, Any] | None = None
 
     def cached(self, key: object, make: Callable[[], Any]) -> Any:
-        """``frames[key]``, made by ``make()`` at the first call."""
+        """Return ``frames[key]``, which the first call makes with ``make()``."""
         frames = self.frames
         if frames is None:
             frames = self.frames = {}
@@ -111,7 +111,9 @@ class Sample:
         return made
 
     def carrying(self, payload: bytes) -> Sample:
-        """The same message with its ``payload`` in another layout; itself where that is the same object."""
+        """Return the same message with its ``payload`` in another layout, or itself if the payload is the
+        same object.
+        """
         if payload is self.payload:
             return self
         return Sample(payload, self.type, self.stamp_ns, self.origin, self.seq, self.relayed, self.sent_ns)
@@ -124,13 +126,13 @@ SampleCallback = Callable[[Sequence[Sample]], None]
 
 
 def new_origin() -> bytes:
-    """16 random bytes that name a publisher on a network without GUIDs."""
+    """Return 16 random bytes that name a publisher on a network without GUIDs."""
     return os.urandom(16)
 
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """How the far side of a link should treat a topic; graphs without a link ignore what they cannot do.
+    """Says how the far side of a link should treat a topic; graphs without a link ignore what they cannot do.
 
     ``encoding``: one of rosbridge's ``ENCODINGS`` or ``auto``. ``priority``: lanes, 0 is sent first (commands), 4 is
     the default, 7 last. ``weight``: the topic's share of the link in bytes, beside others of its lane; one that needs
@@ -154,7 +156,7 @@ NO_HINTS: Final = Delivery()
 
 @dataclass(frozen=True, slots=True)
 class EndpointInfo:
-    """One publisher or subscription that was discovered.
+    """A publisher or subscription that was discovered.
 
     ``node`` is a full node name (``/camera/driver``) or ``""`` where unknown; ``gateway`` names the Ropeway gateway
     it belongs to, ``""`` for ordinary nodes; ``local`` marks our own.
@@ -199,7 +201,7 @@ class NodeInfo:
 
 
 class Undelivered(enum.Enum):
-    """Why a graph dropped a message; every drop is counted under one of these."""
+    """The reasons for which a graph drops a message; every drop is counted under one of them."""
 
     DECODE = "not decodable as its type"
     ENCODE = "not encodable for this network"
@@ -245,7 +247,7 @@ class GraphEvent:
 
 @runtime_checkable
 class Publisher(Protocol):
-    """One topic that we publish on a graph."""
+    """A topic that we publish on a graph."""
 
     topic: str
     type: str
@@ -256,7 +258,9 @@ class Publisher(Protocol):
 
     @property
     def subscribers(self) -> int | None:
-        """How many read it now (our own graph's subscriptions not counted), ``None`` where the network cannot tell."""
+        """The number of readers now (our own graph's subscriptions not counted), ``None`` if the network
+        cannot tell.
+        """
 
     def on_demand(self, callback: Callable[[int], None]) -> None:
         """Call with the number of subscribers at once (where known) and at each change, on the event loop."""
@@ -267,7 +271,7 @@ class Publisher(Protocol):
 
 @runtime_checkable
 class Subscription(Protocol):
-    """One topic that we read from a graph."""
+    """A topic that we read from a graph."""
 
     topic: str
     type: str
@@ -285,7 +289,7 @@ class Subscription(Protocol):
 
 @runtime_checkable
 class Graph(Protocol):
-    """Everything that has topics, services and actions.
+    """A network, or part of one: anything that has topics, services and actions.
 
     ``create_publisher`` and ``create_subscription`` take ``qos=None`` to mean "whatever fits": a subscription
     adopts what all publishers offer and follows them when they change; a publisher uses ``ropeway.qos.DEFAULT``.
@@ -336,23 +340,23 @@ class Graph(Protocol):
         """Serve ``action``."""
 
     def topics(self) -> dict[str, TopicInfo]:
-        """What is discovered now, by name."""
+        """Return the topics discovered so far, by name."""
 
     def services(self) -> dict[str, ServiceInfo]:
-        """The services that are discovered now, by name; ours too, as ``local``."""
+        """Return the services discovered so far, by name; ours too, as ``local``."""
 
     def actions(self) -> dict[str, ActionInfo]:
-        """The actions that are discovered now, by name; ours too, as ``local``."""
+        """Return the actions discovered so far, by name; ours too, as ``local``."""
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """The nodes that are discovered now, by full name."""
+        """Return the nodes discovered so far, by full name."""
 
     def changes(self) -> AsyncIterator[GraphEvent]:
-        """What is discovered and undiscovered from this call on."""
+        """Iterate over what is discovered and lost from this call on."""
 
 
 def types_of(graph: Graph, kind: str, name: str) -> tuple[str, ...]:
-    """The types that one ``topic``, ``service`` or ``action`` has now; none if it is not there.
+    """Return the types that a ``topic``, ``service`` or ``action`` has now; empty if it is not there.
 
     A graph that can look a name up without describing all others does so in a method of this name.
     """
@@ -431,7 +435,7 @@ class Changes:
 
 
 def resolve_name(name: str, namespace: str = "/") -> str:
-    """The absolute form of a ROS name: ``chatter`` in ``/robot1`` is ``/robot1/chatter``.
+    """Return the absolute form of a ROS name: ``chatter`` in ``/robot1`` is ``/robot1/chatter``.
 
     Raises ``InvalidName`` with the rule of ROS that it breaks.
     """

@@ -45,7 +45,7 @@ DEFAULT_TIMEOUT_S: Final = 5.0
 
 
 def new_id() -> bytes:
-    """16 random bytes that name a call or a goal (a version 4 UUID, as ROS makes for goals)."""
+    """Return 16 random bytes that name a call or a goal (a version 4 UUID, as ROS makes for goals)."""
     raw = bytearray(os.urandom(16))
     raw[6] = raw[6] & 0x0F | 0x40
     raw[8] = raw[8] & 0x3F | 0x80
@@ -74,20 +74,20 @@ ServiceHandler = Callable[[Request], Awaitable[bytes]]
 
 @runtime_checkable
 class Client(Protocol):
-    """One service that we call on a graph."""
+    """A service that we call on a graph."""
 
     service: str
     type: str
 
     @property
     def available(self) -> bool | None:
-        """True if somebody serves it now, ``None`` where the network cannot tell before a call."""
+        """Whether a provider serves it now, ``None`` if the network cannot tell before a call."""
 
     async def wait_available(self, timeout_s: float) -> bool:
         """Wait until somebody serves it; true at once where the network cannot tell. False when the time is over."""
 
     async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
-        """The CDR of the response.
+        """Call the service and return the CDR of the response.
 
         Waits for a provider within the time. Raises ``NotServed`` (nobody serves it), ``CallTimeout``,
         ``ProviderLost``, ``CallFailed`` (the provider says why), or ``GraphUnavailable`` after ``close``.
@@ -99,7 +99,7 @@ class Client(Protocol):
 
 @runtime_checkable
 class Service(Protocol):
-    """One service that we serve on a graph."""
+    """A service that we serve on a graph."""
 
     service: str
     type: str
@@ -121,7 +121,7 @@ class GoalStatus(enum.IntEnum):
 
     @property
     def final(self) -> bool:
-        """True for a goal that has ended."""
+        """Whether the goal has ended."""
         return self >= GoalStatus.SUCCEEDED
 
 
@@ -137,7 +137,7 @@ class Goal:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a goal ended: SUCCEEDED, CANCELED or ABORTED.
+    """The end of a goal: SUCCEEDED, CANCELED or ABORTED.
 
     ``payload`` is the CDR of ``pkg/action/Name_Result``, ``None`` where there is none (the graph sends the default
     values then). ``text`` says why a goal was aborted, where anybody knows.
@@ -155,7 +155,9 @@ class ClientGoal(Protocol):
     id: bytes
 
     async def result(self, timeout_s: float | None = None) -> Outcome:
-        """How it ends. May be awaited again. ABORTED if the provider or the link vanishes; raises ``CallTimeout``."""
+        """Wait for the end of the goal and return its outcome. May be awaited again. ABORTED if the provider or the
+        link vanishes; raises ``CallTimeout``.
+        """
 
     async def cancel(self, timeout_s: float = DEFAULT_TIMEOUT_S) -> bool:
         """Ask for its end. True if the provider agreed (the outcome follows), false if it refused or does not know it.
@@ -166,14 +168,14 @@ class ClientGoal(Protocol):
 
 @runtime_checkable
 class ActionClient(Protocol):
-    """One action that we use on a graph."""
+    """An action that we use on a graph."""
 
     action: str
     type: str
 
     @property
     def available(self) -> bool | None:
-        """True if somebody serves it now, ``None`` where the network cannot tell before a goal is sent."""
+        """Whether a provider serves it now, ``None`` if the network cannot tell before a goal is sent."""
 
     async def wait_available(self, timeout_s: float) -> bool:
         """Wait until somebody serves it; true at once where the network cannot tell. False when the time is over."""
@@ -214,7 +216,7 @@ class ServerGoal:
 
 @dataclass(frozen=True, slots=True)
 class ActionHandlers:
-    """What an action server does.
+    """The callbacks of an action server.
 
     ``execute`` carries a goal out; what it raises aborts the goal. ``accept`` says whether a goal is taken (left out:
     every one), ``cancel`` whether its end is agreed to (left out: always).
@@ -227,7 +229,7 @@ class ActionHandlers:
 
 @runtime_checkable
 class ActionServer(Protocol):
-    """One action that we serve on a graph."""
+    """An action that we serve on a graph."""
 
     action: str
     type: str
@@ -238,7 +240,7 @@ class ActionServer(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ProviderInfo:
-    """One who serves, or uses, a service or action.
+    """A provider or user of a service or action.
 
     ``node``, ``gateway`` and ``local`` as in ``EndpointInfo``. ``since_ns``: when a gateway began to serve it
     (``time.time_ns``), 0 where nobody tells.

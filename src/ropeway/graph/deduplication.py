@@ -40,7 +40,7 @@ class Seen:
             self._newer.update(known)
 
     def has(self, sample: Sample) -> bool:
-        """True if the sample was had before."""
+        """Return whether this sample is a duplicate."""
         seq = sample.seq
         known = self._newer.get(seq, _MISSING)
         if known is _MISSING:

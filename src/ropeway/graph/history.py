@@ -1,4 +1,4 @@
-"""What a transient-local publisher keeps for those who come late."""
+"""Keeps the latest messages of a transient-local publisher for late joiners."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ class History:
         self._expire()
 
     def replay(self) -> list[Sample]:
-        """What a late joiner gets, oldest first."""
+        """Return the messages that a late joiner gets, oldest first."""
         self._expire()
         return list(self._kept or ())
 
     @property
     def bytes(self) -> int:
-        """How many bytes are kept."""
+        """The size of all kept messages."""
         return self._bytes
 
     def _expire(self) -> None:

@@ -1,4 +1,4 @@
-"""What somebody made on a graph and has to close one day."""
+"""Keeps track of the parts that a program created on a graph and has to close one day."""
 
 from __future__ import annotations
 

@@ -31,12 +31,12 @@ class InFlight:
 
     @property
     def busy(self) -> bool:
-        """True while a call is under way."""
+        """Whether a call is under way."""
         return bool(self._blocks)
 
     @contextlib.contextmanager
     def call(self) -> Iterator[None]:
-        """A block in which a call runs."""
+        """Return a block in which a call runs."""
         block = Interruptible()
         self._blocks.add(block)
         try:
@@ -58,7 +58,7 @@ class InFlight:
 
 
 async def answer(name: str, running: InFlight, work: Awaitable[bytes], timeout_s: float) -> bytes:
-    """What a handler answers.
+    """Run a handler within the time limit and return its answer.
 
     Raises ``CallTimeout``, ``ProviderLost``, the handler's own ``CallError``, or ``CallFailed`` with whatever else it
     raised.
@@ -127,7 +127,7 @@ class DirectGoal:
 
     @property
     def done(self) -> bool:
-        """True once it has ended."""
+        """Whether the goal has ended."""
         return self._outcome.done()
 
     def on_done(self, callback: Callable[[], None]) -> None:
@@ -157,6 +157,6 @@ class DirectGoal:
         return True
 
     async def abort(self, text: str = LEFT) -> None:
-        """The provider has gone."""
+        """Abort the goal because its provider has gone."""
         self._finish(Outcome(GoalStatus.ABORTED, None, text))
         await end(self._work)

@@ -58,7 +58,7 @@ class ParameterType(enum.IntEnum):
 
     @property
     def label(self) -> str:
-        """As ``ros2 param`` writes it: ``integer array``."""
+        """The name as ``ros2 param`` writes it: ``integer array``."""
         return self.name.lower().replace("_", " ").replace("bool", "boolean")
 
 
@@ -85,7 +85,7 @@ _LIST_TYPE: Final = "rcl_interfaces/srv/ListParameters"
 
 @dataclass(frozen=True, slots=True)
 class ParameterDescription:
-    """What a node says of a parameter; ``range`` is (from, to, step) where the node limits a number."""
+    """A node's description of a parameter; ``range`` is (from, to, step) if the node limits a number."""
 
     name: str
     type: ParameterType
@@ -97,7 +97,7 @@ class ParameterDescription:
 
 
 def type_of(value: ParameterValue) -> ParameterType:
-    """The type that a node gives this value; an empty list counts as one of bools, as in ROS 2.
+    """Return the type that a node gives this value; an empty list counts as one of bools, as in ROS 2.
 
     Raises ``ValueMismatch`` for what is no value of a parameter, as a list of unlike items.
     """
@@ -116,7 +116,7 @@ def type_of(value: ParameterValue) -> ParameterType:
 
 
 def to_message(value: ParameterValue) -> dict[str, Any]:
-    """The ``ParameterValue`` message of a value. Raises ``ValueMismatch``."""
+    """Return the ``ParameterValue`` message of a value. Raises ``ValueMismatch``."""
     kind = type_of(value)
     message: dict[str, Any] = {"type": int(kind)}
     if kind is not ParameterType.NOT_SET:
@@ -125,7 +125,7 @@ def to_message(value: ParameterValue) -> dict[str, Any]:
 
 
 def from_message(message: Mapping[str, Any]) -> ParameterValue:
-    """The value in a ``ParameterValue`` message; a type that is none of ROS gives ``None``."""
+    """Return the value in a ``ParameterValue`` message; a type that ROS does not define gives ``None``."""
     field = _FIELDS.get(message["type"])
     if field is None:
         return None
@@ -134,7 +134,7 @@ def from_message(message: Mapping[str, Any]) -> ParameterValue:
 
 
 def parse_value(text: str) -> ParameterValue:
-    """The value that a text stands for, by the rules of ``ros2 param set``.
+    """Return the value that a text stands for, by the rules of ``ros2 param set``.
 
     The text is read as YAML; what is neither a bool, a number, a text nor a list of one of these stays a text.
     """
@@ -152,7 +152,7 @@ def parse_value(text: str) -> ParameterValue:
 
 
 def nodes_with_parameters(services: Mapping[str, ServiceInfo]) -> list[str]:
-    """The names of the nodes that have parameter services, sorted, from what ``Graph.services`` lists."""
+    """Return the names of the nodes that have parameter services, sorted, given what ``Graph.services`` lists."""
     found = [name for name, info in services.items() if info.servers and (_LIST_TYPE in info.types or not info.types)]
     return sorted(name.removesuffix(f"/{_LIST}") for name in found if name.endswith(f"/{_LIST}"))
 
@@ -166,7 +166,7 @@ async def list_parameters(
     depth: int = 0,
     timeout_s: float = DEFAULT_TIMEOUT_S,
 ) -> list[str]:
-    """The names of a node's parameters, sorted.
+    """Return the names of a node's parameters, sorted.
 
     ``prefixes`` selects those below a name (``qos_overrides``), ``depth`` how many levels of dots, 0 meaning all.
     """
@@ -183,7 +183,7 @@ async def get_parameters(
     *,
     timeout_s: float = DEFAULT_TIMEOUT_S,
 ) -> dict[str, ParameterValue]:
-    """The values of parameters by name; ``None`` for one that the node does not have."""
+    """Return the values of parameters by name, ``None`` for one that the node does not have."""
     wanted = list(names)
     async with _Node(graph, registry, node, timeout_s) as asked:
         values = await asked.each("get_parameters", "GetParameters", "values", wanted)
@@ -198,7 +198,7 @@ async def describe_parameters(
     *,
     timeout_s: float = DEFAULT_TIMEOUT_S,
 ) -> dict[str, ParameterDescription | None]:
-    """What the node says of parameters, by name; ``None`` for one that it does not have."""
+    """Return the node's descriptions of parameters by name, ``None`` for one that it does not have."""
     wanted = list(names)
     async with _Node(graph, registry, node, timeout_s) as asked:
         found = await asked.each("describe_parameters", "DescribeParameters", "descriptors", wanted)
@@ -273,11 +273,11 @@ class _Node:
         await self._clients.aclose()
 
     async def call(self, service: str, type: str, request: Mapping[str, Any]) -> dict[str, Any]:
-        """The answer of one of the node's parameter services."""
+        """Call one of the node's parameter services and return its answer."""
         return (await self._calls(service, type, [request]))[0]
 
     async def each(self, service: str, type: str, field: str, names: list[str]) -> list[Any]:
-        """What the node answers for each name, ``None`` for one that it does not know.
+        """Return the node's answer for each name, ``None`` for one that it does not know.
 
         A node that does not know one of the names answers with an empty list, so each is then asked for alone.
         """

@@ -1,4 +1,4 @@
-"""What a peer answers to whoever asked it for something: that it is taken, or why it is refused."""
+"""Carries a peer's answer to a request: accepted, or refused and why."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Telling(Protocol):
 
     @property
     def untold(self) -> str:
-        """Why the peer has not told what there is, ``""`` where it has."""
+        """The reason why the peer has not told what there is, ``""`` if it has."""
 
 
 class Answers:

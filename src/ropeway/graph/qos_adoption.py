@@ -34,22 +34,22 @@ T = TypeVar("T")
 
 
 class Host(Protocol[R]):
-    """What a graph does for its subscriptions."""
+    """The services of a graph for its subscriptions."""
 
     name: str
     drops: Counter[tuple[str, Undelivered]]
 
     def attach(self, subscription: Any, qos: QoS) -> SharedReader[R]:
-        """A reader for a subscription. Raises ``GraphUnavailable``."""
+        """Return a reader for a subscription. Raises ``GraphUnavailable``."""
 
     async def detach(self, subscription: Any, reader: SharedReader[R]) -> None:
         """Take a subscription off its reader; the last one takes the reader with it."""
 
     def forget(self, subscription: Any) -> None:
-        """A subscription was closed."""
+        """Release what belongs to a closed subscription."""
 
     def is_matched(self, subscription: Any, reader: SharedReader[R]) -> bool:
-        """True once a reader is matched with every publisher that it should read."""
+        """Return whether a reader is matched with every publisher that it should read."""
 
     def guard(self, topic: str, callback: Callable[[T], None], value: T) -> None:
         """Run a callback that may fail."""
@@ -79,7 +79,7 @@ class SharedReader(Generic[R]):
 
 
 def settled(asked: QoS, offered: QoS) -> QoS:
-    """``asked``, with the policies of ``offered`` where it asks for the best there is."""
+    """Return ``asked`` with every ``best_available`` policy replaced by that of ``offered``."""
     return replace(
         asked,
         reliability=offered.reliability if asked.reliability == "best_available" else asked.reliability,
@@ -88,7 +88,8 @@ def settled(asked: QoS, offered: QoS) -> QoS:
 
 
 class AdoptingSubscription(Generic[R]):
-    """One topic that we read. Without a profile of its own it adopts what all publishers offer, and follows them.
+    """A topic that we read; without a profile of its own it adopts what all publishers offer, and follows their
+    changes. Without a profile of its own it adopts what all publishers offer, and follows them.
 
     A profile with ``best_available`` policies adopts these alone.
     """
@@ -164,7 +165,7 @@ class AdoptingSubscription(Generic[R]):
         await self._closing.wait()
 
     def _fresh(self, batch: list[Sample]) -> list[Sample]:
-        """``batch`` without what another reader of ours has delivered, or delivers at the same time."""
+        """Return ``batch`` without samples that another reader of ours has delivered, or delivers at the same time."""
         seen = self._seen
         fresh = []
         for sample in batch:

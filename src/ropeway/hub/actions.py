@@ -54,12 +54,12 @@ class ViewActionServer:
 
     @property
     def closed(self) -> bool:
-        """True after ``close``."""
+        """Whether ``close`` was called."""
         return self.entry.closed
 
     @property
     def taken_by(self) -> str:
-        """Who else holds the name, ``""`` while this one serves it."""
+        """The other provider that holds the name, ``""`` while this one serves it."""
         return self.entry.taken_by
 
     def on_state(self, callback: Callable[[str], None]) -> None:
@@ -117,7 +117,7 @@ class ViewActionClient:
 
     @property
     def available(self) -> bool | None:
-        """True if a view or somebody on the network serves it."""
+        """Whether a view or a provider on the network serves it."""
         if self._provider() is not None:
             return True
         return self._inner.available if self._inner is not None else False

@@ -48,7 +48,7 @@ class _Shared:
 
 
 class HubCalls:
-    """What the views of one hub share for services and actions."""
+    """Holds what the views of one hub share for services and actions."""
 
     def __init__(self, graph: Graph, gateway_id: str) -> None:
         self.graph, self.gateway_id = graph, gateway_id
@@ -78,7 +78,7 @@ class HubCalls:
     # ── clients of the graph ───────────────────────────────────────────────────────────────────────────────────
 
     async def acquire(self, kind: str, name: str, type: str, delivery: Delivery) -> Any:
-        """The shared client of a service or an action. Raises ``CallFailed`` where there are too many."""
+        """Return the shared client of a service or an action. Raises ``CallFailed`` where there are too many."""
         key = (kind, name, type)
         while (making := self._making.get(key)) is not None:
             await asyncio.wait({making})
@@ -106,7 +106,7 @@ class HubCalls:
         return shared
 
     async def release(self, kind: str, name: str, type: str) -> None:
-        """A view needs the client no more; it lingers for the next, where there is somebody to call."""
+        """Release a view's use of a client, which lingers for the next user while there is a provider to call."""
         key = (kind, name, type)
         shared = self._clients.get(key)
         if shared is None:
@@ -140,7 +140,7 @@ class HubCalls:
             raise CallFailed(name, f"the call of {name} went in a circle, through the gateways {', '.join(via)}")
 
     def remember(self, request: Request) -> asyncio.Future[bytes | Exception]:
-        """The call is under way: the same call is not made again."""
+        """Remember a call that is under way, so that it is not made again."""
         calls = self._calls
         pending = calls[request.id] = asyncio.get_running_loop().create_future()
         while len(calls) > _REMEMBERED and next(iter(calls.values())).done():
@@ -148,7 +148,9 @@ class HubCalls:
         return pending
 
     def settle(self, request: Request, pending: asyncio.Future[bytes | Exception], how: bytes | BaseException) -> None:
-        """The call has ended. What was not carried out may be tried again; a long answer is not kept."""
+        """Record the end of a call. A call that was not carried out may be tried again; a long answer is not kept. What
+        was not carried out may be tried again; a long answer is not kept.
+        """
         if isinstance(how, (NotServed, GraphUnavailable)):
             self._calls.pop(request.id, None)
         elif isinstance(how, bytes) and len(how) > _REMEMBERED_BYTES:
@@ -162,7 +164,7 @@ class HubCalls:
             pending.set_result(ProviderLost("", "the call was given up"))
 
     async def again(self, pending: asyncio.Future[bytes | Exception]) -> bytes:
-        """The answer of a call that was made before."""
+        """Return the answer of a call that was made before."""
         self.repeated += 1
         await asyncio.wait({pending})
         how = pending.result()
@@ -171,12 +173,12 @@ class HubCalls:
         return how
 
     def known(self, request: Request) -> asyncio.Future[bytes | Exception] | None:
-        """The same call, where it was made before."""
+        """Return the earlier call with this id, if there is one."""
         return self._calls.get(request.id)
 
 
 def _bare(error: Exception) -> Exception:
-    """The same error without the frames that it went through: what is remembered must not keep all that they knew."""
+    """Return the same error without its traceback: a remembered error must not keep frames alive."""
     bare = type(error).__new__(type(error))
     bare.args = error.args
     bare.__dict__.update(error.__dict__)
@@ -203,12 +205,12 @@ class ViewService:
 
     @property
     def closed(self) -> bool:
-        """True after ``close``."""
+        """Whether ``close`` was called."""
         return self.entry.closed
 
     @property
     def taken_by(self) -> str:
-        """Who else holds the name, ``""`` while this one serves it."""
+        """The other provider that holds the name, ``""`` while this one serves it."""
         return self.entry.taken_by
 
     def on_state(self, callback: Callable[[str], None]) -> None:
@@ -249,20 +251,20 @@ class ViewClient:
 
     @property
     def available(self) -> bool | None:
-        """True if a view or somebody on the network serves it."""
+        """Whether a view or a provider on the network serves it."""
         if self._provider() is not None:
             return True
         return self._inner.available if self._inner is not None else False
 
     @property
     def listed(self) -> bool:
-        """True if the graph knows a server, reached or not."""
+        """Whether the graph knows a server, reached or not."""
         info = look_up(self._calls.graph, "service", self.service)
         return info is not None and bool(info.servers)
 
     @property
     def busy(self) -> bool:
-        """True while a call is under way."""
+        """Whether a call is under way."""
         return self._under_way.busy
 
     async def wait_available(self, timeout_s: float) -> bool:
@@ -330,7 +332,7 @@ class ViewClient:
 
 
 async def either(inner: Awaitable[bool], here: Callable[[], bool], holders: NameOwners[Any], timeout_s: float) -> bool:
-    """True as soon as a view serves it or the graph knows somebody who does."""
+    """Wait until a view serves the name or the graph knows a provider, and return whether one does."""
     network = asyncio.ensure_future(inner)
     deadline = asyncio.get_running_loop().time() + timeout_s
     try:

@@ -91,14 +91,14 @@ class Hub:
             await self.calls.actions.settle(name)
 
     def seen(self, topic: str) -> tuple[Seen, Seen]:
-        """What was had of a topic: what the network gave us, and what we gave the network."""
+        """Return the identifiers of a topic's samples received from the network, and of those published to it."""
         found = self._seen.get(topic)
         if found is None:
             found = self._seen[topic] = (Seen(), Seen())
         return found
 
     def forget(self, topic: str) -> None:
-        """Nobody here uses the topic any more."""
+        """Drop the state of a topic that no view uses any more."""
         if not self.publishers.get(topic) and not self.subscriptions.get(topic):
             self._seen.pop(topic, None)
             self.retired.pop(topic, None)
@@ -122,7 +122,7 @@ class Hub:
                 other.own_changes.emit(GraphEvent(discovered, kind, name, type, "", self.graph.name))
 
     def view(self, user: str, *, echo: bool = False, alone: bool = False) -> View:
-        """A new user of the graph.
+        """Return a new user of the graph.
 
         With ``echo`` it also hears itself, as a rosbridge client expects. With ``alone`` nobody else has what it
         publishes to say, so no other gateway needs to be minded.
@@ -147,7 +147,7 @@ class View:
         self._parts: Kept[_Part] = Kept()
 
     async def open(self) -> None:
-        """Nothing to do: the graph is open."""
+        """Do nothing: the graph is already open."""
 
     async def close(self) -> None:
         """Close what was created through this view."""
@@ -240,7 +240,7 @@ class View:
             raise GraphUnavailable(self.name, f"{self.user} has closed its view")
 
     def topics(self) -> dict[str, TopicInfo]:
-        """Everything on the graph; what other views created does not count as local."""
+        """Return the topics of the graph; what other views created does not count as local."""
         topics = self.hub.graph.topics()
         mine = {
             (p.topic, isinstance(p, ViewPublisher))
@@ -257,15 +257,15 @@ class View:
         return out
 
     def types(self, topic: str) -> tuple[str, ...]:
-        """The types that one topic has now."""
+        """Return the types that one topic has now."""
         return types_of(self.hub.graph, "topic", topic)
 
     def service_types(self, service: str) -> tuple[str, ...]:
-        """The types that one service has now."""
+        """Return the types that one service has now."""
         return types_of(self.hub.graph, "service", service)
 
     def action_types(self, action: str) -> tuple[str, ...]:
-        """The types that one action has now."""
+        """Return the types that one action has now."""
         return types_of(self.hub.graph, "action", action)
 
     @staticmethod

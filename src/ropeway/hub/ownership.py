@@ -1,4 +1,4 @@
-"""One name, one provider: who serves a service or an action where several want to.
+"""Decides who serves a service or an action that several want to serve: one name, one provider.
 
 The first who offers a name holds it. Others wait, are told who holds it, and the next takes over when the holder
 leaves. A provider on the network that was there before counts as well, so that two gateways that reserve the same
@@ -32,7 +32,7 @@ P = TypeVar("P")
 
 
 class Claim(Generic[P]):
-    """One who wants to serve ``name``. ``create`` makes the provider on the graph once the name is free."""
+    """A claim to serve ``name``. ``create`` makes the provider on the graph once the name is free."""
 
     def __init__(self, name: str, user: str, provider: P, create: Callable[[], Awaitable[_Closable]]) -> None:
         self.name, self.user, self.provider = name, user, provider
@@ -45,7 +45,7 @@ class Claim(Generic[P]):
 
     @property
     def serving(self) -> bool:
-        """True while it holds the name."""
+        """Whether this claim holds the name."""
         return self.inner is not None and not self.closed
 
     def on_state(self, callback: Callable[[str], None]) -> None:
@@ -54,7 +54,7 @@ class Claim(Generic[P]):
         callback(self.taken_by)
 
     def report(self, taken_by: str) -> None:
-        """The name is held by ``taken_by``."""
+        """Record that ``taken_by`` holds the name, and tell the callbacks about a change."""
         if taken_by != self.taken_by:
             self.taken_by = taken_by
             for callback in self._callbacks:
@@ -85,7 +85,7 @@ class NameOwners(Generic[P]):
         self._changed: asyncio.Future[None] | None = None
 
     def holder(self, name: str) -> Claim[P] | None:
-        """Who serves ``name`` in this process."""
+        """Return the claim that serves ``name`` in this process."""
         return next((entry for entry in self._entries.get(name, ()) if entry.serving), None)
 
     def changed(self) -> asyncio.Future[None]:
@@ -165,7 +165,7 @@ class NameOwners(Generic[P]):
                 await entry.suspend()
 
     def _before(self, name: str, holder: Claim[P] | None) -> ProviderInfo | None:
-        """A provider on the network that comes before ours, or ``None``."""
+        """Return a provider on the network that takes precedence over ours, or ``None``."""
         info = self._known(name)
         servers: Sequence[ProviderInfo] = info.servers if info is not None else ()
         others = [p for p in servers if not p.local and (not p.gateway or p.gateway != self._gateway_id)]

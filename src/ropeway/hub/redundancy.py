@@ -64,12 +64,12 @@ class Standby:
 
     @property
     def defers(self) -> bool:
-        """True where another gateway speaks, and mostly says what we would say."""
+        """Whether another gateway is active and mostly publishes what we would publish."""
         return self._second and self._share > _RARELY
 
     @property
     def listens(self) -> bool:
-        """True while others publish the topic on this network, and we hear them."""
+        """Whether others publish the topic on this network and we read what they publish."""
         return self._monitor is not None
 
     async def look(self) -> None:

@@ -93,7 +93,9 @@ class ViewPublisher:
             reader.deliver([sample])
 
     def _takes_over(self, sample: Sample) -> bool:
-        """True for a latched message of a publisher that this one follows: it gives it once more to late joiners."""
+        """Return whether this is a latched message of the publisher that this one replaces, to be kept for late joiners
+        again.
+        """
         if self.given is None or self.given.has(sample):
             return False
         hub = self.view.hub
@@ -105,7 +107,7 @@ class ViewPublisher:
 
     @property
     def kept_bytes(self) -> int:
-        """How much is kept for readers that come late."""
+        """The size of what is kept for late joiners."""
         return self._history.bytes
 
     @property
@@ -181,7 +183,7 @@ class ViewSubscription:
 
     @property
     def wants_history(self) -> bool:
-        """True where the reader asked for latched messages, or for whatever fits."""
+        """Whether the reader asked for latched messages, or for whatever fits."""
         return self._asked is None or self._asked.transient_local
 
     @property

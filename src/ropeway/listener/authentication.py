@@ -46,19 +46,19 @@ class TokenRule:
 
     @classmethod
     def plain(cls, token: str, role: Role) -> TokenRule:
-        """Of the token itself."""
+        """Make a rule from the token itself."""
         return cls(hashlib.sha256(token.encode()).digest(), role)
 
     @classmethod
     def hashed(cls, text: str, role: Role) -> TokenRule:
-        """Of ``sha256:<hex>`` or ``sha256:<salt>:<hex>``. Raises ``ValueError``."""
+        """Make a rule from ``sha256:<hex>`` or ``sha256:<salt>:<hex>``. Raises ``ValueError``."""
         match = _HASH.fullmatch(text)
         if match is None:
             raise ValueError("expected sha256:<64 hexadecimal digits>, or sha256:<salt>:<64 hexadecimal digits>")
         return cls(bytes.fromhex(match[2]), role, (match[1] or "").encode())
 
     def fits(self, token: str) -> bool:
-        """True for the token; takes the same time for all others."""
+        """Return whether this is the token, in constant time."""
         digest = hashlib.sha256(self.salt + token.encode(errors="surrogateescape")).digest()
         return hmac.compare_digest(digest, self.digest)
 
@@ -77,7 +77,7 @@ class CertificateRule:
     fingerprint: str = ""
 
     def fits(self, request: HttpRequest) -> bool:
-        """True if the certificate of the client, which TLS has verified, is one of these."""
+        """Return whether the client's certificate, which TLS has verified, is one of these."""
         certificate = request.certificate
         if not certificate:
             return False
@@ -123,7 +123,7 @@ class Door:
 
     @property
     def asks(self) -> bool:
-        """True if credentials count for something here."""
+        """Whether credentials make a difference here."""
         return bool(self.tokens or self.certificates)
 
     def role_of(self, request: HttpRequest) -> Role | Rejection:
@@ -177,7 +177,9 @@ class Door:
 
 
 def given_token(request: HttpRequest) -> list[str]:
-    """What a client gives as its token: by header, subprotocol or query, in this order; different readings of one."""
+    """Return what a client gives as its token, by header, subprotocol or query, in this order; several readings of one
+    are possible.
+    """
     scheme, _, value = request.headers.get("authorization", "").partition(" ")
     if scheme.lower() == "bearer" and value.strip():
         return [value.strip()]

@@ -1,4 +1,4 @@
-"""Who may do what: roles, rosbridge's globs, rates. One ``Access`` per client decides, counts and tells.
+"""Decides what a client may do: roles, rosbridge's globs, rates. One ``Access`` per client decides, counts and tells.
 
 A role lists patterns per verb. A pattern is one of a shell (``*`` also stands for slashes, as in rosbridge's globs)
 and is compared with the absolute name. What no pattern of a role names is not allowed; ``deny`` goes before ``allow``.
@@ -60,7 +60,7 @@ _TOPIC_OF_ROS1_ACTION: Final = re.compile(r"(.+)/(goal|cancel|feedback|status|re
 
 @dataclass(frozen=True)
 class Role:
-    """What its clients may do. ``allow`` and ``deny`` have patterns by verb; limits are ``None`` for no limit.
+    """The rights of a role's clients. ``allow`` and ``deny`` have patterns by verb; limits are ``None`` for no limit.
 
     ``messages_per_s`` and ``bytes_per_s`` bound what a client sends, on average over a second;
     ``max_message_bytes`` one message, and ``max_clients`` how many clients have the role at a time.
@@ -103,7 +103,7 @@ EVERYTHING: Final = Role("all", dict.fromkeys(VERBS, ("*",)))
 
 
 class Access:
-    """What one client may do.
+    """The rights of one client.
 
     ``client`` names it in the log; ``tally`` counts denials of all clients by rule. ``denied`` counts those of this
     one. ``limited`` is false where ``spend`` has nothing to watch. ``is_own`` tells the services of our rosapi from
@@ -140,7 +140,7 @@ class Access:
             raise self._refused(verb, name, rule)
 
     def allows(self, verb: str, name: str) -> bool:
-        """True if the client may do this; nothing is counted."""
+        """Return whether the client may do this, without counting it."""
         return not self._rule_against(verb, name)
 
     @property
@@ -230,7 +230,7 @@ class _Bucket:
 
 
 def _meant(verb: str, name: str) -> tuple[str, str]:
-    """The verb and the name that decide: parts of an action stand for the action."""
+    """Return the verb and the name that decide: parts of an action stand for the action."""
     if verb in ("call_service", "advertise_service") and (part := _PART_OF_ACTION.fullmatch(name)):
         return ("send_action_goal" if verb == "call_service" else "advertise_action"), part[1]
     if verb == "publish" and (part := _TOPIC_OF_ACTION.fullmatch(name)):
@@ -247,7 +247,9 @@ def _absolute(name: str) -> str:
 
 
 def _matches(name: str, patterns: Iterable[str], *, literal: bool = False) -> bool:
-    """True if a pattern fits; ``literal`` ones may also fit the name as a client writes it, without the slash."""
+    """Return whether a pattern matches; ``literal`` ones may also match the name as a client writes it, without the
+    slash.
+    """
     if literal:
         return any(fnmatch.fnmatchcase(name, p) or fnmatch.fnmatchcase(name[1:], p) for p in patterns)
     return any(fnmatch.fnmatchcase(name, _absolute(p)) for p in patterns)

@@ -1,4 +1,4 @@
-"""One WebSocket connection, either role, over picows.
+"""Implements a WebSocket connection, in either role, over picows.
 
 A ``Connection`` delivers whole messages (continuation frames joined, bounded), tells when it can take more
 (``writable``), notices a dead peer, and closes with a code and a reason. What the bytes mean is not its concern.
@@ -119,7 +119,7 @@ class Connection(WSListener):
 
     @property
     def writable(self) -> bool:
-        """True while what is sent now goes out soon."""
+        """Whether data sent now leaves soon."""
         return self._open and self.flow.free
 
     def _on_free(self) -> None:
@@ -133,7 +133,7 @@ class Connection(WSListener):
 
     @property
     def unsent_bytes(self) -> int:
-        """What the operating system has not taken yet."""
+        """The bytes that the operating system has not accepted yet."""
         transport = self._transport
         if transport is None:
             return 0
@@ -177,7 +177,7 @@ class Connection(WSListener):
 
     @property
     def closed(self) -> bool:
-        """True once nothing can be sent or received."""
+        """Whether nothing can be sent or received any more."""
         return self._closed.is_set()
 
     # ── picows callbacks ───────────────────────────────────────────────────────────────────────────────────────
@@ -383,7 +383,7 @@ def _number(code: Any) -> int:
 
 
 def peer_address(name: Any) -> str:
-    """The name of a socket's other end as people write it: ``10.1.2.3:4711``, ``[::1]:4711``."""
+    """Return the address of a socket's far end as people write it: ``10.1.2.3:4711``, ``[::1]:4711``."""
     if isinstance(name, tuple) and len(name) >= 2:
         return f"[{name[0]}]:{name[1]}" if ":" in str(name[0]) else f"{name[0]}:{name[1]}"
     return str(name or "unknown")

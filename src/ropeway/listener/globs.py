@@ -1,4 +1,4 @@
-"""What rosapi shows: lists of patterns, as rosbridge's ``topics_pub_glob`` and its kin have them."""
+"""Limits what rosapi shows by lists of patterns, like rosbridge's ``topics_pub_glob``."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class Globs:
 
     @property
     def topics(self) -> Sequence[str] | None:
-        """What is published or read."""
+        """The patterns of topics that are published or read."""
         if self.topics_pub is None or self.topics_sub is None:
             return None
         return (*self.topics_pub, *self.topics_sub)
 
     @staticmethod
     def allows(name: str, patterns: Iterable[str] | None) -> bool:
-        """True if ``name`` is shown."""
+        """Return whether ``name`` is shown."""
         return patterns is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)

@@ -65,7 +65,7 @@ class HttpRequest:
 
     @property
     def upgrades(self) -> bool:
-        """True for one that wants to become a WebSocket."""
+        """Whether the request asks to become a WebSocket."""
         return "websocket" in [part.strip().lower() for part in self.headers.get("upgrade", "").split(",")]
 
 
@@ -79,7 +79,7 @@ class Response:
     delay_s: float = 0.0
 
     def encode(self, *, body: bool = True) -> bytes:
-        """The bytes to send; without ``body`` those that answer a ``HEAD``."""
+        """Return the bytes to send; without ``body``, those that answer a ``HEAD``."""
         lines = [
             f"HTTP/1.1 {self.status} {HTTPStatus(self.status).phrase}",
             *(f"{name}: {value}" for name, value in self.headers.items()),
@@ -93,7 +93,7 @@ class Response:
 
 
 def reply(status: int, value: Any, **headers: str) -> Response:
-    """An answer in JSON; the names of ``headers`` are written with ``_`` for ``-``."""
+    """Make an answer in JSON; the names of ``headers`` are written with ``_`` for ``-``."""
     named = {name.replace("_", "-"): text for name, text in headers.items()}
     return Response(status, json.dumps(value).encode() + b"\n", {"Content-Type": "application/json", **named})
 
@@ -104,7 +104,7 @@ def without_token(url: str) -> str:
 
 
 def parse_head(head: bytes) -> HttpRequest:
-    """The request whose head ``head`` is, with the empty line that ends it. Raises ``InvalidFrame``."""
+    """Parse the head of a request, including the empty line that ends it. Raises ``InvalidFrame``."""
     first, *lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
     parts = first.split(b" ")
     if len(parts) != 3 or not _TOKEN.fullmatch(parts[0]) or not _TARGET.fullmatch(parts[1]):

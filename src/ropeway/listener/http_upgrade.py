@@ -57,7 +57,7 @@ Http = Callable[[HttpRequest], Response | asyncio.Protocol]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Port:
-    """What all connections of a listening port share."""
+    """Holds what all connections of a listening port share."""
 
     limits: Limits
     admit: Admit
@@ -81,14 +81,14 @@ class HttpUpgrade(asyncio.BufferedProtocol):
     # ── what the event loop calls ──────────────────────────────────────────────────────────────────────────────
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """A client connected."""
+        """Take a new client's connection."""
         self._transport = cast(asyncio.Transport, transport)  # uvloop's own are none
         self._visit.drop = self.abort
         loop = asyncio.get_running_loop()
         self._timer = loop.call_later(self._port.limits.open_timeout_s, self._late)
 
     def get_buffer(self, sizehint: int) -> bytearray:
-        """Where what comes is put."""
+        """Return the buffer for incoming data."""
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
@@ -106,11 +106,11 @@ class HttpUpgrade(asyncio.BufferedProtocol):
             self._answer(reply(431, {"error": f"the head of a request has {MAX_HEAD_BYTES} bytes at most"}))
 
     def eof_received(self) -> bool:
-        """The client sends no more."""
+        """Close the connection when the client has sent everything."""
         return False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The connection is gone."""
+        """Forget a connection that has ended."""
         self._forget()
 
     # ── deciding ───────────────────────────────────────────────────────────────────────────────────────────────
@@ -184,7 +184,7 @@ class HttpUpgrade(asyncio.BufferedProtocol):
         return _picows(upgrade, limits, self._port.logger)
 
     def _hand_over(self, protocol: Any, data: bytes) -> None:
-        """Another protocol goes on, as if the client had just connected and sent ``data``."""
+        """Hand the connection to another protocol, as if the client had just connected and sent ``data``."""
         transport = self._transport
         assert transport is not None
         self._forget()
@@ -229,7 +229,7 @@ class HttpUpgrade(asyncio.BufferedProtocol):
 
 
 def _picows(upgrade: Callable[[WSUpgradeRequest], Any], limits: Limits, logger: Any) -> Any:
-    """The protocol that ``picows.ws_create_server`` makes, with a size limit of this connection's own."""
+    """Make the protocol that ``picows.ws_create_server`` makes, with a size limit of this connection's own."""
     return WSProtocol(
         None,  # host and port, of a client
         None,  # path, of a client
@@ -250,7 +250,9 @@ def _picows(upgrade: Callable[[WSUpgradeRequest], Any], limits: Limits, logger: 
 
 
 def _upgrade_head(request: HttpRequest) -> bytes:
-    """What picows has to see of the request; it takes no more than one word under Connection, Firefox sends two."""
+    """Return the part of the request that picows has to see; it accepts only one word under Connection, and Firefox
+    sends two.
+    """
     key = request.headers["sec-websocket-key"]
     return (
         "GET / HTTP/1.1\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"

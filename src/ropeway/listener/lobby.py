@@ -113,4 +113,4 @@ class Lobby:
 
 
 def _nothing() -> None:
-    """There is nothing to drop any more."""
+    """Do nothing: there is nothing left to drop."""

@@ -1,4 +1,4 @@
-"""Who is connected, told on the graph as rosbridge tells it: ``/client_count`` and ``/connected_clients``."""
+"""Publishes who is connected, as rosbridge does: ``/client_count`` and ``/connected_clients``."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ class Presence:
         self._tell()
 
     def joined(self, client: Hashable, address: str) -> None:
-        """A client has connected from ``address``."""
+        """Add a client that has connected from ``address``."""
         sec, nanosec = divmod(self._clock(), 1_000_000_000)
         self._clients[client] = {"ip_address": address, "connection_time": {"sec": sec, "nanosec": nanosec}}
         self._changed()
 
     def left(self, client: Hashable) -> None:
-        """A client has gone."""
+        """Remove a client that has gone."""
         if self._clients.pop(client, None) is not None:
             self._changed()
 
@@ -89,7 +89,7 @@ class Presence:
 
 
 def ip_address(peer: str) -> str:
-    """The address without the port: ``192.168.1.7`` of ``192.168.1.7:40222``, ``::1`` of ``[::1]:40222``."""
+    """Return the address without the port: ``192.168.1.7`` for ``192.168.1.7:40222``, ``::1`` for ``[::1]:40222``."""
     host, colon, port = peer.rpartition(":")
     if not colon or not port.isdigit() or (":" in host and not host.startswith("[")):
         host = peer

@@ -31,11 +31,11 @@ class StorePages:
         self.store, self.registry = store, registry
 
     def knows(self, path: str) -> bool:
-        """True for its paths."""
+        """Return whether ``path`` is one of its paths."""
         return path == _ROOT or path.startswith(f"{_ROOT}/")
 
     def __call__(self, request: HttpRequest, access: Access) -> Response | asyncio.Protocol:
-        """The answer, or who goes on with the connection."""
+        """Return the answer, or the protocol that continues on the connection."""
         parts = request.path.removeprefix(_ROOT).strip("/").split("/", 1)
         system = unquote(parts[0]) or "*"
         topic = unquote(parts[1]) if len(parts) > 1 and parts[1] else "*"
@@ -130,10 +130,10 @@ class _Later(asyncio.Protocol):
         self._task = background(self._answer(cast(asyncio.Transport, transport)), "answer of the store")
 
     def data_received(self, data: bytes) -> None:
-        """The head again, and whatever else: ignored."""
+        """Ignore data: the head comes again, and nothing else matters."""
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Who asked has left; what was begun is finished."""
+        """Note that the client has left; work that was begun is finished."""
 
     async def _answer(self, transport: asyncio.Transport) -> None:
         response = await self.work

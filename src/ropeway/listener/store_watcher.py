@@ -1,4 +1,4 @@
-"""Who watches the store over HTTP: gets every value as a line of JSON, for as long as it may and reads."""
+"""Streams the values of the store over HTTP, one line of JSON each, as long as the client may and does read."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _HEAD: Final = (
 
 
 def entry_json(entry: Entry, registry: TypeRegistry) -> dict[str, Any]:
-    """A value for people and programs; a message of ROS stands under ``message``, if its type is known."""
+    """Return a value as JSON for people and programs; a ROS message stands under ``message``, if its type is known."""
     found = as_json(entry, age_s=round(entry.age_s(), 3))
     if entry.form == CDR:
         try:
@@ -67,21 +67,21 @@ class StoreWatcher(asyncio.Protocol):
             self._changed(entry)
 
     def data_received(self, data: bytes) -> None:
-        """The head again, and whatever else: ignored."""
+        """Ignore data: the head comes again, and nothing else matters."""
 
     def pause_writing(self) -> None:
-        """It reads slower than values come."""
+        """Start the patience timer: the client reads slower than values come."""
         if self._patience is None:
             self._patience = asyncio.get_running_loop().call_later(WATCHER_SILENCE_S, self.end)
 
     def resume_writing(self) -> None:
-        """It has read everything."""
+        """Stop the patience timer: the client has read everything."""
         if self._patience is not None:
             self._patience.cancel()
             self._patience = None
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Who watched has left."""
+        """Stop following the store: the client has left."""
         self.resume_writing()
         if self._transport is None:
             return
@@ -114,4 +114,4 @@ class StoreWatcher(asyncio.Protocol):
 
 
 def _nothing(watcher: StoreWatcher) -> None:
-    """Nobody wants to know."""
+    """Do nothing: no callback was set."""

@@ -149,7 +149,7 @@ def _redirects(response: Any) -> str:
 
 
 def _said(error: picows.WSError) -> str:
-    """The reason in an answer that is no WebSocket, as other gateways give it."""
+    """Return the reason in an answer that is not a WebSocket, as other gateways give it."""
     try:
         reason = json_value(getattr(error, "raw_body", None) or b"{}")["error"]
     except (ValueError, KeyError, TypeError):
@@ -162,7 +162,7 @@ def _nothing_here(request: HttpRequest) -> Response:
 
 
 def _nothing() -> None:
-    """Nothing needs to be undone."""
+    """Do nothing: nothing needs to be undone."""
 
 
 def _distrust(error: ssl.SSLCertVerificationError) -> str:
@@ -174,7 +174,7 @@ def _distrust(error: ssl.SSLCertVerificationError) -> str:
 
 
 def _reason(error: OSError) -> str:
-    """What the operating system says, without the words of the event loop around it."""
+    """Return the operating system's message without the words of the event loop around it."""
     if isinstance(error, ssl.SSLError) and error.reason in _PLAIN:
         return "does not speak TLS; is it a ws:// server?"
     if isinstance(error, (socket.gaierror, ssl.SSLError)) or not error.errno:

@@ -1,4 +1,4 @@
-"""Where in the CDR of a message lies an array that a filter can make smaller.
+"""Locates the array in the CDR of a message that a filter can make smaller.
 
 Only the few fields on the way to it are read. Nothing here must be right for a message to come back whole: a wrong
 guess only costs size.
@@ -52,7 +52,7 @@ class Array:
 
 
 def find(payload: Data, type: str) -> Array | None:
-    """The array of a payload of this message type (``pkg/msg/Name``), ``None`` where there is none to filter."""
+    """Return the array of a payload of this message type (``pkg/msg/Name``), ``None`` if there is nothing to filter."""
     finder = _FINDERS.get(type)
     return finder(payload) if finder is not None else None
 
@@ -99,7 +99,7 @@ def _after_string(payload: Data, offset: int) -> int:
 
 
 def _find_image(payload: Data) -> Array | None:
-    """The pixels of a sensor_msgs/Image."""
+    """Return the pixels of a sensor_msgs/Image."""
     try:
         offset = _after_string(payload, _HEADER_STAMP_END)  # frame_id
         _, _, length = _U32_3.unpack_from(payload, offset)  # height, width, length of the encoding with its NUL
@@ -125,7 +125,7 @@ def _find_image(payload: Data) -> Array | None:
 
 
 def _find_cloud(payload: Data) -> Array | None:
-    """The points of a sensor_msgs/PointCloud2."""
+    """Return the points of a sensor_msgs/PointCloud2."""
     try:
         offset = _after_string(payload, _HEADER_STAMP_END)  # frame_id
         _, _, fields = _U32_3.unpack_from(payload, offset)  # height, width, number of fields

@@ -44,7 +44,7 @@ _LENGTH: Final = struct.Struct("<I")
 
 
 def encode(payload: Data, type: str) -> bytes:
-    """The ``zstd`` body of a payload of the message ``type`` (``pkg/msg/Name``); any bytes are accepted."""
+    """Return the ``zstd`` body of a payload of the message ``type`` (``pkg/msg/Name``); any bytes are accepted."""
     array = find(payload, type)
     if array is None:
         frame = contexts.plain.compress(payload)
@@ -60,7 +60,7 @@ def encode(payload: Data, type: str) -> bytes:
 
 
 def decode(body: Data, limit_bytes: int = LIMIT_BYTES) -> bytes:
-    """The payload of a ``zstd`` body.
+    """Return the payload of a ``zstd`` body.
 
     Raises ``DecodeError`` for bytes that ``encode`` does not make, ``MessageTooBig`` where the payload would be
     above ``limit_bytes``.
@@ -135,7 +135,7 @@ class _Cursor:
 
 
 def _decompress(frame: Data, size: int | None, limit_bytes: int) -> bytes:
-    """What a frame holds, which must be ``size`` bytes (``None``: at most ``limit_bytes``)."""
+    """Decompress a frame, which must hold ``size`` bytes (``None``: at most ``limit_bytes``)."""
     try:
         stated = zstandard.frame_content_size(frame)
         if stated < 0:

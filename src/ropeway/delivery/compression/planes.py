@@ -42,7 +42,7 @@ _BIAS: Final = np.uint32(0x00808080)  # centres the lower bytes of small differe
 
 
 class _Contexts(threading.local):
-    """What is costly to make and serves one thread at a time: compression contexts and working memory."""
+    """Holds what is costly to make and serves one thread at a time: compression contexts and working memory."""
 
     def __init__(self) -> None:
         self.plain = zstandard.ZstdCompressor(level=1)
@@ -63,7 +63,9 @@ class _Contexts(threading.local):
         self._memory: dict[str, _U8] = {}
 
     def array(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-        """An array to work in, valid until the next one of this ``name``: fresh memory costs more than the work."""
+        """Return an array to work in, valid until the next one of this ``name``: fresh memory costs more
+        than the work.
+        """
         size = math.prod(shape) * np.dtype(dtype).itemsize
         memory = self._memory.get(name)
         if memory is None or memory.size < size:
@@ -165,7 +167,7 @@ def _take_off(values: npt.NDArray[Any], distance: int, out: npt.NDArray[Any]) ->
 
 
 def _upper_helps(deltas: npt.NDArray[Any], width: int) -> bool:
-    """Whether rows differ less from each other's left differences than those are large; looks at a few rows."""
+    """Return whether differences to the row above are smaller than differences to the left, judged by a few rows."""
     rows = deltas.size // width if width >= MIN_WIDTH else 0
     if rows < 2:
         return False
@@ -213,7 +215,7 @@ def _columns(records: _U8) -> _U32:
 
 
 def _choose_modes(columns: _U32) -> bytearray:
-    """The mode of each column that gives its bytes the least entropy, by a sample of the records."""
+    """Choose for each column the mode that gives its bytes the least entropy, judged by a sample of the records."""
     count = len(columns)
     sample = np.linspace(1, count - 1, _SAMPLE, dtype=np.intp)
     raw = np.ascontiguousarray(columns[sample])
@@ -225,7 +227,7 @@ def _choose_modes(columns: _U32) -> bytearray:
 
 
 def _entropy(sample: _U32) -> npt.NDArray[np.float32]:
-    """The bits of an average record in each column, its four bytes taken as independent."""
+    """Return the bits of an average record in each column, its four bytes taken as independent."""
     width = sample.shape[1]
     shifted = sample.view(np.uint8) + np.arange(0, 1024 * width, 256)
     histograms = np.bincount(shifted.ravel(), minlength=1024 * width).reshape(width, 1024)
@@ -325,7 +327,7 @@ def _add_upper(values: npt.NDArray[Any], width: int) -> None:
 
 
 class _Lanes(NamedTuple):
-    """How small numbers lie in 64-bit words, seen with every second one masked out, so that sums have room."""
+    """Describes how small numbers lie in 64-bit words; every second one is masked out, so that sums have room."""
 
     width: np.uint64
     mask: np.uint64

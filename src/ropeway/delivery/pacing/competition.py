@@ -1,4 +1,4 @@
-"""Others on a link: whether a queue is ours or theirs, and what we keep beside those who fill the link.
+"""Decides whether a queue on a link is ours or that of others, and what we keep beside connections that fill the link.
 
 A window that yields to every queue ends with nothing beside TCP connections that take only a lost packet for a full
 link. So a long queue is put to the test: with half of our window, one of ours becomes shorter. One that does not is
@@ -30,7 +30,7 @@ _STEP: Final = 1.25  # the next probe is larger by so much
 
 
 class Situation(NamedTuple):
-    """What the model of the link knows; ``long_s`` is a queue that nobody wanted."""
+    """The state of the link as its model sees it; ``long_s`` is a queue longer than anybody wants."""
 
     now_s: float
     window_bytes: int
@@ -43,14 +43,14 @@ class Situation(NamedTuple):
 
 
 class Advice(NamedTuple):
-    """What to do in place of the usual law; ``base_s`` is the shortest round trip from now on, if it changes."""
+    """The window to use instead of the usual law; ``base_s`` is the shortest round trip from now on, if it changes."""
 
     window_bytes: float
     base_s: float | None = None
 
 
 class Competition:
-    """What is known of others on one link."""
+    """Tracks the competing traffic on one link."""
 
     def __init__(self) -> None:
         self._test: _Test | None = None
@@ -182,7 +182,7 @@ class _Probe(NamedTuple):
 
 
 class _Held(NamedTuple):
-    """What we had of a link before others filled it, and its shortest round trip then."""
+    """Our share of a link before others filled it, and its shortest round trip then."""
 
     bytes_per_s: float
     base_s: float

@@ -1,4 +1,4 @@
-"""When a connection may send: while its link has room, and the operating system takes what is given to it."""
+"""Decides when a connection may send: while its link has room, and the operating system accepts data."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Flow:
 
     @property
     def known(self) -> bool:
-        """Whether the operating system tells what is on the way."""
+        """Whether the operating system tells how much is in flight."""
         return self._tcp is not None
 
     def open(self, sock: Any) -> None:

@@ -62,7 +62,7 @@ _LOSS_MEMORY: Final = 0xFFFF
 
 
 class LinkReading(NamedTuple):
-    """What is known of a connection at one moment; counts are since its beginning.
+    """The state of a connection at one moment; counts are since its beginning.
 
     ``delivered_bytes`` have arrived (acknowledged, also selectively), ``in_flight_bytes`` are on the way,
     ``unsent_bytes`` were handed over and wait in the kernel. ``rtt_s`` is the smoothed round trip.
@@ -143,7 +143,7 @@ class LinkModel:
 
     @property
     def wanted_bps(self) -> float | None:
-        """How fast what may be on the way can leave: at least the pace, and more where the window has grown beyond it.
+        """The rate at which data in flight can leave: at least the pace, and more if the window has grown beyond it.
 
         What waits in the kernel must not hold back a window that grows: the pace would only show our own limit.
         """
@@ -154,7 +154,7 @@ class LinkModel:
 
     @property
     def unsent_limit_bytes(self) -> int:
-        """How much may wait in the kernel."""
+        """The number of bytes that may wait in the kernel."""
         least = max(_LEAST_UNSENT_BYTES, self._least_bytes)
         pace = self.wanted_bps
         if self.starting or pace is None:
@@ -177,7 +177,7 @@ class LinkModel:
 
     @property
     def look_in_s(self) -> float:
-        """When to read again, after the last ``observe``."""
+        """The time from the last ``observe`` to the next reading."""
         pace = self.wanted_bps
         if pace is None or self.starting:
             return _SHORTEST_LOOK_S

@@ -1,4 +1,4 @@
-"""How fast a link carries bytes, measured from what arrives at the far end.
+"""Measures how fast a link carries bytes, from what arrives at the far end.
 
 Bytes that are sent back to back arrive at the pace of the narrowest place on the way, so a row of acknowledgements
 shows it, also where the row is short and the link is idle in between. While there was always more to send, a row is a

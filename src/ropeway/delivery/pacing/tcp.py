@@ -65,7 +65,7 @@ def tcp_info(sock: Any) -> TcpInfo | None:
 
 
 class Tcp:
-    """One TCP socket, as the model of its link needs it."""
+    """A TCP socket as the model of its link needs it."""
 
     def __init__(self, sock: Any) -> None:
         self._socket = sock

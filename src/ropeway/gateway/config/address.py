@@ -56,7 +56,10 @@ _HOST: Final = re.compile(r"(?!-)[A-Za-z0-9_-]{1,63}(\.(?!-)[A-Za-z0-9_-]{1,63})
 
 
 def parse_link(text: str) -> str:
-    """``WS://Host`` as ``ws://host:9090``. Raises ``ValueError`` with what was expected."""
+    """Normalise the address of a link: ``WS://Host`` becomes ``ws://host:9090``.
+
+    Raises ``ValueError`` with what was expected.
+    """
     parts = _split(text, ("overlay",))
     host, port = parts.hostname or "", parts.port if parts.port is not None else LINKS[parts.scheme]
     if not 1 <= port <= 65535:
@@ -68,7 +71,7 @@ def parse_link(text: str) -> str:
 
 
 def parse_listen(text: str) -> str:
-    """A listener's address; port 0 takes any free port. Raises ``ValueError`` with what was expected."""
+    """Normalise a listener's address; port 0 takes any free port. Raises ``ValueError`` with what was expected."""
     parts = _split(text)
     if parts.path not in ("", "/") or parts.query:
         raise ValueError(f'a listener has no path; expected ws://host:port, got "{text}"')
@@ -77,7 +80,7 @@ def parse_listen(text: str) -> str:
 
 
 def parse_graph(text: str) -> str:
-    """The address of a graph. Raises ``ValueError`` with what was expected."""
+    """Normalise the address of a graph. Raises ``ValueError`` with what was expected."""
     kind = text.partition(":")[0]
     if kind not in GRAPHS:
         near = did_you_mean(kind, GRAPHS)
@@ -103,7 +106,7 @@ def default_graph(environ: Mapping[str, str] | None = None) -> str:
 
 
 def is_loopback(address: str) -> bool:
-    """True where only this machine can reach the (parsed) address."""
+    """Return whether only this machine can reach the (parsed) address."""
     host = urlsplit(address).hostname or ""
     try:
         return ipaddress.ip_address(host).is_loopback
@@ -112,12 +115,12 @@ def is_loopback(address: str) -> bool:
 
 
 def is_secure(address: str) -> bool:
-    """True for a (parsed) address behind TLS."""
+    """Return whether the (parsed) address uses TLS."""
     return address.startswith(("wss:", "iorts:"))
 
 
 def is_iort(address: str) -> bool:
-    """True for the (parsed) address of a server of IoRT nodes."""
+    """Return whether the (parsed) address is that of a server of IoRT nodes."""
     return address.startswith(("iort:", "iorts:"))
 
 

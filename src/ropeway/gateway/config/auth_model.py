@@ -51,7 +51,7 @@ _FINGERPRINT: Final = re.compile(r"(?:[0-9a-f]{2}:?){31}[0-9a-f]{2}")
 
 
 def parse_glob(value: object) -> tuple[str, ...] | None:
-    """A glob of rosbridge: ``"['/a', '/b*']"``, the same as a list, ``""`` for no filter.
+    """Parse a glob of rosbridge: ``"['/a', '/b*']"``, the same as a list, ``""`` for no filter.
 
     Raises ``ValueError`` for anything else.
     """
@@ -109,7 +109,7 @@ Glob = Annotated[
 
 
 class _Secret(Model):
-    """Where a token is read from, when the gateway starts."""
+    """Says where a token is read from when the gateway starts."""
 
     env: str | None = Field(None, min_length=1, description="the name of an environment variable")
     file: ExistingPath | None = Field(None, description="a file that holds it and nothing else")
@@ -174,12 +174,12 @@ class Patterns(Model):
     )
 
     def by_verb(self) -> dict[str, tuple[str, ...]]:
-        """As ``ropeway.listener.authorization.Role`` has them."""
+        """Return the patterns by verb, as ``ropeway.listener.authorization.Role`` holds them."""
         return {verb: getattr(self, key) for key, verb in VERB_OF_KEY.items() if getattr(self, key)}
 
 
 class RoleConfig(Patterns):
-    """What the clients of a role may do; what is not listed, they may not."""
+    """The rights of a role's clients; whatever is not listed is not allowed."""
 
     deny: Patterns = Field(Patterns.model_validate({}), description="exceptions from the patterns beside it")
     messages_per_s: Rate | None = Field(None, description="how much a client may send; left out: no limit")
@@ -189,7 +189,7 @@ class RoleConfig(Patterns):
 
 
 class AuthConfig(Model):
-    """Who may connect, and as what."""
+    """Says who may connect, and in which role."""
 
     tokens: Annotated[Many[Annotated[TokenItem, BeforeValidator(_no_token)]], BeforeValidator(_no_token)] = Field(
         (), description="bearer tokens"
@@ -212,7 +212,7 @@ class AuthConfig(Model):
 
     @property
     def asks(self) -> bool:
-        """True if credentials are asked for."""
+        """Whether credentials are asked for."""
         return bool(self.tokens or self.certificates)
 
 

@@ -60,7 +60,9 @@ _BOUNDS: Final = {
 
 
 def check(obj: object, directory: Path) -> tuple[Document | None, list[Problem]]:
-    """The document, ``None`` where its shape is wrong, and every problem: those of shape first."""
+    """Check a configuration; return the document, ``None`` if its shape is wrong, and every problem, those of shape
+    first.
+    """
     full, problem = _full_form(obj)
     if problem:
         return None, [problem]
@@ -75,7 +77,7 @@ def check(obj: object, directory: Path) -> tuple[Document | None, list[Problem]]
 
 
 def route_key(operation: str, address: str, graph: str, name: str, remote_name: str, type: str) -> str:
-    """A stable hash of a task: its class and direction, address, names and type.
+    """Return a stable hash of a task: its class and direction, address, names and type.
 
     Direction, graph and remote name are part of it because a topic may go both ways, from two networks, or to two
     names. ``publish`` and ``trans-publish`` are one direction.
@@ -89,7 +91,7 @@ def route_key(operation: str, address: str, graph: str, name: str, remote_name: 
 
 
 def json_path(parts: Iterable[str | int]) -> str:
-    """``("remotes", 0, "publish")`` as ``remotes[0].publish``."""
+    """Write a path as text: ``("remotes", 0, "publish")`` becomes ``remotes[0].publish``."""
     out = ""
     for part in parts:
         if isinstance(part, int):
@@ -105,7 +107,7 @@ def json_path(parts: Iterable[str | int]) -> str:
 
 
 def _full_form(obj: object) -> tuple[Mapping[str, Any], Problem | None]:
-    """The three spellings as one."""
+    """Bring the three spellings of a configuration to the full form."""
     if isinstance(obj, list):
         return {"remotes": obj}, None
     if not isinstance(obj, Mapping):
@@ -156,7 +158,7 @@ def _field(loc: tuple[str | int, ...]) -> str:
 
 
 def _model_at(loc: Iterable[str | int]) -> type[BaseModel]:
-    """The model that stands at a location."""
+    """Return the model at a location."""
     model: type[BaseModel] = Document
     parts = iter(loc)
     for part in parts:
@@ -189,7 +191,7 @@ def _aliases(alias: object) -> list[str]:
 
 
 def _keys(model: type[BaseModel]) -> list[str]:
-    """The keys of a model, each in its first spelling."""
+    """Return the keys of a model, each in its first spelling."""
     return [(_aliases(info.validation_alias) or [info.alias or name])[0] for name, info in model.model_fields.items()]
 
 
@@ -206,7 +208,7 @@ def _spellings(model: type[BaseModel]) -> dict[str, str]:
 
 
 def _attempt(make: Callable[[Any], T], value: object) -> T | None:
-    """``make(value)``, ``None`` where its shape is wrong, which is reported elsewhere."""
+    """Return ``make(value)``, or ``None`` if its shape is wrong, which is reported elsewhere."""
     try:
         return make(value)
     except (ValueError, TypeError, AttributeError):
@@ -330,7 +332,7 @@ def _remote(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable
 
 
 def _overlay(remote: Mapping[str, Any], path: str, gateway: Mapping[str, Any]) -> Iterable[Problem]:
-    """What only a remote in the overlay has, and what it has not."""
+    """Check the keys that only a remote in the overlay has, and those that it does not have."""
     there = remote.get("address") == OVERLAY
     if there and gateway.get("overlay") is None and not _inactive(remote):
         yield f"{path}.address", 'the overlay needs gateway.overlay with an "identity"; ropeway keys issue writes one'
@@ -351,7 +353,7 @@ def _overlay(remote: Mapping[str, Any], path: str, gateway: Mapping[str, Any]) -
 
 
 def _iort(remote: Mapping[str, Any], path: str) -> Iterable[Problem]:
-    """What a server of nodes has, and what it has not."""
+    """Check the keys that only a server of nodes has, and those that it does not have."""
     address = _attempt(parse_link, remote.get("address"))
     if address is None or not is_iort(address):
         if remote.get("maps"):
@@ -363,7 +365,7 @@ def _iort(remote: Mapping[str, Any], path: str) -> Iterable[Problem]:
 
 
 def _store(gateway: Mapping[str, Any], remotes: object) -> Iterable[Problem]:
-    """One process keeps last values."""
+    """Check that only one process keeps last values."""
     if gateway.get("workers", 0) in (0, None):
         return
     listen = gateway.get("listen")
@@ -391,7 +393,7 @@ def _inactive(remote: Mapping[str, Any]) -> bool:
 
 
 def _tasks(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable[tuple[str, str, str]]:
-    """``(key, path, words)`` of every well-formed task of one remote."""
+    """Yield ``(key, path, words)`` for every well-formed task of one remote."""
     frame = {k: remote[k] for k in ("address", "graph", "local_namespace", "remote_namespace") if k in remote}
     shell = _attempt(RemoteConfig.model_validate, frame)
     if shell is None:

@@ -1,4 +1,4 @@
-"""What a gateway is told to do: the configuration, read strictly and brought to one form.
+"""Reads the configuration of a gateway strictly and brings it to one form.
 
 Three spellings are accepted: the Gateway paper's list of remotes, one remote alone, and the full form
 ``{"gateway": {...}, "remotes": [...]}``, each as JSON or YAML. All become a ``Config``, whose ``routes()`` are the
@@ -36,7 +36,7 @@ __all__ = ["Config", "GatewayConfig", "RemoteConfig", "Route", "load", "parse"]
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """One task: a name on the local graph joined with a name at a remote.
+    """A task: a name on the local graph joined with a name at a remote.
 
     ``path`` is where the configuration says so; ``key`` stays the same while class, address, name and type do.
     """
@@ -65,7 +65,7 @@ class Config:
     source: str = field(default="", compare=False)
 
     def routes(self) -> list[Route]:
-        """The tasks of all active remotes, in order."""
+        """Return the tasks of all active remotes, in order."""
         return [
             self._route(index, remote, operation, number, item)
             for index, remote in enumerate(self.remotes)
@@ -95,7 +95,7 @@ class Config:
 
     @property
     def stores(self) -> bool:
-        """True if last values are kept."""
+        """Whether last values are kept."""
         return (
             self.gateway.store is not None
             or any(map(is_iort, self.gateway.listen))
@@ -103,7 +103,7 @@ class Config:
         )
 
     def slice(self, remotes: Iterable[int], *, listen: bool = True) -> Config:
-        """A part of this configuration for a worker: only the remotes with these indexes stay active.
+        """Return the part of this configuration for a worker: only the remotes with these indexes stay active.
 
         The others stay in their places, so that every path and key is that of the whole. ``listen=False`` takes
         the listeners away.
@@ -117,12 +117,14 @@ class Config:
         return replace(self, gateway=gateway, remotes=kept)
 
     def to_json(self) -> dict[str, Any]:
-        """The full form, for ``parse`` in another process: paths are absolute and nothing is left to defaults."""
+        """Return the full form, for ``parse`` in another process: paths are absolute and all defaults are
+        written out.
+        """
         return {"gateway": _dump(self.gateway), "remotes": [_dump(remote) for remote in self.remotes]}
 
     @staticmethod
     def schema() -> dict[str, Any]:
-        """A JSON Schema of everything ``parse`` accepts, for editors."""
+        """Return a JSON Schema of everything that ``parse`` accepts, for editors."""
         from ropeway.gateway.config.schema import build  # a tenth of a second that only this needs
 
         return build()

@@ -21,7 +21,7 @@ _TOP: Final = "(top level)"
 
 
 def read_file(path: str | Path) -> Any:
-    """The value in a ``.json``, ``.yaml`` or ``.yml`` file; other names are told apart by their first character.
+    """Read the value in a ``.json``, ``.yaml`` or ``.yml`` file; for other names, the first character decides.
 
     Raises ``ConfigError`` where the file cannot be read or is malformed.
     """
@@ -71,7 +71,7 @@ def _find_repeated(value: Any, path: str, problems: list[tuple[str, str]]) -> No
 
 
 def read_json(text: str, source: str = "") -> Any:
-    """The value of a JSON text.
+    """Parse a JSON text.
 
     Raises ``ConfigError`` naming line and column, or the path of a key that stands twice.
     """
@@ -138,7 +138,7 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _core_int)
 
 
 def read_yaml(text: str, source: str = "") -> Any:
-    """The value of a YAML text. Raises ``ConfigError`` naming line and column of the fault."""
+    """Parse a YAML text. Raises ``ConfigError`` naming line and column of the fault."""
     try:
         return yaml.load(text, Loader=_Loader)  # noqa: S506 - a SafeLoader
     except yaml.MarkedYAMLError as error:

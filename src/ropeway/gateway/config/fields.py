@@ -1,4 +1,4 @@
-"""What all models of a configuration share."""
+"""Defines what all models of a configuration share."""
 
 from __future__ import annotations
 

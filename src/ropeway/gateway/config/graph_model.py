@@ -33,7 +33,7 @@ Distro = Annotated[str, AfterValidator(_distro), WithJsonSchema({"enum": list(RO
 
 
 class GraphConfig(Model):
-    """One local network."""
+    """A local network."""
 
     address: Annotated[str, AfterValidator(parse_graph)] = Field(description="as gateway.graphs lists them")
     distro: Distro | None = Field(

@@ -1,4 +1,4 @@
-"""What a configuration says of robots of other makes, and of the store of last values."""
+"""Models the configuration of robots of other makes, and of the store of last values."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MIB: Final = 1 << 20
 
 
 def robots() -> dict[str, Any]:
-    """The maps that come with Ropeway, by name: those of the IoRT paper's five robots."""
+    """Return the maps that come with Ropeway, by name: those of the IoRT paper's five robots."""
     folder = resources.files("ropeway.networks.iort") / "robots"
     return {entry.name.removesuffix(".yaml"): entry for entry in folder.iterdir() if entry.name.endswith(".yaml")}
 
@@ -107,7 +107,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class MapItem(Model):
-    """One topic of IoRT nodes as a topic of ROS."""
+    """Maps a topic of IoRT nodes to a ROS topic."""
 
     system: str = Field(min_length=1, description="the system, or a pattern such as *")
     topic: str = Field(min_length=1, description="the topic, or a pattern")
@@ -150,7 +150,7 @@ class MapItem(Model):
         return self
 
     def as_map(self) -> TopicMap:
-        """As the graph has it."""
+        """Return the map in the form that the graph uses."""
         keys = ("fields", "codes", "send", "deadband", "field", "rate_rad_s", "hold_s", "step_deg")
         options = {key: value for key in keys if (value := getattr(self, key)) is not None}
         return TopicMap(
@@ -159,7 +159,7 @@ class MapItem(Model):
 
 
 def _expanded(value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> tuple[MapItem, ...]:
-    """The maps that one item of a list stands for: itself, or those of the name or file that it is."""
+    """Expand one item of a list: to itself, or to the maps in the file, or of the name, that it gives."""
     if not isinstance(value, str):
         return (handler(value),)
     made: list[MapItem] = []
@@ -220,5 +220,5 @@ class StoreConfig(Model):
     history: int = Field(0, ge=0, le=10_000, description="how many values before the last are kept of each topic")
 
     def limits(self) -> StoreLimits:
-        """As the store has them."""
+        """Return the limits in the form that the store uses."""
         return StoreLimits(self.max_value_bytes, self.max_values, self.max_bytes, self.max_age_s, self.history)

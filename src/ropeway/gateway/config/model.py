@@ -226,7 +226,7 @@ Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class BridgedName(Model):
-    """One name to bridge, with what all operations share."""
+    """A name to bridge, with the options that all operations share."""
 
     name: Name = Field(description="the name on the local graph; relative to local_namespace")
     type: str = Field(description="its type: pkg/msg/Name, pkg/Name or pkg.msg.Name")
@@ -246,7 +246,7 @@ class BridgedName(Model):
     node: Metadatum = Field(None, description="likewise: the name of the node that has it")
 
     def delivery(self) -> Delivery:
-        """How the far side should treat this route."""
+        """Return how the far side should treat this route."""
         given = ((key, getattr(self, key)) for key in METADATA)
         return Delivery(
             encoding="cbor-raw" if self.israw else self.compression,
@@ -274,7 +274,7 @@ class TopicItem(BridgedName):
     qos: Profile = Field(None, description="QoS on the local graph; left out: the publishers' own is adopted")
 
     def delivery(self) -> Delivery:
-        """How the far side should treat this route."""
+        """Return how the far side should treat this route."""
         return replace(
             super().delivery(),
             rate_hz=self.rate_hz,
@@ -346,7 +346,7 @@ class ListenTls(Model):
 
 
 class RemoteConfig(Model):
-    """One other gateway (or rosbridge server) and what crosses to and from it."""
+    """Another gateway (or rosbridge server) and what crosses to and from it."""
 
     address: Annotated[str, AfterValidator(_address)] = Field(
         description="ws://host:port or wss://host:port, overlay: everybody in the overlay, or iort://host:port: a "
@@ -402,7 +402,7 @@ class RemoteConfig(Model):
                 yield operation, index, item
 
     def names(self, item: BridgedName) -> tuple[str, str]:
-        """The absolute local and remote names of an item.
+        """Return the absolute local and remote names of an item.
 
         Namespaces stand before ``name``, with or without its leading slash; a ``remote_name`` with a leading slash
         is taken as it is.
@@ -413,7 +413,7 @@ class RemoteConfig(Model):
 
 
 class ClientsConfig(Model):
-    """How the listeners treat rosbridge clients."""
+    """Says how the listeners treat rosbridge clients."""
 
     path: Annotated[str, AfterValidator(_url_path)] = Field("/", description="the path of the WebSocket")
     max_clients: int = Field(1000, ge=1, description="how many may be connected at a time, per worker")

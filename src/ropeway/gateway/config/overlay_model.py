@@ -1,4 +1,4 @@
-"""What a configuration says of the overlay."""
+"""Models the overlay's part of a configuration."""
 
 from __future__ import annotations
 

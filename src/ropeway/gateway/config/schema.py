@@ -36,14 +36,14 @@ _ITEMS: Final[tuple[type[BaseModel], ...]] = (
 
 
 class _Plain(GenerateJsonSchema):
-    """Without the generated titles, which editors would show instead of the descriptions."""
+    """Leaves out the generated titles, which editors would show instead of the descriptions."""
 
     def field_title_should_be_set(self, schema: Any) -> bool:
         return False
 
 
 def build() -> dict[str, Any]:
-    """The schema of all three forms: the full object, a list of remotes, one remote."""
+    """Build the schema of all three forms: the full object, a list of remotes, one remote."""
     models: tuple[type[BaseModel], ...] = (m.Document, GraphConfig, *_ITEMS)
     _, made = models_json_schema([(model, "validation") for model in models], schema_generator=_Plain)
     definitions: dict[str, Any] = made["$defs"]

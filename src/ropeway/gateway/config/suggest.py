@@ -10,7 +10,7 @@ __all__ = ["did_you_mean", "nearest", "one_of", "show", "unknown_key"]
 
 
 def nearest(word: object, valid: Iterable[str]) -> str:
-    """The valid word that ``word`` most likely stands for, ``""`` where none is near.
+    """Return the valid word that ``word`` most likely stands for, ``""`` if none is near.
 
     Case and the difference between ``-`` and ``_`` count for nothing; a whole part of a valid word
     (``namespace`` for ``local_namespace``) is near when nothing is nearer.
@@ -27,26 +27,26 @@ def nearest(word: object, valid: Iterable[str]) -> str:
 
 
 def did_you_mean(word: object, valid: Iterable[str]) -> str:
-    """``; did you mean "x"?``, ready to follow a sentence, or ``""``."""
+    """Return ``; did you mean "x"?``, ready to follow a sentence, or ``""``."""
     near = nearest(word, valid)
     return f'; did you mean "{near}"?' if near else ""
 
 
 def one_of(word: object, valid: Iterable[str]) -> str:
-    """``expected one of a, b, got "c"; did you mean "b"?`` for a value that is none of the valid ones."""
+    """Return ``expected one of a, b, got "c"; did you mean "b"?`` for a value that is not valid."""
     options = list(valid)
     return f"expected one of {', '.join(options)}, got {show(word)}{did_you_mean(word, options)}"
 
 
 def unknown_key(word: object, valid: Iterable[str]) -> str:
-    """The sentence for a key that is none of the valid ones."""
+    """Return the sentence for a key that is not valid."""
     options = list(valid)
     near = did_you_mean(word, options)
     return f"unknown key{near + ' Expected' if near else '; expected'} one of {', '.join(options)}"
 
 
 def show(value: object) -> str:
-    """A value as JSON, cut to a length that fits a line; what has parts is only named."""
+    """Return a value as JSON, cut to a length that fits a line; for values with parts, only their kind is named."""
     if isinstance(value, Mapping):
         return "an object"
     if isinstance(value, list | tuple):

@@ -17,7 +17,7 @@ _KINDS: Final = {"service": "srv", "action": "action"}
 
 
 def known_types(config: Config) -> TypeRegistry:
-    """The types that a gateway with this configuration knows before it meets anybody."""
+    """Return the types that a gateway with this configuration knows before it meets anybody."""
     from ropeway.types import TypeRegistry
 
     registry = TypeRegistry()
@@ -39,7 +39,7 @@ def learn_types(config: Config, registry: TypeRegistry) -> None:
 
 
 def type_hints(config: Config, registry: TypeRegistry) -> list[tuple[str, str]]:
-    """Where a type stands that is not known, and what may be meant, each type once.
+    """Return where unknown types are named and what may be meant, each type once.
 
     Such a type may be right: between gateways messages cross as they are, and peers can tell definitions.
     """

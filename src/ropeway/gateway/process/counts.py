@@ -9,7 +9,7 @@ __all__ = ["summed"]
 
 
 def summed(many: Iterable[Mapping[str, Mapping[str, int]]]) -> dict[str, dict[str, int]]:
-    """``[{"a": {"x": 1}}, {"a": {"x": 2}}]`` as ``{"a": {"x": 3}}``."""
+    """Add up counts: ``[{"a": {"x": 1}}, {"a": {"x": 2}}]`` gives ``{"a": {"x": 3}}``."""
     out: dict[str, Counter[str]] = {}
     for one in many:
         for key, counts in one.items():

@@ -21,7 +21,7 @@ _PENDING_PART: Final = 4  # the part of the room for those who are not let in ye
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """How many connections there is room for: of clients that are let in, and of those that are not yet."""
+    """The number of connections there is room for: of clients that are admitted, and of those that are not yet."""
 
     clients: int
     pending: int = PENDING_CONNECTIONS

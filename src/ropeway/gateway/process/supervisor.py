@@ -34,7 +34,7 @@ _LONGEST_PAUSE_S: Final = 10.0
 
 
 def slices(config: Config) -> list[tuple[str, Config]]:
-    """How a configuration is divided: (name, slice) of every worker."""
+    """Divide a configuration; return (name, slice) of every worker."""
     active = [index for index, remote in enumerate(config.remotes) if remote.active]
     workers = config.gateway.workers
     if workers == "per-remote":
@@ -59,7 +59,7 @@ class Spare:
         return None if self._process is None else self._process.pid
 
     async def take(self) -> asyncio.subprocess.Process:
-        """The spare, or a new process."""
+        """Return the spare process, or start a new one."""
         async with self._lock:
             process, self._process = self._process, None
         return process if process is not None and process.returncode is None else await self._start()
@@ -89,7 +89,7 @@ class Spare:
 
 
 class WorkerProcess:
-    """One process and its slice."""
+    """A process and its slice."""
 
     def __init__(self, name: str, order: dict[str, Any], spare: Spare, *, steady_s: float) -> None:
         self.name = name
@@ -236,7 +236,7 @@ class Supervisor:
                 worker.process.send_signal(signal.SIGHUP)
 
     def status(self) -> dict[str, Any]:
-        """What all workers tell, as if they were one gateway."""
+        """Return what all workers report, as if they were one gateway."""
         told = [worker.status for worker in self.workers if worker.status]
 
         def joined(key: str) -> list[Any]:
@@ -259,7 +259,7 @@ class Supervisor:
 
 
 def _listeners(listed: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row per address: workers that share a port each count their own clients."""
+    """Return one row per address: workers that share a port each count their own clients."""
     out: dict[str, dict[str, Any]] = {}
     for row in listed:
         known = out.setdefault(row["address"], {**row, "clients": 0})

@@ -75,7 +75,7 @@ async def _main() -> int:
 
 
 def main() -> int:
-    """The entry of the process."""
+    """Run the worker process."""
     import uvloop
 
     signal.signal(signal.SIGHUP, signal.SIG_IGN)  # until there is something to read again

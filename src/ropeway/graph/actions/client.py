@@ -73,7 +73,7 @@ class ComposedGoal:
             self._client.tell(self._on_feedback, payload)
 
     def finish(self, outcome: Outcome) -> None:
-        """The goal has ended; only the first end counts."""
+        """End the goal; only the first end counts."""
         if not self.outcome.done():
             self.outcome.set_result(outcome)
 
@@ -155,7 +155,7 @@ class ComposedActionClient:
 
     @property
     def available(self) -> bool | None:
-        """True if all three services of the action are there."""
+        """Whether all three services of the action are there."""
         states = [client.available for client in self._clients]
         return None if None in states else all(states)
 
@@ -267,7 +267,7 @@ class ComposedActionClient:
         return code == ERROR_NONE and id in ending
 
     def _named(self, error: BaseException, timeout_s: float) -> BaseException:
-        """A failure of one of the services, as one of the action."""
+        """Turn the failure of one of the services into one of the action."""
         match error:
             case NotServed():
                 return NotServed(self.action, "action")
@@ -337,4 +337,4 @@ class ComposedActionClient:
 
 
 def _ignore(batch: Sequence[Sample]) -> None:
-    """The status topic is subscribed to as by every ROS client; what it says comes with the results, too."""
+    """Ignore a status: the topic is subscribed to, as by every ROS client, but results carry the same information."""

@@ -1,4 +1,4 @@
-"""What an action is made of: the names and types of its services and topics, and their payloads."""
+"""Defines the parts of an action: the names and types of its services and topics, and their payloads."""
 
 from __future__ import annotations
 
@@ -88,35 +88,38 @@ class ActionParts:
         self._statuses = registry.codec(STATUS_TYPE)
 
     def join(self, id: bytes, payload: bytes) -> bytes:
-        """The CDR of ``…_SendGoal_Request`` or ``…_FeedbackMessage`` around a goal or a feedback."""
+        """Return the CDR of ``…_SendGoal_Request`` or ``…_FeedbackMessage`` around a goal or a feedback."""
         return payload[:_HEADER_BYTES] + id + payload[_HEADER_BYTES:]
 
     def split(self, message: bytes) -> tuple[bytes, bytes]:
-        """The goal id and the CDR of the goal or feedback in such a message. Raises ``DecodeError``."""
+        """Return the goal id and the CDR of the goal or feedback in such a message. Raises ``DecodeError``."""
         body = _HEADER_BYTES + _ID_BYTES
         if len(message) < body:
             raise DecodeError(self.type, "CDR", f"{len(message)} bytes are too few for a goal id")
         return bytes(message[_HEADER_BYTES:body]), bytes(message[:_HEADER_BYTES] + message[body:])
 
     def accepted(self, accepted: bool, stamp_ns: int) -> bytes:
-        """The CDR of ``…_SendGoal_Response``."""
+        """Return the CDR of ``…_SendGoal_Response``."""
         return self._accepted.encode({"accepted": accepted, "stamp": _time(stamp_ns)})
 
     def is_accepted(self, response: bytes) -> bool:
-        """Whether a ``…_SendGoal_Response`` says yes. Raises ``DecodeError``."""
+        """Return whether a ``…_SendGoal_Response`` accepts the goal. Raises ``DecodeError``."""
         return bool(self._accepted.decode(response)["accepted"])
 
     def result_request(self, id: bytes) -> bytes:
-        """The CDR of ``…_GetResult_Request``."""
+        """Return the CDR of ``…_GetResult_Request``."""
         return b"\0\1\0\0" + id
 
     def result(self, status: GoalStatus, payload: bytes | None) -> bytes:
-        """The CDR of ``…_GetResult_Response``; no payload gives the default values. Raises ``DecodeError``."""
+        """Return the CDR of ``…_GetResult_Response``; without a payload it holds the default values.
+
+        Raises ``DecodeError``.
+        """
         result = self._result.decode(payload) if payload is not None else {}
         return self._get_result_response.encode({"status": int(status), "result": result})
 
     def outcome(self, response: bytes) -> tuple[int, bytes]:
-        """The status and the CDR of the result in a ``…_GetResult_Response``. Raises ``DecodeError``."""
+        """Return the status and the CDR of the result in a ``…_GetResult_Response``. Raises ``DecodeError``."""
         message = self._get_result_response.decode(response)
         try:
             return message["status"], self._result.encode(message["result"])
@@ -124,25 +127,27 @@ class ActionParts:
             raise DecodeError(self.type, "CDR", error.reason) from None
 
     def cancel_request(self, id: bytes = NO_GOAL, stamp_ns: int = 0) -> bytes:
-        """The CDR of ``CancelGoal_Request``."""
+        """Return the CDR of ``CancelGoal_Request``."""
         return self._cancel_request.encode({"goal_info": _info(id, stamp_ns)})
 
     def cancel_wish(self, request: bytes) -> tuple[bytes, int]:
-        """The goal id and the time (ns) of a ``CancelGoal_Request``. Raises ``DecodeError``."""
+        """Return the goal id and the time (ns) in a ``CancelGoal_Request``. Raises ``DecodeError``."""
         info = self._cancel_request.decode(request)["goal_info"]
         return bytes(info["goal_id"]["uuid"]), _nanoseconds(info["stamp"])
 
     def cancelling(self, code: int, goals: list[tuple[bytes, int]]) -> bytes:
-        """The CDR of ``CancelGoal_Response``: the code, and id and acceptance time (ns) of the goals that end."""
+        """Return the CDR of ``CancelGoal_Response``: the code, and id and acceptance time (ns) of the goals
+        that end.
+        """
         return self._cancel_response.encode({"return_code": code, "goals_canceling": [_info(*goal) for goal in goals]})
 
     def cancel_answer(self, response: bytes) -> tuple[int, list[bytes]]:
-        """The code and the ids of a ``CancelGoal_Response``. Raises ``DecodeError``."""
+        """Return the code and the goal ids in a ``CancelGoal_Response``. Raises ``DecodeError``."""
         message = self._cancel_response.decode(response)
         return message["return_code"], [bytes(info["goal_id"]["uuid"]) for info in message["goals_canceling"]]
 
     def statuses(self, goals: list[tuple[bytes, int, GoalStatus]]) -> bytes:
-        """The CDR of ``GoalStatusArray``: id, acceptance time (ns) and status of each goal."""
+        """Return the CDR of ``GoalStatusArray``: id, acceptance time (ns) and status of each goal."""
         listed = [{"goal_info": _info(id, stamp_ns), "status": int(status)} for id, stamp_ns, status in goals]
         return self._statuses.encode({"status_list": listed})
 
@@ -161,7 +166,7 @@ def _info(id: bytes, stamp_ns: int) -> dict[str, Any]:
 
 
 def action_of_service(service: str, type: str = "") -> tuple[str, str] | None:
-    """The action and its type whose goals the service ``service`` takes, ``None`` for other services."""
+    """Return the action, and its type, whose goals the service ``service`` takes, ``None`` for other services."""
     name = service.removesuffix(_SEND_GOAL)
     if not name or name == service:
         return None
@@ -174,7 +179,7 @@ def service_of_action(action: str) -> str:
 
 
 def actions_of(services: Mapping[str, ServiceInfo]) -> dict[str, ActionInfo]:
-    """The actions that the listed services belong to, by name."""
+    """Return the actions that the listed services belong to, by name."""
     found: dict[str, ActionInfo] = {}
     for info in services.values():
         action = action_of_service(info.name)

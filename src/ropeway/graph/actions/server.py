@@ -139,7 +139,9 @@ class ComposedActionServer:
             self.on_closed()
 
     async def _be_asked(self, goals: Iterable[_Tracked]) -> None:
-        """Those who sent a goal a moment ago come to ask for its result: they are not left without an answer."""
+        """Give clients that sent a goal a moment ago the time to ask for its result, so that they are not left without
+        an answer.
+        """
         loop = asyncio.get_running_loop()
         for tracked in goals:
             if not tracked.asked.is_set() and tracked.taken_s + _ASK_S > loop.time():
@@ -283,7 +285,7 @@ class ComposedActionServer:
         return self._parts.cancelling(code, [(tracked.goal.id, tracked.stamp_ns) for tracked in ending])
 
     async def _agrees(self, tracked: _Tracked) -> bool:
-        """True for a goal that is to end; it is told."""
+        """Ask the handler whether the goal may be cancelled and return its answer; a goal that agrees is marked."""
         if tracked.status is GoalStatus.CANCELING:
             return True
         if self._handlers.cancel is not None:

@@ -56,12 +56,12 @@ class MemoryClient:
         self._under_way = InFlight()
 
     def look(self) -> None:
-        """A service has appeared somewhere."""
+        """Check for a provider after a service has appeared somewhere."""
         if self.provider() is not None:
             self._came.set()
 
     def provider(self) -> MemoryService | None:
-        """The first service of another participant with this name and type."""
+        """Return the first service of another participant with this name and type."""
         for service in self.graph.network.services.of(self.service):
             if service.type == self.type and service.graph is not self.graph:
                 return service
@@ -69,7 +69,7 @@ class MemoryClient:
 
     @property
     def available(self) -> bool:
-        """True if somebody serves it now."""
+        """Whether a provider serves it now."""
         return not self.closed and self.provider() is not None
 
     async def wait_available(self, timeout_s: float) -> bool:

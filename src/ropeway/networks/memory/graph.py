@@ -81,7 +81,7 @@ class _Table(Generic[_P]):
 
 
 class _Network:
-    """What the participants of one name share."""
+    """Holds what the participants of one name share."""
 
     def __init__(self) -> None:
         self.graphs: list[MemoryGraph] = []
@@ -117,7 +117,7 @@ class MemoryGraph:
 
     @property
     def network(self) -> _Network:
-        """What all participants share."""
+        """The state that all participants share."""
         return _networks.setdefault(self._network_name, _Network())
 
     async def open(self) -> None:

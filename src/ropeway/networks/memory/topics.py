@@ -51,7 +51,7 @@ class MemoryPublisher:
 
     @property
     def subscribers(self) -> int:
-        """How many subscriptions of other participants read it now."""
+        """The number of subscriptions of other participants that read it now."""
         return len(self._readers)
 
     def on_demand(self, callback: Callable[[int], None]) -> None:
@@ -60,7 +60,7 @@ class MemoryPublisher:
         callback(len(self._readers))
 
     def matches(self, reader: MemorySubscription) -> bool:
-        """The matching rules of ROS 2: same topic and type, and the request not stronger than the offer."""
+        """Apply the matching rules of ROS 2: same topic and type, and the request not stronger than the offer."""
         ask, offer = reader.qos, self.qos
         return (
             reader.topic == self.topic
