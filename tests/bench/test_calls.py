@@ -10,12 +10,12 @@ from tests.support.ports import free_port
 
 _SAMPLES: Final = 10
 _MOST: Final = {
-    "publish: DDS reader to socket": 71,
-    "publish: socket to DDS writer": 27,
-    "subscribe: DDS reader to socket": 69,
-    "subscribe: socket to DDS writer": 28,
-    "reserve-service: there and back": 479,
-    "expose-service: there and back": 438,
+    "publish: DDS reader to socket": 32,
+    "publish: socket to DDS writer": 26,
+    "subscribe: DDS reader to socket": 30,
+    "subscribe: socket to DDS writer": 27,
+    "reserve-service: there and back": 429,
+    "expose-service: there and back": 387,
 }
 
 

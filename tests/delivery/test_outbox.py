@@ -259,3 +259,31 @@ def test_a_topic_under_way_has_no_second_turn() -> None:
     outbox.close(queue)
     outbox.done(queue)
     outbox.put(queue, Message(b"3"))
+
+
+def test_what_is_ready_is_taken_at_once_and_its_topic_charged() -> None:
+    """A small message that is ready goes in one step, and its topic waits for its next turn as after any other."""
+    outbox = Outbox[Message]()
+    ready, other = outbox.open(Queue("ready", depth=10)), outbox.open(Queue("other", depth=10))
+    ready.ready_bytes = other.ready_bytes = 10
+    for body in (b"r1", b"r2"):
+        outbox.put(ready, Message(body))
+    outbox.put(other, Message(b"o1"))
+    taken = [outbox.take_ready(100, 4, 0) for _ in range(3)]
+    assert [item[1].payload for item in taken if item is not None] == [b"r1", b"o1", b"r2"]
+    assert (outbox.messages, outbox.bytes, ready.served) == (0, 0, 12.0)
+
+
+def test_what_is_not_ready_is_left_where_it_waits() -> None:
+    """A message that is too large, for its topic or for the room there is, too old or big is not taken as ready."""
+    outbox = Outbox[Message]()
+    queue = outbox.open(Queue("ready", depth=1, lifespan_ns=100))
+    queue.ready_bytes = 10
+    outbox.put(queue, Message(b"x" * 11))
+    assert outbox.take_ready(100, 4, 0) is None
+    outbox.put(queue, Message(b"x" * 10))
+    assert outbox.take_ready(9, 4, 0) is None
+    assert outbox.take_ready(100, 4, 101) is None
+    outbox.put(queue, Message(b"x" * (SMALL_BYTES + 1)))
+    assert outbox.take_ready(1 << 20, 4, 0) is None
+    assert outbox.messages == 1

@@ -12,13 +12,15 @@ import time
 from collections.abc import Callable
 from typing import Final, Protocol
 
-__all__ = ["EncodingChooser", "Paced"]
+__all__ = ["SMALLEST_PACKED_BYTES", "EncodingChooser", "Paced"]
+
+SMALLEST_PACKED_BYTES: Final = 2048
+"""A smaller message goes raw: its header outweighs what compression saves."""
 
 RAW: Final = "cbor-raw"
 PACKED: Final = "zstd"
 _OTHER: Final = {RAW: PACKED, PACKED: RAW}
 
-_MIN_BYTES: Final = 2048  # below, a header outweighs what compression saves
 _SAMPLE_S: Final = 5.0  # how often a topic that goes raw is compressed once, to know its ratio
 _GAIN: Final = 0.85  # compression must save 15 % of the time, or the processor has better things to do
 _WORTH_S: Final = 0.001  # a message that takes less on the wire goes raw
@@ -59,7 +61,7 @@ class EncodingChooser:
 
     def choose(self, size_bytes: int, sent: int, lost: int) -> str:
         """Return the encoding for the next message; ``sent`` and ``lost`` count the messages of the topic so far."""
-        if size_bytes < _MIN_BYTES:
+        if size_bytes < SMALLEST_PACKED_BYTES:
             return RAW
         now = self._clock()
         if now - self._asked_at > _TURN_S:

@@ -16,7 +16,7 @@ import enum
 import heapq
 import itertools
 from collections import Counter, deque
-from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -44,8 +44,13 @@ class Lost(enum.Enum):
 class Message(Protocol):
     """The fields of a message that the outbox reads."""
 
-    payload: bytes
-    stamp_ns: int
+    @property
+    def payload(self) -> bytes:
+        """What is sent, or what it is made of; its size counts."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Return when it came here."""
 
 
 M = TypeVar("M", bound=Message)
@@ -69,7 +74,7 @@ class Queue(Generic[M]):
     waiting message is not worth sending; of a ``latched`` topic each of the last ``depth`` messages is wanted,
     whatever their size. ``weight`` is the topic's share of its lane beside those of the others. ``served`` is its
     virtual time, and ``under_way`` is true from ``take`` to ``done``. It is ``held`` from ``adopt`` to ``done``: what
-    comes meanwhile is kept beyond the depth, up to 64 KiB.
+    comes meanwhile is kept beyond the depth, up to 64 KiB. A message of up to ``ready_bytes`` is sent as it is.
     """
 
     __slots__ = (
@@ -84,6 +89,7 @@ class Queue(Generic[M]):
         "lost",
         "number",
         "priority",
+        "ready_bytes",
         "served",
         "under_way",
         "waiting",
@@ -92,7 +98,7 @@ class Queue(Generic[M]):
 
     def __init__(
         self,
-        key: object,
+        key: Any,
         *,
         priority: int = 4,
         depth: int | None = 1,
@@ -108,6 +114,7 @@ class Queue(Generic[M]):
         self.latched = False
         self.waiting: deque[M] = deque()
         self.bytes = 0
+        self.ready_bytes = -1
         self.number = 0
         self.lane: Lane[M] = []  # where it waits
         self.weight = weight
@@ -196,7 +203,7 @@ class Outbox(Generic[M]):
         waiting = queue.waiting
         size = len(message.payload)
         first = not waiting
-        if waiting:  # the queue keeps its turn, or a busy topic would be sent back at each replacement
+        if not first:  # the queue keeps its turn, or a busy topic would be sent back at each replacement
             lost = Lost.OVERFLOW if queue.depth is None else Lost.REPLACED
             while waiting and self.full(queue, size):
                 self._drop_oldest(queue, lost)
@@ -205,8 +212,13 @@ class Outbox(Generic[M]):
         self.bytes += size
         self.messages += 1
         if first and not queue.under_way:
-            queue.served = max(queue.served, self._time(queue.priority))  # it was idle, and has saved nothing up
-            self._line_up(queue)
+            priority = queue.priority
+            lane = queue.lane = (self._small if size <= SMALL_BYTES else self._big)[priority]
+            idle = not (self._small[priority] or self._big[priority] or self._under_way[priority])
+            time = self._times[priority] if idle else self._time(priority)
+            if queue.served < time:  # it was idle, and has saved nothing up
+                queue.served = time
+            heapq.heappush(lane, (queue.served, queue.number, queue))
 
     def lanes(self) -> Iterator[int]:
         """Yield the priorities that have something waiting, most urgent first."""
@@ -255,6 +267,38 @@ class Outbox(Generic[M]):
                 continue
             queue.under_way = True
             self._under_way[priority].append(queue)
+            return queue, message
+        return None
+
+    def take_ready(self, room_bytes: int, header_bytes: int, now_ns: int) -> tuple[Queue[M], M] | None:
+        """Take the next message of the most urgent lane, if it is small and ready and there is room for it.
+
+        Its topic is charged for it and ``header_bytes``, and has its next turn at once: there is no ``served`` and
+        ``done`` to tell.
+        """
+        for priority, lane in enumerate(self._small):
+            big = self._big[priority]
+            if not lane and not big:
+                continue
+            if not lane or (big and big[0] < lane[0]):
+                return None
+            queue = lane[0][2]
+            message = queue.waiting[0]
+            size = len(message.payload)
+            if size > queue.ready_bytes or size > room_bytes:
+                return None
+            if queue.lifespan_ns is not None and now_ns - message.stamp_ns > queue.lifespan_ns:
+                return None  # ``take`` counts it
+            heapq.heappop(lane)
+            queue.waiting.popleft()
+            queue.bytes -= size
+            self.bytes -= size
+            self.messages -= 1
+            queue.served += (size + header_bytes) / queue.weight
+            if self._times[priority] < queue.served:
+                self._times[priority] = queue.served
+            if queue.waiting:
+                self._line_up(queue)
             return queue, message
         return None
 

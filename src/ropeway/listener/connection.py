@@ -79,7 +79,6 @@ class Connection(WSListener):
         self.secure = False
         self.handshake: HttpRequest | None = None
         self.grant: object = None
-        self._open = False
         self._transport: WSTransport | None = None
         self._socket: Any = None
         self._unfinished: bytearray | None = None  # a message in continuation frames, as far as it came
@@ -101,30 +100,30 @@ class Connection(WSListener):
 
     def send_text(self, data: bytes | str) -> None:
         """Send a text frame now; look at ``writable`` first for anything that can wait."""
-        self._send(WSMsgType.TEXT, data)
+        transport = self._transport
+        if transport is not None:
+            size = len(data)
+            self.bytes_out += size
+            self.frames_out += 1
+            transport.send(WSMsgType.TEXT, data)
+            self.flow.sent(size)
 
     def send_binary(self, data: bytes | bytearray | memoryview) -> None:
         """Send a binary frame now; look at ``writable`` first for anything that can wait."""
-        self._send(WSMsgType.BINARY, data)
-
-    def _send(self, kind: Any, data: Any) -> None:
         transport = self._transport
-        if transport is None or self._closed.is_set():
-            return
-        size = len(data)
-        self.bytes_out += size
-        self.frames_out += 1
-        transport.send(kind, data)
-        self.flow.sent(size)
+        if transport is not None:
+            size = len(data)
+            self.bytes_out += size
+            self.frames_out += 1
+            transport.send(WSMsgType.BINARY, data)
+            self.flow.sent(size)
 
     @property
     def writable(self) -> bool:
         """Whether data sent now leaves soon."""
-        return self._open and self.flow.free
+        return self.flow.free
 
     def _on_free(self) -> None:
-        if not self._open:
-            return
         if self._pong is not None:
             ping, self._pong = self._pong, None
             self._answer(ping)
@@ -155,7 +154,7 @@ class Connection(WSListener):
         if transport is None or self._closing is not None or self._closed.is_set():
             return
         self._close_code, self._close_reason = code, reason
-        self._open = False
+        self.flow.close()
         self._unfinished = None
         try:
             close_code = WSCloseCode(code)
@@ -198,7 +197,6 @@ class Connection(WSListener):
             self.subprotocol = headers.get("Sec-WebSocket-Protocol", "")
             self.server, self.dated = headers.get("Server", ""), "Date" in headers
         self.flow.open(self._socket)
-        self._open = True
         self.account.hold("unfinished messages", self._unfinished_bytes)
         self.account.hold("what it does not read", lambda: self.unsent_bytes)
         self._last_heard = time.monotonic()
@@ -277,7 +275,6 @@ class Connection(WSListener):
 
     def on_ws_disconnected(self, transport: WSTransport) -> None:
         """Called by picows when the transport is gone."""
-        self._open = False
         self.flow.close()
         handshake = transport.close_handshake
         if handshake is not None and handshake.sent is not None and self._close_code == 1006:
@@ -290,10 +287,10 @@ class Connection(WSListener):
         if self._watch is not None and self._watch is not asyncio.current_task():
             self._watch.cancel()
         self.account.close()
+        self._unfinished = self._transport = None  # with all that the transport holds: no cycle keeps it
         if not self._closed.is_set():
             self._closed.set()
             self.on_closed(self._close_code, self._close_reason)
-        self._unfinished = self._transport = None  # with all that the transport holds: no cycle keeps it
 
     def pause_writing(self) -> None:
         """Called by the transport when it holds bytes that the operating system did not take."""

@@ -23,13 +23,17 @@ _STEADY: Final = "cubic"  # is never in the way where nothing is lost, as we sen
 
 
 class Flow:
-    """The flow of one connection. ``free`` tells whether to send; ``on_free`` is called when it is true again."""
+    """The flow of one connection, from ``open`` to ``close``.
+
+    ``free`` tells whether to send; ``on_free`` is called when it is true again.
+    """
 
     def __init__(self, on_free: Callable[[], None]) -> None:
         self.model = LinkModel()
         self.pace = self.model.pace
-        self.free = True
+        self.free = False
         self._on_free = on_free
+        self._open = False
         self._tcp: Tcp | None = None
         self._full = False  # the operating system takes no more
         self._held = False  # the link has no room
@@ -42,6 +46,8 @@ class Flow:
 
     def open(self, sock: Any) -> None:
         """Begin to send on a connected socket."""
+        self._open = True
+        self.free = not self._full
         tcp = Tcp(sock)
         reading = tcp.read()
         if reading is not None:
@@ -52,6 +58,7 @@ class Flow:
 
     def close(self) -> None:
         """End: nothing is sent any more."""
+        self._open = self.free = False
         self._tcp = None
         if self._look is not None:
             self._look.cancel()
@@ -68,7 +75,8 @@ class Flow:
             if model.room_bytes <= 0:
                 self._held = True
                 self.free = False
-        self._watch()
+        if self._look is None and (self._held or model.outstanding_bytes >= _WATCHED_BYTES):
+            self._watch()
 
     def full(self) -> None:
         """Stop sending: the operating system did not take everything."""
@@ -81,7 +89,7 @@ class Flow:
         self._go_on()
 
     def _go_on(self) -> None:
-        if not self._full and not self._held and not self.free:
+        if self._open and not self._full and not self._held and not self.free:
             self.free = True
             self._on_free()
 

@@ -11,7 +11,8 @@ import pytest
 from ropeway.errors import ConnectFailed
 from ropeway.listener.connection import Connection
 from ropeway.listener.websocket import connect, listen
-from ropeway.networks.rosbridge.link.express import EXPRESS_BYTES, HEADER
+from ropeway.networks.rosbridge.link.channel import EXPRESS_BYTES
+from ropeway.networks.rosbridge.link.express import HEADER
 from ropeway.networks.rosbridge.link.peer import Channel, Peer
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
 from tests.networks.rosbridge.link.test_peer import LIMITS, REGISTRY, Handler, sample

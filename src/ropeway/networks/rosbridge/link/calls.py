@@ -12,13 +12,13 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import orjson
 
-from ropeway.delivery.outbox import LANES, Lost, Queue
+from ropeway.delivery.outbox import LANES, SMALL_BYTES, Lost, Queue
 from ropeway.errors import MessageTooBig, OutboxFull, RopewayError
-from ropeway.networks.rosbridge.link.channel import Channel, Outgoing
+from ropeway.networks.rosbridge.link.channel import Stream
 from ropeway.networks.rosbridge.protocol import codec as wire_codec
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.types.cbor import dumps as cbor_dumps
@@ -46,16 +46,22 @@ _THREAD_BYTES: Final = 1 << 20  # encoding this takes milliseconds, which the ev
 _COPIED: Final = frozenset(("cbor-raw", "rawzip"))  # these take no time worth a thread
 _PACK_BYTES: Final = 4096
 _PACK_S: Final = 0.05  # a body that takes longer on the wire is compressed
-_ORIGIN: Final = bytes(16)
 
 Unsent = Callable[[RopewayError], None]
 
 
-class _OutgoingOp:
-    """An operation that waits; ``payload`` is its frame or record, or the CDR that a thread has yet to encode."""
+class _Operation:
+    """An operation that waits; ``payload`` is its frame or record, or the CDR that a thread has yet to encode.
 
-    __slots__ = ("fragment_size", "key", "make", "on_unsent", "origin", "payload", "ready", "relayed", "seq",
-                 "stamp_ns", "text", "type")  # fmt: skip
+    A record of it has no origin, number or stamp.
+    """
+
+    __slots__ = ("fragment_size", "key", "make", "on_unsent", "payload", "text")
+
+    origin: ClassVar[bytes] = bytes(16)
+    seq: ClassVar[int] = 0
+    stamp_ns: ClassVar[int] = 0
+    relayed: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -67,77 +73,55 @@ class _OutgoingOp:
         *,
         text: bool,
     ) -> None:
-        self.text = text
         self.payload, self.make, self.key = payload, make, key
-        self.ready = make is None
-        self.fragment_size, self.on_unsent = fragment_size, on_unsent
-        self.type, self.stamp_ns, self.seq, self.origin, self.relayed = "", 0, 0, _ORIGIN, False
+        self.fragment_size, self.on_unsent, self.text = fragment_size, on_unsent, text
 
-    def encoded(self) -> bytes:
-        """The frame or record. Raises ``TypesError``."""
+    def encode(self) -> bytes:
+        """Return the frame or record. Raises ``TypesError``."""
         return self.payload if self.make is None else self.make()
 
-    def cached(self, key: object, make: Callable[[], Any]) -> Any:
-        """Nothing is kept: an operation goes to one peer only."""
-        return make()
 
+class _Operations(Stream[_Operation]):
+    """The operations of one priority. ``gone`` is also called with those that cannot be encoded."""
 
-class _OpChannel(Channel):
-    """The operations of one priority."""
+    __slots__ = ()
 
-    __slots__ = ("done",)
+    def __init__(self, sender: LinkSender, number: int, lane: int, gone: Callable[[_Operation], None]) -> None:
+        queue: Queue[_Operation] = Queue("calls", priority=lane, depth=None, limit_bytes=1 << 62)
+        super().__init__(sender, number, "(calls)", queue, "cbor" if sender.records else "none")
+        queue.ready_bytes = SMALL_BYTES  # larger ones may have to be encoded
+        self.gone = gone
 
-    def __init__(self, sender: LinkSender, number: int, lane: int, done: Callable[[_OutgoingOp], None]) -> None:
-        queue: Queue[Outgoing] = Queue("calls", priority=lane, depth=None, limit_bytes=1 << 62)
-        super().__init__(sender, number, "(calls)", "", "cbor" if sender.records else "none", queue, None)
-        self.done = done
-
-    def put(self, sample: Outgoing) -> None:
+    def put(self, item: _Operation) -> None:
         """Send what is small now, if nothing was sent in this turn of the event loop and the link takes it."""
         if self.closed:
             self.queue.lost[Lost.UNSENT] += 1
         else:
-            small = not self.is_slow(sample, "") and len(sample.payload) <= _BULK_BYTES
-            self.sender.put(self, sample, at_once=small)
+            self.sender.put(self.queue, item, at_once=item.make is None and len(item.payload) <= _BULK_BYTES)
 
-    def pick(self, sample: Outgoing) -> str:
-        """Operations have their encoding inside."""
-        return self.used
+    def is_slow(self, item: _Operation, encoding: str) -> bool:
+        """See ``Stream.is_slow``."""
+        return item.make is not None
 
-    @staticmethod
-    def is_slow(sample: Outgoing, encoding: str) -> bool:
-        """True for an operation that a thread should encode."""
-        assert isinstance(sample, _OutgoingOp)
-        return not sample.ready
+    def frame(self, item: _Operation, encoding: str) -> wire_codec.Frame:
+        """See ``Stream.frame``."""
+        return wire_codec.Frame(item.text, item.encode())
 
-    def frame(self, sample: Outgoing, encoding: str) -> wire_codec.Frame:
-        """The frame for a plain peer. Raises ``TypesError``."""
-        assert isinstance(sample, _OutgoingOp)
-        return wire_codec.Frame(sample.text, sample.encoded())
+    def body(self, item: _Operation, encoding: str) -> bytes:
+        """See ``Stream.body``."""
+        return item.encode()
 
-    def body(self, sample: Outgoing, encoding: str) -> bytes:
-        """The body of the record. Raises ``TypesError``."""
-        assert isinstance(sample, _OutgoingOp)
-        return sample.encoded()
+    def fragments(self, item: _Operation) -> int | None:
+        """See ``Stream.fragments``."""
+        return item.fragment_size
 
-    def fragments(self, sample: Outgoing) -> int | None:
-        """See ``Channel.fragments``."""
-        assert isinstance(sample, _OutgoingOp)
-        return sample.fragment_size
-
-    def finished(self, sample: Outgoing, size_bytes: int) -> None:
-        """An operation has gone."""
-        super().finished(sample, size_bytes)
-        assert isinstance(sample, _OutgoingOp)
-        self.done(sample)
-
-    def failed(self, sample: Outgoing, error: BaseException) -> None:
-        """An operation cannot be encoded: its sender is told."""
-        super().failed(sample, error)
-        assert isinstance(sample, _OutgoingOp)
-        self.done(sample)
-        if sample.on_unsent is not None and isinstance(error, RopewayError):
-            sample.on_unsent(error)
+    def failed(self, item: _Operation, error: BaseException) -> None:
+        """Tell the sender of an operation that it cannot be encoded."""
+        super().failed(item, error)
+        if self.gone is not None:
+            self.gone(item)
+        if item.on_unsent is not None and isinstance(error, RopewayError):
+            item.on_unsent(error)
 
 
 class OpSender:
@@ -151,7 +135,7 @@ class OpSender:
         self._sender = sender
         self.records = False
         self.limit_bytes: int | None = None
-        self._channels: dict[int, _OpChannel] = {}
+        self._channels: dict[int, _Operations] = {}
         self._waiting: dict[str, tuple[int, int]] = {}  # by id: the lane and how many
         self._room: asyncio.Future[None] | None = None  # of those who wait for it
         self.count = 0  # of operations that wait
@@ -210,7 +194,7 @@ class OpSender:
             self._waiting[key] = (lane, self._waiting.get(key, (lane, 0))[1] + 1)
         self.count += 1
         text = write is _write_json
-        self._channel(lane).put(_OutgoingOp(data, make, key, fragment_size, on_unsent, text=text))
+        self._channel(lane).put(_Operation(data, make, key, fragment_size, on_unsent, text=text))
 
     def _encoding(self, encoding: str, size: int) -> str:
         if encoding != "auto":
@@ -228,17 +212,16 @@ class OpSender:
             return _URGENT_LANE if size <= _BULK_BYTES else _BULK_LANE
         return min(max(priority, 0), LANES - 1)
 
-    def _channel(self, lane: int) -> _OpChannel:
+    def _channel(self, lane: int) -> _Operations:
         channel = self._channels.get(lane)
         if channel is None:
             sender = self._sender
             number = OP_CHANNELS[lane] if sender.records else -1 - lane  # nobody else's, in either case
-            channel = self._channels[lane] = _OpChannel(sender, number, lane, self._done)
-            sender.outbox.open(channel.queue)
-            sender.channels[number] = channel
+            channel = self._channels[lane] = _Operations(sender, number, lane, self._done)
+            sender.add(channel)
         return channel
 
-    def _done(self, op: _OutgoingOp) -> None:
+    def _done(self, op: _Operation) -> None:
         self.count -= 1
         self.on_gone()
         if self._room is not None and self.waiting_bytes <= ROOM_BYTES:

@@ -19,23 +19,23 @@ import secrets
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.networks.rosbridge.link.sender import LinkSender, RecordSender
 from ropeway.networks.rosbridge.protocol.records import RecordReader
 
 if TYPE_CHECKING:
+    from ropeway.fault_log import FaultLog
     from ropeway.listener.connection import Connection
-    from ropeway.networks.rosbridge.link.channel import Channel, Outgoing
+    from ropeway.networks.rosbridge.link.channel import Channel, Outgoing, Stream
     from ropeway.networks.rosbridge.link.peer import Peer
+    from ropeway.networks.rosbridge.protocol.dialect import Dialect
 
-__all__ = ["EXPRESS_BYTES", "HEADER", "Express"]
+__all__ = ["HEADER", "Express"]
 
 HEADER: Final = "Ropeway-Express"
 """The header of the second handshake; its value is the secret that ``hello`` named."""
-
-EXPRESS_BYTES: Final = 4 * 1024
-"""The largest message that takes the second connection."""
 
 _FENCE_S: Final = 2.0  # a pong that takes longer is not waited for: the topic goes on
 _REMEMBERED: Final = 128  # messages: as many as a lost one holds up, and more
@@ -44,17 +44,11 @@ _REMEMBERED: Final = 128  # messages: as many as a lost one holds up, and more
 class _ExpressSender(RecordSender):
     """Sends on the second connection, and remembers what it sent last."""
 
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.recent: deque[tuple[Channel, Outgoing]] = deque(maxlen=_REMEMBERED)
+    second = True
 
-    def take(self, lane: int, *, small: bool = False) -> tuple[Channel, Outgoing, str] | None:
-        """See ``LinkSender.take``."""
-        taken = super().take(lane, small=small)
-        if taken is not None:
-            channel, sample, _ = taken
-            self.recent.append((channel, sample))
-        return taken
+    def __init__(self, connection: Connection, fault_log: FaultLog, dialect: Dialect) -> None:
+        super().__init__(connection, fault_log, dialect)
+        self.recent = deque(maxlen=_REMEMBERED)
 
 
 class Express:
@@ -67,7 +61,7 @@ class Express:
         self._secret = ""
         self._connection: Connection | None = None
         self._sender: _ExpressSender | None = None
-        self._fences: dict[int, tuple[Channel, asyncio.TimerHandle, Sequence[Outgoing]]] = {}
+        self._fences: dict[int, tuple[Stream[Any], asyncio.TimerHandle, Sequence[Outgoing]]] = {}
 
     @property
     def open(self) -> bool:
@@ -98,7 +92,7 @@ class Express:
         self._sender = sender = _ExpressSender(connection, peer.fault_log, peer.dialect)
         reader = RecordReader(peer.limit_bytes, peer.refused, peer.takes)
         connection.on_text = peer.take_text
-        connection.on_binary = lambda data: peer.take_records(reader, data)
+        connection.on_binary = partial(peer.take_records, reader)
         connection.on_writable = sender.pump
         connection.on_closed = lambda code, reason: self._lost(connection)
         connection.account.hold("messages in parts", lambda: reader.pending_bytes)
@@ -117,15 +111,13 @@ class Express:
             timer.cancel()
         self._fences.clear()
 
-    def place(self, channel: Channel, size_bytes: int) -> None:
-        """Choose the connection for a message of a topic that is about to wait."""
-        express = self._sender
-        if size_bytes > EXPRESS_BYTES:
-            channel.large = True
+    def place(self, channel: Channel) -> None:
+        """Have a topic take the connection for messages such as the one that is about to wait."""
+        if channel.large:
             if channel.sender is not self._peer.sender:
                 self._move(channel, self._peer.sender)
-        elif express is not None and not channel.large and channel.sender is not express:
-            self._move(channel, express)
+        elif self._sender is not None and channel.sender is not self._sender:
+            self._move(channel, self._sender)
 
     def arrived(self, pong: Mapping[str, Any]) -> bool:
         """Take a ``pong``; return whether a topic waited for it."""
@@ -160,11 +152,11 @@ class Express:
         return True
 
     @staticmethod
-    def _go_on(channel: Channel) -> None:
+    def _go_on(channel: Stream[Any]) -> None:
         channel.sender.outbox.done(channel.queue)
         channel.sender.wake()
 
-    def _fence(self, connection: Connection, channel: Channel, again: Sequence[Outgoing] = ()) -> None:
+    def _fence(self, connection: Connection, channel: Stream[Any], again: Sequence[Outgoing] = ()) -> None:
         """Let a topic go on when everything that was sent on a connection has arrived, or after a while.
 
         What it is to send ``again`` goes first; it is not lost if the link is gone before.
@@ -195,8 +187,8 @@ class Express:
         for key in list(self._fences):  # no pong comes by a connection that is gone
             self._pass(key)
         main = self._peer.sender
-        recent: dict[Channel, list[Outgoing]] = {}
-        for channel, sample in express.recent:
+        recent: dict[Stream[Any], list[Outgoing]] = {}
+        for channel, sample in express.recent or ():
             recent.setdefault(channel, []).append(sample)
         for channel in list(express.channels.values()):
             express.withdraw(channel)

@@ -10,11 +10,11 @@ import asyncio
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from ropeway.delivery.outbox import LANES, SMALL_BYTES, Outbox, Queue
+from ropeway.delivery.outbox import LANES, SMALL_BYTES, Message, Outbox, Queue
 from ropeway.errors import TypesError
-from ropeway.networks.rosbridge.link.channel import Channel, Outgoing
+from ropeway.networks.rosbridge.link.channel import Channel, Outgoing, Stream
 from ropeway.networks.rosbridge.protocol.codec import ENCODING_NUMBERS, NEEDS_CODEC, Frame
 from ropeway.networks.rosbridge.protocol.fragment import Fragmenter
 from ropeway.networks.rosbridge.protocol.records import HEADER_BYTES, RecordWriter
@@ -34,14 +34,21 @@ _AHEAD_S: Final = 0.004  # before the end of a message the next is encoded, so t
 
 
 class LinkSender:
-    """What waits for one link, and the turn of the event loop in which it goes."""
+    """What waits for one link, and the turn of the event loop in which it goes.
+
+    ``second`` tells whether it sends on a second connection; ``recent`` is what it sent last, where that may have to go
+    again.
+    """
 
     records: ClassVar[bool] = False
+    second: ClassVar[bool] = False
 
     def __init__(self, connection: Connection, fault_log: FaultLog, dialect: Dialect) -> None:
         self.connection, self.fault_log, self.dialect = connection, fault_log, dialect
-        self.outbox: Outbox[Outgoing] = Outbox()
-        self.channels: dict[int, Channel] = {}
+        self.flow = connection.flow
+        self.outbox: Outbox[Any] = Outbox()
+        self.channels: dict[int, Stream[Any]] = {}
+        self.recent: deque[tuple[Stream[Any], Any]] | None = None
         self._loop = asyncio.get_running_loop()
         self._scheduled = self._pumping = False
         self._encoding: set[asyncio.Future[object]] = set()
@@ -64,32 +71,43 @@ class LinkSender:
         channel = Channel(self, number, topic, type, encoding, queue, None)
         if channel.used in NEEDS_CODEC:
             channel.codec = registry.codec(type)
-        self.outbox.open(queue)
-        self.channels[number] = channel
+        self.add(channel)
         return channel
 
-    def put(self, channel: Channel, sample: Outgoing, *, at_once: bool = False) -> None:
-        """Let a message of a channel wait; what is full is sent first, if the link takes it."""
-        if self.connection.writable and self.outbox.full(channel.queue, len(sample.payload)):
+    def add(self, stream: Stream[Any]) -> None:
+        """Make a stream ready to go out."""
+        self.outbox.open(stream.queue)
+        self.channels[stream.number] = stream
+
+    def put(self, queue: Queue[Any], item: Message, *, at_once: bool = False) -> None:
+        """Let a message wait; what is full is sent first, if the link takes it.
+
+        What waits is sent in this turn of the event loop; with ``at_once`` the first of the turn now.
+        """
+        free, outbox = self.flow.free, self.outbox
+        if free and queue.waiting and outbox.full(queue, len(item.payload)):
             self.pump()
-        self.outbox.put(channel.queue, sample)
-        self.wake(at_once=at_once)
-
-    def drop(self, channel: Channel) -> None:
-        """Forget a channel; what waits of it is lost."""
-        self.outbox.close(channel.queue)
-        if self.channels.get(channel.number) is channel:
-            del self.channels[channel.number]
-
-    def wake(self, *, at_once: bool = False) -> None:
-        """See that what waits is sent in this turn of the event loop; with ``at_once`` the first of the turn now."""
-        if not self._scheduled and self.connection.writable:
+            free = self.flow.free
+        outbox.put(queue, item)
+        if free and not self._scheduled:
             self._scheduled = True
-            self._loop.call_soon(self._scheduled_pump)
+            self._loop.call_soon(self._turn)
             if at_once:
                 self.pump()
 
-    def _scheduled_pump(self) -> None:
+    def drop(self, stream: Stream[Any]) -> None:
+        """Forget a stream; what waits of it is lost."""
+        self.outbox.close(stream.queue)
+        if self.channels.get(stream.number) is stream:
+            del self.channels[stream.number]
+
+    def wake(self) -> None:
+        """See that what waits is sent in this turn of the event loop."""
+        if not self._scheduled and self.flow.free:
+            self._scheduled = True
+            self._loop.call_soon(self._turn)
+
+    def _turn(self) -> None:
         self._scheduled = False
         self.pump()
 
@@ -98,22 +116,26 @@ class LinkSender:
         if not self._pumping:
             self._pumping = True
             try:
-                self._pump()
+                flow = self.flow
+                while flow.free and self._send_next():
+                    pass
             finally:
                 self._pumping = False
 
-    def _pump(self) -> None:
+    def _send_next(self) -> bool:
+        """Send the next frame; return whether there may be another."""
         raise NotImplementedError
 
-    def take(self, lane: int, *, small: bool = False) -> tuple[Channel, Outgoing, str] | None:
-        """The next message of a lane, its channel and its encoding."""
+    def take(self, lane: int, *, small: bool = False) -> tuple[Stream[Any], Any, str] | None:
+        """Take the next message of a lane; return its stream, the message and its encoding."""
         taken = self.outbox.take(lane, time.time_ns(), small=small)
         if taken is None:
             return None
-        queue, sample = taken
-        channel = queue.key
-        assert isinstance(channel, Channel)
-        return channel, sample, channel.pick(sample)
+        queue, item = taken
+        stream: Stream[Any] = queue.key
+        if self.recent is not None:
+            self.recent.append((stream, item))
+        return stream, item, stream.pick(item)
 
     def in_thread(self, make: Callable[[], object], then: Callable[[asyncio.Future[object]], None]) -> None:
         """Run ``make`` in a thread and ``then`` on the loop, unless the link closes first."""
@@ -146,11 +168,9 @@ class PlainSender(LinkSender):
         self._fragments: deque[bytes] = deque()  # of the text that is being sent
         self._busy = False  # a thread encodes the next message
 
-    def _pump(self) -> None:
-        while self.connection.writable and not self._busy and self._send_next():
-            pass
-
     def _send_next(self) -> bool:
+        if self._busy:
+            return False
         if self._fragments:
             self.connection.send_text(self._fragments.popleft())
             return True
@@ -158,56 +178,56 @@ class PlainSender(LinkSender):
             taken = self.take(lane)
             if taken is None:
                 continue
-            channel, sample, encoding = taken
-            if channel.is_slow(sample, encoding):
-                self._make_in_thread(channel, sample, encoding)
+            stream, item, encoding = taken
+            if stream.is_slow(item, encoding):
+                self._make_in_thread(stream, item, encoding)
                 return False
             try:
-                self._send(channel, sample, channel.frame(sample, encoding))
+                self._send(stream, item, stream.frame(item, encoding))
             except TypesError as error:
-                self._failed(channel, sample, error)
+                self._failed(stream, item, error)
             return True
         return False
 
-    def _failed(self, channel: Channel, sample: Outgoing, error: BaseException) -> None:
-        self.outbox.done(channel.queue)
-        channel.failed(sample, error)
+    def _failed(self, stream: Stream[Any], item: Any, error: BaseException) -> None:
+        self.outbox.done(stream.queue)
+        stream.failed(item, error)
 
-    def _make_in_thread(self, channel: Channel, sample: Outgoing, encoding: str) -> None:
+    def _make_in_thread(self, stream: Stream[Any], item: Any, encoding: str) -> None:
         self._busy = True
-        self.in_thread(lambda: channel.frame(sample, encoding), lambda finished: self._made(channel, sample, finished))
+        self.in_thread(lambda: stream.frame(item, encoding), lambda finished: self._made(stream, item, finished))
 
-    def _made(self, channel: Channel, sample: Outgoing, finished: asyncio.Future[object]) -> None:
+    def _made(self, stream: Stream[Any], item: Any, finished: asyncio.Future[object]) -> None:
         self._busy = False
         error = finished.exception()
         if error is not None:
-            self._failed(channel, sample, error)
-        elif not channel.closed:
+            self._failed(stream, item, error)
+        elif not stream.closed:
             frame = finished.result()
             assert isinstance(frame, Frame)
-            self._send(channel, sample, frame)
+            self._send(stream, item, frame)
 
-    def _send(self, channel: Channel, sample: Outgoing, frame: Frame) -> None:
+    def _send(self, stream: Stream[Any], item: Any, frame: Frame) -> None:
         if not frame.text:
             self.connection.send_binary(frame.data)
-        elif (fragment_size := channel.fragments(sample)) is not None:
+        elif (fragment_size := stream.fragments(item)) is not None:
             self._fragments.extend(self._fragmenter.split(frame.data, fragment_size))
             self.connection.send_text(self._fragments.popleft())
         else:
             self.connection.send_text(frame.data)
-        self.outbox.served(channel.queue, len(frame.data))
-        self.outbox.done(channel.queue)
-        channel.finished(sample, len(frame.data))
+        self.outbox.served(stream.queue, len(frame.data))
+        self.outbox.done(stream.queue)
+        stream.finished(item, len(frame.data))
 
 
 class _Cursor:
     """A message that is being sent in parts; ``body`` is ``None`` while a thread encodes it."""
 
-    __slots__ = ("at", "body", "channel", "encoding", "sample")
+    __slots__ = ("at", "body", "encoding", "item", "stream")
 
-    def __init__(self, channel: Channel, sample: Outgoing, encoding: str, body: bytes | None) -> None:
-        self.channel, self.sample, self.encoding = channel, sample, encoding
-        self.body = body
+    def __init__(self, stream: Stream[Any], item: Any, encoding: str) -> None:
+        self.stream, self.item, self.encoding = stream, item, encoding
+        self.body: bytes | None = None
         self.at = 0
 
 
@@ -222,30 +242,54 @@ class RecordSender(LinkSender):
         self._under_way: list[list[_Cursor]] = [[] for _ in range(LANES)]
         self._parts = 0  # messages under way, in all lanes
 
-    def drop(self, channel: Channel) -> None:
-        """Forget a channel; what waits of it, or is half sent, is lost."""
-        super().drop(channel)
-        self.withdraw(channel)
+    def drop(self, stream: Stream[Any]) -> None:
+        """Forget a stream; what waits of it, or is half sent, is lost."""
+        super().drop(stream)
+        self.withdraw(stream)
         self.wake()  # others may have waited for this lane
 
-    def withdraw(self, channel: Channel) -> None:
-        """Stop sending the message of a channel that is under way, if there is one."""
-        for cursor in self._under_way[channel.queue.priority]:
-            if cursor.channel is channel:
+    def withdraw(self, stream: Stream[Any]) -> None:
+        """Stop sending the message of a stream that is under way, if there is one."""
+        for cursor in self._under_way[stream.queue.priority]:
+            if cursor.stream is stream:
                 self._end(cursor)
                 return
 
-    def _pump(self) -> None:
-        connection = self.connection
-        while connection.writable and (self.outbox.messages or self._parts):
-            frame = self._gather()
-            if frame is None:
-                break
-            connection.send_binary(frame)
-
-    def _gather(self) -> bytes | None:
-        """One frame: whole messages, or a part of one."""
+    def _send_next(self) -> bool:
         out: list[bytes] = []
+        if not self._parts:
+            self._gather_ready(out)
+        if not out:
+            self._gather(out)
+            if not out:
+                return False
+        self.connection.send_binary(b"".join(out))
+        return bool(self.outbox.messages or self._parts)
+
+    def _gather_ready(self, out: list[bytes]) -> None:
+        """Gather small messages that go as they are, for one frame."""
+        outbox, recent, write = self.outbox, self.recent, self._writer.message
+        room = _PART_MIN_BYTES if outbox.messages == 1 else self._part_bytes()
+        now_ns = time.time_ns()
+        while outbox.messages:
+            taken = outbox.take_ready(room, HEADER_BYTES, now_ns)
+            if taken is None:
+                return
+            queue, item = taken
+            stream: Stream[Any] = queue.key
+            if recent is not None:
+                recent.append((stream, item))
+            body = item.payload
+            write(out, stream.number, stream.ready, body, item.origin, item.seq, item.stamp_ns, item.relayed)
+            size = len(body)
+            room -= size + HEADER_BYTES
+            stream.sent += 1
+            stream.sent_bytes += size
+            if stream.gone is not None:
+                stream.gone(item)
+
+    def _gather(self, out: list[bytes]) -> None:
+        """Gather one frame: whole messages, or a part of one."""
         size = 0
         part_bytes = self._part_bytes()
         while size < part_bytes:
@@ -260,25 +304,24 @@ class RecordSender(LinkSender):
             size += self._append(out, cursor, room) + HEADER_BYTES
             if cursor.at >= len(body):
                 self._end(cursor)
-                cursor.channel.finished(cursor.sample, len(body))
-        return b"".join(out) if out else None
+                cursor.stream.finished(cursor.item, len(body))
 
     def _append(self, out: list[bytes], cursor: _Cursor, room: int) -> int:
-        body, channel, sample = cursor.body, cursor.channel, cursor.sample
+        body, stream, item = cursor.body, cursor.stream, cursor.item
         assert body is not None
         left = len(body) - cursor.at
         part = min(left, room)
         if cursor.at:
-            self._writer.more(out, channel.number, memoryview(body)[cursor.at : cursor.at + part])
+            self._writer.more(out, stream.number, memoryview(body)[cursor.at : cursor.at + part])
         else:
-            about = (sample.origin, sample.seq, sample.stamp_ns, sample.relayed)
+            about = (item.origin, item.seq, item.stamp_ns, item.relayed)
             number = ENCODING_NUMBERS[cursor.encoding]
             if part == left:
-                self._writer.message(out, channel.number, number, body, *about)
+                self._writer.message(out, stream.number, number, body, *about)
             else:
-                self._writer.first(out, channel.number, number, left, memoryview(body)[:part], *about)
+                self._writer.first(out, stream.number, number, left, memoryview(body)[:part], *about)
         cursor.at += part
-        self.outbox.served(channel.queue, part + HEADER_BYTES)
+        self.outbox.served(stream.queue, part + HEADER_BYTES)
         return part
 
     def _next(self) -> _Cursor | None:
@@ -294,7 +337,7 @@ class RecordSender(LinkSender):
             current = next((cursor for cursor in reversed(under_way) if cursor.body is not None), None)
             if current is None:
                 current = self._begin(lane)
-            elif outbox.overtakes(lane, current.channel.queue) and len(current.sample.payload) > SMALL_BYTES:
+            elif outbox.overtakes(lane, current.stream.queue) and len(current.item.payload) > SMALL_BYTES:
                 current = self._begin(lane, small=True) or current
             elif len(under_way) == 1 and current.at:
                 self._prepare_next(lane, current)
@@ -304,19 +347,19 @@ class RecordSender(LinkSender):
 
     def _begin(self, lane: int, *, small: bool = False) -> _Cursor | None:
         while (taken := self.take(lane, small=small)) is not None:
-            channel, sample, encoding = taken
-            cursor = _Cursor(channel, sample, encoding, None)
+            stream, item, encoding = taken
+            cursor = _Cursor(stream, item, encoding)
             self._under_way[lane].append(cursor)
             self._parts += 1
-            if channel.is_slow(sample, encoding):
+            if stream.is_slow(item, encoding):
                 self._encode_in_thread(cursor)
                 continue
             try:
-                cursor.body = channel.body(sample, encoding)
+                cursor.body = stream.body(item, encoding)
                 return cursor
             except TypesError as error:
                 self._end(cursor)
-                channel.failed(sample, error)
+                stream.failed(item, error)
         return None
 
     def _prepare_next(self, lane: int, current: _Cursor) -> None:
@@ -328,37 +371,36 @@ class RecordSender(LinkSender):
         first = self.outbox.first(lane)
         if first is None:
             return
-        channel = first[0].key
-        assert isinstance(channel, Channel)
-        if channel.is_slow(first[1], channel.used) and (taken := self.take(lane)) is not None:
-            channel, sample, encoding = taken
-            cursor = _Cursor(channel, sample, encoding, None)
+        stream: Stream[Any] = first[0].key
+        if stream.is_slow(first[1], stream.used) and (taken := self.take(lane)) is not None:
+            stream, item, encoding = taken
+            cursor = _Cursor(stream, item, encoding)
             self._under_way[lane].insert(0, cursor)  # it follows the current one
             self._parts += 1
             self._encode_in_thread(cursor)
 
     def _end(self, cursor: _Cursor) -> None:
-        queue = cursor.channel.queue
+        queue = cursor.stream.queue
         self._under_way[queue.priority].remove(cursor)
         self._parts -= 1
         self.outbox.done(queue)
 
     def _encode_in_thread(self, cursor: _Cursor) -> None:
-        channel = cursor.channel
+        stream = cursor.stream
 
         def then(finished: asyncio.Future[object]) -> None:
-            if cursor not in self._under_way[channel.queue.priority]:
+            if cursor not in self._under_way[stream.queue.priority]:
                 return
             error = finished.exception()
             if error is not None:
                 self._end(cursor)
-                channel.failed(cursor.sample, error)
+                stream.failed(cursor.item, error)
             else:
                 body = finished.result()
                 assert isinstance(body, bytes)
                 cursor.body = body
 
-        self.in_thread(lambda: channel.body(cursor.sample, cursor.encoding), then)
+        self.in_thread(lambda: stream.body(cursor.item, cursor.encoding), then)
 
     def _part_bytes(self) -> int:
         """The size of a part: what the link carries in a moment, so that nothing urgent waits for more."""
