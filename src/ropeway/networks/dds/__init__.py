@@ -11,7 +11,7 @@ __all__ = ["DdsGraph"]
 
 
 def __getattr__(name: str) -> object:
-    """``DdsGraph`` when it is asked for: other graphs use modules here that need no DDS library."""
+    """Import ``DdsGraph`` on first use: other graphs use modules here that need no DDS library."""
     if name == "DdsGraph":
         from ropeway.networks.dds.graph import DdsGraph
 

@@ -28,18 +28,18 @@ class AnswerPacing:
         self._timer: asyncio.TimerHandle | None = None
 
     def came(self) -> None:
-        """A request has come."""
+        """Count a request that has arrived."""
         if not self._open:  # so the answers before it were taken
             self._tokens = min(_BURST, self._tokens + 1)
         self._open += 1
 
     def went(self) -> None:
-        """A request is done with."""
+        """Count a request that is done with."""
         self._open -= 1
 
     @property
     def idle(self) -> bool:
-        """True where no request is under way."""
+        """Whether no request is under way."""
         return not self._open
 
     async def turn(self) -> None:

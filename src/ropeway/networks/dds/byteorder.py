@@ -26,14 +26,16 @@ class Codec(Protocol):
     """The part of a message codec that is used here."""
 
     def decode(self, cdr: bytes) -> dict[str, Any]:
-        """The message; raises ``DecodeError``."""
+        """Decode the message."""
 
     def encode(self, message: Mapping[str, Any]) -> bytes:
         """Little-endian CDR."""
 
 
 class ByteOrder:
-    """What is known of the writers of one topic. ``make`` gives the codec of its type, and may raise ``TypesError``."""
+    """Tracks the byte order of the writers of one topic. ``make`` gives the codec of its type, and may raise
+    ``TypesError``.
+    """
 
     def __init__(self, topic: str, make: Callable[[], Codec]) -> None:
         self._topic = topic
@@ -41,7 +43,7 @@ class ByteOrder:
         self._big: dict[bytes, bool] = {}
 
     def native(self, writer: bytes, payload: bytes) -> bytes | None:
-        """``payload`` in the byte order its header claims; ``None`` where a big-endian one cannot be read."""
+        """Return ``payload`` in the byte order that its header claims; ``None`` if a big-endian one cannot be read."""
         big = self._big.get(writer)
         if big is None:
             big = self._examine(writer, payload)

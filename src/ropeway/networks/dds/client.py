@@ -95,7 +95,7 @@ class DdsClient(Ends):
 
     @property
     def available(self) -> bool:
-        """True if somebody whom we can call serves it now."""
+        """Whether a provider that we can call serves it now."""
         return not self.closed and bool(self._servers or (self._others and self._graph.helper is not None))
 
     async def wait_available(self, timeout_s: float) -> bool:
@@ -208,7 +208,7 @@ class DdsClient(Ends):
             await asyncio.sleep(_RETRY_S)
 
     def _is_fresh(self) -> bool:
-        """True where all servers are Ropeway's, and one of them was matched just now."""
+        """Return whether all servers are Ropeway's, and one of them was matched just now."""
         return self._all_ours and self._loop.time() - max(self._servers.values(), default=0.0) < _FRESH_S
 
     def _check_open(self) -> None:
@@ -224,7 +224,7 @@ class DdsClient(Ends):
     # From DDS ---------------------------------------------------------------------------------------------------
 
     def on_samples(self, batch: Sequence[Sample]) -> None:
-        """What servers answer, on the loop: our own answers and those of everybody else."""
+        """Take the answers of servers, on the loop: to our requests and to those of every other client."""
         for sample in batch:
             if not speaks_header(sample.origin):
                 continue

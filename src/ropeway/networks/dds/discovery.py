@@ -68,7 +68,7 @@ class _Action:
 
 
 class DdsDiscovery:
-    """What there is on the network.
+    """Keeps what is discovered on the network.
 
     ``emit`` gets the events, others' only; ``changed`` the ROS topics whose publishers changed, once per batch;
     ``gid_bytes`` the sizes of gid that others write. ``foreign`` keeps topics that are not of ROS, under their DDS
@@ -120,7 +120,7 @@ class DdsDiscovery:
             self._changed(topics)
 
     def close(self) -> None:
-        """No events from now on."""
+        """Stop emitting events."""
         self._nameless.clear()
         if self._timer is not None:
             self._timer.cancel()
@@ -154,7 +154,7 @@ class DdsDiscovery:
         return self._actions_of(endpoints).get(name)
 
     def types_of(self, kind: str, name: str) -> tuple[str, ...]:
-        """The types that one topic or service has now, or one action."""
+        """Return the types that one topic, service or action has now."""
         if kind == "action":
             info = self.look_up(kind, name)
             return info.types if info is not None else ()
@@ -196,11 +196,11 @@ class DdsDiscovery:
         }
 
     def guids(self, prefix: bytes) -> list[bytes]:
-        """The endpoints of ROS whose GUIDs begin so."""
+        """Return the ROS endpoints whose GUIDs begin with ``prefix``."""
         return [e.record.guid for e in self._endpoints.values() if e.record.guid.startswith(prefix)]
 
     def node_of(self, guid: bytes) -> str:
-        """The full name of the node that an endpoint belongs to, or ``""``."""
+        """Return the full name of the node that an endpoint belongs to, or ``""``."""
         return self._node_of.get(guid, "")
 
     def nodes(self) -> dict[str, NodeInfo]:
@@ -219,11 +219,11 @@ class DdsDiscovery:
 
     @property
     def settled(self) -> bool:
-        """True where the nodes of every participant are known (those without ROS never tell any)."""
+        """Whether the nodes of every participant are known (participants without ROS never announce any)."""
         return all(participant in self._nodes for participant in self._participants)
 
     def offered(self, topic: str, type: str) -> list[QoS]:
-        """The profiles of all publishers of a topic but those of our own gateway."""
+        """Return the profiles of all publishers of a topic except those of our own gateway."""
         known = self._topics.get(topic)
         if known is None:
             return []

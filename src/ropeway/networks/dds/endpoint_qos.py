@@ -27,7 +27,7 @@ _XCDR1 = (ct.c_int16 * 1)(0)
 
 @contextmanager
 def writer_qos(qos: QoS, user_data: bytes) -> Iterator[int]:
-    """A DDS qos object for a writer, for the length of the ``with`` block.
+    """Make a DDS qos object for a writer, for the length of the ``with`` block.
 
     A keep-all writer never waits for its readers: a write that its cache cannot take fails at once.
     """
@@ -58,7 +58,7 @@ def writer_qos(qos: QoS, user_data: bytes) -> Iterator[int]:
 
 @contextmanager
 def reader_qos(qos: QoS, user_data: bytes) -> Iterator[int]:
-    """A DDS qos object for a reader, for the length of the ``with`` block."""
+    """Make a DDS qos object for a reader, for the length of the ``with`` block."""
     handle = _common(qos, user_data)
     try:
         depth = max(qos.depth, 1)
@@ -74,7 +74,9 @@ def reader_qos(qos: QoS, user_data: bytes) -> Iterator[int]:
 
 
 def read_qos(handle: int, *, tells_history: bool = True) -> QoS:
-    """The profile that a DDS qos object holds; without ``tells_history`` its depth is a default that nobody told."""
+    """Return the profile in a DDS qos object; without ``tells_history`` its depth is a default that nobody
+    announced.
+    """
     kind, depth, duration = ct.c_int(), ct.c_int32(), ct.c_int64()
     reliable = lib.qget_reliability(handle, ct.byref(kind), ct.byref(duration)) and kind.value == _RELIABLE
     transient = lib.qget_durability(handle, ct.byref(kind)) and kind.value >= _TRANSIENT_LOCAL
@@ -105,7 +107,7 @@ def user_data(*, type_hash: str = "", gateway_id: str = "", extra: str = "", sin
 
 
 def parse_user_data(qos_handle: int) -> dict[str, str]:
-    """The ``key=value;`` pairs in the USER_DATA of a DDS qos object; whatever is no such pair is left out."""
+    """Return the ``key=value;`` pairs in the USER_DATA of a DDS qos object; anything else is left out."""
     text = user_data_of(qos_handle).rstrip(b"\0").decode("utf-8", "replace")
     pairs = (item.partition("=") for item in text.split(";"))
     return {key: value for key, found, value in pairs if found}

@@ -65,13 +65,13 @@ class Types(Protocol):
     """The part of a type registry that is used here."""
 
     def has(self, name: str) -> bool:
-        """True where the definition is known."""
+        """Return whether the definition is known."""
 
     def hash(self, name: str) -> str:
-        """``RIHS01_…``, which ``ros2 topic info -v`` shows."""
+        """Return ``RIHS01_…``, which ``ros2 topic info -v`` shows."""
 
     def codec(self, name: str) -> Codec:
-        """What tells big-endian messages from others."""
+        """Return the codec that tells big-endian messages from others."""
 
 
 class DdsGraph:
@@ -290,12 +290,12 @@ class DdsGraph:
         return self._discovery.nodes() if self._discovery else {}
 
     def changes(self) -> AsyncIterator[GraphEvent]:
-        """What others do, from now on."""
+        """Iterate over what others do, from now on."""
         return self._changes.listen()
 
     @property
     def settled(self) -> bool:
-        """True once every participant that was discovered has told its nodes; Fast DDS may take some seconds."""
+        """Whether every participant that was discovered has announced its nodes; Fast DDS may take some seconds."""
         return self._discovery is None or self._discovery.settled
 
     @property
@@ -328,7 +328,7 @@ class DdsGraph:
             failed(log, "%s: a callback for %s failed", self.name, topic)
 
     def attach(self, subscription: DdsSubscription, qos: QoS) -> SharedReader:
-        """A reader for ``subscription``: with others where samples are volatile, its own where history is replayed."""
+        """Return a reader for ``subscription``: shared if samples are volatile, its own if history is replayed."""
         participant = self._opened()
         key = (subscription.topic, subscription.type, qos)
         reader = None if qos.transient_local else self._shared.get(key)
@@ -359,34 +359,34 @@ class DdsGraph:
             await self._participant.delete(reader.raw)
 
     def forget(self, subscription: DdsSubscription) -> None:
-        """A subscription was closed."""
+        """Release what belongs to a closed subscription."""
         self._subscriptions.pop(subscription, None)
 
     def is_matched(self, subscription: DdsSubscription, reader: SharedReader) -> bool:
-        """True once a reader is matched with every publisher that it should read."""
+        """Return whether a reader is matched with every publisher that it should read."""
         if self._participant is None or self._discovery is None or reader.raw is None:
             return True
         expected = len(self._discovery.offered(subscription.topic, subscription.type))
         return self._participant.matched_writers(reader.raw) >= expected
 
     async def withdraw(self, publisher: DdsPublisher, writer: RawWriter | None) -> None:
-        """A publisher was closed."""
+        """Remove a closed publisher."""
         self._publishers.pop(publisher, None)
         if writer is not None and self._participant is not None:
             await self._participant.delete(writer)
 
     async def remove(self, part: DdsClient | DdsService) -> None:
-        """A client or service was closed."""
+        """Remove a closed client or service."""
         self._clients.pop(part, None) if isinstance(part, DdsClient) else self._services.pop(part, None)
         if self._participant is not None:
             await part.leave(self._participant)
 
     def node_of(self, guid: bytes) -> str:
-        """The full name of the node that an endpoint belongs to, or ``""``."""
+        """Return the full name of the node that an endpoint belongs to, or ``""``."""
         return self._discovery.node_of(guid) if self._discovery else ""
 
     def type_hash(self, type: str) -> str:
-        """``RIHS01_…`` where the registry knows the type, or ``""``."""
+        """Return ``RIHS01_…`` if the registry knows the type, or ``""``."""
         registry = self.layouts.registry or self._registry
         return registry.hash(type) if registry is not None and registry.has(type) else ""
 
@@ -420,7 +420,7 @@ class DdsGraph:
                     log.warning("%s: %s keeps its profile: %s", self.name, subscription.topic, error)
 
     def _adopted(self, subscription: DdsSubscription) -> QoS:
-        """The profile that a subscription should have now."""
+        """Return the profile that a subscription should have now."""
         asked = subscription.asked
         if asked is not None and not subscription.adopts:
             return asked

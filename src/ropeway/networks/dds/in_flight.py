@@ -1,4 +1,4 @@
-"""How many requests may wait at a server: nodes of ROS 2 keep ten, and let go of the oldest without a word."""
+"""Limits how many requests wait at a server: ROS 2 nodes keep ten, and drop the oldest silently."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class InFlightRequests:
         return min(max((depth or _UNKNOWN_DEPTH) // 2, 1), _MAX)
 
     def resize(self, depth: int) -> None:
-        """The server that keeps the fewest requests keeps ``depth``; 0 where nobody tells."""
+        """Set the smallest number of requests that any server keeps; 0 if none announces it."""
         self._limit = self._of(depth)
         self._admit()
 
@@ -51,7 +51,7 @@ class InFlightRequests:
 
     @property
     def is_free(self) -> bool:
-        """True where ``enter`` need not wait."""
+        """Whether ``enter`` need not wait."""
         return not self._queue and len(self._out) < self._limit
 
     async def enter(self) -> int:
@@ -78,7 +78,7 @@ class InFlightRequests:
         return self._next
 
     def leave(self, ticket: int, *, answered: bool) -> None:
-        """A request was answered, or is waited for no longer."""
+        """Note that a request was answered, or is no longer waited for."""
         now = asyncio.get_running_loop().time()
         began = self._out.pop(ticket, None)
         if answered:

@@ -1,4 +1,5 @@
-"""Who on a DDS network has which layouts of types: told by the hashes of types, and by the gids of older nodes.
+"""Finds out which participant on a DDS network uses which layouts of types, from type hashes and the gids of older
+nodes.
 
 Nodes since Iron tell the hash of each type that they use; where all nodes of a participant write gids of 24 bytes, it
 is of Humble or older.
@@ -26,7 +27,7 @@ log = logging.getLogger("ropeway.dds")
 
 
 class Signs(Protocol):
-    """What discovery knows."""
+    """Gives access to what discovery knows."""
 
     def signs(self, role: str, name: str, guid: bytes | None = None) -> Collection[str]:
         """Return the hashes, or ``OLD``, that others' endpoints in a ``role`` of a topic or service show.

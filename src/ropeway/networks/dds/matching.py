@@ -1,4 +1,4 @@
-"""With whom an endpoint is matched, told on the loop whenever that changes; and which matches belong together."""
+"""Tracks what an endpoint is matched with, tells the loop of every change, and pairs matches that belong together."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Matches:
         self.key = pump.attach(entity, self._on_status)
 
     def _on_status(self) -> None:
-        """In the pump's thread."""
+        """Read the new matches; runs in the pump's thread."""
         status = ct.c_uint32()
         code = lib.take_status(self._entity, ct.byref(status), self._status)
         if self.closed:
@@ -66,7 +66,7 @@ class Matches:
 
 
 def pair_of(marks: Mapping[str, str]) -> str:
-    """What the two endpoints of a service or client have in common in their USER_DATA, or ``""``."""
+    """Return what the two endpoints of a service or client have in common in their USER_DATA, or ``""``."""
     for key in ("clientid", "serviceid"):
         if key in marks:
             return f"{key}={marks[key]}"
@@ -74,13 +74,13 @@ def pair_of(marks: Mapping[str, str]) -> str:
 
 
 def since_of(marks: Mapping[str, str]) -> int:
-    """When a service began, as its USER_DATA tells (``time.time_ns``), or 0."""
+    """Return when a service began, according to its USER_DATA (``time.time_ns``), or 0."""
     text = marks.get("since", "")
     return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else 0
 
 
 def paired(ends: Iterable[MatchedEndpoint], others: Iterable[MatchedEndpoint]) -> dict[bytes, MatchedEndpoint]:
-    """Those of ``ends``, by GUID, whose other half is among ``others``.
+    """Return those of ``ends``, by GUID, whose other half is among ``others``.
 
     Halves know each other by what both tell, or, where they tell nothing, by their participant.
     """

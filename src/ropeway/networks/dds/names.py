@@ -1,4 +1,4 @@
-"""How ROS 2 names topics, services and types on DDS, and back.
+"""Converts between ROS 2 names of topics, services and types and their DDS names.
 
 A topic ``/scan`` is the DDS topic ``rt/scan`` of type ``sensor_msgs::msg::dds_::LaserScan_``; a service ``/add`` is
 the pair ``rq/addRequest`` and ``rr/addReply``; an action is three services and two topics below ``/_action/``.
@@ -43,7 +43,7 @@ _KEPT_CHARACTERS: Final = 2 * NAME_CHARACTERS + TYPE_NAME_CHARACTERS  # longer n
 
 
 class NameKind(enum.Enum):
-    """What a DDS topic is to ROS."""
+    """The role of a DDS topic in ROS."""
 
     TOPIC = "topic"
     REQUEST = "request"
@@ -61,7 +61,7 @@ class Name:
 
 
 def dds_type(name: str, suffix: str = "") -> str:
-    """The DDS name of a ROS type: ``pkg::msg::dds_::Name_``; ``suffix`` is for parts of a service.
+    """Return the DDS name of a ROS type: ``pkg::msg::dds_::Name_``; ``suffix`` is for parts of a service.
 
     Raises ``InvalidTypeName``.
     """
@@ -70,7 +70,7 @@ def dds_type(name: str, suffix: str = "") -> str:
 
 
 def demangle_type(name: str) -> str:
-    """The ROS name of a DDS type; a type that ROS would not have named stays as it is."""
+    """Return the ROS name of a DDS type; a type that ROS would not have named is returned unchanged."""
     return (_demangle_type if len(name) <= _KEPT_CHARACTERS else _demangle_type.__wrapped__)(name)
 
 
@@ -81,17 +81,17 @@ def _demangle_type(name: str) -> str:
 
 
 def dds_topic(name: str) -> str:
-    """The DDS topic of an absolute ROS topic name."""
+    """Return the DDS topic of an absolute ROS topic name."""
     return "rt" + name
 
 
 def dds_service_topics(name: str) -> tuple[str, str]:
-    """The DDS topics that carry the requests and the replies of an absolute ROS service name."""
+    """Return the DDS topics that carry the requests and the replies of an absolute ROS service name."""
     return f"rq{name}Request", f"rr{name}Reply"
 
 
 def demangle(topic: str, type: str = "") -> Name:
-    """What the DDS topic ``topic`` of DDS type ``type`` is to ROS."""
+    """Return the ROS name and role of the DDS topic ``topic`` of DDS type ``type``."""
     return (_demangle if len(topic) + len(type) <= _KEPT_CHARACTERS else _demangle.__wrapped__)(topic, type)
 
 
@@ -110,17 +110,17 @@ def _demangle(topic: str, type: str) -> Name:
 
 
 def is_hidden(name: str) -> bool:
-    """True for names that ROS tools do not list: a part begins with an underscore, as in an action's topics."""
+    """Return whether ROS tools leave the name out: a part begins with an underscore, as in an action's topics."""
     return "/_" in name
 
 
 def is_of_action(name: str) -> bool:
-    """True for the names of topics and services that actions are made of."""
+    """Return whether the name is that of a topic or service that belongs to an action."""
     return _ACTION in name
 
 
 def action_of(service: str, type: str = "") -> tuple[str, str] | None:
-    """The action and its type that the service ``service`` sends goals to, or ``None`` for other services."""
+    """Return the action, and its type, that the service ``service`` sends goals to, or ``None`` for other services."""
     return _action(service, "send_goal", type, "_SendGoal")
 
 
@@ -135,7 +135,7 @@ def feedback_of(action: str) -> str:
 
 
 def action_of_feedback(topic: str, type: str = "") -> tuple[str, str] | None:
-    """The action and its type whose feedback the topic ``topic`` carries, or ``None`` for other topics."""
+    """Return the action, and its type, whose feedback the topic ``topic`` carries, or ``None`` for other topics."""
     return _action(topic, "feedback", type, "_FeedbackMessage")
 
 

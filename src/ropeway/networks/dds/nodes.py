@@ -39,7 +39,7 @@ class ParticipantEntities:
 
 
 def full_name(namespace: str, name: str) -> str:
-    """The absolute name of a node."""
+    """Return the absolute name of a node."""
     return f"{namespace.rstrip('/')}/{name}"
 
 
@@ -54,7 +54,7 @@ def parse(payload: bytes) -> ParticipantEntities | None:
 
 
 def encode(entities: ParticipantEntities) -> bytes:
-    """The message as CDR with its header."""
+    """Return the message as CDR with its header."""
     size = entities.gid_bytes
     parts = [b"\0\1\0\0", entities.guid.ljust(size, b"\0"), struct.pack("<I", len(entities.nodes))]
     for node in entities.nodes:
@@ -74,7 +74,7 @@ def _gids(guids: Iterable[bytes], size: int) -> bytes:
 
 
 class _Reader:
-    """One pass over a message with gids of one size; raises ``ValueError`` where it does not fit."""
+    """Reads a message with gids of one size, once; raises ``ValueError`` if it does not fit."""
 
     def __init__(self, payload: bytes, gid_bytes: int) -> None:
         if payload[:2] not in (b"\0\1", b"\0\0"):

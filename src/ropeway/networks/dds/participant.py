@@ -43,7 +43,7 @@ _LISTEN_QOS: Final = QoS(durability="transient_local", history="keep_all")
 
 
 class DdsParticipant:
-    """One participant in domain ``number``, with the node ``node`` (a full name).
+    """A participant in domain ``number``, with the node ``node`` (a full name).
 
     ``graph`` is what messages call it, ``on_discovered`` gets batches of records on the loop.
     """
@@ -132,7 +132,7 @@ class DdsParticipant:
         all_gateways: bool = False,
         silent: bool = False,
     ) -> RawReader:
-        """A reader of ``topic`` (DDS topic and DDS type); its samples carry ``type``. Raises ``DdsError``.
+        """Create a reader of ``topic`` (DDS topic and DDS type); its samples carry ``type``. Raises ``DdsError``.
 
         ``matches`` gets the writers on the loop at each change. With ``all_gateways`` it reads from other processes of
         our own gateway, too. A ``silent`` one is on the network, and no node's, but reads nothing.
@@ -163,7 +163,9 @@ class DdsParticipant:
         demand: Callable[[int], None] | None = None,
         matches: Callable[[list[tuple[MatchedEndpoint, ...]]], None] | None = None,
     ) -> RawWriter:
-        """A writer on ``topic``; ``demand`` gets the number of others' readers on the loop. Raises ``DdsError``.
+        """Create a writer on ``topic``; ``demand`` gets the number of others' readers on the loop.
+
+        Raises ``DdsError``.
 
         ``matches``, which goes without ``demand``, gets the readers on the loop at each change.
         """
@@ -214,12 +216,12 @@ class DdsParticipant:
         self._release_topic(part.topic)
 
     def matched_writers(self, reader: RawReader) -> int:
-        """How many writers a reader is matched with."""
+        """Return the number of writers that a reader is matched with."""
         return len(matched(lib.get_matched_publications, reader.entity))
 
     @contextlib.contextmanager
     def _using(self, key: tuple[str, str]) -> Iterator[tuple[int, int]]:
-        """A topic for an endpoint that is made in the ``with`` block, given back where that fails."""
+        """Provide a topic for an endpoint that is made in the ``with`` block, and release it if that fails."""
         topic = self._topic(key)
         try:
             yield topic
@@ -272,7 +274,7 @@ class DdsParticipant:
             domain.release(self._number)
 
     def identify(self, reader: int, handle: int) -> WriterIdentity:
-        """Who the writer behind a publication handle is, where discovery has not told yet."""
+        """Return the identity of the writer behind a publication handle that discovery has not announced yet."""
         data = lib.get_matched_publication_data(reader, handle)
         if not data:
             return WriterIdentity(handle.to_bytes(16, "big"))
@@ -300,7 +302,7 @@ class DdsParticipant:
         self.pump.push(tell, [sum(not self._is_own_reader(writer.entity, handle) for handle in handles)])
 
     def _is_own_reader(self, writer: int, handle: int) -> bool:
-        """True for a reader of another process of our own gateway."""
+        """Return whether the reader belongs to another process of our own gateway."""
         if not self.gateway_id:
             return False
         known = self._own_readers.get(handle)
@@ -396,7 +398,7 @@ class DdsParticipant:
 
     @property
     def is_old(self) -> bool:
-        """True while all others are of ROS 2 Humble or older."""
+        """Whether all other participants are of ROS 2 Humble or older."""
         return self._gid_bytes == OLD_GID_BYTES
 
     def follow_gid_bytes(self, sizes: set[int]) -> None:
@@ -424,4 +426,4 @@ class DdsParticipant:
 
 
 def _ignore(_: object) -> None:
-    """A drop on ros_discovery_info: the next message of that participant replaces it."""
+    """Ignore a drop on ros_discovery_info: the next message of that participant replaces it."""

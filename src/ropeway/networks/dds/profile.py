@@ -41,7 +41,7 @@ class Profile:
 
 
 def make_profile(graph: str, interface: str | None = None, environ: Mapping[str, str] | None = None) -> Profile:
-    """The profile for ``interface`` (a name or an address; ``None`` leaves the choice to Cyclone DDS).
+    """Make the profile for ``interface`` (a name or an address; ``None`` leaves the choice to Cyclone DDS).
 
     ROS's own variables are honoured: ``ROS_AUTOMATIC_DISCOVERY_RANGE``, ``ROS_LOCALHOST_ONLY``,
     ``ROS_STATIC_PEERS``. What ``CYCLONEDDS_URI`` selects goes before ``None`` and before ROS's variables. Raises
@@ -108,7 +108,9 @@ def make_profile(graph: str, interface: str | None = None, environ: Mapping[str,
 
 
 def _selected_interfaces(uri: str) -> tuple[str, ...]:
-    """The network interfaces that a value of ``CYCLONEDDS_URI`` selects: inline XML and files, comma-separated."""
+    """Return the network interfaces that a value of ``CYCLONEDDS_URI`` selects: inline XML and files,
+    comma-separated.
+    """
     texts = [uri]
     for part in _INLINE.sub("", uri).split(","):
         path = part.strip().removeprefix("file://")

@@ -1,4 +1,4 @@
-"""One topic that we publish on DDS."""
+"""Publishes a topic on DDS."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class DdsPublisher:
 
     @property
     def subscribers(self) -> int:
-        """How many readers of others are matched; those of our own gateway do not count."""
+        """The number of matched readers of others; those of our own gateway do not count."""
         return self._subscribers
 
     def on_demand(self, callback: Callable[[int], None]) -> None:
@@ -66,7 +66,7 @@ class DdsPublisher:
         callback(self._subscribers)
 
     def on_count(self, count: int) -> None:
-        """The number of readers, as DDS tells."""
+        """Take the number of readers from DDS."""
         if count == self._subscribers:
             return
         self._subscribers = count

@@ -118,13 +118,13 @@ INFO: Final = struct.Struct("=8xI?3xqQQ20x4x")  # instance_state, valid, source_
 
 
 class IoVec(ct.Structure):
-    """One piece of a sample to be written; keeps its bytes alive."""
+    """A piece of a sample to be written; keeps its bytes alive."""
 
     _fields_ = (("base", ct.c_char_p), ("len", _size))
 
 
 class IoVecOut(ct.Structure):
-    """One piece of a sample, where it lies in the library."""
+    """A piece of a sample in the memory of the library."""
 
     _fields_ = (("base", _vp), ("len", _size))
 
@@ -344,7 +344,7 @@ def load(graph: str) -> None:
 
 
 def _library_path() -> str:
-    """Where the wheel keeps its library: found without importing the wheel's classes, which takes 0.2 s."""
+    """Return where the wheel keeps its library, without importing the wheel's classes, which takes 0.2 s."""
     spec = importlib.util.find_spec("cyclonedds")
     if spec is None or spec.origin is None:
         raise OSError("the package cyclonedds has no files")
@@ -356,28 +356,28 @@ def _library_path() -> str:
 
 
 def check(code: int, action: str) -> int:
-    """``code`` where it is no error; raises ``DdsError`` otherwise."""
+    """Return ``code`` unless it is an error; otherwise raise ``DdsError``."""
     if code < 0:
         raise DdsError(action, code)
     return code
 
 
 def guid_of(entity: int) -> bytes:
-    """The 16 bytes that name an entity on the network."""
+    """Return the 16 bytes that name an entity on the network."""
     buffer = ct.create_string_buffer(16)
     check(lib.get_guid(entity, buffer), "get_guid")
     return buffer.raw
 
 
 def handle_of(entity: int) -> int:
-    """The number that names an entity in this process."""
+    """Return the number that names an entity in this process."""
     out = _u64()
     check(lib.get_instance_handle(entity, ct.byref(out)), "get_instance_handle")
     return out.value
 
 
 def create_topic(participant: int, name: str, type_name: str) -> tuple[int, int]:
-    """An opaque topic: its entity and its sertype."""
+    """Create an opaque topic and return its entity and its sertype."""
     # Cyclone DDS copies all of the descriptor that it keeps.
     descriptor = _TopicDescriptor(size=1, align=1, type_name=type_name.encode(), op_count=2, ops=_OCTET_OPS, meta=b"")
     entity = check(
@@ -390,7 +390,7 @@ def create_topic(participant: int, name: str, type_name: str) -> tuple[int, int]
 
 
 def user_data_of(qos: int) -> bytes:
-    """The USER_DATA of a qos object."""
+    """Return the USER_DATA of a qos object."""
     value, size = _vp(), _size()
     if not lib.qget_userdata(qos, ct.byref(value), ct.byref(size)) or not value.value:
         return b""
@@ -400,7 +400,7 @@ def user_data_of(qos: int) -> bytes:
 
 
 def make_serdata(sertype: int, payload: bytes) -> int:
-    """A reference to a serialised sample with a copy of ``payload``, or 0 where that is no CDR."""
+    """Return a reference to a serialised sample with a copy of ``payload``, or 0 if that is not CDR."""
     vector = IoVec(payload, len(payload))
     made = lib.serdata_from_ser_iov(sertype, SERDATA_DATA, 1, ct.byref(vector), len(payload))
     return made or 0

@@ -49,7 +49,9 @@ _address_of = ct.PYFUNCTYPE(ct.c_void_p, ct.py_object)(("PyBytes_AsString", ct.p
 
 
 class WriterIdentity(NamedTuple):
-    """Who wrote a sample. ``wanted`` is false for writers of our own gateway; those of a ``helper`` speak otherwise."""
+    """Identifies the writer of a sample. ``wanted`` is false for writers of our own gateway; those of a ``helper``
+    speak otherwise.
+    """
 
     guid: bytes
     relayed: bool = False
@@ -67,7 +69,7 @@ class Taken:
 
 
 class ParticipantHost(Protocol):
-    """What readers and writers need of the participant that they belong to."""
+    """The services of a participant for its readers and writers."""
 
     pump: Pump
     courier: Courier
@@ -240,7 +242,7 @@ class RawWriter:
 
     @property
     def busy(self) -> bool:
-        """True while the courier has something of ours."""
+        """Whether the writer thread still holds samples of this writer."""
         return self._in_count != self._out_count
 
     def write(self, payload: bytes, source_stamp_ns: int = 0) -> None:
@@ -338,7 +340,7 @@ class RawWriter:
         self._courier.submit(lambda: self._write_next(waiting, loop))
 
     def _write_next(self, waiting: deque[tuple[bytes, int]], loop: asyncio.AbstractEventLoop) -> None:
-        """In the courier's thread."""
+        """Write the next waiting sample; runs in the writer thread."""
         try:
             payload, source_stamp_ns = waiting.popleft()
         except IndexError:  # a newer one took its place
@@ -358,7 +360,9 @@ def _resolve(done: asyncio.Future[Undelivered | None], reason: Undelivered | Non
 
 
 def without_padding(payload: bytes) -> bytes:
-    """The message as it was written: its header's options tell how many bytes the network adds to fill up four."""
+    """Return the message as it was written: its header's options tell how many bytes the network adds to
+    fill up four.
+    """
     end = len(payload)
     if end % 4 == 0:  # within a process nothing is added
         end = max(end - (payload[_OPTIONS_AT] & 3), _HEADER_BYTES)

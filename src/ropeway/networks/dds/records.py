@@ -1,4 +1,4 @@
-"""What the thread of a participant tells the loop about the network."""
+"""Defines what a participant's thread reports to the loop about the network."""
 
 from __future__ import annotations
 

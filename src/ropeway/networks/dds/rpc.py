@@ -40,7 +40,10 @@ class RpcMessage(NamedTuple):
 
 
 def join(header: RequestHeader, payload: bytes) -> bytes:
-    """The message for little-endian CDR (with its 4-byte header). Raises ``struct.error`` for impossible numbers."""
+    """Return the message for little-endian CDR (with its 4-byte header).
+
+    Raises ``struct.error`` for impossible numbers.
+    """
     return b"".join((payload[:_CDR], _LITTLE.pack(*header), payload[_CDR:]))
 
 

@@ -78,7 +78,7 @@ class DdsService(Ends):
     # From DDS ---------------------------------------------------------------------------------------------------
 
     def on_samples(self, batch: Sequence[Sample]) -> None:
-        """What clients ask, on the loop."""
+        """Take the requests of clients, on the loop."""
         if self.closed:
             return
         for sample in batch:
@@ -180,7 +180,7 @@ class DdsService(Ends):
         return True
 
     async def answer(self, request: Request, writer: bytes | None = None) -> bytes:
-        """What the handler says, or the default response with its error, both in the layout of who asks.
+        """Return the handler's answer, or the default response with its error, both in the client's layout.
 
         The handler's failures are logged and counted here. Raises ``UnknownType`` where the default is not known,
         ``ValueMismatch`` where the other layout cannot hold the response.
@@ -236,5 +236,7 @@ class DdsService(Ends):
 
 
 def _call_id(writer: bytes, header: RequestHeader) -> bytes:
-    """The same for everyone who serves this request, so that a call taken by two gateways runs once behind them."""
+    """Derive the id of a call: the same for every gateway, so that a call taken by two gateways runs once
+    behind them.
+    """
     return hashlib.blake2b(join(header, writer), digest_size=16).digest()

@@ -1,4 +1,4 @@
-"""What clients and services have in common: a writer and a reader that belong together, and who is at the far side."""
+"""Provides what clients and services share: a writer and a reader that belong together, and their matches."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Ends:
         await participant.delete(self._writer)
 
     def on_samples(self, batch: Sequence[Sample]) -> None:
-        """What arrives, on the loop."""
+        """Handle what arrives, on the loop."""
         raise NotImplementedError
 
     def on_match(self) -> None:

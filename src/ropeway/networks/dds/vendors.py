@@ -21,12 +21,12 @@ _NAMES: Final = {b"\x01\x10": "Cyclone DDS", b"\x01\x0f": "Fast DDS", b"\x01\x01
 
 
 def speaks_header(guid: bytes) -> bool:
-    """True for an endpoint whose requests and replies begin with our header."""
+    """Return whether the requests and replies of an endpoint begin with our header."""
     return guid.startswith(_CYCLONE)
 
 
 def vendor_name(guid: bytes) -> str:
-    """What to call the middleware of an endpoint in a message for people."""
+    """Return the name of an endpoint's middleware for a message to people."""
     return _NAMES.get(guid[:2], f"DDS vendor {guid[:2].hex('.')}")
 
 
@@ -39,10 +39,10 @@ class VendorHelper(Protocol):
     """
 
     def wake(self) -> None:
-        """Somebody with that mapping serves what we may call soon."""
+        """Prepare for a call: a node with that mapping serves what we may call soon."""
 
     async def create_client(self, service: str, type: str) -> Client:
-        """A client; ``service`` and ``type`` are full names. Made at the first call that needs it."""
+        """Create a client; ``service`` and ``type`` are full names. Made at the first call that needs it."""
 
     async def create_service(self, service: str, type: str, handler: ServiceHandler) -> Service:
-        """A service; made together with each ``DdsService``."""
+        """Create a service; done together with each ``DdsService``."""

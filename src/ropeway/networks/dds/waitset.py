@@ -116,19 +116,19 @@ class Pump:
 
     @property
     def stopped(self) -> bool:
-        """True once the thread has ended, or is about to."""
+        """Whether the thread has ended, or is about to."""
         return self._stopping
 
     # In the thread ----------------------------------------------------------------------------------------------
 
     @property
     def room(self) -> bool:
-        """True while more may be pushed; a handler that finds it false asks for ``again``."""
+        """Whether more may be pushed; a handler that finds it false asks for ``again``."""
         samples, size = self.space()
         return samples > 0 and size > 0
 
     def space(self) -> tuple[int, int]:
-        """How many samples and bytes more may be pushed."""
+        """Return how many more samples and bytes may be pushed."""
         return (
             _LIMIT_SAMPLES - self._pushed_samples + self._drained_samples,
             _LIMIT_BYTES - self._pushed_bytes + self._drained_bytes,

@@ -45,13 +45,16 @@ _STRING: Final = "std_msgs/msg/String"
 
 
 class Form(Protocol):
-    """One way to write messages of one type as text."""
+    """A way to write messages of one type as text."""
 
     def messages(self, data: bytes) -> list[Timed]:
-        """What to publish for a text. Raises ``ConversionError`` or another ``TypesError``."""
+        """Return the messages to publish for a text. Raises ``ConversionError`` or another ``TypesError``."""
 
     def text(self, cdr: bytes) -> bytes | None:
-        """The text of a message, ``None`` for nothing to say. Raises ``ConversionError`` or another ``TypesError``."""
+        """Return the text of a message, ``None`` for nothing to say.
+
+        Raises ``ConversionError`` or another ``TypesError``.
+        """
 
 
 class TextForm:
@@ -68,7 +71,7 @@ class TextForm:
             raise ConversionError(f"{codec.type}.{self._field} is neither text nor number; use the form json")
 
     def messages(self, data: bytes) -> list[Timed]:
-        """One message."""
+        """Return one message."""
         value: Any = _decoded(data)
         if self._kind is not str:
             value = _number(value) if self._kind is float else self._whole(value)
@@ -86,7 +89,7 @@ class TextForm:
             raise ConversionError(f"expected a whole number, got {text[:40]!r}") from None
 
     def text(self, cdr: bytes) -> bytes:
-        """Its text."""
+        """Return the text of the field."""
         value = self._codec.decode(cdr)[self._field]
         if isinstance(value, bool):
             return b"true" if value else b"false"
@@ -102,7 +105,7 @@ class FloatsForm:
             _check_path(codec, path)
 
     def messages(self, data: bytes) -> list[Timed]:
-        """One message. There must be as many numbers as fields."""
+        """Return one message. There must be as many numbers as fields."""
         parts = _decoded(data).split(",")
         if len(parts) != len(self._fields):
             raise ConversionError(f"expected {len(self._fields)} numbers between commas, got {len(parts)}")
@@ -112,7 +115,7 @@ class FloatsForm:
         return [(0.0, self._codec.encode(message))]
 
     def text(self, cdr: bytes) -> bytes:
-        """Its numbers, as short as they can be read back."""
+        """Return the numbers, as short as they can be read back."""
         message = self._codec.decode(cdr)
         return ",".join([repr(float(_get(message, path))) for path in self._fields]).encode()
 
@@ -131,7 +134,7 @@ class JsonForm:
             _check_path(codec, path)
 
     def messages(self, data: bytes) -> list[Timed]:
-        """One message; fields that the text leaves out get their defaults."""
+        """Return one message; fields that the text leaves out get their defaults."""
         try:
             value = json_loads(data)
         except InvalidFrame as error:
@@ -146,7 +149,7 @@ class JsonForm:
         return [(0.0, self._codec.from_json(value))]
 
     def text(self, cdr: bytes) -> bytes:
-        """Its JSON."""
+        """Return the message as JSON."""
         if not self._fields:
             return self._codec.json(cdr)
         message = orjson.loads(self._codec.json(cdr))
@@ -157,7 +160,7 @@ class JsonForm:
 
 
 class CodesForm:
-    """One word of a few, each with the fields it stands for; those it leaves out are zero.
+    """One word out of a few, each with the fields that it stands for; fields left out are zero.
 
     A message becomes the code whose fields point the same way (the greatest cosine); one whose fields are all within
     ``deadband`` of zero becomes the code without fields. ``send`` limits the codes that are sent. A message that
@@ -181,7 +184,7 @@ class CodesForm:
         self._last: str | None = None
 
     def messages(self, data: bytes) -> list[Timed]:
-        """One message."""
+        """Return one message."""
         code = _decoded(data).strip()
         fields = self._codes.get(code)
         if fields is None:
@@ -192,7 +195,7 @@ class CodesForm:
         return [(0.0, self._codec.encode(message))]
 
     def text(self, cdr: bytes) -> bytes | None:
-        """The code that comes next to it."""
+        """Return the nearest code."""
         message = self._codec.decode(cdr)
         values = {path: float(_get(message, path)) for path in self._paths}
         length = math.sqrt(sum(v * v for v in values.values()))
@@ -237,7 +240,7 @@ class AngleForm:
         self._last: tuple[float, float] | None = None  # when, and the rate then
 
     def messages(self, data: bytes) -> list[Timed]:
-        """A rate, and the stop that ends it."""
+        """Return a rate, and the stop that ends it."""
         angle = math.radians(_number(_decoded(data)))
         turn: dict[str, Any] = {}
         _set(turn, self._field, math.copysign(self._rate, angle) if angle else 0.0)
@@ -245,7 +248,7 @@ class AngleForm:
         return [(0.0, self._codec.encode(turn)), (abs(angle) / self._rate, stop)] if angle else [(0.0, stop)]
 
     def text(self, cdr: bytes) -> bytes | None:
-        """The angle since the last one that was sent, where it is time to send it."""
+        """Return the angle since the last one that was sent, if it is time to send it."""
         rate = float(_get(self._codec.decode(cdr), self._field))
         now = self._clock()
         if self._last is not None:
@@ -263,7 +266,7 @@ class AngleForm:
 def make_form(
     form: str, type: str, registry: TypeRegistry, options: Mapping[str, Any], *, clock: Callable[[], float]
 ) -> Form:
-    """A form by its name. Raises ``ConversionError`` for options that do not fit the type, or ``UnknownType``."""
+    """Make a form by its name. Raises ``ConversionError`` for options that do not fit the type, or ``UnknownType``."""
     codec = registry.codec(type)
     if form == "text":
         return TextForm(codec)
@@ -278,7 +281,7 @@ def make_form(
 
 
 def default_form(type: str, registry: TypeRegistry) -> Form:
-    """What stands in no map: text for a String, JSON for all others."""
+    """Return the form of topics that no map names: text for a String, JSON for all others."""
     codec = registry.codec(type)
     return TextForm(codec) if type == _STRING else JsonForm(codec)
 

@@ -194,15 +194,15 @@ class IortGraph:
         }
 
     def services(self) -> dict[str, ServiceInfo]:
-        """There are none."""
+        """Return nothing: nodes have no services."""
         return {}
 
     def actions(self) -> dict[str, ActionInfo]:
-        """There are none."""
+        """Return nothing: nodes have no actions."""
         return {}
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """The nodes that publish or read something."""
+        """Return the nodes that publish or read something."""
         ends: dict[str, tuple[list[tuple[str, str]], list[tuple[str, str]]]] = {}
         for endpoint in self._endpoints.values():
             info = self._info(endpoint)
@@ -215,14 +215,14 @@ class IortGraph:
         return self._changes.listen()
 
     def offered(self, topic: str) -> list[QoS]:
-        """The profiles of others that publish a topic."""
+        """Return the profiles of others that publish a topic."""
         known = [self._info(e) for e in self._endpoints.values() if e.kind == "publisher"]
         return [info.qos for info in known if info.topic == topic]
 
     # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     def had(self, system: str, topic: str) -> Seen:
-        """What came of a topic of nodes, which is not sent back there."""
+        """Return the identifiers of samples that came from a topic of nodes, so that they are not sent back there."""
         found = self._had.get((system, topic))
         if found is None:
             if len(self._had) >= _HAD_LIMIT:
@@ -240,7 +240,7 @@ class IortGraph:
         return True
 
     async def forget(self, subscription: IortSubscription) -> None:
-        """A subscription was closed."""
+        """Release what belongs to a closed subscription."""
         if subscription in self.subscriptions:
             self.subscriptions.remove(subscription)
         for key, feed in list(self._feeds.items()):
@@ -251,7 +251,7 @@ class IortGraph:
                     await self.link.unsubscribe(*key)
 
     async def withdraw(self, publisher: IortPublisher) -> None:
-        """A publisher was closed."""
+        """Remove a closed publisher."""
         if publisher in self.publishers:
             self.publishers.remove(publisher)
         for system, topic, _, _ in publisher.targets:
@@ -260,7 +260,7 @@ class IortGraph:
                 await self.link.withdraw(system, topic)
 
     def resolved(self, topic: str, direction: str) -> list[tuple[str, str, TopicMap | None]]:
-        """The topics of nodes behind a ROS name, ``in`` or ``out``.
+        """Return the topics of nodes behind a ROS name, ``in`` or ``out``.
 
         The maps know best; else a node's topic whose name ROS would not allow may be meant.
         """
@@ -339,12 +339,13 @@ class IortGraph:
 
     @property
     def own_mark(self) -> str:
-        """What the origin of every value that we publish ends with."""
+        """The end of the origin of every value that we publish."""
         return f"+{self.origin.hex()[:16]}"
 
 
 def _profile(text: str, *, latched: bool) -> QoS:
-    """Of an advertisement. Robots say nothing: what they said last is not said again, unless the map has it latched.
+    """Return the profile of an advertisement. Robots give none: their last value is not repeated, unless the map has it
+    latched. Robots say nothing: what they said last is not said again, unless the map has it latched.
 
     A command that is old must not move a robot whose driver starts late.
     """

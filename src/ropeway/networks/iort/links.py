@@ -1,4 +1,4 @@
-"""How an ``iort`` graph reaches a space: in this process, or at a server over the network."""
+"""Connects an ``iort`` graph to a space: in this process, or at a server over the network."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OnEvent = Callable[[MemberEndpoint, bool], None]
 
 
 class Link(Protocol):
-    """What a graph needs of a space. Everything that is refused raises ``GraphUnavailable``."""
+    """Connects a graph to a space. Everything that is refused raises ``GraphUnavailable``."""
 
     async def open(self, on_value: OnValue, on_event: OnEvent, on_lost: Callable[[], None]) -> None:
         """Join; ``on_lost`` is called when all endpoints that were told are no longer known."""
@@ -29,7 +29,7 @@ class Link(Protocol):
         """Leave."""
 
     def publish(self, system: str, topic: str, data: bytes, type: str, stamp_ns: int, origin: str, form: str) -> bool:
-        """A value; false where it is refused at once."""
+        """Publish a value; return false if it is refused at once."""
 
     async def advertise(self, system: str, topic: str, type: str, qos: str) -> None:
         """Tell that we publish."""
@@ -64,17 +64,17 @@ class LocalLink:
         self.space.leave(self)
 
     def value(self, entry: Entry, latest: bool) -> None:
-        """A value came."""
+        """Deliver a value."""
         if self._on_value is not None:
             self._on_value(entry, latest)
 
     def event(self, endpoint: MemberEndpoint, there: bool) -> None:
-        """An endpoint came or went."""
+        """Deliver the news that an endpoint came or went."""
         if self._on_event is not None:
             self._on_event(endpoint, there)
 
     def publish(self, system: str, topic: str, data: bytes, type: str, stamp_ns: int, origin: str, form: str) -> bool:
-        """A value; one that the store refuses is counted there."""
+        """Publish a value; one that the store refuses is counted there."""
         try:
             self.space.publish(self, system, topic, data, origin=origin, stamp_ns=stamp_ns, type=type, form=form)
         except StoreError:
@@ -133,7 +133,7 @@ class RemoteLink:
 
     @property
     def connected(self) -> bool:
-        """True while the server answers."""
+        """Whether the server answers."""
         return self.node.mode == "remote"
 
     async def open(self, on_value: OnValue, on_event: OnEvent, on_lost: Callable[[], None]) -> None:
@@ -155,7 +155,7 @@ class RemoteLink:
         await self.node.close()
 
     def publish(self, system: str, topic: str, data: bytes, type: str, stamp_ns: int, origin: str, form: str) -> bool:
-        """A value; while the connection is slow a newer one replaces it."""
+        """Publish a value; while the connection is slow, a newer one replaces it."""
         self.node.publish_nowait(topic, data, system=system, type=type, stamp_ns=stamp_ns, origin=origin)
         return True
 

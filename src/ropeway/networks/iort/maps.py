@@ -23,7 +23,7 @@ _ODD: Final = re.compile(r"[^A-Za-z0-9_/]")
 
 @dataclass(frozen=True)
 class TopicMap:
-    """One topic of IoRT nodes as a topic of ROS.
+    """Maps a topic of IoRT nodes to a ROS topic.
 
     ``system`` and ``topic`` may be patterns. ``name`` is the ROS name, ``""`` for ``/SYSTEM/TOPIC``. ``direction`` is
     ``both``, ``in`` (nodes publish, ROS reads) or ``out``. ``latched``: ROS's late joiners get the last value, too.
@@ -39,20 +39,20 @@ class TopicMap:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def fits(self, system: str, topic: str) -> bool:
-        """True for a topic that the patterns mean."""
+        """Return whether the patterns match the topic."""
         return fnmatchcase(system, self.system) and fnmatchcase(topic, self.topic)
 
     @property
     def is_pattern(self) -> bool:
-        """True if it means several topics."""
+        """Whether it stands for several topics."""
         return any(c in self.system + self.topic for c in "*?[")
 
     def ros_name(self, system: str, topic: str) -> str:
-        """The ROS name of a topic that it fits."""
+        """Return the ROS name of a topic that it fits."""
         return self.name or ros_name(system, topic)
 
     def make_form(self, registry: TypeRegistry, clock: Callable[[], float] = time.monotonic) -> Form:
-        """A form of its own: some remember what was said before. Raises ``TypesError``."""
+        """Make a form of its own: some forms have memory. Raises ``TypesError``."""
         if not self.form:
             return default_form(self.type, registry)
         return make_form(self.form, self.type, registry, self.options, clock=clock)
@@ -65,11 +65,11 @@ class Maps:
         self.maps = tuple(maps)
 
     def of(self, system: str, topic: str) -> TopicMap | None:
-        """The map of a topic of nodes, ``None`` for one that is as it comes."""
+        """Return the map of a topic of nodes, ``None`` for an unmapped one."""
         return next((m for m in self.maps if m.fits(system, topic)), None)
 
     def at(self, name: str, direction: str) -> list[tuple[str, str, TopicMap | None]]:
-        """The topics of nodes behind a ROS name, ``in`` or ``out``: ``(system, topic, map)``."""
+        """Return the topics of nodes behind a ROS name, ``in`` or ``out``: ``(system, topic, map)``."""
         found: list[tuple[str, str, TopicMap | None]] = []
         named = False
         for one in self.maps:
@@ -90,7 +90,7 @@ class Maps:
 
 
 def ros_name(system: str, topic: str) -> str:
-    """``/SYSTEM/TOPIC`` with what ROS does not allow in a name replaced by underscores."""
+    """Return ``/SYSTEM/TOPIC`` with what ROS does not allow in a name replaced by underscores."""
     whole = topic if system == NO_SYSTEM else f"{system}/{topic}"
     parts = [part for part in _ODD.sub("_", whole).split("/") if part]
     return "/" + "/".join(f"_{part}" if part[:1].isdigit() else part for part in parts)

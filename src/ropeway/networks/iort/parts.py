@@ -32,7 +32,7 @@ ROS_ORIGIN: Final = "ros:"
 
 
 class IortHost(Protocol):
-    """What a publisher or a subscription needs of its graph."""
+    """The services of a graph for its publishers and subscriptions."""
 
     link: Link
     registry: TypeRegistry
@@ -42,7 +42,7 @@ class IortHost(Protocol):
 
     @property
     def own_mark(self) -> str:
-        """What the origin of a message of ours ends with."""
+        """The end of the origin of every message of ours."""
         ...
 
     def resolved(self, topic: str, direction: str) -> list[tuple[str, str, TopicMap | None]]:
@@ -121,7 +121,7 @@ class IortPublisher:
 
 
 class NodeTopic:
-    """What comes of one topic of nodes, for all subscriptions that read it."""
+    """Receives one topic of nodes, for all subscriptions that read it."""
 
     def __init__(self, system: str, topic: str) -> None:
         self.system, self.topic = system, topic
@@ -129,7 +129,7 @@ class NodeTopic:
         self.readers: list[tuple[IortSubscription, Form | None]] = []
 
     def take(self, entry: Entry, latest: bool) -> None:
-        """A value came; ``latest``: it was there before."""
+        """Take a value; ``latest`` marks one that was there before."""
         if self.last is None or self.last.order <= entry.order:
             self.last = entry
         for subscription, form in list(self.readers):
@@ -171,7 +171,7 @@ class IortSubscription:
         self._catch_up()
 
     def had(self, feed: NodeTopic) -> bool:
-        """True if it had a value of this topic: after a cut the newest comes again."""
+        """Return whether it had a value of this topic: after a cut the newest comes again."""
         return id(feed) in self._had
 
     def readopt(self) -> None:
@@ -256,7 +256,7 @@ class IortSubscription:
 
 
 def _origin(entry: Entry) -> bytes:
-    """16 bytes: those of the first publisher, where it was a graph of ROS."""
+    """Return 16 bytes: those of the first publisher, if it was a ROS graph."""
     text = entry.origin
     if text.startswith(ROS_ORIGIN):
         try:

@@ -42,20 +42,20 @@ class MemberEndpoint:
 
 
 class Member(Protocol):
-    """Somebody in a space."""
+    """A member of a space."""
 
     node: str
     """How others see it."""
 
     def value(self, entry: Entry, latest: bool) -> None:
-        """A value of a topic it subscribed to; ``latest`` is true for one that was there before."""
+        """Take a value of a subscribed topic; ``latest`` is true for one that was there before."""
 
     def event(self, endpoint: MemberEndpoint, there: bool) -> None:
-        """An endpoint came or went; only for members that watch."""
+        """Take the news that an endpoint came or went; only for members that watch."""
 
 
 class _Presence:
-    """What one member has in the space."""
+    """Holds what one member has in the space."""
 
     def __init__(self, id: str) -> None:
         self.id = id
@@ -78,7 +78,7 @@ class _Pattern:
 
 
 def is_pattern(name: str) -> bool:
-    """True for ``*`` and the like."""
+    """Return whether ``name`` contains ``*`` or another wildcard."""
     return "*" in name or "?" in name or "[" in name
 
 
@@ -105,12 +105,12 @@ class Space:
     # ── members ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def join(self, member: Member) -> str:
-        """A new member; the id of its endpoints is returned."""
+        """Add a member and return the id of its endpoints."""
         presence = self._members[member] = _Presence(f"{next(self._numbers):x}")
         return presence.id
 
     def leave(self, member: Member) -> None:
-        """A member is gone, with everything of it."""
+        """Remove a member with everything that belongs to it."""
         presence = self._members.pop(member, None)
         if presence is None:
             return
@@ -132,11 +132,11 @@ class Space:
                 member.event(endpoint, True)
 
     def advertise(self, member: Member, system: str, topic: str, type: str = "", qos: str = "") -> None:
-        """The member publishes a topic. Raises ``ValueRefused`` above the limit of endpoints."""
+        """Note that the member publishes a topic. Raises ``ValueRefused`` above the limit of endpoints."""
         self._add(member, MemberEndpoint("publisher", system, topic, type, qos, member.node, self._members[member].id))
 
     def withdraw(self, member: Member, system: str, topic: str) -> None:
-        """The member publishes a topic no longer."""
+        """Note that the member publishes a topic no longer."""
         presence = self._members[member]
         endpoint = presence.endpoints.get(("publisher", system, topic))
         if endpoint is not None:
@@ -145,7 +145,7 @@ class Space:
     def subscribe(
         self, member: Member, system: str, topic: str, *, latest: bool = True, type: str = "", qos: str = ""
     ) -> None:
-        """The member gets every value that others publish; ``latest``: those that are there now first.
+        """Give the member every value that others publish; ``latest``: first those that are there now.
 
         Names may be patterns of a shell. Raises ``ValueRefused`` above the limits of endpoints and patterns.
         """
@@ -164,7 +164,7 @@ class Space:
                 member.value(entry, True)
 
     def unsubscribe(self, member: Member, system: str, topic: str) -> None:
-        """The member gets a topic (or pattern) no longer."""
+        """Stop giving the member a topic (or pattern)."""
         presence = self._members[member]
         endpoint = presence.endpoints.get(("subscription", system, topic))
         if endpoint is not None:
@@ -248,7 +248,7 @@ class Space:
         sink: Sink | None = None,
         token: Any = None,
     ) -> Entry:
-        """A value of a member; ``sink`` is told once it is kept.
+        """Publish a value of a member; ``sink`` is told once it is kept.
 
         Live values are the last in the order of their arrival: ``version`` is taken if it is later than what is there
         and not far in the future. With ``merge`` it was written while the server was away: its version decides, and

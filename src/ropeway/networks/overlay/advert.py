@@ -34,7 +34,7 @@ _NONCE_BYTES: Final = 12
 
 @dataclass(frozen=True, slots=True)
 class Advertisement:
-    """One endpoint of one gateway.
+    """An endpoint of a gateway.
 
     ``kind``: ``publisher``, ``subscription``, ``service`` or ``client``; ``global_name`` 32 bytes, ``endpoint`` and
     ``gateway`` 16; ``name`` and ``type`` those of ROS; ``qos`` ``None`` for services and for readers that take what is
@@ -57,12 +57,12 @@ class Advertisement:
 
 
 def advert_key(name_secret: bytes) -> AESGCM:
-    """What the members of a fleet read advertisements with."""
+    """Derive the key with which the members of a fleet read advertisements."""
     return AESGCM(HKDF(SHA256(), 32, salt=None, info=_TAG).derive(name_secret))
 
 
 def make_advert(advert: Advertisement, identity: Identity, key: AESGCM) -> bytes:
-    """An advertisement for others, signed and encrypted."""
+    """Make an advertisement for others, signed and encrypted."""
     qos = advert.qos
     body = cbor2.dumps(
         (
@@ -86,7 +86,7 @@ def make_advert(advert: Advertisement, identity: Identity, key: AESGCM) -> bytes
 def read_advert(
     raw: bytes, gateway: bytes, certificate: Certificate, key: AESGCM, secret: bytes, now_ns: int | None = None
 ) -> Advertisement:
-    """An advertisement that ``gateway``, whose owner has ``certificate``, is said to have made.
+    """Open and verify an advertisement said to be made by ``gateway``, whose owner has ``certificate``.
 
     Raises ``SealError``: TRUNCATED, BAD_TAG, MALFORMED, BAD_SIGNATURE, EXPIRED, WRONG_NAME (its global name is not
     that of what it says it is) or NO_RIGHT.
@@ -143,7 +143,7 @@ def _parse(fields: Any, gateway: bytes) -> Advertisement:
 def _qos(
     reliability: str, durability: str, history: str, depth: int, deadline_s: float | None, lifespan_s: float | None
 ) -> QoS:
-    """A profile, its values checked."""
+    """Build a profile after checking its values."""
     found = {"reliability": reliability, "durability": durability, "history": history, "depth": depth}
     times = {key: value for key, value in (("deadline", deadline_s), ("lifespan", lifespan_s)) if value is not None}
     return QoS.parse({**found, **times})

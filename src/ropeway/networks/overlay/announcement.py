@@ -38,7 +38,7 @@ class Verifier(Protocol):
     """A certificate, as far as notes need it."""
 
     def verify_signature(self, message: bytes, signature: bytes) -> bool:
-        """True if the owner of the certificate signed ``message``."""
+        """Return whether the owner of the certificate signed ``message``."""
 
 
 class NoteKey:
@@ -63,7 +63,7 @@ class NoteKey:
         return cls(secret, id)
 
     def seal(self, gateway: bytes, kind: str, body: object, sign: Callable[[bytes], bytes]) -> bytes:
-        """A note of ``kind`` that ``gateway`` tells; ``sign`` is its owner's signature."""
+        """Return a note of ``kind`` by ``gateway``; ``sign`` is its owner's signature."""
         about = _about(gateway, kind)
         text = cbor2.dumps(body)
         signed = cbor2.dumps((text, sign(hashlib.sha256(about + text).digest())))
@@ -78,7 +78,7 @@ class NoteKey:
         shape: Mapping[str, type],
         certify: Callable[[Mapping[str, Any]], Verifier],
     ) -> dict[str, Any]:
-        """What a note says: a map that has the keys of ``shape``, each with a value of its type.
+        """Open a note and return its map, which has the keys of ``shape``, each with a value of its type.
 
         ``certify`` gets it and gives the certificate of who must have signed it. Raises ``SealError``, also what
         ``certify`` raises.

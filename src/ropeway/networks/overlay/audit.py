@@ -22,7 +22,7 @@ __all__ = ["Verdict", "captured", "verdicts"]
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What is to be said of one packet of a capture; ``fault`` is ``""`` where its publisher signed it."""
+    """The verdict on one packet of a capture; ``fault`` is ``""`` if its publisher signed it."""
 
     line: int
     fault: str = ""

@@ -63,25 +63,25 @@ class Asked:
         self.payload = bytes(query.payload) if query.payload is not None else b""
 
     def part(self, payload: bytes) -> None:
-        """One answer of several."""
+        """Send one answer of several."""
         if self._query is not None:
             with contextlib.suppress(zenoh.ZError):  # who asked has left
                 self._query.reply(self._query.key_expr, payload)
 
     def done(self) -> None:
-        """No more answers come."""
+        """End the answers."""
         query, self._query = self._query, None
         if query is not None:
             query.drop()  # type: ignore[no-untyped-call]
 
     def answer(self, payload: bytes) -> None:
-        """The only answer."""
+        """Send the only answer."""
         self.part(payload)
         self.done()
 
 
 class _Declared:
-    """Something that is declared in a session, and how."""
+    """Something declared in a session, and how to declare it again."""
 
     def __init__(self, declare: Callable[[zenoh.Session], Any]) -> None:
         self.declare = declare
@@ -89,7 +89,7 @@ class _Declared:
 
 
 class Fabric:
-    """One Zenoh session. ``gateway`` is its id, 16 bytes, which is also ours in the overlay.
+    """A Zenoh session. ``gateway`` is its id, 16 bytes, which is also ours in the overlay.
 
     A link whose far end acknowledges nothing is given up, one to a router later than one to another gateway:
     ``routers`` are their endpoints.
@@ -175,14 +175,14 @@ class Fabric:
             declared.made = None
 
     def _link_changed(self, event: zenoh.LinkEvent) -> None:
-        """In a thread of Zenoh's."""
+        """Handle a link event; runs in a thread of Zenoh's."""
         if event.kind == zenoh.SampleKind.PUT:
             target = str(event.link.dst)
             to_router = target.rpartition(":")[2] in self._router_ports
             set_options(str(event.link.src), target, MEMBER_DEAD_MS if to_router else ROUTER_DEAD_MS)
 
     def linked_with(self, names: Collection[str]) -> bool:
-        """Whether a link with one of these names in its certificate stands."""
+        """Return whether there is a link with one of these names in its certificate."""
         links = self._session.info.links() if self._session is not None else []
         return any(link.auth_identifier in names for link in links)
 
@@ -207,7 +207,7 @@ class Fabric:
     def hear(
         self, key: str, callback: Callable[[str, bytes], None], *, limit_bytes: int = OVERLAY_NOTE_BYTES
     ) -> Handle:
-        """The same on the loop, for payloads of ``limit_bytes`` at most."""
+        """Subscribe with a callback on the loop, for payloads of ``limit_bytes`` at most."""
         inlet: Inlet[tuple[str, bytes]] = Inlet(self._loop, one_by_one(lambda item: callback(*item)))
 
         def take(key: str, payload: zenoh.ZBytes, _: object) -> None:
@@ -293,7 +293,7 @@ class Fabric:
         )
 
     def short(self, key: str) -> zenoh.KeyExpr:
-        """A key that goes over each link once, and as a number from then on; see ``forget``."""
+        """Return a key that goes over each link once, and as a number from then on; see ``forget``."""
         self._ready.wait(_REOPEN_S)
         made: zenoh.KeyExpr = self.session.declare_keyexpr(key)
         return made
@@ -406,5 +406,5 @@ class Fabric:
     # ── where ──────────────────────────────────────────────────────────────────────────────────────────────────
 
     def links(self) -> set[str]:
-        """The routers and gateways that we are linked with now, by Zenoh id."""
+        """Return the routers and gateways that we are linked with now, by Zenoh id."""
         return {str(zid) for zid in self._session.info.routers_zid()} if self._session is not None else set()

@@ -52,22 +52,22 @@ _ITEM_BYTES: Final = 256  # what a message costs beside its payload
 
 
 def data_key(name: bytes, endpoint: bytes | None = None) -> str:
-    """Where a publisher puts what it has under a name; for ``None`` all of them."""
+    """Return the key under which a publisher puts the data of a name; ``None`` stands for all publishers."""
     return f"rw/d/{name.hex()}/{endpoint.hex() if endpoint is not None else '*'}"
 
 
 class FeedReader(Protocol):
-    """Who reads a name here."""
+    """Reads a name here."""
 
     endpoint: bytes
 
     @property
     def reliable(self) -> bool:
-        """True where a gap is asked for."""
+        """Whether gaps are requested again."""
 
     @property
     def history(self) -> bool:
-        """True where what was published before is wanted."""
+        """Whether earlier messages are wanted."""
 
     def received(self, stream: Stream, items: Sequence[PacketItem]) -> None:
         """Messages came, in order."""
@@ -77,7 +77,7 @@ class FeedReader(Protocol):
 
 
 class Stream:
-    """What one publisher sends us."""
+    """Receives what one publisher sends us."""
 
     def __init__(self, feed: Feed, advert: Advertisement, certificate: Certificate) -> None:
         self.advert, self.certificate = advert, certificate
@@ -155,7 +155,7 @@ class Stream:
     # ── readers ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def join(self, reader: FeedReader) -> None:
-        """One more reads it: from what the publisher sends once it knows of this reader."""
+        """Add a reader, from what the publisher sends once it knows of this reader."""
         if reader not in self.readers:
             self.readers[reader] = None
             self._granted_at = float("-inf")
@@ -201,7 +201,7 @@ class Stream:
             self._recover(reader, follower)
 
     def leave(self, reader: FeedReader) -> None:
-        """One less reads it."""
+        """Remove a reader."""
         follower = self.readers.pop(reader, None)
         if follower is not None:
             follower.forget()
@@ -215,7 +215,7 @@ class Stream:
             del self._feed.had[next(iter(self._feed.had))]
 
     def told(self, newest: int) -> None:
-        """The publisher says which message was its newest."""
+        """Take the number of the publisher's newest message."""
         for reader, follower in self.readers.items():
             if follower is not None:
                 follower.told(newest)
@@ -224,7 +224,9 @@ class Stream:
     # ── data ───────────────────────────────────────────────────────────────────────────────────────────────────
 
     def take(self, raw: bytes, *, hold: bool = True) -> None:
-        """A packet, on the loop: one that could not be opened when it came. It may wait for a key, once."""
+        """Take a packet that could not be opened when it came, on the loop; it may wait for a key, once. It may wait
+        for a key, once.
+        """
         try:
             with self.lock:
                 if hold and not self.opener.knows(raw):
@@ -282,7 +284,7 @@ _Came = tuple[Stream, bytes | SealError | tuple[int, list[PacketItem]]]
 
 
 class Feed:
-    """One name as it is read here. ``refused`` is told of each packet that is not believed.
+    """Reads one name. ``refused`` is told of each packet that is not believed.
 
     A message may have ``limit_bytes``; what waits is taken from the budget ``held``.
     """
@@ -337,7 +339,7 @@ class Feed:
                 self.streams[endpoint] = Stream(self, advert, certificate)
 
     def _came(self, key: str, payload: zenoh.ZBytes, attachment: zenoh.ZBytes | None) -> None:
-        """A packet, in Zenoh's thread."""
+        """Take a packet; runs in Zenoh's thread."""
         endpoint = bytes.fromhex(key.rsplit("/", 1)[1]) if _is_hex(key.rsplit("/", 1)[1]) else b""
         stream = self.streams.get(endpoint)
         if stream is None or not stream.readers:
@@ -387,7 +389,7 @@ class Feed:
                 stream.opened(epoch, items)
 
     def _overrun(self, lost: _Came) -> None:
-        """In the thread that put something."""
+        """Count a loss; runs in the thread that put something."""
         stream, what = lost
         count = len(what[1]) if isinstance(what, tuple) else 1
         with contextlib.suppress(RuntimeError):  # the loop has closed

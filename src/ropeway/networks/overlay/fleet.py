@@ -58,7 +58,7 @@ _RSA_BITS: Final = 3072
 
 
 def valid_name(name: str) -> str:
-    """The name of a fleet or a member. Raises ``IdentityError``."""
+    """Check the name of a fleet or a member and return it. Raises ``IdentityError``."""
     good = name and len(name) <= 63 and all(c.isascii() and (c.isalnum() or c in "-_.") for c in name)
     if not good or name[0] in "-.":
         raise IdentityError(
@@ -68,7 +68,7 @@ def valid_name(name: str) -> str:
 
 
 def new_key(algorithm: str) -> PrivateKey:
-    """A private key of one of ``ALGORITHMS``. Raises ``IdentityError`` for another."""
+    """Make a private key of one of ``ALGORITHMS``. Raises ``IdentityError`` for another."""
     if algorithm not in ALGORITHMS:
         raise IdentityError(algorithm, f"expected one of {', '.join(ALGORITHMS)}")
     return Ed25519PrivateKey.generate() if algorithm == "ed25519" else generate_private_key(65537, _RSA_BITS)
@@ -146,21 +146,21 @@ class Fleet:
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """The name of the fleet."""
         return common_name(self.ca.subject)
 
     @property
     def routers(self) -> tuple[str, ...]:
-        """Where its routers are."""
+        """The addresses of its routers."""
         return tuple(self._record["routers"])
 
     @property
     def algorithm(self) -> str:
-        """What keys are made of."""
+        """The algorithm of its keys."""
         return "ed25519" if isinstance(self._key, Ed25519PrivateKey) else "rsa"
 
     def issued(self) -> list[dict[str, Any]]:
-        """What was issued, oldest first."""
+        """Return what was issued, oldest first."""
         return [dict(row) for row in self._record["issued"]]
 
     # ── issuing ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -174,7 +174,7 @@ class Fleet:
         days: float = 365.0,
         routers: Sequence[str] = (),
     ) -> Identity:
-        """A new identity with a new key."""
+        """Issue a new identity with a new key."""
         key = new_key(self.algorithm)
         with self._changing():
             certificate = self._certify(self._free(name), key.public_key(), role, rights, days)
@@ -189,7 +189,7 @@ class Fleet:
         days: float = 365.0,
         routers: Sequence[str] = (),
     ) -> str:
-        """A bundle without a key, for a machine that made its own. Raises ``IdentityError`` for a bad request."""
+        """Issue a bundle without a key, for a machine that made its own. Raises ``IdentityError`` for a bad request."""
         with understood("the request", "it is no certificate signing request", "; ropeway keys request makes one"):
             request = x509.load_pem_x509_csr(csr)
             good = request.is_signature_valid
@@ -206,7 +206,9 @@ class Fleet:
             )
 
     def renew(self, name: str, *, days: float = 365.0) -> Identity:
-        """A new key and certificate for a member, with the rights it has; the old certificate goes on until it ends."""
+        """Issue a new key and certificate to a member, with its present rights; the old certificate stays valid until
+        it ends.
+        """
         key = new_key(self.algorithm)
         with self._changing():
             row = self._row(name)
@@ -232,7 +234,7 @@ class Fleet:
             return serials
 
     def is_revoked(self, name: str) -> bool:
-        """Whether every certificate of a name is revoked. Raises ``IdentityError`` where it never had one."""
+        """Return whether every certificate of a name is revoked. Raises ``IdentityError`` where it never had one."""
         self._row(name)
         return all(row.get("revoked") for row in self._record["issued"] if row["name"] == name)
 
@@ -265,7 +267,7 @@ class Fleet:
         return tuple(routers) or self.routers
 
     def crl_der(self) -> bytes:
-        """The revocation list, for the overlay."""
+        """Return the revocation list, for the overlay."""
         return self.crl.public_bytes(Encoding.DER)
 
     def _certify(self, name: str, key: Any, role: str, rights: Rights | None, days: float) -> Certificate:
@@ -315,7 +317,7 @@ class Fleet:
 
 
 def make_request(name: str, key: PrivateKey) -> str:
-    """A certificate signing request for a machine that keeps its key, as PEM. Raises ``IdentityError``."""
+    """Make a certificate signing request for a machine that keeps its key, as PEM. Raises ``IdentityError``."""
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, valid_name(name))])
     made = x509.CertificateSigningRequestBuilder().subject_name(subject).sign(key, _hash(key))
     return made.public_bytes(Encoding.PEM).decode()

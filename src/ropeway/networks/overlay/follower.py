@@ -14,7 +14,7 @@ _ITEM_BYTES = 256  # what a message costs beside its payload
 
 
 class Follower:
-    """What one reader has had of one publisher.
+    """Tracks what one reader has received of one publisher.
 
     ``reliable``: a gap is asked for before what comes after it is given. ``history``: so is what was published before.
     ``start`` is the number of the newest message when the reader came. ``missing`` is what to ask for now, as
@@ -52,12 +52,14 @@ class Follower:
         return given
 
     def told(self, newest: int) -> None:
-        """The publisher says which message was its newest."""
+        """Take the number of the publisher's newest message."""
         if self._reliable and newest > self.last and self.missing is None:
             self.missing = (self.last, newest)
 
     def recovered(self, items: Iterable[PacketItem]) -> list[PacketItem]:
-        """The answer to ``missing``; those that can be given now. What did not come is lost."""
+        """Take the answer to ``missing`` and return the samples that can be delivered now. What did not come
+        is lost.
+        """
         asked, self.missing, self.asked = self.missing, None, False
         held = self._held
         self.forget()
@@ -75,7 +77,7 @@ class Follower:
         return given
 
     def give_up(self) -> list[PacketItem]:
-        """Nothing can be had of what is missing; what was held is given."""
+        """Give up on the gap and return the buffered samples."""
         return self.recovered(())
 
     def forget(self) -> None:

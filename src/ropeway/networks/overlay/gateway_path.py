@@ -84,7 +84,7 @@ class _PathPace(Pace):
 
 
 class Path:
-    """What is under way to one gateway.
+    """The path to one gateway, with what is in flight on it.
 
     ``sent`` may be called from one thread per lane; all else belongs to the event loop. ``stalled`` is true while
     nothing is acknowledged: such a path holds nobody up.

@@ -1,4 +1,4 @@
-"""From Zenoh's threads to the event loop: bounded, in batches and in order."""
+"""Hands items over from Zenoh's threads to the event loop: bounded, in batches and in order."""
 
 from __future__ import annotations
 

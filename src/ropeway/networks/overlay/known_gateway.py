@@ -1,4 +1,4 @@
-"""What is known of another gateway, and the forms of what it tells."""
+"""Defines what is known of another gateway, and the forms of its announcements."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class KnownGateway:
 
 
 def read_told(answer: Any) -> tuple[list[bytes], NoteKey]:
-    """What ``told_list`` of another gateway gave. Raises ``SealError``."""
+    """Read the answer of another gateway's ``told_list``. Raises ``SealError``."""
     notes = answer.get("n") if isinstance(answer, dict) else None
     if not isinstance(notes, list) or any(type(note) is not bytes for note in notes):
         raise SealError(Refusal.MALFORMED, "a list")

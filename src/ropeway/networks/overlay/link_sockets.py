@@ -1,4 +1,4 @@
-"""What the kernel is told of the TCP connections that Zenoh makes and sets no options of itself.
+"""Sets kernel options on the TCP connections that Zenoh makes, since it sets none itself.
 
 When the address of a machine changes, its old TCP connections live on without anybody at the other end; whoever writes
 to one waits. Zenoh sees by its lease that nothing comes, but a transport that is blocked in writing closes late, or not

@@ -90,7 +90,7 @@ class Links:
     # ── who was revoked ────────────────────────────────────────────────────────────────────────────────────────
 
     def _to_deny(self) -> frozenset[str]:
-        """Whose links shall carry nothing; our own name among them would help nobody."""
+        """Return the names whose links shall carry nothing; denying our own would help nobody."""
         return self._trust.denied - {self._identity.name}
 
     def _config(self, denied: frozenset[str]) -> zenoh.Config:

@@ -1,4 +1,4 @@
-"""Who is in the overlay, and what each advertises: every gateway keeps a copy of everybody's list.
+"""Tracks who is in the overlay and what each advertises: every gateway keeps a copy of everybody's list.
 
 A gateway shows a liveliness token, and each second puts a signed heartbeat with the version of its list. A change is
 put as a delta; who finds a version that it does not have asks for the whole list. Nothing is believed that is not
@@ -175,13 +175,13 @@ class Membership:
             self._expire()
 
     def turn_over(self) -> None:
-        """Somebody was revoked: from now on notes are sealed with a key that it does not have."""
+        """Change the key of our notes after a revocation, so that the revoked member cannot read them."""
         self._notes = NoteKey.fresh()
         if self._ends:
             self._fabric.tell(f"rw/h/{self._me}", self._note("heartbeat", self._heartbeat()))
 
     def _list(self, asked: Asked) -> None:
-        """Somebody wants the whole list: it is told, or where to ask for it."""
+        """Answer a request for the whole list, or say where to ask for it."""
         if self._notes.id:
             asked.answer(_ASK_SEALED)
             return
@@ -214,7 +214,7 @@ class Membership:
     # ── what we hear ───────────────────────────────────────────────────────────────────────────────────────────
 
     def gateways(self) -> dict[bytes, KnownGateway]:
-        """The others, by id; those without a certificate are being asked who they are."""
+        """Return the other gateways, by id; those without a certificate are still being asked who they are."""
         return {id: known for id, known in self._known.items() if known.certificate is not None}
 
     def unreachable(self) -> bytes | None:
@@ -230,7 +230,7 @@ class Membership:
         )
 
     def certificate(self, gateway: bytes) -> Certificate | None:
-        """Whose gateway it is, ``None`` where we do not know."""
+        """Return the certificate of a gateway's owner, ``None`` if it is not known."""
         known = self._known.get(gateway)
         return known.certificate if known is not None else None
 
@@ -250,7 +250,7 @@ class Membership:
             known.suspect = self._loop.time()
 
     def _crowded(self) -> bool:
-        """True where so many ids wait to be known that they are hardly gateways."""
+        """Return whether so many ids wait to be known that they are hardly gateways."""
         return sum(known.certificate is None for known in self._known.values()) >= OVERLAY_STRANGERS
 
     def _heard(self, key: str, raw: bytes) -> None:
@@ -308,7 +308,9 @@ class Membership:
         self._rib.apply(gateway, known.certificate, found, body["del"])
 
     def _turned_over(self, raw: bytes, gateway: bytes, known: KnownGateway) -> bool:
-        """True where a note is sealed with a key that we do not have: the gateway is asked for it, now and then."""
+        """Return whether a note is sealed with a key that we do not have; the gateway is asked for the key, now and
+        then.
+        """
         assert known.notes is not None
         if note_key_id(raw) == known.notes.id:
             return False

@@ -23,7 +23,7 @@ _TAG: Final = b"ropeway name 1"
 
 @dataclass(frozen=True, slots=True)
 class Metadata:
-    """What goes into a name beside the name and the type. Who shares a name agrees on it.
+    """The parts of a global name besides the name and the type. Who shares a name agrees on it.
 
     ``unique`` tells deployments of one name apart that shall not be replicas of each other; ``node`` is the name of the
     node that has it, where that shall tell names apart, too.
@@ -41,7 +41,7 @@ class Metadata:
 
 
 def global_name(secret: bytes, kind: str, name: str, type: str, metadata: Metadata | None = None) -> bytes:
-    """The global name of a ``topic``, ``service`` or ``action``: HMAC-SHA-256 under ``secret``.
+    """Return the global name of a ``topic``, ``service`` or ``action``: HMAC-SHA-256 under ``secret``.
 
     The message is a tag and then each field behind its length (32 bit, big-endian), so that no two sets of fields give
     the same bytes. ``name`` is absolute, ``type`` canonical (``pkg/msg/Name``).

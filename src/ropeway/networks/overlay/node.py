@@ -1,4 +1,4 @@
-"""One member of the overlay in this process: its session, its identity, and what it knows of the others.
+"""Runs a member of the overlay in this process: its session, its identity, and what it knows of the others.
 
 Several graphs may share a node (remotes of one gateway that differ in their metadata). The node itself knows no
 topics: publishers register their ``PublisherSource``, services their ``Provider``, and readers a ``Feed``.
@@ -63,7 +63,7 @@ class Provider(Protocol):
 
 
 def new_endpoint() -> bytes:
-    """16 random bytes that name a publisher, a subscription, a service or a client."""
+    """Return 16 random bytes that name a publisher, a subscription, a service or a client."""
     return os.urandom(16)
 
 
@@ -249,7 +249,7 @@ class OverlayNode:
         log.log(level, "overlay: refused what comes from %s: %s", who, error)
 
     def denied(self, advert: Advertisement, text: str) -> None:
-        """A publisher does not give us its key."""
+        """Note that a publisher refuses us its key."""
         if self.denials.get(advert.name) != text:
             log.warning("overlay: %s cannot be read: %s", advert.name, text)
             while len(self.denials) >= _REFUSALS:
@@ -293,7 +293,7 @@ class OverlayNode:
     # ── publishers and readers ─────────────────────────────────────────────────────────────────────────────────
 
     def feed(self, name: bytes) -> Feed:
-        """What is published under a name, read from now on."""
+        """Return the feed of what is published under a name, read from now on."""
         feed = self.feeds.get(name)
         if feed is None:
             feed = self.feeds[name] = Feed(
@@ -310,7 +310,7 @@ class OverlayNode:
         return feed
 
     async def release(self, feed: Feed) -> None:
-        """A reader has left; the last one ends the feed."""
+        """Release a reader's use of a feed; the last reader ends it."""
         if not feed.readers and self.feeds.get(feed.name) is feed:
             del self.feeds[feed.name]
             await feed.close()
@@ -374,30 +374,30 @@ class OverlayNode:
     # ── where the others are ───────────────────────────────────────────────────────────────────────────────────
 
     def path(self, gateway: bytes) -> str:
-        """``direct`` where a gateway is linked with ours, else ``routed``."""
+        """Return ``direct`` if a gateway is linked with ours, else ``routed``."""
         return "direct" if gateway.hex() in self.fabric.links() else "routed"
 
     async def ping(self, gateway: bytes, timeout_s: float = 2.0) -> float:
-        """The round-trip time to another gateway, in seconds, over its sealed channel."""
+        """Measure the round-trip time to another gateway, in seconds, over its sealed channel."""
         await self.rpc.ask(gateway, {"op": "ping"}, timeout_s)  # opens the channel
         began = time.perf_counter()
         await self.rpc.ask(gateway, {"op": "ping"}, timeout_s)
         return time.perf_counter() - began
 
     async def rtt_ms(self, gateway: bytes) -> float | None:
-        """The same in milliseconds, ``None`` where there is no answer."""
+        """Return the round-trip time in milliseconds, ``None`` if there is no answer."""
         try:
             return round(1e3 * await self.ping(gateway), 3)
         except RopewayError:
             return None
 
     def owner(self, gateway: bytes) -> str:
-        """The name in the certificate of a gateway, ``""`` where it is not known."""
+        """Return the name in the certificate of a gateway, ``""`` if it is not known."""
         certificate = self.membership.certificate(gateway)
         return certificate.name if certificate is not None else ""
 
     def status(self) -> dict[str, Any]:
-        """Everything as it stands, as JSON."""
+        """Return the state of everything as JSON."""
         certificate = self.identity.certificate
         links = self.fabric.links()
         known = self.membership.gateways()

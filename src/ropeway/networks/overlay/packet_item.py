@@ -1,4 +1,4 @@
-"""One message as it lies inside a sealed packet: whose it is and when it was received, then the payload.
+"""Packs a message for a sealed packet: whose it is and when it was received, then the payload.
 
 ::
 
@@ -43,17 +43,17 @@ class PacketItem(NamedTuple):
 
 
 def head(item: PacketItem) -> bytes:
-    """What stands before the payload."""
+    """Return the bytes before the payload."""
     return _HEAD.pack(*item[:6])
 
 
 def pack(item: PacketItem) -> bytes:
-    """The bytes of a message."""
+    """Return the bytes of a message."""
     return head(item) + item.payload
 
 
 def unpack(raw: bytes | memoryview) -> PacketItem:
-    """The message of some bytes. Raises ``SealError``."""
+    """Parse a message from bytes. Raises ``SealError``."""
     if len(raw) < _HEAD.size:
         raise SealError(Refusal.TRUNCATED, f"a message of {len(raw)} bytes")
     number, stamp_ns, seq, origin, flags, encoding = _HEAD.unpack_from(raw)

@@ -1,4 +1,4 @@
-"""What stands beside a packet of data: its number, for acknowledgements, and where it is a part of one, which.
+"""Marks a packet of data with its number, for acknowledgements, and with its place if it is one of several parts.
 
 It travels as an attachment, which members that know nothing of it ignore; parts are sent to those alone that do. It is
 not sealed: what a router could change in it, it could as well delay or drop. The packet that the parts make up is.

@@ -23,7 +23,8 @@ _KEEP_ALL: Final = 10_000
 
 
 class PublisherSource:
-    """One publisher. ``name`` is its global name, ``endpoint`` its own 16 bytes, ``topic`` its ROS name.
+    """Numbers, seals and keeps the messages of one publisher. ``name`` is its global name, ``endpoint`` its own 16
+    bytes, ``topic`` its ROS name.
 
     ``depth`` messages are kept for those who missed them or come late, ``None`` for as many as fit, 0 for none;
     ``lifespan_s`` is how long. ``may`` decides, beyond certificates, who may read. ``rotate_s``: how long a content key
@@ -59,7 +60,7 @@ class PublisherSource:
         self._lock = threading.Lock()
 
     def add(self, stamp_ns: int, seq: int, origin: bytes, flags: int, payload: bytes) -> PacketItem:
-        """A message with its number; it is kept."""
+        """Number a message and keep it."""
         self.number += 1
         item = PacketItem(self.number, stamp_ns, seq, origin, flags, RAW, payload)
         if self._depth:
@@ -85,13 +86,13 @@ class PublisherSource:
         return come
 
     def seal(self, items: Sequence[PacketItem]) -> bytes:
-        """One packet."""
+        """Seal one packet."""
         pieces = [(head(item), item.payload) for item in items]
         with self._lock:
             return self._sealer.seal(pieces)
 
     def grant(self, reader: Certificate) -> dict[str, Any]:
-        """The keys, for somebody who may read. Raises ``SealError`` for others."""
+        """Return the keys for an authorized reader. Raises ``SealError`` for others."""
         if not reader.rights.may("subscribe", self.topic) or not self._may(reader):
             raise SealError(Refusal.NO_RIGHT, f"{reader.name} may not read {self.topic}")
         with self._lock:
@@ -99,7 +100,7 @@ class PublisherSource:
             return {"g": self._sealer.grant().to_cbor(), "n": self.number}
 
     def history(self, reader: Certificate, after: int, upto: int | None) -> list[bytes]:
-        """What is kept of the messages after number ``after``, up to ``upto``. Raises ``SealError``."""
+        """Return what is kept of the messages after number ``after``, up to ``upto``. Raises ``SealError``."""
         if reader.fingerprint not in self._readers:
             raise SealError(Refusal.NO_RIGHT, f"{reader.name} has no key of {self.topic}")
         self._expire()

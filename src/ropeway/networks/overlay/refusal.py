@@ -1,4 +1,4 @@
-"""Why the overlay refuses something; every refusal is counted under one of these."""
+"""Lists the reasons for which the overlay refuses something; every refusal is counted under one of them."""
 
 from __future__ import annotations
 

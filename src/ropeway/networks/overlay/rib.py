@@ -72,14 +72,14 @@ class Rib:
         found: Sequence[Advertisement | SealError],
         removed: Iterable[Any],
     ) -> None:
-        """A gateway has some more, and some no longer."""
+        """Apply a gateway's new and removed advertisements."""
         for endpoint in removed:
             if isinstance(endpoint, bytes):
                 self._remove(gateway, endpoint)
         self._add(gateway, certificate, found)
 
     def gone(self, gateway: bytes) -> None:
-        """A gateway has left."""
+        """Remove a gateway that has left."""
         for endpoint in list(self._adverts.get(gateway, ())):
             self._remove(gateway, endpoint)
         self._adverts.pop(gateway, None)
@@ -117,13 +117,13 @@ class Rib:
     # ── what is there ──────────────────────────────────────────────────────────────────────────────────────────
 
     def by_name(self, global_name: bytes, kind: str) -> list[Advertisement]:
-        """Who advertises a global name."""
+        """Return the advertisements of a global name."""
         return list(self._names.get((global_name, kind), {}).values())
 
     def all(self, kind: str) -> list[Advertisement]:
-        """Everything of one kind."""
+        """Return all advertisements of one kind."""
         return [advert for known in self._adverts.values() for advert in known.values() if advert.kind == kind]
 
     def count(self, gateway: bytes) -> int:
-        """How much a gateway advertises."""
+        """Return how many endpoints a gateway advertises."""
         return len(self._adverts.get(gateway, ()))

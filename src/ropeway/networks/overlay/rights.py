@@ -1,4 +1,4 @@
-"""What a member may do, as its certificate says."""
+"""Defines the rights of a member, as its certificate gives them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Rights:
     offer: tuple[str, ...] = ()
 
     def may(self, verb: str, name: str) -> bool:
-        """True where ``verb`` is allowed on ``name``."""
+        """Return whether ``verb`` is allowed on ``name``."""
         if _ACTION_PART in name:
             name = name.partition(_ACTION_PART)[0]
             verb = _ACTIONS.get(verb, verb)
@@ -39,7 +39,7 @@ class Rights:
         return any(fnmatchcase(name, pattern) for pattern in patterns)
 
     def to_json(self) -> bytes:
-        """The form that stands in a certificate."""
+        """Return the form that stands in a certificate."""
         return json.dumps(asdict(self), separators=(",", ":")).encode()
 
     @classmethod

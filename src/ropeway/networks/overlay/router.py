@@ -84,7 +84,7 @@ class Router:
         await self._task.wait()
 
     def status(self) -> dict[str, Any]:
-        """The router, for people and programs."""
+        """Return the state of the router, for people and programs."""
         return {
             "name": self.identity.name,
             "fleet": self.identity.fleet,

@@ -1,4 +1,4 @@
-"""Why a router cannot be reached: a connection is tried by hand, since Zenoh does not say."""
+"""Finds out why a router cannot be reached, by trying a connection, since Zenoh does not say."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def part(request: Mapping[str, Any], key: str, kind: type[T]) -> T:
 
 
 def key_of(gateway: bytes) -> str:
-    """Where a gateway takes requests."""
+    """Return the key at which a gateway takes requests."""
     return f"rw/g/{gateway.hex()}"
 
 
@@ -98,7 +98,7 @@ class Rpc:
         self._answers[op] = answer
 
     def forget(self, gateway: bytes) -> None:
-        """The gateway has gone."""
+        """Forget a gateway that has gone."""
         self._channels.pop(gateway, None)
 
     def recheck(self) -> None:
@@ -118,7 +118,7 @@ class Rpc:
     # ── asking ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def ask(self, gateway: bytes, request: Mapping[str, Any], timeout_s: float, *, lane: int = 1) -> Any:
-        """The answer of a gateway.
+        """Send a request to a gateway and return its answer.
 
         Raises ``ProviderLost`` where it is not there or goes meanwhile, ``CallTimeout``, ``SealError`` where it is not
         who it claims to be, or what the other side raised (as ``RemoteError``).
@@ -271,7 +271,7 @@ class Rpc:
 
 
 class RemoteError(RopewayError):
-    """What the other side raised: ``word`` is the name of its error."""
+    """Raised for an error that the other side raised: ``word`` is its name."""
 
     def __init__(self, word: str, text: str) -> None:
         self.word, self.text = word, text

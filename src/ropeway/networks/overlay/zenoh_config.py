@@ -1,4 +1,4 @@
-"""How Zenoh is set up: mutual TLS and nothing else, small queues, quick to come back."""
+"""Configures Zenoh: mutual TLS and nothing else, small queues, quick recovery."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _MESSAGES: Final = (
 
 
 def gateway_id() -> bytes:
-    """A new id: 16 random bytes; Zenoh takes an id without leading zeros, whichever end it counts from."""
+    """Return a new id: 16 random bytes; Zenoh takes an id without leading zeros, whichever end it counts from."""
     raw = bytearray(os.urandom(16))
     raw[0] |= 0x80
     raw[15] |= 1
@@ -54,7 +54,7 @@ def gateway_config(
     max_message_bytes: int = OVERLAY_ROUTED_BYTES,
     denied: Collection[str] = (),
 ) -> zenoh.Config:
-    """For a gateway: it links with routers, and with every other gateway that it can reach.
+    """Build the configuration of a gateway, which links with routers and with every other gateway that it can reach.
 
     ``denied`` are names in certificates whose links carry nothing but the revocation list.
 
@@ -75,13 +75,15 @@ def gateway_config(
 def router_config(
     identity: Identity, *, connect: Sequence[str], listen: Sequence[str], denied: Collection[str] = ()
 ) -> zenoh.Config:
-    """For a router. ``denied`` are names in certificates that may do nothing but learn that they are."""
+    """Build the configuration of a router. ``denied`` are names in certificates that may do nothing but learn that they
+    are.
+    """
     more = {"access_control": _access(denied), "scouting/gossip/autoconnect": {"router": []}}
     return _config(identity, connect, listen, more)
 
 
 def _access(denied: Collection[str]) -> dict[str, Any]:
-    """Everything of the overlay for everybody, but for ``denied``: they are told which certificates are revoked.
+    """Allow everything of the overlay to everybody except ``denied``, who only learn which certificates are revoked.
 
     Where one rule allows what another one denies, Zenoh allows it. So as soon as somebody is denied something, all else
     is allowed by default, and by no rule.

@@ -69,14 +69,14 @@ class Ros1Goal:
         self._client = client
 
     def refuse(self, error: CallError | GraphUnavailable) -> None:
-        """It will not be accepted any more."""
+        """Reject the goal: it will not be accepted any more."""
         if not self.accepted.done():
             self.accepted.set_exception(error)
             self.accepted.exception()  # its sender may have left
         self.news.set()
 
     def finish(self, outcome: Outcome) -> None:
-        """It has ended."""
+        """End the goal."""
         if not self.accepted.done():
             self.accepted.set_result(None)
         if not self.outcome.done():
@@ -157,7 +157,7 @@ class Ros1ActionClient:
 
     @property
     def available(self) -> bool:
-        """True if all five topics are connected, and have been for a moment."""
+        """Whether all five topics are connected, and have been for a moment."""
         return self._complete and asyncio.get_running_loop().time() >= self._joined_s
 
     @property
@@ -298,7 +298,7 @@ class Ros1ActionClient:
         goal.news.set()
 
     def _expect(self, goal: Ros1Goal, code: Code, text: str) -> None:
-        """A goal has ended: its result is on its way, or lost."""
+        """Wait a while for the result of a goal that has ended: it is on its way, or lost."""
         if goal.expiry is None:
             outcome = Outcome(code.outcome, None, text)
             goal.expiry = asyncio.get_running_loop().call_later(_RESULT_S, self._finish, goal, outcome)

@@ -68,7 +68,7 @@ class RawSubscription:
 
     @property
     def publishers(self) -> int:
-        """How many publishers are connected."""
+        """The number of connected publishers."""
         return len(self._reader.links)
 
     def take(self, batch: Batch) -> None:

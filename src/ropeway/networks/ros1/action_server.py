@@ -55,7 +55,7 @@ class _Tracked:
 
     @property
     def status(self) -> Ros1GoalStatus:
-        """As it is told to clients."""
+        """The status as clients get it."""
         return Ros1GoalStatus(self.id, self.code, self.text)
 
 
@@ -179,7 +179,7 @@ class Ros1ActionServer:
         self._finish(tracked, Code.of(outcome.status), outcome.payload, outcome.text)
 
     async def _accepts(self, tracked: _Tracked) -> bool:
-        """Whether a goal is to be carried out; if not, its end is told."""
+        """Return whether a goal is to be carried out; if not, tell the clients that it has ended."""
         accepted = True
         if self._handlers.accept is not None:
             try:

@@ -62,22 +62,22 @@ class Code(enum.IntEnum):
 
     @property
     def final(self) -> bool:
-        """True for a goal that has ended."""
+        """Whether the goal has ended."""
         return self in _ENDS
 
     @property
     def cancelled(self) -> bool:
-        """True for a goal whose end was agreed to."""
+        """Whether the cancellation of the goal was accepted."""
         return self in (Code.PREEMPTING, Code.PREEMPTED, Code.RECALLING, Code.RECALLED)
 
     @property
     def outcome(self) -> GoalStatus:
-        """What ROS 2 calls the end of a goal."""
+        """The ROS 2 name for the end of a goal."""
         return _ENDS.get(self, GoalStatus.ABORTED)
 
     @classmethod
     def of(cls, status: GoalStatus) -> Code:
-        """The code for a goal that was accepted and ended so."""
+        """Return the code for a goal that was accepted and ended with ``status``."""
         return {GoalStatus.SUCCEEDED: cls.SUCCEEDED, GoalStatus.CANCELED: cls.PREEMPTED}.get(status, cls.ABORTED)
 
 
@@ -109,12 +109,12 @@ class Ros1GoalStatus:
 
 
 def goal_text(id: bytes) -> str:
-    """The id that a goal of Ropeway has in ROS 1."""
+    """Return the id that a goal of Ropeway has in ROS 1."""
     return str(uuid.UUID(bytes=id))
 
 
 def goal_bytes(text: str) -> bytes:
-    """The 16 bytes for a goal id of ROS 1: those it was made of, or a digest."""
+    """Return the 16 bytes for a goal id of ROS 1: those it was made of, or a digest."""
     try:
         return uuid.UUID(text).bytes
     except ValueError:
@@ -147,22 +147,22 @@ def _status(status: Ros1GoalStatus) -> bytes:
 
 
 def goal_message(goal: GoalId, body: bytes) -> bytes:
-    """A NameActionGoal."""
+    """Return a NameActionGoal."""
     return _header() + _id(goal) + body
 
 
 def cancel_message(text: str) -> bytes:
-    """The GoalID that cancels one goal."""
+    """Return the GoalID that cancels one goal."""
     return _id(GoalId(text))
 
 
 def report_message(status: Ros1GoalStatus, body: bytes) -> bytes:
-    """A NameActionResult or NameActionFeedback."""
+    """Return a NameActionResult or NameActionFeedback."""
     return _header() + _status(status) + body
 
 
 def statuses_message(statuses: Iterable[Ros1GoalStatus]) -> bytes:
-    """A GoalStatusArray."""
+    """Return a GoalStatusArray."""
     listed = [_status(status) for status in statuses]
     return _header() + struct.pack("<I", len(listed)) + b"".join(listed)
 
@@ -217,7 +217,7 @@ def read_goal(raw: bytes) -> tuple[GoalId, bytes]:
 
 
 def read_cancel(raw: bytes) -> GoalId:
-    """The GoalID of a request to cancel. Raises ``DecodeError``."""
+    """Read the GoalID of a request to cancel. Raises ``DecodeError``."""
     return _Cursor(raw, CANCEL_TYPE).id()
 
 
@@ -229,7 +229,7 @@ def read_report(raw: bytes) -> tuple[Ros1GoalStatus, bytes]:
 
 
 def read_statuses(raw: bytes) -> list[Ros1GoalStatus]:
-    """The goals of a GoalStatusArray. Raises ``DecodeError``."""
+    """Read the goals of a GoalStatusArray. Raises ``DecodeError``."""
     cursor = _Cursor(raw, STATUS_TYPE)
     cursor.header()
     count = cursor.number()

@@ -67,7 +67,7 @@ class Ros1Client:
 
     @property
     def available(self) -> bool:
-        """True if another node serves it, as of the last look at the master."""
+        """Whether another node serves it, as of the last poll of the master."""
         return not self.closed and self._keeper.picture.served(self.service)
 
     async def wait_available(self, timeout_s: float) -> bool:
@@ -114,7 +114,10 @@ class Ros1Client:
                     await self._keeper.changed()
 
     async def _stream(self) -> Stream:
-        """A connection that is greeted. Raises ``_Gone`` where nobody serves it now, ``CallFailed``."""
+        """Return a connection that has completed its handshake.
+
+        Raises ``_Gone`` where nobody serves it now, ``CallFailed``.
+        """
         providers = self._keeper.picture.state.services.get(self.service, [])
         if providers != self._providers:
             self._providers = providers

@@ -74,7 +74,7 @@ class Ros1Graph:
 
     @property
     def ros1_spelling(self) -> Ros1Spelling:
-        """How messages of this network are written for clients of rosbridge."""
+        """The spelling of this network's messages for rosbridge clients."""
         return self._spelling
 
     async def open(self) -> None:
@@ -124,7 +124,7 @@ class Ros1Graph:
 
     @property
     def up(self) -> bool:
-        """True while the master answers."""
+        """Whether the master answers."""
         return self._keeper is not None and self._keeper.up
 
     def _opened(self) -> tuple[Ros1Node, MasterRegistration]:
@@ -221,11 +221,11 @@ class Ros1Graph:
     # ── what is there ──────────────────────────────────────────────────────────────────────────────────────────
 
     def topics(self) -> dict[str, TopicInfo]:
-        """What the master showed last; the topics that actions are made of stand under ``actions``."""
+        """Return what the master showed last; the topics that belong to actions stand under ``actions``."""
         return {} if self._keeper is None else self._keeper.picture.topics()
 
     def services(self) -> dict[str, ServiceInfo]:
-        """What the master showed last, and what is served from here."""
+        """Return what the master showed last, and what is served from here."""
         if self._node is None or self._keeper is None:
             return {}
         shown = self._keeper.picture.services()
@@ -235,7 +235,7 @@ class Ros1Graph:
         return shown
 
     def actions(self) -> dict[str, ActionInfo]:
-        """What the master showed last, and what is served from here."""
+        """Return what the master showed last, and what is served from here."""
         if self._keeper is None:
             return {}
         shown = self._keeper.picture.actions()
@@ -247,7 +247,7 @@ class Ros1Graph:
         return shown
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """What the master showed last: all nodes that have a topic or a service."""
+        """Return all nodes that have a topic or a service, as the master showed last."""
         return {} if self._keeper is None else self._keeper.picture.nodes()
 
     def changes(self) -> AsyncIterator[GraphEvent]:
@@ -260,7 +260,7 @@ class Ros1Graph:
         return self._opened()[0].master
 
     async def get_param(self, name: str) -> Any:
-        """A parameter, or a namespace of them as a dict.
+        """Return a parameter, or a namespace of them as a dict.
 
         Raises ``KeyError`` if there is none. This and the other methods for parameters raise ``ConnectFailed`` if
         the master does not answer.
@@ -276,7 +276,7 @@ class Ros1Graph:
         await self._master().delete_param(resolve_name(name))
 
     async def list_params(self) -> list[str]:
-        """The names of all parameters, sorted."""
+        """Return the names of all parameters, sorted."""
         return await self._master().list_params()
 
 

@@ -22,7 +22,7 @@ class MasterRefused(Exception):
 
 
 def master_uri(text: str = "") -> str:
-    """``http://host:port`` from a URI, ``host:port``, or (left out) from ``ROS_MASTER_URI``.
+    """Return ``http://host:port`` from a URI, ``host:port``, or (left out) ``ROS_MASTER_URI``.
 
     Raises ``GraphUnavailable`` for what is none.
     """
@@ -38,7 +38,7 @@ def master_uri(text: str = "") -> str:
 
 
 async def slave_call(client: XmlRpcClient, uri: str, method: str, *params: Any, timeout_s: float = _CALL_S) -> Any:
-    """The value that a call of the master's or a node's API gives.
+    """Call the master's or a node's API and return the value.
 
     Raises ``MasterRefused`` where its code is not that of success, ``ConnectFailed`` where nobody answers properly,
     ``ValueError`` for parameters that XML-RPC cannot write.
@@ -55,7 +55,7 @@ async def slave_call(client: XmlRpcClient, uri: str, method: str, *params: Any, 
 
 
 class Master:
-    """One master, as the node ``caller`` uses it. Errors of all methods are those of ``slave_call``."""
+    """A master, as the node ``caller`` uses it. Errors of all methods are those of ``slave_call``."""
 
     def __init__(self, uri: str, client: XmlRpcClient, caller: str) -> None:
         self.uri = uri
@@ -95,14 +95,14 @@ class Master:
         await self.call("registerService", service, api, uri)
 
     async def lookup_service(self, service: str, timeout_s: float = _CALL_S) -> str | None:
-        """Where a service is served, ``rosrpc://host:port``; ``None`` if nobody serves it."""
+        """Return where a service is served, ``rosrpc://host:port``; ``None`` if nobody serves it."""
         try:
             return str(await self.call("lookupService", service, timeout_s=timeout_s)) or None
         except MasterRefused:
             return None
 
     async def lookup_node(self, node: str) -> str | None:
-        """The URI of a node, ``None`` if the master does not know it."""
+        """Return the URI of a node, ``None`` if the master does not know it."""
         try:
             return str(await self.call("lookupNode", node)) or None
         except MasterRefused:
@@ -118,7 +118,7 @@ class Master:
         return publishers, subscribers, services
 
     async def topic_types(self) -> dict[str, str]:
-        """The types of all topics, ``pkg/Name`` or ``*``."""
+        """Return the types of all topics, ``pkg/Name`` or ``*``."""
         try:
             return {str(topic): str(type) for topic, type in await self.call("getTopicTypes")}
         except (TypeError, ValueError):
@@ -127,7 +127,7 @@ class Master:
     # ── parameters ─────────────────────────────────────────────────────────────────────────────────────────────
 
     async def get_param(self, name: str) -> Any:
-        """A parameter, or a namespace of them as a dict. Raises ``KeyError`` if there is none."""
+        """Return a parameter, or a namespace of them as a dict. Raises ``KeyError`` if there is none."""
         try:
             return await self.call("getParam", name)
         except MasterRefused:
@@ -145,7 +145,7 @@ class Master:
             raise KeyError(name) from None
 
     async def list_params(self) -> list[str]:
-        """The names of all parameters."""
+        """Return the names of all parameters."""
         return sorted(_texts(await self.call("getParamNames")))
 
 

@@ -116,7 +116,7 @@ class MasterRegistration:
         await self._see(state)
 
     def _asked_to_leave(self, reason: str) -> None:
-        """Somebody wants the node to end: it has to, under this name, if another node has taken it."""
+        """Handle a request to shut down: the node has to end, under this name, if another node has taken it."""
         node = self.node
         if reason.startswith("[") and not reason.startswith(f"[{node.name}]"):
             return  # that was our name before
@@ -275,7 +275,7 @@ class MasterRegistration:
         self._wake.set()
 
     def _profile(self, topic: str, node: str) -> QoS | None:
-        """What is known of a publisher because we are one, or are connected to it."""
+        """Return what is known of a publisher because it is ours, or because we are connected to it."""
         if node == self.node.name:
             writer = self.node.writers.get(topic)
             users = writer.users if isinstance(writer, TopicWriter) else ()

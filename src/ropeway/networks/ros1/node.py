@@ -1,4 +1,4 @@
-"""What a ROS 1 node is on the network: its XML-RPC server, its TCPROS port, and the tables of what it has."""
+"""Implements a ROS 1 node on the network: its XML-RPC server, its TCPROS port, and the tables of its parts."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ERROR: Final = -1
 
 
 class Target(Protocol):
-    """Who takes what a peer that connected to us wants: a published topic or a service."""
+    """Serves what a peer that connected to us asks for: a published topic or a service."""
 
     ros1_name: str
 
@@ -41,7 +41,7 @@ class TopicFollower(Protocol):
     """A topic that we read."""
 
     def update(self, uris: Sequence[str]) -> None:
-        """The topic's publishers are these now."""
+        """Take the current list of the topic's publishers."""
 
 
 class FirstSeenPublisher:
@@ -57,7 +57,7 @@ class FirstSeenPublisher:
         self.seq = 0
 
     def next(self, now_ns: int) -> int:
-        """A number that it never gave before."""
+        """Return a number that was never given before."""
         self.seq = max(now_ns, self.seq + 1)
         return self.seq
 
@@ -100,7 +100,7 @@ class Ros1Node:
 
     @property
     def service_api(self) -> str:
-        """Where our services are called."""
+        """The address at which our services are called."""
         return f"rosrpc://{self.host}:{self.port}"
 
     async def close(self) -> None:
@@ -114,7 +114,7 @@ class Ros1Node:
         await self.rpc.close()
 
     def origin(self, caller: str, topic: str) -> FirstSeenPublisher:
-        """Who ``caller`` is as a publisher of ``topic``."""
+        """Return the identity of ``caller`` as a publisher of ``topic``."""
         found = self._origins.get((caller, topic))
         if found is None:
             if len(self._origins) >= _ORIGINS_LIMIT:
@@ -125,7 +125,7 @@ class Ros1Node:
     # ── who connects to our TCPROS port ────────────────────────────────────────────────────────────────────────
 
     def made(self, connection: TcprosConnection) -> None:
-        """A peer has connected."""
+        """Take the connection of a peer."""
         if self._tcp is None:
             connection.abort("the node has left")
             return
@@ -208,7 +208,7 @@ class Ros1Node:
 
 
 def is_loopback(host: str) -> bool:
-    """True for ``localhost`` and the addresses of the loopback interface."""
+    """Return whether ``host`` is ``localhost`` or an address of the loopback interface."""
     if host == "localhost":
         return True
     try:
@@ -218,7 +218,9 @@ def is_loopback(host: str) -> bool:
 
 
 async def our_host(master: str) -> str:
-    """What others reach us by: ``ROS_HOSTNAME``, ``ROS_IP``, or the address that we reach the master from."""
+    """Return the name by which others reach us: ``ROS_HOSTNAME``, ``ROS_IP``, or the address from which we reach the
+    master.
+    """
     named = os.environ.get("ROS_HOSTNAME", "") or os.environ.get("ROS_IP", "")
     if named:
         return named

@@ -51,13 +51,13 @@ class Batch:
 
 
 class Consumer(Protocol):
-    """Who reads a topic."""
+    """Reads a topic."""
 
     def take(self, batch: Batch) -> None:
         """Messages came."""
 
     def links_changed(self) -> None:
-        """A publisher was connected, or its connection lost."""
+        """React to a publisher that was connected, or whose connection was lost."""
 
 
 class Publication:
@@ -197,7 +197,7 @@ class Publication:
 
     @property
     def latest(self) -> Batch | None:
-        """What the publisher has latched, if it has."""
+        """The message that the publisher has latched, if it has."""
         return None if self.last is None else Batch(self._reader, self, [self.last[0]], [self.last[1]])
 
     def writable(self, connection: TcprosConnection) -> None:
@@ -211,7 +211,7 @@ class Publication:
 
 
 class TopicReader:
-    """One topic read by our node. ``type`` is ``pkg/msg/Name``; ``raw`` tells that nobody wants its samples."""
+    """Reads a topic for our node. ``type`` is ``pkg/msg/Name``; ``raw`` tells that nobody wants its samples."""
 
     def __init__(self, node: Ros1Node, topic: str, type: str) -> None:
         self.node, self.topic, self.type = node, topic, canonical_name(type)
@@ -258,7 +258,7 @@ class TopicReader:
         return fields
 
     def check(self, fields: dict[str, str]) -> None:
-        """Whether we can read what a publisher offers; its definition is learned. Raises ``InvalidFrame``."""
+        """Check that we can read what a publisher offers, and learn its definition. Raises ``InvalidFrame``."""
         md5, known = fields.get("md5sum", ""), self._known()
         if known is not None:
             if md5 not in (known.md5, ANY):
@@ -295,7 +295,7 @@ class TopicReader:
     # ── publishers ─────────────────────────────────────────────────────────────────────────────────────────────
 
     def update(self, uris: Sequence[str]) -> None:
-        """The topic's publishers are these now.
+        """Take the current list of the topic's publishers.
 
         A connection made before the master forgot everything lives on, for nobody has told its publisher to stop.
         """
@@ -322,7 +322,7 @@ class TopicReader:
         task.add_done_callback(self._ending.discard)
 
     def forget(self, link: Publication) -> None:
-        """An orphan has gone."""
+        """Forget an orphaned connection that has ended."""
         if self._links.get(link.uri) is link:
             del self._links[link.uri]
 
@@ -332,12 +332,12 @@ class TopicReader:
             user.take(batch)
 
     def links_changed(self) -> None:
-        """A publisher was connected, or its connection lost."""
+        """Tell the consumers that a publisher was connected, or its connection lost."""
         for user in list(self.users):
             user.links_changed()
 
     async def leave(self, user: Consumer) -> None:
-        """``user`` reads no more; with the last one the topic is left."""
+        """Remove ``user``; when the last one leaves, the topic is unsubscribed."""
         if user in self.users:
             self.users.remove(user)
         node = self.node
@@ -354,7 +354,7 @@ class TopicReader:
 
 
 def reader_of(node: Ros1Node, topic: str, type: str) -> TopicReader:
-    """The reader of ``topic``, made where there is none. Raises ``TypeConflict`` where it has another type."""
+    """Return the reader of ``topic``, made if there is none. Raises ``TypeConflict`` where it has another type."""
     found = node.readers.get(topic)
     if found is None:
         found = node.readers[topic] = TopicReader(node, topic, type)

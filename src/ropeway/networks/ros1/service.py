@@ -31,7 +31,7 @@ _ANSWER: Final = struct.Struct("<BI")
 
 
 class _Caller:
-    """One who is connected: its requests are answered in their order."""
+    """A connected caller, whose requests are answered in order."""
 
     def __init__(
         self, door: ServiceDoor, service: Ros1Service, connection: TcprosConnection, name: str, persistent: bool
@@ -106,7 +106,7 @@ class _Caller:
 
 
 class ServiceDoor:
-    """One service name of our node; whoever of us served it first answers."""
+    """Serves one service name of our node; the first of our services with this name answers."""
 
     def __init__(self, node: Ros1Node, name: str) -> None:
         self.node, self.name = node, name
@@ -116,7 +116,7 @@ class ServiceDoor:
         self.callers: set[_Caller] = set()
 
     def accept(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
-        """Somebody wants to call it, or (``probe``) to know its type."""
+        """Accept a caller, or (``probe``) a peer that asks for the type."""
         service, caller = self.services[0], fields.get("callerid", "")
         ours, asked = service.ros1, fields.get("md5sum", "")
         if asked not in (ANY, ours.md5):
@@ -152,7 +152,7 @@ class ServiceDoor:
         self.node.drops[self.name, Undelivered.LATE] += 1
 
     async def leave(self, service: Ros1Service) -> None:
-        """``service`` is served no more; with the last one the name is given back."""
+        """Remove ``service``; when the last one leaves, the name is unregistered."""
         node = self.node
         self.services.remove(service)
         last = not self.services and node.services.get(self.name) is self

@@ -1,4 +1,4 @@
-"""What the master knows, as topics, services, actions and nodes; and what has changed since it was asked last."""
+"""Shows what the master knows as topics, services, actions and nodes, and what has changed since the last poll."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Ros1Snapshot:
         return {f"{action}/{part}" for action in self._actions for part in ACTION_TOPICS}
 
     def served(self, service: str) -> bool:
-        """True if a node other than ours serves it."""
+        """Return whether a node other than ours serves it."""
         own = self._own()
         return any(node != own for node in self.state.services.get(service, ()))
 
@@ -160,7 +160,7 @@ class Ros1Snapshot:
 
 
 def full_name(ros1: str, kind: str = "msg") -> str:
-    """``pkg/msg/Name`` for ROS 1's ``pkg/Name``; ``""`` for ``*`` and what is no name."""
+    """Return ``pkg/msg/Name`` for ROS 1's ``pkg/Name``; ``""`` for ``*`` and invalid names."""
     try:
         return canonical_name(ros1, kind)
     except InvalidTypeName:

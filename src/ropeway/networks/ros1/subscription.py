@@ -1,4 +1,4 @@
-"""What a user gets for a topic that it reads."""
+"""Delivers a topic to one of its subscribers in this process."""
 
 from __future__ import annotations
 

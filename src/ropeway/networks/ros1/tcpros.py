@@ -41,7 +41,7 @@ _LENGTH: Final = struct.Struct("<I")
 
 
 def encode_header(fields: Mapping[str, str]) -> bytes:
-    """A connection header with its total length in front."""
+    """Return a connection header with its total length in front."""
     pieces: list[bytes] = []
     for name, value in fields.items():
         raw = f"{name}={value}".encode()
@@ -51,7 +51,7 @@ def encode_header(fields: Mapping[str, str]) -> bytes:
 
 
 def parse_header(body: bytes) -> dict[str, str]:
-    """The fields of a connection header, without its total length. Raises ``InvalidFrame``."""
+    """Parse the fields of a connection header, without its total length. Raises ``InvalidFrame``."""
     fields: dict[str, str] = {}
     position = 0
     while position < len(body):
@@ -72,7 +72,7 @@ def parse_header(body: bytes) -> dict[str, str]:
 
 
 async def read_frame(reader: asyncio.StreamReader, limit: int = MESSAGE_LIMIT_BYTES) -> bytes:
-    """The next frame. Raises ``InvalidFrame`` above ``limit`` bytes, ``EOFError`` where the connection ends."""
+    """Read the next frame. Raises ``InvalidFrame`` above ``limit`` bytes, ``EOFError`` where the connection ends."""
     (length,) = _LENGTH.unpack(await reader.readexactly(4))
     if length > limit:
         raise InvalidFrame(f"a frame of {length} bytes; the limit is {limit}", length)
@@ -80,31 +80,31 @@ async def read_frame(reader: asyncio.StreamReader, limit: int = MESSAGE_LIMIT_BY
 
 
 async def read_header(reader: asyncio.StreamReader) -> dict[str, str]:
-    """The connection header of the peer. Raises ``InvalidFrame``, ``EOFError``."""
+    """Read the connection header of the peer. Raises ``InvalidFrame``, ``EOFError``."""
     return parse_header(await read_frame(reader, HEADER_LIMIT_BYTES))
 
 
 class Receiver(Protocol):
-    """Who uses a ``TcprosConnection``."""
+    """Handles the events of a ``TcprosConnection``."""
 
     def made(self, connection: TcprosConnection) -> None:
-        """It is connected."""
+        """Note that the connection is established."""
 
     def header(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
-        """The peer's header came. ``InvalidFrame`` that is raised closes the connection."""
+        """Handle the peer's header. ``InvalidFrame`` that is raised closes the connection."""
 
     def frames(self, connection: TcprosConnection, frames: Sequence[bytes]) -> None:
         """Frames came, oldest first."""
 
     def lost(self, connection: TcprosConnection) -> None:
-        """The connection is closed, from whichever side."""
+        """Note that the connection is closed, by whichever side."""
 
     def writable(self, connection: TcprosConnection) -> None:
-        """The peer reads again; what waited may be sent."""
+        """Send what waited: the peer reads again."""
 
 
 class TcprosConnection(asyncio.Protocol):
-    """One TCPROS connection, whose first frame is the header.
+    """A TCPROS connection, whose first frame is the header.
 
     ``ready`` is false while the peer does not read as fast as we write. ``reason`` tells why it was closed where we
     know better than the socket.
@@ -194,7 +194,7 @@ class TcprosConnection(asyncio.Protocol):
 
     @property
     def waiting_bytes(self) -> int:
-        """What was written and is not on its way yet."""
+        """The bytes that were written and are not on their way yet."""
         return 0 if self.transport is None else self.transport.get_write_buffer_size()
 
     def write_header(self, fields: Mapping[str, str]) -> None:

@@ -42,7 +42,7 @@ async def learn_type(node: Ros1Node, topic: str, type: str) -> bool:
 
 
 async def _ask(node: Ros1Node, uri: str, topic: str, type: str) -> dict[str, str]:
-    """The header with which a publisher answers ours."""
+    """Return the header with which a publisher answers ours."""
     answer = await slave_call(node.rpc, uri, "requestTopic", node.name, topic, [["TCPROS"]])
     match answer:
         case ["TCPROS", str(host), int(port), *_]:

@@ -36,7 +36,7 @@ Frame = tuple[bytes | memoryview, ...]
 
 
 class _Link:
-    """One subscriber: what waits for it."""
+    """A subscriber's connection, with what waits for it."""
 
     def __init__(self, writer: TopicWriter, connection: TcprosConnection, *, traced: bool) -> None:
         self.connection, self.traced = connection, traced
@@ -85,7 +85,7 @@ class _Link:
 
 
 class TopicWriter:
-    """One topic published by our node. It serves raw ROS 1 messages; ``Ros1Publisher`` makes them from CDR."""
+    """Publishes a topic for our node. It serves raw ROS 1 messages; ``Ros1Publisher`` makes them from CDR."""
 
     def __init__(self, node: Ros1Node, topic: str, ros1: Ros1Type) -> None:
         self.topic, self.ros1 = topic, ros1
@@ -97,7 +97,7 @@ class TopicWriter:
         self._seq = 0
 
     def accept(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
-        """A subscriber connects."""
+        """Accept the connection of a subscriber."""
         ours, asked, caller = self.ros1, fields.get("md5sum", ""), fields.get("callerid", "")
         type = fields.get("type", ANY)
         if asked not in (ANY, ours.md5) or (type not in (ANY, ours.name) and asked == ANY):
@@ -153,7 +153,7 @@ class TopicWriter:
         self.node.drops[self.topic, Undelivered.WRITE] += 1
 
     def left(self, link: _Link) -> None:
-        """A subscriber has gone."""
+        """Remove a subscriber that has gone."""
         if link in self.links:
             self.links.remove(link)
             self._tell()
@@ -178,7 +178,7 @@ class TopicWriter:
 
 
 class RawPublisher:
-    """One user of a ``TopicWriter``, who publishes messages as ROS 1 serialises them.
+    """A user of a ``TopicWriter``, who publishes messages as ROS 1 serialises them.
 
     ``stamped``: the message begins with a header, whose ``seq`` is counted up.
     """
@@ -205,7 +205,7 @@ class RawPublisher:
 
     @property
     def subscribers(self) -> int:
-        """How many nodes read it now, ours not counted."""
+        """The number of nodes that read it now, ours not counted."""
         return len(self.writer.links)
 
     def on_demand(self, callback: Callable[[int], None]) -> None:
@@ -264,7 +264,7 @@ async def _leave(writer: TopicWriter) -> None:
 
 
 def writer_of(node: Ros1Node, topic: str, ros1: Ros1Type) -> TopicWriter:
-    """The writer of ``topic``, made where there is none. Raises ``TypeConflict`` where it has another type."""
+    """Return the writer of ``topic``, made if there is none. Raises ``TypeConflict`` where it has another type."""
     found = node.writers.get(topic)
     if found is None:
         found = node.writers[topic] = TopicWriter(node, topic, ros1)

@@ -82,7 +82,7 @@ class XmlRpcClient:
         self._closed = False
 
     async def call(self, uri: str, method: str, *params: Any, timeout_s: float = _CALL_S) -> Any:
-        """What ``method`` of the server at ``uri`` answers.
+        """Call ``method`` of the server at ``uri`` and return its answer.
 
         Raises ``ConnectFailed`` if there is no answer in time or none that can be understood, ``Fault`` where the
         server raised one, ``ValueError`` for parameters that XML-RPC cannot write.
@@ -276,7 +276,7 @@ async def _read_headers(reader: asyncio.StreamReader) -> dict[str, str]:
 
 
 async def _read_body(reader: asyncio.StreamReader, headers: dict[str, str], limit: int, *, whole: bool) -> bytes:
-    """The body of a message; ``whole`` allows one that ends with the connection."""
+    """Read the body of a message; ``whole`` allows one that ends with the connection."""
     length = headers.get("content-length")
     if length is None:
         if not whole or "transfer-encoding" in headers:

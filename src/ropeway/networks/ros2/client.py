@@ -46,7 +46,7 @@ class _Call:
 
 
 class ClientHost(Ros2Host, Protocol):
-    """What a client needs of its graph."""
+    """The services of a graph for its clients."""
 
     async def remove(self, part: Ros2Client, raw: Any, lane: Lane) -> None:
         """Know a client no more."""
@@ -79,7 +79,7 @@ class Ros2Client:
 
     @property
     def available(self) -> bool:
-        """True if somebody serves it now."""
+        """Whether a provider serves it now."""
         if self.closed:
             return False
         try:

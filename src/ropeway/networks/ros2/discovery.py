@@ -1,4 +1,4 @@
-"""What is discovered, on the loop: the newest picture of the network, and the events between two."""
+"""Keeps what is discovered, on the loop: the newest snapshot of the network, and the events between two."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Ros2Discovery:
         return self._picture.nodes
 
     def publishers(self, topic: str, type: str) -> list[EndpointInfo]:
-        """Those of others, not of our own gateway either."""
+        """Return the publishers of others, excluding those of our own gateway."""
         return [end for end in self.all_publishers(topic, type) if not self.is_own(end)]
 
     def all_publishers(self, topic: str, type: str) -> list[EndpointInfo]:
@@ -62,7 +62,7 @@ class Ros2Discovery:
         return [e for e in known.subscriptions if e.type == type] if known is not None else []
 
     def is_own(self, end: EndpointInfo) -> bool:
-        """True for what belongs to this graph, or to another process of the same gateway."""
+        """Return whether the endpoint belongs to this graph, or to another process of the same gateway."""
         return end.local or (bool(self._gateway_id) and end.gateway == self._gateway_id)
 
     def apply(self, picture: Ros2Snapshot) -> None:
@@ -119,7 +119,7 @@ def _has_ends(topic: TopicInfo) -> bool:
 
 
 def _things(picture: Ros2Snapshot) -> Iterator[tuple[_Thing, str]]:
-    """Everything of others that is told of, and its node."""
+    """Yield everything of others that events are emitted for, with its node."""
     for topic in picture.topics.values():
         if is_hidden(topic.name):
             continue

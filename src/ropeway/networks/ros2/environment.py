@@ -1,4 +1,4 @@
-"""Whether this process can use ROS 2, and if not, why and what helps."""
+"""Finds out whether this process can use ROS 2, and if not, why and what helps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_DOMAIN = 232  # the highest whose UDP ports exist
 
 @lru_cache(maxsize=1)
 def rclpy_fault() -> str:
-    """Why rclpy cannot be used, with what to do about it; ``""`` where it can. The first call imports it."""
+    """Return why rclpy cannot be used, with what to do about it; ``""`` if it can. The first call imports it."""
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     try:
         found = importlib.util.find_spec("rclpy") is not None
@@ -55,7 +55,7 @@ def rclpy_fault() -> str:
 
 
 def domain_of_environment(environ: Mapping[str, str] | None = None) -> int:
-    """The domain that ROS is told to use. Raises ``ValueError`` where ``ROS_DOMAIN_ID`` is no domain."""
+    """Return the domain that ROS is told to use. Raises ``ValueError`` where ``ROS_DOMAIN_ID`` is no domain."""
     text = (os.environ if environ is None else environ).get("ROS_DOMAIN_ID", "").strip() or "0"
     if not text.isdecimal() or int(text) > MAX_DOMAIN:
         raise ValueError(f'ROS_DOMAIN_ID is "{text}"; expected a number from 0 to {MAX_DOMAIN}')

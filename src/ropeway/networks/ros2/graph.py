@@ -214,7 +214,7 @@ class Ros2Graph:
 
     @cached_property
     def border(self) -> Border:
-        """Where messages get the layouts of the ROS 2 that is sourced, from whatever distribution they come."""
+        """The border at which messages get the layouts of the sourced ROS 2, whatever distribution they come from."""
         return Border(self.registry)
 
     @property
@@ -253,12 +253,12 @@ class Ros2Graph:
         return self._discovery.nodes() if self._participant is not None else {}
 
     def changes(self) -> AsyncIterator[GraphEvent]:
-        """What others do, from now on."""
+        """Iterate over what others do, from now on."""
         return self._changes.listen()
 
     @property
     def settled(self) -> bool:
-        """True once the network was looked at, and the nodes of all endpoints are known."""
+        """Whether the network was polled, and the nodes of all endpoints are known."""
         return self._participant is None or self._discovery.settled
 
     @property
@@ -286,22 +286,22 @@ class Ros2Graph:
             raise GraphUnavailable(self.name, str(error).splitlines()[0]) from error
 
     def count_readers(self, publisher: Ros2Publisher) -> int:
-        """How many readers of others are matched with a publisher."""
+        """Return how many readers of others are matched with a publisher."""
         return self._readers.count_others(publisher) if self._participant is not None else 0
 
     def forget(self, subscription: Ros2Subscription) -> None:
-        """A subscription was closed."""
+        """Release what belongs to a closed subscription."""
         self._parts.pop(subscription, None)
 
     async def withdraw(self, publisher: Ros2Publisher, lane: Lane) -> None:
-        """A publisher was closed."""
+        """Remove a closed publisher."""
         self._parts.pop(publisher, None)
         if self._participant is not None:
             await lane.finish(lambda: self._destroy("publisher", publisher.raw))
             self.look_soon()
 
     async def remove(self, part: Ros2Client | Ros2Service, raw: Any, lane: Lane) -> None:
-        """A client or service was closed."""
+        """Remove a closed client or service."""
         self._parts.pop(part, None)
         if self._participant is not None:
             self._participant.spinner.remove(raw.handle)
@@ -323,7 +323,7 @@ class Ros2Graph:
             self._look()
 
     def look_soon(self) -> None:
-        """Something changed here: look at once, and at the matches in a moment."""
+        """Poll the network at once, and the matches in a moment, after a change here."""
         if self._participant is not None:
             self._participant.watcher.poke()
             self._looks = 0

@@ -18,7 +18,7 @@ _ACTION_MESSAGES: Final = {"_FeedbackMessage": "FeedbackMessage"}
 
 
 def message_class(type: str) -> Any:
-    """The class of ``pkg/msg/Name``, or of an action's feedback message.
+    """Return the class of ``pkg/msg/Name``, or of an action's feedback message.
 
     Raises ``UnknownType`` with what to install, ``InvalidTypeName``.
     """
@@ -26,12 +26,12 @@ def message_class(type: str) -> Any:
 
 
 def service_class(type: str) -> Any:
-    """The class of ``pkg/srv/Name``, or of a service of an action. Raises as ``message_class``."""
+    """Return the class of ``pkg/srv/Name``, or of a service of an action. Raises as ``message_class``."""
     return _find(canonical_name(type, "srv"), _ACTION_SERVICES)
 
 
 async def loaded(find: Callable[[str], Any], type: str) -> Any:
-    """``find(type)`` with its C library loaded, in a thread: the first time takes some tens of milliseconds.
+    """Return ``find(type)`` after loading its C library in a thread: the first time takes some tens of milliseconds.
 
     Raises what ``find`` raises, and ``UnknownType`` where the library cannot be loaded.
     """

@@ -1,4 +1,4 @@
-"""Who published a message, from what the middleware tells with it."""
+"""Determines who published a message, from what the middleware tells with it."""
 
 from __future__ import annotations
 
@@ -25,13 +25,16 @@ class Origins:
         self._taken: dict[bytes, bytes] = {}
 
     def add_own(self, gid: bytes) -> None:
-        """A publisher of ours; it is known for some time after it was closed, since its messages may be under way."""
+        """Register a publisher of ours; it is remembered for some time after closing, since its messages may be in
+        flight.
+        """
         self._mine[gid] = None
         if len(self._mine) > _LIMIT:
             del self._mine[next(iter(self._mine))]
 
     def of(self, topic: str, type: str, gid: bytes, matched: Callable[[], int]) -> tuple[bytes, bool] | None:
-        """The origin of a message, and whether it is only known here; ``None`` for one that is not to be heard.
+        """Return the origin of a message, and whether it is only known here; ``None`` for a message that must not be
+        delivered.
 
         ``matched`` counts the publishers that the reader of the message is matched with.
         """
@@ -47,7 +50,7 @@ class Origins:
         return None if origin in self._discovery.own_gids else (origin, False)
 
     def _find(self, topic: str, type: str, number: bytes, matched: Callable[[], int]) -> bytes | None:
-        """The one publisher that this number can stand for."""
+        """Return the one publisher that this number can stand for."""
         publishers = self._discovery.all_publishers(topic, type)
         free = [e.gid for e in publishers if not e.local and self._taken.get(e.gid) is None]
         if len(free) != 1 or matched() != len(publishers):

@@ -19,12 +19,12 @@ _FOREVER_NS: Final = 2**62
 
 
 def writer_profile(qos: QoS) -> Any:
-    """The ``QoSProfile`` of a publisher."""
+    """Return the ``QoSProfile`` of a publisher."""
     return _profile(qos)
 
 
 def reader_profile(qos: QoS) -> Any:
-    """The ``QoSProfile`` of a subscription; it keeps a bounded number of messages."""
+    """Return the ``QoSProfile`` of a subscription, which keeps a bounded number of messages."""
     depth = max(qos.depth, 1)
     if qos.history == "keep_all":
         depth = _KEEP_ALL_DEPTH
@@ -34,12 +34,12 @@ def reader_profile(qos: QoS) -> Any:
 
 
 def service_profile() -> Any:
-    """The ``QoSProfile`` of a client or service."""
+    """Return the ``QoSProfile`` of a client or service."""
     return _profile(QoS(depth=_SERVICE_DEPTH))
 
 
 def from_rclpy(profile: Any) -> QoS:
-    """What a discovered endpoint offers or asks for; the depth is 0 where the middleware does not tell it."""
+    """Return what a discovered endpoint offers or asks for; the depth is 0 if the middleware does not tell it."""
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
     keep_all = profile.history == HistoryPolicy.KEEP_ALL

@@ -1,4 +1,4 @@
-"""One topic that we publish through rclpy."""
+"""Publishes a topic through rclpy."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _ACKED_S: Final = 0.5  # how long what was published last may take to arrive onc
 
 
 class PublisherHost(Ros2Host, Protocol):
-    """What a publisher needs of its graph."""
+    """The services of a graph for its publishers."""
 
     def count_readers(self, publisher: Ros2Publisher) -> int:
         """Return how many readers of others are matched with a publisher."""
@@ -98,7 +98,7 @@ class Ros2Publisher:
 
     @property
     def subscribers(self) -> int:
-        """How many readers of others are matched; those of our own gateway do not count."""
+        """The number of matched readers of others; those of our own gateway do not count."""
         self.look()
         return self._subscribers
 

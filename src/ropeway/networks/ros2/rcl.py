@@ -105,7 +105,7 @@ class Rcl:
         self._fini(buffer.bytes)
 
     def take(self, subscription: int, buffer: Buffer) -> tuple[bytes, int, bytes] | None:
-        """The next message of a subscription: its bytes, source time stamp (ns) and publisher's gid.
+        """Take the next message of a subscription: its bytes, source time stamp (ns) and publisher's gid.
 
         ``None`` where there is none. Raises ``RclError``.
         """
@@ -128,13 +128,13 @@ class Rcl:
         )
 
     def gid_of(self, publisher: int) -> bytes:
-        """The gid that this process's readers see in the messages of a publisher. Raises ``RclError``."""
+        """Return the gid that this process's readers see in the messages of a publisher. Raises ``RclError``."""
         gid = _Gid()
         self._check(self._gid_of(self._rmw_handle(publisher), gid), "rmw_get_gid_for_publisher")
         return bytes(gid.data[:GID_BYTES])
 
     def publisher_count(self, subscription: int) -> int:
-        """How many publishers are matched with a subscription. Raises ``RclError``."""
+        """Return how many publishers are matched with a subscription. Raises ``RclError``."""
         count = ct.c_size_t()
         self._check(self._publisher_count(subscription, count), "rcl_subscription_get_publisher_count")
         return count.value
@@ -159,7 +159,7 @@ class Rcl:
 
 
 class Buffer:
-    """Where one taken message and what is known of it stand until the next."""
+    """Holds a taken message and its metadata until the next one."""
 
     __slots__ = ("bytes", "info")
 

@@ -48,7 +48,7 @@ class SpinnerReader:
 
     @property
     def matched(self) -> int:
-        """How many publishers it is matched with, ours too."""
+        """The number of matched publishers, ours included."""
         if self.closed:
             return 0
         with self.raw.handle:
@@ -92,4 +92,4 @@ class SpinnerReader:
 
 
 def _nobody(_: list[Sample]) -> None:
-    """Nobody reads yet."""
+    """Ignore samples: nobody reads yet."""

@@ -37,7 +37,7 @@ Ros2Subscription = AdoptingSubscription[SpinnerReader]
 
 
 class ReadersHost(Ros2Host, Protocol):
-    """What the readers need of their graph."""
+    """The services of a graph for its readers."""
 
     @property
     def registry(self) -> TypeRegistry:
@@ -62,7 +62,7 @@ class ReadersHost(Ros2Host, Protocol):
 
 
 class Readers:
-    """What the subscriptions of an opened graph read with."""
+    """Holds the readers behind the subscriptions of an opened graph."""
 
     def __init__(
         self, graph: ReadersHost, participant: Ros2Participant, discovery: Ros2Discovery, origins: Origins
@@ -75,7 +75,7 @@ class Readers:
         self._changed_at: dict[str, float] = {}
 
     def attach(self, subscription: Ros2Subscription, qos: QoS) -> SharedReader[SpinnerReader]:
-        """A reader for ``subscription``: with others where samples are volatile, its own where history is replayed.
+        """Return a reader for ``subscription``: shared if samples are volatile, its own if history is replayed.
 
         Raises ``GraphUnavailable``.
         """
@@ -119,7 +119,7 @@ class Readers:
         self._note(reader.topic)
 
     def forget(self, subscription: Ros2Subscription) -> None:
-        """A subscription was closed."""
+        """Release what belongs to a closed subscription."""
         self._graph.forget(subscription)
 
     def guard(self, topic: str, callback: Callable[[T], None], value: T) -> None:
@@ -127,13 +127,13 @@ class Readers:
         self._graph.guard(topic, callback, value)
 
     def is_matched(self, subscription: Ros2Subscription, reader: SharedReader[SpinnerReader]) -> bool:
-        """True once a reader is matched with every publisher that it should read."""
+        """Return whether a reader is matched with every publisher that it should read."""
         if reader.raw is None:
             return True
         return reader.raw.matched >= len(self._discovery.all_publishers(subscription.topic, subscription.type))
 
     def adopted(self, subscription: Ros2Subscription) -> QoS:
-        """The profile that a subscription should have now."""
+        """Return the profile that a subscription should have now."""
         asked = subscription.asked
         if asked is not None and not subscription.adopts:
             return asked
@@ -146,7 +146,7 @@ class Readers:
         return qos
 
     def count_others(self, publisher: Ros2Publisher) -> int:
-        """How many readers of others are matched with a publisher.
+        """Return how many readers of others are matched with a publisher.
 
         A moment after a reader of our own has come or gone it may be matched or not: the count stays as it was.
         """
@@ -172,7 +172,7 @@ class Readers:
         self._graph.look_soon()
 
     def _turned(self, topic: str, type: str, payload: bytes) -> bytes | None:
-        """A message of a big-endian machine, little-endian."""
+        """Convert a message of a big-endian machine to little-endian."""
         try:
             codec = self._graph.registry.codec(type)
             return codec.encode(codec.decode(payload))

@@ -25,7 +25,7 @@ _STOP_S: Final = 2.0
 
 
 class Lane:
-    """What one part sends, in order. More than ``messages`` or ``size`` bytes do not wait: the oldest goes.
+    """Sends the messages of one part, in order. More than ``messages`` or ``size`` bytes do not wait: the oldest goes.
 
     ``dropped`` is called on the thread of ``put`` with how many went.
     """
@@ -97,7 +97,7 @@ class Senders:
         self._stopping = False
 
     def lane(self, messages: int, size: int, dropped: Callable[[int], None]) -> Lane:
-        """A lane of its own for one part."""
+        """Make a lane for one part."""
         return Lane(self, messages, size, dropped)
 
     def serve(self, lane: Lane) -> None:

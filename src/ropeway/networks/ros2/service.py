@@ -28,7 +28,7 @@ _TEXTS: Final = (("success", "message"), ("successful", "reason"))
 
 
 class ServiceHost(Ros2Host, Protocol):
-    """What a service needs of its graph."""
+    """The services of a graph for the services that it serves."""
 
     async def remove(self, part: Ros2Service, raw: Any, lane: Lane) -> None:
         """Know a service no more."""
@@ -105,7 +105,7 @@ class Ros2Service:
     # On the loop ------------------------------------------------------------------------------------------------
 
     def on_requests(self, batch: list[tuple[bytes, Any]]) -> None:
-        """What clients ask."""
+        """Take the requests of clients."""
         for payload, header in batch:
             if self.closed:
                 return

@@ -1,4 +1,4 @@
-"""What is on the network at a moment, as rclpy tells it."""
+"""Takes a snapshot of the network, as rclpy shows it."""
 
 from __future__ import annotations
 
@@ -23,19 +23,21 @@ _WITHOUT_GUIDS: Final = ("rmw_zenoh_cpp",)
 
 
 def mark_topic(gateway_id: str, instance: str) -> str:
-    """A topic that nobody reads, and whose name says which graph of which gateway its participant belongs to."""
+    """Return the name of a topic that nobody reads, which says which graph of which gateway its participant
+    belongs to.
+    """
     gateway = f"g{gateway_id.encode().hex()}/" if gateway_id else ""
     return f"{_MARK}{gateway}i{instance}"
 
 
 def is_inner(name: str) -> bool:
-    """True for topics that are parts of something else: of actions, and our own marks."""
+    """Return whether the topic is part of something else: of an action, or one of our own marks."""
     return _INNER in name or name.startswith(_MARK)
 
 
 @dataclass(frozen=True, slots=True)
 class Marks:
-    """Who is who: participants by the marks of their graphs. ``own`` is our instance's name, ``node`` our node's."""
+    """Identifies participants by the marks of their graphs. ``own`` is our instance's name, ``node`` our node's."""
 
     own: str
     node: str
@@ -44,17 +46,19 @@ class Marks:
 
     @classmethod
     def of(cls, own: str, node: str, gateway_id: str, rmw: str) -> Marks:
-        """For a graph on the middleware ``rmw``."""
+        """Make the marks for a graph on the middleware ``rmw``."""
         return cls(own, node, gateway_id, rmw in _WITHOUT_GUIDS)
 
     def participant(self, gid: bytes, node: str) -> bytes:
-        """What names a participant."""
+        """Return what names a participant."""
         return node.encode() if self.by_node else gid[:_GUID_PREFIX_BYTES]
 
 
 @dataclass(frozen=True, slots=True)
 class Ros2Snapshot:
-    """Everything there is. ``topics`` has those that are parts of actions, too, but no marks of ours."""
+    """Everything on the network at one moment. ``topics`` has those that are parts of actions, too, but no marks of
+    ours.
+    """
 
     topics: dict[str, TopicInfo] = field(default_factory=dict)
     services: dict[str, ServiceInfo] = field(default_factory=dict)
@@ -89,7 +93,7 @@ def take_picture(node: Any, marks: Marks) -> Ros2Snapshot:
 
 
 def _read_marks(node: Any, marks: Marks, names: Iterable[str]) -> tuple[set[bytes], dict[bytes, str]]:
-    """The participants that are ours, and the gateways of the others."""
+    """Return the participants that are ours, and the gateways of the others."""
     mine: set[bytes] = set()
     gateways: dict[bytes, str] = {}
     for name in names:

@@ -95,7 +95,7 @@ class Spinner:
 
     @property
     def room(self) -> bool:
-        """True while more may be pushed."""
+        """Whether more may be pushed."""
         return (
             self._pushed_samples - self._drained_samples < _LIMIT_SAMPLES
             and self._pushed_bytes - self._drained_bytes < _LIMIT_BYTES
@@ -128,7 +128,7 @@ class Spinner:
 
     @contextlib.contextmanager
     def _entered(self) -> Iterator[tuple[int, list[_Entry]]]:
-        """The entries as they stand, which cannot be destroyed meanwhile."""
+        """Provide the current entries, which cannot be destroyed meanwhile."""
         with self._lock:
             version, wanted = self._version, list(self._entries.values())
         with contextlib.ExitStack() as held:

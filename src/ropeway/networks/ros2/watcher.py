@@ -47,7 +47,7 @@ class GraphWatcher:
         self._thread.start()
 
     def poke(self) -> None:
-        """Something changed here."""
+        """Take a snapshot soon: something changed here."""
         self._guard.trigger()
 
     async def stop(self) -> None:

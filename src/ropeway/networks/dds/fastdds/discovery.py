@@ -36,7 +36,7 @@ class Census:
         ]
 
     def complete(self) -> bool:
-        """True once all are found, or the time is over."""
+        """Return whether all are found, or the time is over."""
         samples, infos = (ct.c_uint64 * _BATCH)(), (SampleInfo * _BATCH)()
         for reader in self._readers:
             while True:

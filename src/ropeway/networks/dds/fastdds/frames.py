@@ -1,4 +1,4 @@
-"""What the gateway and its helper process say to each other: binary frames on a stream.
+"""Defines what the gateway and its helper process say to each other: binary frames on a stream.
 
 A frame is a length, what it is about (``Op``), the number of an endpoint, a number of the gateway's or the helper's
 choice, and a body. Both sides write whole frames and read with a ``Splitter``.
@@ -22,7 +22,7 @@ _COMPACT_BYTES: Final = 1 << 20
 
 
 class Op(enum.IntEnum):
-    """What a frame is about: first what the gateway says, then what the helper does."""
+    """The subject of a frame: first what the gateway says, then what the helper does."""
 
     CONFIGURE = 1  # body: JSON
     OPEN_CLIENT = 2  # body: a ``Spec``
@@ -48,7 +48,7 @@ class Op(enum.IntEnum):
 
 
 class Spec(NamedTuple):
-    """What an endpoint is for. The hashes are those of the messages, ``""`` where nobody knows them."""
+    """Describes an endpoint. The hashes are those of the messages, ``""`` where nobody knows them."""
 
     service: str
     type: str
@@ -56,12 +56,12 @@ class Spec(NamedTuple):
     response_hash: str = ""
 
     def encode(self) -> bytes:
-        """As a body."""
+        """Return the description as a body."""
         return "\0".join(self).encode()
 
     @classmethod
     def decode(cls, body: bytes) -> Spec:
-        """From a body. Raises ``BadFrame``."""
+        """Read the description from a body. Raises ``BadFrame``."""
         try:
             return cls(*body.decode().split("\0"))
         except (TypeError, UnicodeDecodeError):
@@ -69,7 +69,7 @@ class Spec(NamedTuple):
 
 
 class HelperFrame(NamedTuple):
-    """One frame. ``op`` is a number that may be no ``Op``."""
+    """A frame. ``op`` is a number that may be no ``Op``."""
 
     op: int
     endpoint: int = 0
@@ -82,7 +82,7 @@ class BadFrame(Exception):
 
 
 def encode(frame: HelperFrame) -> bytes:
-    """The frame as bytes. Raises ``BadFrame`` for a body that is too long."""
+    """Return the frame as bytes. Raises ``BadFrame`` for a body that is too long."""
     if len(frame.body) > MAX_BODY_BYTES:
         raise BadFrame(f"a body of {len(frame.body)} bytes; the limit is {MAX_BODY_BYTES}")
     return _head.pack(len(frame.body), frame.op, frame.endpoint, frame.number) + frame.body
@@ -96,7 +96,7 @@ class Splitter:
         self._at = 0
 
     def feed(self, data: bytes) -> Iterator[HelperFrame]:
-        """The frames that are complete with ``data``. Raises ``BadFrame``."""
+        """Yield the frames that ``data`` completes. Raises ``BadFrame``."""
         self._data += data
         while len(self._data) - self._at >= HEAD_BYTES:
             length, op, endpoint, number = _head.unpack_from(self._data, self._at)

@@ -45,7 +45,7 @@ class FastHelper:
                 self.wake()
 
     def wake(self) -> None:
-        """Somebody will have to be called soon."""
+        """Start the helper in advance: a call is expected."""
         if self._starting is None:
             self._starting = background(self._start(), f"{self._rpc.graph}: start of Fast DDS")
 
@@ -86,13 +86,13 @@ class FastHelper:
         return await self._rpc.create_service(pending.service, pending.type, pending.handler)
 
     async def forget(self, pending: PendingService) -> None:
-        """A service was closed."""
+        """Release what belongs to a closed service."""
         self._services.pop(pending, None)
         if pending.weight is not None:
             await self._participant.delete(pending.weight)
 
     def _weigh(self, service: str, type: str) -> RawReader | None:
-        """A reader more than there are writers on our side of a service, which the helper process makes up for.
+        """Make one reader more than our side of the service has writers; the helper process adds the missing writer.
 
         Fast DDS nodes take a service for available when they see as many readers of requests as writers of replies.
         So they wait for those that they can use, instead of calling those that ``DdsService`` makes for others.
@@ -144,4 +144,4 @@ class PendingService:
 
 
 def _ignore(_: object) -> None:
-    """What a silent reader hears, which is nothing."""
+    """Ignore what a silent reader receives, which is nothing."""

@@ -1,4 +1,4 @@
-"""How Fast DDS says which request a reply belongs to: sample identities, in the inline QoS of RTPS messages.
+"""Reads and writes how Fast DDS relates replies to requests: sample identities, in the inline QoS of RTPS messages.
 
 A sample is named by its writer's GUID and its RTPS sequence number. A reply carries the identity of its request as
 *related* identity; a request carries the GUID of the reader that waits for the reply, with no number. Fast DDS keeps it
@@ -63,7 +63,7 @@ class SampleIdentity(NamedTuple):
 
 
 class SampleOrigin(NamedTuple):
-    """Where a sample came from: vendor of the sender, writer and number, and the related identity where it has one.
+    """The origin of a sample: vendor of the sender, writer and number, and the related identity if it has one.
 
     ``parameter`` is the id under which the related identity came (the standard one if both did), 0 without.
     ``encoding`` is how the payload begins on the wire, which tells its byte order.
@@ -77,7 +77,7 @@ class SampleOrigin(NamedTuple):
 
 
 def is_reader(guid: bytes) -> bool:
-    """True for the GUID of a reader."""
+    """Return whether ``guid`` is that of a reader."""
     return bool(guid[-1] & _READER_BIT)
 
 
@@ -101,7 +101,9 @@ def parse(header: bytes, submessage: bytes) -> SampleOrigin | None:
 
 
 def _related(data: bytes, at: int, order: str) -> dict[int, SampleIdentity]:
-    """The related identities in a parameter list, by parameter id; the list ends where ``data`` does, at the latest."""
+    """Return the related identities in a parameter list, by parameter id; the list ends where ``data`` does, at the
+    latest.
+    """
     found: dict[int, SampleIdentity] = {}
     head, number = struct.Struct(order + "HH"), struct.Struct(order + "iI")
     for _ in range(_MAX_PARAMETERS):
@@ -119,6 +121,6 @@ def _related(data: bytes, at: int, order: str) -> dict[int, SampleIdentity]:
 
 
 def pack_parameter(parameter: int, identity: SampleIdentity) -> bytes:
-    """A related identity as a parameter in this machine's byte order: 28 bytes."""
+    """Return a related identity as a parameter in this machine's byte order: 28 bytes."""
     seq = identity.seq
     return struct.pack("=HH16siI", parameter, _IDENTITY_BYTES, identity.guid, seq >> 32, seq & 0xFFFFFFFF)

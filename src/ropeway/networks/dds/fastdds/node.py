@@ -95,11 +95,11 @@ class FastNode:
         domain.release(self._number)
 
     def hears(self, vendor: bytes) -> bool:
-        """True for a vendor that speaks this mapping."""
+        """Return whether the vendor uses this mapping."""
         return self._everyone or vendor == FAST
 
     def count(self, number: int, reason: Undelivered) -> None:
-        """One more request or reply of an endpoint that got lost, and why."""
+        """Count a request or reply of an endpoint that was lost, with the reason."""
         self._drops[number, reason] += 1
 
     def tell_drops(self) -> None:
@@ -114,7 +114,7 @@ class FastNode:
     # Endpoints --------------------------------------------------------------------------------------------------
 
     def mark_of(self, type_hash: str) -> bytes:
-        """The USER_DATA of an endpoint whose messages have this hash (``""``: nobody knows)."""
+        """Return the USER_DATA of an endpoint whose messages have this hash (``""``: unknown)."""
         return user_data(type_hash=type_hash, gateway_id=self.gateway_id, extra=f"{HELPER_MARK}=1;")
 
     def expect(self, guids: Iterable[bytes]) -> None:
@@ -147,7 +147,7 @@ class FastNode:
 
     @contextmanager
     def end(self, number: int) -> Iterator[ClientEnd | ServiceEnd | None]:
-        """An endpoint, with nobody else at work; ``None`` where there is none of this number."""
+        """Return an endpoint, under the lock; ``None`` if there is none with this number."""
         with self.lock:
             yield self._ends.get(number)
 

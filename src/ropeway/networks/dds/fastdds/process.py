@@ -61,7 +61,7 @@ class HelperProcess:
 
     @property
     def up(self) -> bool:
-        """True while it is ready."""
+        """Whether the helper process is ready."""
         return self._writer is not None
 
     async def start(self) -> None:
@@ -89,7 +89,7 @@ class HelperProcess:
         return True
 
     def _broke(self, error: BaseException) -> None:
-        """Something failed that nobody foresaw; whoever waits for the first start is told."""
+        """Report an unforeseen failure to whoever waits for the first start."""
         if self._first is not None and not self._first.done():
             self._first.set_exception(Unfit(describe(error)))
 
@@ -115,7 +115,7 @@ class HelperProcess:
             await asyncio.sleep(pause)
 
     async def _once(self) -> str:
-        """One life of the process; gives why it ended. Raises ``Unfit``, ``OSError``."""
+        """Run the process once and return why it ended. Raises ``Unfit``, ``OSError``."""
         ours, theirs = socket.socketpair()
         with theirs:
             try:
@@ -198,7 +198,7 @@ class HelperProcess:
 
 
 async def _ended(process: asyncio.subprocess.Process) -> int:
-    """The exit code of a process that was hung up on; it is killed if it does not end by itself."""
+    """Return the exit code of a process that was hung up on; it is killed if it does not end by itself."""
     try:
         async with aio.timeout(_STOP_S):
             return await process.wait()

@@ -46,7 +46,7 @@ _request_head = struct.Struct("<16sq")
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What the gateway's own side of the graph knows and keeps.
+    """Gives access to what the gateway's own side of the graph knows and keeps.
 
     ``little_endian(type, payload)`` turns what big-endian machines send, and may raise ``TypesError``; ``type_hash``
     gives ``RIHS01_…`` of a type or ``""``; ``node_of(guid)`` names the node of an endpoint; ``drop(service, reason,
@@ -96,7 +96,7 @@ class FastRpc:
 
     @property
     def available(self) -> bool:
-        """True once the self-test has passed; ``reason`` says why not."""
+        """Whether the self-test has passed; ``reason`` says why not."""
         return self._available
 
     async def start(self) -> bool:
@@ -137,7 +137,7 @@ class FastRpc:
         return provider
 
     def remove(self, part: FastClient | FastService) -> None:
-        """A client or service was closed."""
+        """Remove a closed client or service."""
         if self._ends.pop(part.number, None) is not None:
             self.helper.send(HelperFrame(Op.CLOSE, part.number))
 
@@ -205,7 +205,7 @@ class FastClient:
 
     @property
     def available(self) -> bool:
-        """True if a Fast DDS node serves it now."""
+        """Whether a Fast DDS node serves it now."""
         return not self.closed and self._servers > 0
 
     async def wait_available(self, timeout_s: float) -> bool:
@@ -269,7 +269,7 @@ class FastClient:
             raise GraphUnavailable(self._rpc.graph, f"the client of {self.service} is closed")
 
     def on_frame(self, frame: HelperFrame) -> None:
-        """What the helper says about us."""
+        """Handle a frame of the helper about this client."""
         if frame.op == Op.MATCHED:
             self._servers = frame.number
             self._tell_changed()
@@ -285,11 +285,11 @@ class FastClient:
             call.set_result(CallFailed(self.service, frame.body.decode(errors="replace")))
 
     def on_up(self) -> None:
-        """The helper is there, or there again."""
+        """Announce this client to the helper, which has started or restarted."""
         self._opened = self._loop.time()
 
     def on_down(self) -> None:
-        """The helper has ended."""
+        """Fail the calls under way: the helper has ended."""
         self._servers = 0
         self._tell_changed()
         self._finish(ProviderLost(self.service, _LOST))
@@ -330,7 +330,7 @@ class FastService:
         self._paces: dict[bytes, AnswerPacing] = {}
 
     def on_frame(self, frame: HelperFrame) -> None:
-        """What the helper says about us."""
+        """Handle a frame of the helper about this service."""
         if frame.op == Op.MATCHED:
             self.clients = frame.number
         elif frame.op == Op.REQUEST and len(self._serving) >= _RUNNING_LIMIT:
@@ -374,7 +374,7 @@ class FastService:
         self._rpc.send(Op.FORGET, self, number)
 
     def on_down(self) -> None:
-        """The helper has ended: nobody hears the answers to what was asked through it."""
+        """Drop the requests under way: the helper has ended, so nobody would get the answers."""
         self.clients = 0
         self._serving.cancel()
 
@@ -388,5 +388,5 @@ class FastService:
 
 
 def _call_id(identity: bytes) -> bytes:
-    """The same for everyone who serves this request."""
+    """Derive the id of a call: the same for every gateway that serves this request."""
     return hashlib.blake2b(identity, digest_size=16).digest()

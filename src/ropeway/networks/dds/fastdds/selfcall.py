@@ -33,7 +33,7 @@ _SIZES: Final = (1, 100, 30_000)
 
 
 def wrong() -> str:
-    """What is wrong, or ``""`` where everything works; within some seconds at most."""
+    """Return what is wrong, or ``""`` if everything works; takes some seconds at most."""
     try:
         return _Call().run()
     except (HookError, DdsError, GraphUnavailable) as error:
@@ -78,7 +78,9 @@ class _Call:
         return ", ".join(hook.faults)
 
     def _exchange(self, server: FastNode, client: FastNode, parameter: int, size: int) -> str:
-        """One call. The other side must see the very identities that this side knows from the library itself."""
+        """Make one call; each side must see the identities that the other knows from the library itself. The other side
+        must see the very identities that this side knows from the library itself.
+        """
         request, response = (b"\0\1\0\0" + os.urandom(size) for _ in range(2))
         asked = None
         sent: dict[bytes, int] = {}

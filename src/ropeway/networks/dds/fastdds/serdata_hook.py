@@ -81,7 +81,7 @@ faults: Counter[str] = Counter()
 
 
 class _Note:
-    """What is known of a received serdata (``origin``), or to be sent with one of ours (``parameter``)."""
+    """The data noted about a received serdata (``origin``), or to be sent with one of ours (``parameter``)."""
 
     __slots__ = ("origin", "parameter", "slot")
 
@@ -95,7 +95,7 @@ notes: dict[int, _Note] = {}
 
 
 def origin_of(serdata: int) -> SampleOrigin | None:
-    """Where a received sample came from; to be asked before its reference is given back."""
+    """Return the origin of a received sample; call this before its reference is given back."""
     note = notes.get(serdata)
     return note.origin if note is not None else None
 
@@ -275,7 +275,7 @@ class RelatedWriter:
 
     @property
     def acks(self) -> int:
-        """How often readers have said what they have got, which they do once they are matched with this writer."""
+        """How often readers have acknowledged, which they do once they are matched with this writer."""
         return self._acks.value
 
     def write(self, payload: bytes, parameter: int, related: SampleIdentity, stamp_ns: int) -> int:
@@ -297,7 +297,7 @@ class RelatedWriter:
 
 
 def _find_writer(entity: int, guid: bytes, sertype: int) -> int:
-    """Where a writer keeps the pointer to its type, in the memory of the protocol's half of it."""
+    """Find where a writer keeps the pointer to its type, in the memory of the protocol's half of it."""
     pinned = ct.c_void_p()
     check(lib.entity_pin(entity, ct.byref(pinned)), "entity_pin")
     try:

@@ -46,7 +46,7 @@ _request_head = struct.Struct("<16sq")
 
 
 class EndpointHost(Protocol):
-    """What an endpoint needs of the node that it belongs to."""
+    """The services of a node for its endpoints."""
 
     participant: int
     emit: Callable[[HelperFrame], None]
@@ -103,7 +103,7 @@ class _End:
             raise
 
     def _make(self, what: tuple[str, str, bytes], entities: list[int], *, writes: bool) -> int:
-        """A reader or writer with a topic of its own; both are added to ``entities``."""
+        """Make a reader or writer with a topic of its own; both are added to ``entities``."""
         topic, type, mark = what
         entity, sertype = raw.create_topic(self.node.participant, topic, type)
         entities.append(entity)
@@ -171,7 +171,7 @@ class _End:
         self.on_sample(origin, origin.encoding + payload[2:])
 
     def _writer_of(self, handle: int) -> bytes:
-        """The GUID of a writer by what discovery says, to compare; ``b""`` where it has left already."""
+        """Return the GUID of a writer according to discovery, for comparison; ``b""`` if it has left already."""
         guid = self._writers.get(handle)
         if guid is None:
             guid = _guid(lib.get_matched_publication_data(self._reader, handle))
@@ -180,7 +180,7 @@ class _End:
         return guid
 
     def on_sample(self, origin: SampleOrigin, payload: bytes) -> None:
-        """A request or a reply."""
+        """Handle a request or a reply."""
         raise NotImplementedError
 
     def on_matches(self) -> set[bytes]:
@@ -205,7 +205,7 @@ class _End:
 
     @property
     def waits(self) -> bool:
-        """True while ``tick`` is to be called every now and then."""
+        """Whether ``tick`` has to be called now and then."""
         return bool(self._primers)
 
     def tick(self) -> None:
@@ -244,7 +244,7 @@ class ClientEnd(_End):
         self._numbers[number] = seq
 
     def forget(self, number: int) -> None:
-        """Nobody waits for this call any more."""
+        """Forget a call that nobody waits for any more."""
         self._calls.pop(self._numbers.pop(number, 0), None)
 
     def on_sample(self, origin: SampleOrigin, payload: bytes) -> None:
@@ -273,7 +273,7 @@ class ClientEnd(_End):
 
     @property
     def waits(self) -> bool:
-        """True while there are servers that are matched and not yet ready."""
+        """Whether there are servers that are matched and not yet ready."""
         return super().waits or self._ready < len(self.matched)
 
     def tick(self) -> None:
@@ -338,7 +338,7 @@ class ServiceEnd(_End):
 
     @property
     def waits(self) -> bool:
-        """True while answers wait for their readers."""
+        """Whether answers wait for their readers."""
         return super().waits or bool(self._waiting)
 
     def tick(self) -> None:
@@ -358,7 +358,7 @@ class ServiceEnd(_End):
                 self.node.count(self.number, Undelivered.LATE)
 
     def _can_hear(self, guid: bytes) -> bool:
-        """True where ``guid`` reads our answers, or is a writer, whose reader is not known."""
+        """Return whether ``guid`` reads our answers, or is a writer, whose reader is not known."""
         return guid in self.readers or not is_reader(guid)
 
     def _send(self, parameter: int, identity: SampleIdentity, payload: bytes) -> None:
@@ -369,7 +369,7 @@ class ServiceEnd(_End):
 
 
 def _guid(data: Any) -> bytes:
-    """The GUID in what discovery tells of an endpoint, which is freed; ``b""`` for nothing."""
+    """Return the GUID in discovery data of an endpoint, and free the data; ``b""`` for nothing."""
     if not data:
         return b""
     try:

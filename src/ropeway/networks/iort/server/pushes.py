@@ -38,7 +38,7 @@ class Pushes:
 
     @property
     def bytes(self) -> int:
-        """How many bytes wait."""
+        """The number of bytes that wait."""
         return self._outbox.bytes
 
     def put(self, entry: Entry, latest: bool) -> None:

@@ -113,7 +113,7 @@ class IortServer:
         self.listeners.clear()
 
     def status(self) -> dict[str, Any]:
-        """How it stands, as JSON."""
+        """Return the state of the server as JSON."""
         return {
             "listen": [{"address": listener.address, "port": listener.port} for listener in self.listeners],
             "nodes": len(self.sessions),
@@ -134,7 +134,7 @@ class IortServer:
         }
 
     def spawn(self, work: Coroutine[Any, Any, None]) -> None:
-        """A task that ends with the server."""
+        """Start a task that ends with the server."""
         self._tasks.start(work, "request of a node")
 
     # ── what sessions call ─────────────────────────────────────────────────────────────────────────────────────
@@ -171,7 +171,10 @@ class IortServer:
             self.entrance.left(session.access.role)
 
     def hello(self, session: IortSession, name: str, token: str | None) -> str:
-        """A node says who it is; what it should know is returned. Raises ``NodeError`` if it may not come in."""
+        """Admit a node that says who it is, and return what it should know.
+
+        Raises ``NodeError`` if it may not come in.
+        """
         transport = session.transport
         assert transport is not None
         if len(name) > 200 or not name.isprintable():

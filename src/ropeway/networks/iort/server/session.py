@@ -1,4 +1,4 @@
-"""One node's connection: reads packets, answers what asks for an answer, and sends what the node subscribed to."""
+"""Serves one node's connection: reads packets, answers requests, and sends what the node subscribed to."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class IortSession(asyncio.Protocol):
     # ── what the event loop calls ──────────────────────────────────────────────────────────────────────────────
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """A node connected."""
+        """Take a new node's connection."""
         self.transport = cast(asyncio.Transport, transport)
         self.transport.set_write_buffer_limits(high=NODE_UNREAD_BYTES)
         self._flow.open(self.transport.get_extra_info("socket"))
@@ -90,7 +90,7 @@ class IortSession(asyncio.Protocol):
             self._login = None
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It is gone."""
+        """Clean up after a connection that is gone."""
         self.transport = None
         self._end_visit()
         self._items.clear()
@@ -100,7 +100,7 @@ class IortSession(asyncio.Protocol):
         self.server.gone(self)
 
     def pause_writing(self) -> None:
-        """The node reads slower than we send."""
+        """Hold back: the node reads slower than we send."""
         self._paused = True
         if self.transport is not None:
             self.transport.pause_reading()
@@ -204,7 +204,7 @@ class IortSession(asyncio.Protocol):
         return pack(_OURS, entry.system, entry.topic, "+val", head, self._text(entry))
 
     def _text(self, entry: Entry) -> bytes:
-        """What a node is given. Raises ``NodeError`` where a message of ROS cannot be made text."""
+        """Return the text for a node. Raises ``NodeError`` where a message of ROS cannot be made text."""
         if not entry.form:
             return entry.data
         try:
@@ -222,7 +222,7 @@ class IortSession(asyncio.Protocol):
     # ── what the space calls ───────────────────────────────────────────────────────────────────────────────────
 
     def value(self, entry: Entry, latest: bool) -> None:
-        """A value of a topic that the node subscribed to."""
+        """Send a value of a topic that the node subscribed to."""
         if self.access is None or not self.access.allows("subscribe", f"/{entry.system}/{entry.topic}"):
             return
         if not self._paused and self._flow.free and not self._pushes:
@@ -235,7 +235,7 @@ class IortSession(asyncio.Protocol):
         self.server.counts["superseded"] += 1
 
     def event(self, endpoint: MemberEndpoint, there: bool) -> None:
-        """Somebody began or ceased to publish or read."""
+        """Tell the node that a member began or ceased to publish or read."""
         if self.access is None or not self.access.allows("subscribe", f"/{endpoint.system}/{endpoint.topic}"):
             return
         head = {"kind": endpoint.kind, "here": int(there), "node": endpoint.node, "id": endpoint.id}
@@ -246,7 +246,7 @@ class IortSession(asyncio.Protocol):
         self._send(pack(_OURS, endpoint.system, endpoint.topic, "+evt", head))
 
     def kept(self, tokens: list[Any], error: StoreUnavailable | None) -> None:
-        """The store tells which values survive a crash now."""
+        """Confirm the values that now survive a crash, as the store reports."""
         if error is None:
             answers = [f"%00/-/-/+ok/n={number},v={version}%" for number, version in tokens]
             self._send("".join(answers).encode())

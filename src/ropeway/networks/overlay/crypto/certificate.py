@@ -47,14 +47,14 @@ PrivateKey = Ed25519PrivateKey | RSAPrivateKey
 
 
 def sign(key: PrivateKey, message: bytes) -> bytes:
-    """A signature: Ed25519, or RSASSA-PSS with SHA-256 (FogROS2-SGC thesis, 3.3)."""
+    """Sign ``message`` with Ed25519, or RSASSA-PSS with SHA-256 (FogROS2-SGC thesis, 3.3)."""
     if isinstance(key, Ed25519PrivateKey):
         return key.sign(message)
     return key.sign(message, _PSS, hashes.SHA256())
 
 
 def verify(key: Ed25519PublicKey | RSAPublicKey, message: bytes, signature: bytes) -> bool:
-    """True if the owner of ``key`` signed ``message``."""
+    """Return whether the owner of ``key`` signed ``message``."""
     try:
         if isinstance(key, Ed25519PublicKey):
             key.verify(signature, message)
@@ -66,13 +66,13 @@ def verify(key: Ed25519PublicKey | RSAPublicKey, message: bytes, signature: byte
 
 
 def common_name(name: x509.Name) -> str:
-    """The common name, ``""`` where there is none."""
+    """Return the common name, ``""`` if there is none."""
     found = name.get_attributes_for_oid(NameOID.COMMON_NAME)
     return str(found[0].value) if found else ""
 
 
 class Certificate:
-    """One certificate, read. Raises ``SealError`` for bytes that are none, or have a key of another kind.
+    """A parsed certificate. Raises ``SealError`` for bytes that are none, or have a key of another kind.
 
     Whether it is to be believed is for ``ropeway.networks.overlay.crypto.trust.Trust`` to say.
     """
@@ -119,11 +119,11 @@ class Certificate:
         return "router" if ROUTER in self.purposes else ""
 
     def valid(self, now: datetime.datetime) -> bool:
-        """True within its time."""
+        """Return whether ``now`` is within its period of validity."""
         return self.not_before <= now <= self.not_after
 
     def verify_signature(self, message: bytes, signature: bytes) -> bool:
-        """True if the owner signed ``message``."""
+        """Return whether the owner signed ``message``."""
         return verify(self._key, message, signature)
 
 

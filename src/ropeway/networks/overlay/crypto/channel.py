@@ -53,17 +53,17 @@ class SecureChannel:
         self._ends = time.monotonic() + _LIFE_S
 
     def usable(self) -> bool:
-        """True within its ten minutes."""
+        """Return whether the channel is within its ten minutes and its number of packets."""
         return time.monotonic() < self._ends and self._counter < _PACKETS
 
     def seal(self, plaintext: bytes, about: bytes = b"") -> bytes:
-        """A packet; ``about`` has to be the same on the other side."""
+        """Seal a packet; ``about`` has to be the same on the other side."""
         self._counter += 1
         head = _HEAD.pack(self.id, self._counter)
         return head + self._out.encrypt(_nonce(self._counter), plaintext, head + about)
 
     def open(self, packet: bytes, about: bytes = b"") -> bytes:
-        """What is in a packet. Raises ``SealError``."""
+        """Open a packet and return its content. Raises ``SealError``."""
         if len(packet) < _HEAD.size + 16:
             raise SealError(Refusal.TRUNCATED, f"a packet of {len(packet)} bytes")
         id, counter = _HEAD.unpack_from(packet)
@@ -98,7 +98,10 @@ class Initiator:
         self.hello = cbor2.dumps((body, identity.sign(_hash(_HELLO_TAG, target, body))))
 
     def finish(self, reply: bytes, trust: Trust) -> SecureChannel:
-        """The channel. Raises ``SealError`` where the reply is not from who we asked, or not to be believed."""
+        """Check the reply and return the channel.
+
+        Raises ``SealError`` where the reply is not from who we asked, or not to be believed.
+        """
         body, signature = pair(reply, "a greeting")
         fields = loads(body, "a greeting")
         _expect(fields, (bytes, bytes, bytes, bytes))
@@ -113,7 +116,10 @@ class Initiator:
 
 
 def respond(identity: Identity, own: bytes, hello: bytes, trust: Trust) -> tuple[bytes, SecureChannel]:
-    """The reply to a hello that was sent to us (gateway id ``own``), and the channel. Raises ``SealError``."""
+    """Answer a hello that was sent to us (gateway id ``own``); return the reply and the channel.
+
+    Raises ``SealError``.
+    """
     body, signature = pair(hello, "a greeting")
     fields = loads(body, "a greeting")
     _expect(fields, (bytes, bytes, bytes))
@@ -130,7 +136,7 @@ def respond(identity: Identity, own: bytes, hello: bytes, trust: Trust) -> tuple
 
 
 def _keys(own: X25519PrivateKey, public: bytes, hello: bytes, answer: bytes) -> tuple[bytes, bytes]:
-    """The keys from the one who began, and to it."""
+    """Return the keys from the initiator, and to it."""
     try:
         shared = own.exchange(X25519PublicKey.from_public_bytes(public))
     except ValueError as error:  # also the points of small order

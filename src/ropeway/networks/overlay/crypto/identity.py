@@ -1,4 +1,4 @@
-"""Who we are in the overlay: one file, a bundle, with everything that a member or a router needs."""
+"""Defines our identity in the overlay: one file, a bundle, with everything that a member or a router needs."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Identity:
         return sign(self.key, message)
 
     def tls(self) -> dict[str, Any]:
-        """What Zenoh needs for mutual TLS, as options of ``transport/link/tls``."""
+        """Return what Zenoh needs for mutual TLS, as options of ``transport/link/tls``."""
         certificate, key = self.certificate.pem, private_pem(self.key)
         ca = self.ca.public_bytes(Encoding.PEM).decode()
         coded = {"root_ca_certificate": ca}
@@ -123,7 +123,7 @@ class Identity:
         return cls(certificate, key, ca, secret, routers, crl)
 
     def to_text(self) -> str:
-        """The text of the bundle."""
+        """Return the text of the bundle."""
         return bundle_text(
             self.certificate, self.ca, self.name_secret, self.routers, self.crl, key=self.key, fleet=self.fleet
         )
@@ -139,7 +139,7 @@ def bundle_text(
     key: PrivateKey | None,
     fleet: str,
 ) -> str:
-    """A bundle; without ``key`` one for a machine that keeps its own."""
+    """Return the text of a bundle; without ``key``, one for a machine that keeps its own."""
     found: dict[str, Any] = {
         "ropeway": _VERSION,
         "fleet": fleet,
@@ -159,7 +159,7 @@ def bundle_text(
 
 
 def read_bundle(text: str, source: str) -> Mapping[str, Any]:
-    """The fields of a bundle. Raises ``IdentityError`` for anything else."""
+    """Read the fields of a bundle. Raises ``IdentityError`` for anything else."""
     try:
         found = json_value(text)
     except ValueError:
@@ -172,7 +172,7 @@ def read_bundle(text: str, source: str) -> Mapping[str, Any]:
 
 
 def public_bytes(key: PrivateKey) -> bytes:
-    """The public half of a key."""
+    """Return the public half of a key."""
     return key.public_key().public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
 
 
@@ -181,5 +181,5 @@ def _der(pem: str) -> bytes:
 
 
 def private_pem(key: PrivateKey) -> str:
-    """A private key as text."""
+    """Return a private key as text."""
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()).decode()

@@ -22,7 +22,7 @@ class ReplayWindow:
         self._seen = 0  # bit i: the number _top - i came
 
     def judge(self, first: int, count: int = 1) -> Refusal | None:
-        """Why ``count`` numbers from ``first`` on are refused, ``None`` if they are not."""
+        """Return why ``count`` numbers from ``first`` on are refused, ``None`` if they are not."""
         if first < self.floor or first + count <= self._top + 1 - WINDOW:
             return Refusal.TOO_OLD
         last = first + count - 1
@@ -33,7 +33,7 @@ class ReplayWindow:
         return Refusal.REPLAYED if self._seen >> shift & ((1 << width) - 1) else None
 
     def take(self, first: int, count: int = 1) -> None:
-        """They came."""
+        """Mark these sequence numbers as received."""
         last = first + count - 1
         if last > self._top:
             moved = last - self._top

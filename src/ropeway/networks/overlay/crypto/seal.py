@@ -57,7 +57,7 @@ class PacketHeader(NamedTuple):
 
 
 def peek(packet: bytes) -> PacketHeader:
-    """The head of a packet, not checked yet. Raises ``SealError``: TRUNCATED or MALFORMED."""
+    """Return the head of a packet, not checked yet. Raises ``SealError``: TRUNCATED or MALFORMED."""
     if len(packet) < _HEAD.size + _TAG_BYTES:
         raise SealError(Refusal.TRUNCATED, f"a packet of {len(packet)} bytes")
     magic, version, flags, zero, epoch, first, count, signature_bytes = _HEAD.unpack_from(packet)
@@ -72,7 +72,7 @@ def peek(packet: bytes) -> PacketHeader:
 
 @dataclass(frozen=True, slots=True)
 class ContentKey:
-    """What a publisher's messages of one epoch are encrypted with."""
+    """The key that encrypts a publisher's messages of one epoch."""
 
     epoch: int
     secret: bytes
@@ -87,7 +87,7 @@ class Grant:
     counter: int
 
     def to_cbor(self) -> bytes:
-        """For a sealed channel."""
+        """Return the grant as CBOR, to be sent over a sealed channel."""
         keys = ((key.epoch, key.secret) for key in (self.current, self.next))
         return cbor2.dumps([*keys, self.counter])
 
@@ -154,11 +154,11 @@ class Sealer:
         self._packets = 0
 
     def grant(self) -> Grant:
-        """What to hand to who may read."""
+        """Return what to hand to an authorized reader."""
         return Grant(self._current, self._next, self.counter)
 
     def seal(self, items: Sequence[Sequence[bytes]]) -> bytes:
-        """One packet with these messages, 1 to 65,535 of them, each in as many pieces as it comes in."""
+        """Seal one packet with these messages, 1 to 65,535 of them, each in as many pieces as it comes in."""
         if self._packets >= _PACKETS:
             self.rotate()
         self._packets += 1
@@ -196,7 +196,7 @@ def check_signature(
 
 
 class Opened(NamedTuple):
-    """What a packet held; ``first`` is the counter of the first message."""
+    """The content of a packet; ``first`` is the counter of the first message."""
 
     first: int
     items: list[memoryview]
@@ -230,11 +230,11 @@ class Opener:
             del self._keys[next(iter(self._keys))]
 
     def knows(self, packet: bytes) -> bool:
-        """True if the key of a packet is here. Raises ``SealError`` for what is no packet."""
+        """Return whether the key of a packet is here. Raises ``SealError`` for what is no packet."""
         return peek(packet).epoch in self._keys
 
     def open(self, packet: bytes) -> Opened:
-        """The messages of a packet. Raises ``SealError``."""
+        """Return the messages of a packet. Raises ``SealError``."""
         head = peek(packet)
         key = self._keys.get(head.epoch)
         if key is None or self._window is None:

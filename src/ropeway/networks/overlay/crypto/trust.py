@@ -44,7 +44,7 @@ class Trust:
             self.update(crl)
 
     def check(self, der: bytes, *, now: datetime.datetime | None = None, role: str = "member") -> Certificate:
-        """The certificate in ``der``, if it is to be believed now.
+        """Return the certificate in ``der``, if it can be trusted now.
 
         Raises ``SealError``: MALFORMED, UNKNOWN_CA, WRONG_PURPOSE, NOT_YET_VALID, EXPIRED or REVOKED.
         """
@@ -78,7 +78,7 @@ class Trust:
         return bool(self._revoked)
 
     def revoked(self, serial: int) -> bool:
-        """True if the certificate with this serial number was revoked."""
+        """Return whether the certificate with this serial number was revoked."""
         return serial in self._revoked
 
     def update(self, crl: bytes) -> bool:

@@ -121,12 +121,12 @@ class OverlayClient:
         self._asking: dict[asyncio.Task[Any], bytes] = {}
 
     def provider(self) -> Advertisement | None:
-        """Who is asked."""
+        """Return the provider to call."""
         found = self._graph.node.rib.by_name(self.advert.global_name, "service")
         return min(found, key=lambda advert: (advert.since_ns, advert.endpoint), default=None)
 
     def rematch(self) -> None:
-        """Those who serve it have changed: calls to who has gone fail at once."""
+        """React to changed providers: calls to one that has gone fail at once."""
         self._changed.set()
         there = {advert.endpoint for advert in self._graph.node.rib.by_name(self.advert.global_name, "service")}
         for task, endpoint in list(self._asking.items()):
@@ -135,7 +135,7 @@ class OverlayClient:
 
     @property
     def available(self) -> bool:
-        """True if somebody serves it now."""
+        """Whether a provider serves it now."""
         return not self.closed and self.provider() is not None
 
     async def wait_available(self, timeout_s: float) -> bool:

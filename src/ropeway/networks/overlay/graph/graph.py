@@ -141,7 +141,7 @@ class OverlayGraph:
             raise TypeConflict(name, "a type", "none")
 
     def allows(self, verb: str, name: str, certificate: Certificate) -> bool:
-        """Whether the owner of a certificate may read or call what is offered here."""
+        """Return whether the owner of a certificate may read or call what is offered here."""
         listed = any(fnmatchcase(certificate.name, pattern) for pattern in self._patterns.get(verb, ("*",)))
         return listed and self.node.policy(verb, name, certificate)
 
@@ -210,7 +210,7 @@ class OverlayGraph:
         return publisher
 
     def remove_publisher(self, publisher: OverlayPublisher) -> None:
-        """It was closed."""
+        """Remove a closed publisher."""
         endpoint = publisher.advert.endpoint
         self._publishers.pop(endpoint, None)
         self._unmatch(publisher)
@@ -241,7 +241,7 @@ class OverlayGraph:
         return subscription
 
     async def remove_subscription(self, subscription: OverlaySubscription) -> None:
-        """It was closed."""
+        """Remove a closed subscription."""
         self._subscriptions.pop(subscription.endpoint, None)
         self._unmatch(subscription)
         if subscription in subscription.feed.readers:
@@ -261,7 +261,7 @@ class OverlayGraph:
         return client
 
     def remove_client(self, client: OverlayClient) -> None:
-        """It was closed."""
+        """Remove a closed client."""
         self._clients.pop(client.endpoint, None)
         self._unmatch(client)
         self.node.withdraw(client.endpoint)
@@ -278,7 +278,7 @@ class OverlayGraph:
         return served
 
     def remove_service(self, service: OverlayService) -> None:
-        """It was closed."""
+        """Remove a closed service."""
         self._services.pop(service.endpoint, None)
         self.node.providers.pop(service.endpoint, None)
         self.node.withdraw(service.endpoint)
@@ -310,7 +310,7 @@ class OverlayGraph:
     # ── what is there ──────────────────────────────────────────────────────────────────────────────────────────
 
     def _changed(self, advert: Advertisement, added: bool) -> None:
-        """Somebody advertises something, or does so no longer."""
+        """React to an endpoint that is advertised, or no longer."""
         if advert.kind == "publisher" and (feed := self.node.feeds.get(advert.global_name)) is not None:
             self.node.follow(feed)
         for part in list(self._matched.get(advert.global_name, ())):
@@ -332,7 +332,7 @@ class OverlayGraph:
         return _node_name(certificate.name) if certificate is not None else ""
 
     def _all(self, *kinds: str) -> list[Advertisement]:
-        """What others advertise, and what we do."""
+        """Return what others advertise, and what we do."""
         own: list[Advertisement] = []
         for parts in (self._publishers, self._subscriptions, self._services, self._clients):
             own += [part.advert for part in parts.values()]
@@ -340,7 +340,7 @@ class OverlayGraph:
         return [advert for advert in own if advert.kind in kinds] + theirs
 
     def topics(self) -> dict[str, TopicInfo]:
-        """What is advertised now; the topics of actions stand under ``actions``."""
+        """Return what is advertised now; the topics of actions stand under ``actions``."""
         found: dict[str, tuple[list[EndpointInfo], list[EndpointInfo]]] = {}
         for advert in self._all(*_TOPICS):
             if _ACTION_PART in advert.name:
@@ -364,7 +364,7 @@ class OverlayGraph:
         }
 
     def services(self) -> dict[str, ServiceInfo]:
-        """The services that are offered and called now."""
+        """Return the services that are offered and called now."""
         found: dict[str, tuple[list[Advertisement], list[Advertisement]]] = {}
         for advert in self._all("service", "client"):
             found.setdefault(advert.name, ([], []))[advert.kind == "client"].append(advert)
@@ -384,7 +384,7 @@ class OverlayGraph:
         return ProviderInfo(gateway, "" if local else gateway.lstrip("/"), local, advert.endpoint, advert.since_ns)
 
     def actions(self) -> dict[str, ActionInfo]:
-        """The actions that are offered and used now."""
+        """Return the actions that are offered and used now."""
         return actions_of(self.services())
 
     def types_of(self, kind: str, name: str) -> tuple[str, ...]:
@@ -417,6 +417,6 @@ class OverlayGraph:
 
 
 def _node_name(name: str) -> str:
-    """A certificate's name as that of a node: what ROS does not allow becomes an underscore."""
+    """Turn a certificate's name into that of a node: what ROS does not allow becomes an underscore."""
     part = "".join(c if c == "_" or (c.isascii() and c.isalnum()) else "_" for c in name)
     return f"/{part if part and not part[0].isdigit() else f'_{part}'}"

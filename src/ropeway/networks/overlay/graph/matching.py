@@ -8,7 +8,7 @@ __all__ = ["matches"]
 
 
 def matches(offer: QoS | None, ask: QoS | None) -> bool:
-    """True where a subscription that asks for ``ask`` may read a publisher that offers ``offer``.
+    """Return whether a subscription that asks for ``ask`` may read a publisher that offers ``offer``.
 
     ``None`` asks for whatever is offered.
     """

@@ -1,4 +1,4 @@
-"""Whether messages are compressed before they are sealed: as configured, or as the path turns out to be."""
+"""Decides whether messages are compressed before they are sealed: as configured, or as the path turns out to be."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ _ALWAYS: Final = ("zstd", "zip", "rawzip")
 
 
 class TopicPacking:
-    """Of one publisher. ``encoding`` is the configured one: ``zstd``, ``zip`` and ``rawzip`` always compress, ``auto``
-    where that brings messages over sooner; without loss, by the filters for images and point clouds.
+    """Compresses the messages of one publisher. ``encoding`` is the configured one: ``zstd``, ``zip`` and ``rawzip``
+    always compress, ``auto`` where that brings messages over sooner; without loss, by the filters for images and
+    point clouds.
 
     ``slowest`` gives the pace of the slowest path that acknowledges, ``None`` where none does: then it is judged by how
     long what was sent took to be taken.
@@ -43,7 +44,7 @@ class TopicPacking:
 
     @property
     def used(self) -> str:
-        """What is done now."""
+        """The encoding in use now."""
         return "zstd" if self.on else "cbor-raw"
 
     def choose(self, size_bytes: int, lost: Mapping[Lost, int]) -> bool:
@@ -55,7 +56,7 @@ class TopicPacking:
         return self.on
 
     def pack(self, item: PacketItem, on: bool) -> PacketItem:
-        """The item as it is to be sent."""
+        """Return the item as it is to be sent."""
         if not on or len(item.payload) < _SMALL_BYTES or item.encoding != RAW:
             return item
         began = time.perf_counter()

@@ -1,4 +1,4 @@
-"""One topic that we publish in the overlay."""
+"""Publishes a topic in the overlay."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class OverlayPublisher:
 
     @property
     def lost(self) -> Counter[Lost]:
-        """What was not sent, and why."""
+        """Counts of what was not sent, by reason."""
         return self.queue.lost
 
     def publish(self, sample: Sample) -> None:
@@ -87,19 +87,19 @@ class OverlayPublisher:
             self.source.sent(self.add(sample).number)
 
     def wire_key(self) -> zenoh.KeyExpr:
-        """The key to put under, in its short form once something is sent."""
+        """Return the key to put under, in its short form once something is sent."""
         if self._short is None:
             self._short = self._graph.node.fabric.short(self.key)
         return self._short
 
     def add(self, sample: Sample) -> PacketItem:
-        """A sample as it goes into a packet, numbered."""
+        """Number a sample and return it as it goes into a packet."""
         flags = RELAYED if sample.relayed else 0
         return self.source.add(sample.stamp_ns, sample.seq, sample.origin, flags, bytes(sample.payload))
 
     @property
     def subscribers(self) -> int:
-        """How many subscriptions of others may read it and have its key."""
+        """The number of others' subscriptions that may read it and have its key."""
         return len(self._readers)
 
     def on_demand(self, callback: Callable[[int], None]) -> None:
@@ -108,7 +108,7 @@ class OverlayPublisher:
         callback(len(self._readers))
 
     def granted(self, subscriptions: Sequence[bytes]) -> None:
-        """These subscriptions have the key now."""
+        """Note that these subscriptions have the key now."""
         self._granted.update(subscriptions)
         self.rematch()
 

@@ -69,7 +69,7 @@ class _Group:
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is in it any more."""
+        """Whether it is empty."""
         return not self.queues and not any(self.cursors)
 
 
@@ -97,7 +97,7 @@ class OverlaySender:
         self._join(queue, frozenset())
 
     def drop(self, queue: Queue[Sample]) -> None:
-        """A publisher has left; what waits is lost."""
+        """Drop what waits for a publisher that has left."""
         self._aims.pop(queue, None)
         group = self._group_of.pop(queue, None)
         if group is not None:
@@ -322,7 +322,7 @@ class OverlaySender:
             self._graph.drops[publisher.topic, Undelivered.CLOSED if closed else Undelivered.WRITE] += len(items)
 
     def _send(self, lane: int, jobs: Sequence[Job], paths: Sequence[Path]) -> None:
-        """In the lane's thread."""
+        """Seal and put a batch; runs in the lane's thread."""
         for publisher, items in jobs:
             packet = publisher.source.seal([publisher.packing.pack(item, on) for item, on in items])
             began = time.perf_counter()
@@ -332,7 +332,7 @@ class OverlaySender:
     def _put(
         self, lane: int, publisher: OverlayPublisher, raw: bytes, paths: Sequence[Path], at: int = 0, size: int = 0
     ) -> None:
-        """In the lane's thread."""
+        """Put one packet; runs in the lane's thread."""
         number = self._receipts.next_number(lane)
         now_s = time.monotonic()
         for path in paths:

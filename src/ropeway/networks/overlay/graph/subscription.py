@@ -1,4 +1,4 @@
-"""One topic that we read from the overlay."""
+"""Subscribes to a topic in the overlay."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class OverlaySubscription:
 
     @property
     def reliable(self) -> bool:
-        """True where a gap is asked for."""
+        """Whether gaps are requested again."""
         return self._asked is None or self._asked.reliable
 
     @property
     def history(self) -> bool:
-        """True where what was published before is wanted, if the publisher has it."""
+        """Whether earlier messages are wanted, if the publisher has them."""
         return self._asked is None or self._asked.transient_local
 
     def on_qos(self, callback: Callable[[QoS], None]) -> None:
