@@ -103,7 +103,7 @@ def keep_running(
         attempts.begin()
         try:
             work()
-        except Exception as error:
+        except Exception as error:  # it is noted, and the work begun again
             if not stopping.wait(attempts.failed(error)):
                 continue
         attempts.end()

@@ -132,7 +132,7 @@ def held_bytes(loads: Callable[[bytes], object], data: bytes) -> int:
 PIECES = ["{},", "[],", "0,", "0.5,", "12345,", '"b",', '{"a":0},', "[[0]],", '{"x":0,"y":0,"z":0},']
 
 
-@pytest.mark.parametrize("size", [400_000, 1_000_000, 3_000_000])
+@pytest.mark.parametrize("size", [400_000, 1_000_000, pytest.param(3_000_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("piece", PIECES)
 def test_what_json_takes(piece: str, size: int) -> None:
     """What is read takes no more memory than it may, whatever it is made of."""
@@ -153,7 +153,7 @@ CBOR_PIECES = [
 ]
 
 
-@pytest.mark.parametrize("size", [180_000, 1_000_000, 3_000_000])
+@pytest.mark.parametrize("size", [180_000, 1_000_000, pytest.param(3_000_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("piece", CBOR_PIECES, ids=lambda piece: piece.hex())
 def test_what_cbor_takes(piece: bytes, size: int) -> None:
     """What is read takes no more memory than it may, whatever it is made of."""

@@ -56,7 +56,7 @@ class Callbacks:
                 work = self._callback(message)
                 assert work is not None
                 await work
-            except Exception:
+            except Exception:  # the function is the program's: the next message gets its chance
                 self._failed()
 
     def _failed(self) -> None:

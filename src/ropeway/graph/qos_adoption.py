@@ -146,7 +146,7 @@ class AdoptingSubscription(Generic[R]):
             return
         try:
             self._callback(fresh)
-        except Exception:
+        except Exception:  # a callback is somebody else's code; the others must not suffer
             self._graph.drops[self.topic, Undelivered.CALLBACK] += len(fresh)
             failed(log, "%s: a callback for %s failed", self._graph.name, self.topic)
 

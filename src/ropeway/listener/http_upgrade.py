@@ -145,7 +145,7 @@ class HttpUpgrade(asyncio.BufferedProtocol):
         body = request.method != "HEAD"
         try:
             made = self._websocket(request) if request.upgrades else self._port.http(request)
-        except Exception:
+        except Exception:  # of a page or of ours: the connection gets an answer in any case
             log.exception("%s: the answer to %s %s failed", request.peer, request.method, request.path)
             made = reply(500, {"error": "internal error"})
         if isinstance(made, Response):

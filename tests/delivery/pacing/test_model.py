@@ -70,7 +70,10 @@ def links(count: int, *, seed: int, most_mbit: float, most_ms: float, others: bo
     return made
 
 
-@pytest.mark.parametrize("path", links(25, seed=2, most_mbit=60, most_ms=80, others=False))
+RANDOM = links(25, seed=2, most_mbit=60, most_ms=80, others=False)
+
+
+@pytest.mark.parametrize("path", [*RANDOM[:8], *(pytest.param(path, marks=pytest.mark.slow) for path in RANDOM[8:])])
 def test_random_links(path: Path) -> None:
     """Any link is full and has no queue."""
     check(path)
@@ -128,8 +131,8 @@ def test_a_change_of_both(delay_ms: float) -> None:
     assert outcome.rate >= 0.9 * path.rate * _GOODPUT, outcome
 
 
-@pytest.mark.parametrize("late_s", [0.0, 6.0])
-@pytest.mark.parametrize("congestion", ["open", "reno"])
+@pytest.mark.parametrize("late_s", [0.0, pytest.param(6.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("congestion", ["open", pytest.param("reno", marks=pytest.mark.slow)])
 def test_beside_one_who_fills_the_link(congestion: str, late_s: float) -> None:
     """Two senders whose pictures need less than their share get most of it beside one who fills a deep queue."""
     need = 190_000 * 15

@@ -219,7 +219,7 @@ class ComposedActionClient:
             response = await self._send.call(request, timeout_s + _LATE_S)
             if not self._parts.is_accepted(response):
                 raise GoalRejected(self.action)
-        except BaseException as error:
+        except BaseException as error:  # also a cancellation: the error gets the name of the action
             self._goals.pop(goal.id, None)
             if sent.abandoned and isinstance(error, (GraphError, DecodeError)):
                 return

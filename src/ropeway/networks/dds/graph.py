@@ -323,7 +323,7 @@ class DdsGraph:
         """Run a callback that may fail."""
         try:
             callback(value)
-        except Exception:
+        except Exception:  # a callback is somebody else's code; the others must not suffer
             self.drops[topic, Undelivered.CALLBACK] += 1
             failed(log, "%s: a callback for %s failed", self.name, topic)
 

@@ -202,7 +202,7 @@ class DdsService(Ends):
         except CallError as error:
             text = str(error)
             self._warn("answered with an empty response: %s", text)
-        except Exception as error:
+        except Exception as error:  # a handler is somebody else's code; its failure is this call's
             text = str(error) or type(error).__name__
             self._graph.drops[self.service, Undelivered.CALLBACK] += 1
             failed(log, "%s: the handler of %s failed", self._graph.name, self.service)

@@ -105,7 +105,7 @@ class Pump:
         def run() -> None:
             try:
                 result = function()
-            except Exception as error:
+            except Exception as error:  # whoever waits for the function gets its error
                 self.push(_fail, [(future, error)])
             else:
                 self.push(_succeed, [(future, result)])
@@ -156,7 +156,7 @@ class Pump:
             self._waitset = check(lib.create_waitset(participant), "create_waitset")
             self._guard = check(lib.create_guardcondition(participant), "create_guardcondition")
             check(lib.waitset_attach(self._waitset, self._guard, _GUARD_KEY), "waitset_attach")
-        except BaseException as error:
+        except BaseException as error:  # whatever it is: who waits for the start of the thread learns of it
             self._finish(error)
             return
         self._tell(self._started, None)
@@ -184,7 +184,7 @@ class Pump:
             return
         try:
             handler()
-        except Exception:
+        except Exception:  # of one endpoint; the others are read as ever
             log.exception("%s: reading from DDS failed; this endpoint is dead", self._name)
             self._handlers.pop(key, None)
             lib.waitset_detach(self._waitset, entity)
@@ -220,7 +220,7 @@ class Pump:
         try:
             self._run_calls()
             self._teardown()
-        except Exception:
+        except Exception:  # the thread ends all the same
             log.exception("%s: closing failed", self._name)
         if error is not None:
             self._tell(self._started, error)
@@ -258,7 +258,7 @@ class Pump:
         for function, batch in joined.items():
             try:
                 function(batch)
-            except Exception:
+            except Exception:  # of one taker; the others get what is theirs
                 log.exception("%s: taking in %d items failed", self._name, len(batch))
         self._drained_samples += samples
         self._drained_bytes += size
@@ -292,7 +292,7 @@ async def run_in_thread(name: str, function: Callable[[], None]) -> None:
         failure: BaseException | None = None
         try:
             function()
-        except Exception as error:
+        except Exception as error:  # whoever waits for the function gets its error
             failure = error
         with contextlib.suppress(RuntimeError):  # the loop closed first
             if failure is None:

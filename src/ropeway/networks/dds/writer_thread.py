@@ -55,7 +55,7 @@ class Courier:
         while (errand := self._errands.get()) is not None:
             try:
                 errand()
-            except Exception:
+            except Exception:  # of one message; the next ones are written
                 log.exception("%s: putting a message on the network failed", self._name)
 
 

@@ -166,7 +166,7 @@ class MemorySubscription:
             return
         try:
             self._callback(batch)
-        except Exception:
+        except Exception:  # a callback is somebody else's code; the others must not suffer
             self.graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
             failed(log, "%s: a callback for %s failed", self.graph.name, self.topic)
 

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from ropeway.delivery.compression import filters
-from ropeway.errors import MessageTooBig, SealError
+from ropeway.errors import DecodeError, MessageTooBig, SealError
 from ropeway.limits import OVERLAY_BATCH_BYTES, OVERLAY_MESSAGE_BYTES
 from ropeway.networks.overlay.refusal import Refusal
 
@@ -73,7 +73,7 @@ def read_item(raw: bytes | memoryview, limit_bytes: int = OVERLAY_MESSAGE_BYTES)
         return item._replace(encoding=RAW, payload=filters.decode(item.payload, limit_bytes))
     except MessageTooBig as error:
         raise SealError(Refusal.TOO_BIG, str(error)) from error
-    except Exception as error:  # of a library that reads what others wrote
+    except DecodeError as error:
         raise SealError(Refusal.MALFORMED, f"a compressed message ({error})") from error
 
 

@@ -274,7 +274,7 @@ class Ros2Graph:
         """Run a callback that may fail."""
         try:
             callback(value)
-        except Exception:
+        except Exception:  # a callback is somebody else's code; the others must not suffer
             self.drops[topic, Undelivered.CALLBACK] += 1
             log.exception("%s: a callback for %s failed", self.name, topic)
 

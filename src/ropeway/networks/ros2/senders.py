@@ -151,7 +151,7 @@ class Senders:
                 more = lane.run()
                 while more and self._stopping:
                     more = lane.run()
-            except Exception:
+            except Exception:  # of one lane; the others send as ever
                 log.exception("%s: sending failed", self._name)
                 more = True
             if more:

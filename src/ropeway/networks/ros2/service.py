@@ -135,7 +135,7 @@ class Ros2Service:
         except CallError as error:
             text = str(error)
             log.warning("%s: %s: answered with an empty response: %s", self._graph.name, self.service, text)
-        except Exception as error:
+        except Exception as error:  # a handler is somebody else's code; its failure is this call's
             text = str(error) or type(error).__name__
             self._graph.drops[self.service, Undelivered.CALLBACK] += 1
             log.exception("%s: the handler of %s failed", self._graph.name, self.service)

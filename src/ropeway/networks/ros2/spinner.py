@@ -174,7 +174,7 @@ class Spinner:
             return
         try:
             entry.handler()
-        except Exception:
+        except Exception:  # of one endpoint; the others are read as ever
             log.exception("%s: taking from a %s failed; it is dead", self._name, entry.kind)
             with self._lock:
                 self._entries.pop(entry.handle.pointer, None)
@@ -199,7 +199,7 @@ class Spinner:
         for function, batch in joined.items():
             try:
                 function(batch)
-            except Exception:
+            except Exception:  # of one taker; the others get what is theirs
                 log.exception("%s: taking in %d items failed", self._name, len(batch))
         self._drained_samples += samples
         self._drained_bytes += size

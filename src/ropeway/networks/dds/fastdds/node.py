@@ -167,7 +167,7 @@ class FastNode:
     def _main(self) -> None:
         try:
             self._run()
-        except Exception as error:
+        except Exception as error:  # of the library, or of ours: whoever waits for the node learns of it
             self._fail(error)
 
     def _run(self) -> None:

@@ -359,7 +359,7 @@ class FastService:
         except (CallError, TypesError) as error:
             log.warning("%s: %s: no answer to %s: %s", self._rpc.graph, self.service, request.caller or "a node", error)
             self._leave_out(number, Undelivered.DECODE if isinstance(error, TypesError) else Undelivered.CALLBACK)
-        except Exception:
+        except Exception:  # a handler is somebody else's code; its failure is this call's
             failed(log, "%s: the handler of %s failed", self._rpc.graph, self.service)
             self._leave_out(number, Undelivered.CALLBACK)
         else:

@@ -123,7 +123,7 @@ class _Hook:
         if serdata and kind == raw.SERDATA_DATA:
             try:
                 _note_origin(serdata, fragments)
-            except Exception as error:
+            except Exception as error:  # C calls this and takes no errors; they are counted
                 faults[f"origin: {type(error).__name__}"] += 1
         return serdata
 
@@ -140,7 +140,7 @@ class _Hook:
             if note is not None and note.slot:
                 try:
                     _write_parameter(note)
-                except Exception as error:
+                except Exception as error:  # C calls this and takes no errors; they are counted
                     faults[f"parameter: {type(error).__name__}"] += 1
         taken: int = self._to_ser_ref(serdata, offset, size, out)
         return taken

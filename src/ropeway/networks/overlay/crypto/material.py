@@ -55,6 +55,6 @@ def understood(source: str, otherwise: str, hint: str = "") -> Iterator[None]:
         yield
     except IdentityError:
         raise
-    except Exception as error:
+    except Exception as error:  # of a library that reads what others wrote, which raises many kinds
         text = " ".join(str(error).split())[:200] or type(error).__name__
         raise IdentityError(source, f"{otherwise} ({text}){hint}") from error

@@ -149,7 +149,7 @@ class OverlayGraph:
         """Call somebody else's code; its failure is logged and counted."""
         try:
             callback(value)
-        except Exception:
+        except Exception:  # a callback is somebody else's code; the others must not suffer
             self.drops[topic, Undelivered.CALLBACK] += 1
             log.exception("%s: a callback for %s failed", self.name, topic)
 

@@ -74,7 +74,7 @@ class RosapiCalls:
             return
         try:
             self._answer(op, question())
-        except Exception as error:
+        except Exception as error:  # whatever it is, the client gets an answer
             self._fail(op, error)
 
     async def _ask(self, op: ops.CallService, question: Question) -> None:
@@ -82,7 +82,7 @@ class RosapiCalls:
             async with self._free:
                 values = await question()
             self._answer(op, values)
-        except Exception as error:
+        except Exception as error:  # whatever it is, the client gets an answer
             self._fail(op, error)
 
     def _asked(self, task: asyncio.Task[None]) -> None:
