@@ -12,7 +12,7 @@ import pytest
 
 from ropeway import aio
 from ropeway.networks.overlay.fabric import Fabric
-from ropeway.networks.overlay.feed import Feed, Stream
+from ropeway.networks.overlay.feed import Feed, PublisherStream
 from ropeway.networks.overlay.follower import Follower
 from ropeway.networks.overlay.graph import OverlayGraph
 from ropeway.networks.overlay.held_bytes import HeldBytes
@@ -127,7 +127,7 @@ async def test_everybody_has_left(site: Site) -> None:
 
     def census() -> dict[int, object]:
         gc.collect()
-        kinds = {Stream, Follower, Feed, Fabric, OverlayGraph}
+        kinds = {PublisherStream, Follower, Feed, Fabric, OverlayGraph}
         return {id(found): found for found in gc.get_objects() if type(found) in kinds}
 
     before = census()  # which also keeps what others have left until the end

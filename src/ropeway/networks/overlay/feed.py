@@ -39,7 +39,7 @@ from ropeway.networks.overlay.refusal import Refusal
 from ropeway.networks.overlay.rpc import RemoteError, Rpc
 from ropeway.tasks import Chores, background, describe, end
 
-__all__ = ["Feed", "FeedReader", "Stream", "data_key", "read_item"]
+__all__ = ["Feed", "FeedReader", "PublisherStream", "data_key", "read_item"]
 
 log = logging.getLogger("ropeway.overlay")
 
@@ -69,14 +69,14 @@ class FeedReader(Protocol):
     def history(self) -> bool:
         """Whether earlier messages are wanted."""
 
-    def received(self, stream: Stream, items: Sequence[PacketItem]) -> None:
+    def received(self, stream: PublisherStream, items: Sequence[PacketItem]) -> None:
         """Messages came, in order."""
 
     def overrun(self, count: int) -> None:
         """So many messages were lost because the event loop was behind."""
 
 
-class Stream:
+class PublisherStream:
     """Receives what one publisher sends us."""
 
     def __init__(self, feed: Feed, advert: Advertisement, certificate: Certificate) -> None:
@@ -280,7 +280,7 @@ class Stream:
             self.leave(reader)
 
 
-_Came = tuple[Stream, bytes | SealError | tuple[int, list[PacketItem]]]
+_Came = tuple[PublisherStream, bytes | SealError | tuple[int, list[PacketItem]]]
 
 
 class Feed:
@@ -307,7 +307,7 @@ class Feed:
         self.missed = 0
         self.had: dict[tuple[bytes, bytes], int] = {}
         self.readers: list[FeedReader] = []
-        self.streams: dict[bytes, Stream] = {}
+        self.streams: dict[bytes, PublisherStream] = {}
         self._inlet: Inlet[_Came]
         self._end: Handle | None = None
         self._closing = Chores()
@@ -336,7 +336,7 @@ class Feed:
             self._closing.start(stream.close(), "end of a stream")
         for endpoint, (advert, certificate) in adverts.items():
             if endpoint not in self.streams:
-                self.streams[endpoint] = Stream(self, advert, certificate)
+                self.streams[endpoint] = PublisherStream(self, advert, certificate)
 
     def _came(self, key: str, payload: zenoh.ZBytes, attachment: zenoh.ZBytes | None) -> None:
         """Take a packet; runs in Zenoh's thread."""

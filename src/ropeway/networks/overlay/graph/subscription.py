@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from ropeway.graph.base import Sample, SampleCallback, Undelivered
 from ropeway.networks.overlay.advert import Advertisement
-from ropeway.networks.overlay.feed import Feed, Stream
+from ropeway.networks.overlay.feed import Feed, PublisherStream
 from ropeway.networks.overlay.graph.matching import matches
 from ropeway.networks.overlay.packet_item import RELAYED, PacketItem
 from ropeway.qos import DEFAULT, QoS, common_qos
@@ -73,7 +73,7 @@ class OverlaySubscription:
                 for callback in self._qos_callbacks:
                     self._graph.guard(self.topic, callback, qos)
 
-    def received(self, stream: Stream, items: Sequence[PacketItem]) -> None:
+    def received(self, stream: PublisherStream, items: Sequence[PacketItem]) -> None:
         """Messages came, in order."""
         if self.closed:
             return
