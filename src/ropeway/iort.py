@@ -165,7 +165,7 @@ class Fault:
 
 
 class Packet:
-    """One packet. ``op`` is ``p``, ``s``, ``e``, ``d``, or begins with a plus; ``system_type`` is Alice's segment."""
+    """A packet. ``op`` is ``p``, ``s``, ``e``, ``d``, or begins with a plus; ``system_type`` is Alice's segment."""
 
     __slots__ = ("data", "head", "id", "op", "system", "system_type", "topic")
 
@@ -184,7 +184,7 @@ class Packet:
         self.data, self.system_type = data, system_type
 
     def encode(self) -> bytes:
-        """The bytes on the wire."""
+        """Return the bytes on the wire."""
         return pack(self.id, self.system, self.topic, self.op, self.head, self.data, self.system_type)
 
     def __eq__(self, other: object) -> bool:
@@ -198,7 +198,7 @@ class Packet:
 
 
 def escape(text: str) -> str:
-    """A name or a value of a head as it stands in a packet of the upgrade."""
+    """Return a name or a value of a head as it stands in a packet of the upgrade."""
     if "~" in text:
         text = text.replace("~", "~0")
     for plain, escaped in (("/", "~1"), ("%", "~2"), (",", "~3"), ("=", "~4")):
@@ -208,7 +208,7 @@ def escape(text: str) -> str:
 
 
 def unescape(text: str) -> str:
-    """The opposite of ``escape``."""
+    """Undo ``escape``."""
     if "~" not in text:
         return text
     for escaped, plain in (("~4", "="), ("~3", ","), ("~2", "%"), ("~1", "/"), ("~0", "~")):
@@ -225,7 +225,7 @@ def pack(
     data: bytes = b"",
     system_type: str = "",
 ) -> bytes:
-    """The bytes of a packet. Raises ``ValueError`` for what a plain packet cannot hold."""
+    """Return the bytes of a packet. Raises ``ValueError`` for what a plain packet cannot hold."""
     if op[0] == "+":
         fields = [escape(id), escape(system), escape(topic), op]
         if head or data:
@@ -359,11 +359,11 @@ class Parser:
 
     @property
     def unfinished(self) -> bool:
-        """True in the middle of a packet."""
+        """Whether a packet has begun and not ended."""
         return self._begun and (self._size > 0 or self._too_big)
 
     def feed(self, data: bytes) -> List[Union[Packet, Fault]]:
-        """What has come whole; empty where nothing has."""
+        """Return the packets that ``data`` completes; empty if there are none."""
         pieces = data.split(_PERCENT)
         found: List[Union[Packet, Fault]] = []
         last = pieces.pop()
@@ -484,7 +484,7 @@ Content = Union[str, bytes, int, float, Iterable[float], Mapping[str, Any]]
 
 
 def text_of(content: Content) -> bytes:
-    """The bytes that are published for a content."""
+    """Return the bytes that are published for a content."""
     if isinstance(content, bytes):
         return content
     if isinstance(content, str):
@@ -513,7 +513,7 @@ class _Copy:
             self._load(self.directory)
 
     def publish(self, value: Value) -> None:
-        """The node published it; the server does not have it yet."""
+        """Keep a value that the node published and the server does not have yet."""
         key = (value.system, value.topic)
         self.values[key] = value
         waiting = self.unsent.setdefault(key, [])
@@ -523,13 +523,13 @@ class _Copy:
         self._write(key)
 
     def learn(self, value: Value) -> None:
-        """A server said it."""
+        """Keep a value that a server sent."""
         key = (value.system, value.topic)
         self.values[key] = value
         self._write(key)
 
     def settle(self, value: Value) -> None:
-        """The server has it now, or will never take it."""
+        """Note that the server has the value now, or will never take it."""
         key = (value.system, value.topic)
         waiting = self.unsent.get(key)
         if waiting is None or value not in waiting:
@@ -546,7 +546,7 @@ class _Copy:
             yield from waiting
 
     def newest_unsent(self, key: Tuple[str, str]) -> Optional[Value]:
-        """What this node wrote last and the server does not have."""
+        """Return the last value that this node wrote and the server does not have."""
         waiting = self.unsent.get(key)
         return waiting[-1] if waiting else None
 
@@ -628,7 +628,7 @@ def _file_name(name: str) -> str:
 
 
 class _Connection(asyncio.Protocol):
-    """One connection to a server."""
+    """A connection to a server."""
 
     def __init__(self, node: "AsyncNode", url: str, mode: str, max_bytes: int) -> None:
         self.node, self.url, self.mode = node, url, mode
@@ -715,7 +715,7 @@ class _Connection(asyncio.Protocol):
 
 
 def _number(packet: Packet, key: str) -> int:
-    """A whole number of up to 63 bits in the head of a packet; 0 where there is none. Raises ``NodeError``."""
+    """Return a whole number of up to 63 bits in the head of a packet; 0 if there is none. Raises ``NodeError``."""
     text = packet.head.get(key, "0")
     if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) < 1 << 63):
         raise NodeError("malformed", "{}={} is no whole number of up to 63 bits".format(key, text[:40]))
@@ -806,7 +806,7 @@ class AsyncNode:
 
     @property
     def pending(self) -> int:
-        """How many topics have a value that the server does not have yet."""
+        """The number of topics with a value that the server does not have yet."""
         return len(self._copy.unsent)
 
     async def open(self, wait_s: float = 0.0) -> "AsyncNode":
@@ -945,7 +945,7 @@ class AsyncNode:
         return value
 
     async def read(self, topic: str, *, system: Optional[str] = None, timeout_s: float = 5.0) -> Value:
-        """The last value; the node's own copy where no server can be reached.
+        """Return the last value; without a reachable server, the node's own copy.
 
         Raises ``NodeError``: ``unknown-system``, ``unknown-topic``, ``denied``, ``timeout``.
         """
@@ -1018,7 +1018,7 @@ class AsyncNode:
         return end
 
     async def list(self, pattern_system: str = "*", pattern_topic: str = "*") -> List[Dict[str, Any]]:
-        """The last values whose names fit, as JSON objects. Raises ``NodeError``."""
+        """Return the last values whose names match, as JSON objects. Raises ``NodeError``."""
         answer = await self.request(pattern_system, pattern_topic, "+list", {})
         try:
             found: List[Dict[str, Any]] = json.loads(answer.data.decode())
@@ -1036,7 +1036,7 @@ class AsyncNode:
         return await connection.ask(system, topic, op, head, timeout_s=timeout_s)
 
     async def stand(self, system: str, topic: str, op: str, head: Optional[Dict[str, object]]) -> None:
-        """Something that is told to every server again (``+adv``, ``+watch``); with ``None`` no longer."""
+        """Tell every server this again after a reconnect (``+adv``, ``+watch``); with ``None``, no longer."""
         key = (system, topic, op)
         if head is None:
             self._standing.pop(key, None)
@@ -1136,7 +1136,7 @@ class AsyncNode:
             self._copy.settle(value)
 
     def _refused(self, value: Value, error: NodeError) -> None:
-        """The server does not take it: it is not offered again, unless it was only not kept (yet)."""
+        """Drop a value that the server refuses, unless it was only not kept (yet)."""
         self.last_error = str(error)
         self.refused[error.code] = self.refused.get(error.code, 0) + 1
         if error.code not in ("not-kept", "timeout"):
@@ -1178,7 +1178,7 @@ class AsyncNode:
             self._copy.learn(value)
 
     def _newest(self, value: Value) -> Value:
-        """What a server said, unless this node wrote something later that the server does not have yet."""
+        """Return a server's value, unless this node wrote something later that the server does not have yet."""
         own = self._copy.newest_unsent((value.system, value.topic))
         return own if own is not None and own.order > value.order else value
 
@@ -1440,7 +1440,7 @@ class _Searcher(asyncio.DatagramProtocol):
             self.found["iort://{}:{}".format(addr[0], port)] = name
 
     def error_received(self, exc: Exception) -> None:
-        """Nobody is there."""
+        """Ignore the error: nobody is there."""
 
 
 class _Answerer(asyncio.DatagramProtocol):
@@ -1549,7 +1549,7 @@ def _interfaces(sock: Any) -> List[Tuple[int, str]]:
 
 
 class _Served(asyncio.Protocol):
-    """One node at a local server."""
+    """A node at a local server."""
 
     def __init__(self, server: "LocalServer") -> None:
         self.server = server
@@ -1934,12 +1934,12 @@ class Node:
 
     @property
     def pending(self) -> int:
-        """How many topics have a value that the server does not have yet."""
+        """The number of topics with a value that the server does not have yet."""
         return self._node.pending
 
     @property
     def last_error(self) -> str:
-        """Why the server is not reached, or what it refused last."""
+        """The reason why the server is not reached, or what it refused last."""
         return self._node.last_error
 
     def wait_mode(self, mode: str, timeout_s: float) -> bool:
@@ -1967,7 +1967,7 @@ class Node:
         return self._run(publish(), timeout_s)
 
     def read(self, topic: str, *, system: Optional[str] = None, timeout_s: float = 5.0) -> Value:
-        """The last value; the node's own copy where no server is reached. Raises ``NodeError``."""
+        """Return the last value; without a reachable server, the node's own copy. Raises ``NodeError``."""
         return self._run(self._node.read(topic, system=system, timeout_s=timeout_s), timeout_s + 5.0)
 
     def subscribe(
@@ -1983,7 +1983,7 @@ class Node:
         return lambda: self._run(end(), 10.0)
 
     def list(self, system: str = "*", topic: str = "*") -> List[Dict[str, Any]]:
-        """The last values whose names fit, as JSON objects. Raises ``NodeError``."""
+        """Return the last values whose names match, as JSON objects. Raises ``NodeError``."""
         return self._run(self._node.list(system, topic), 10.0)
 
     def request(self, system: str, topic: str, op: str, head: Dict[str, object]) -> Packet:
@@ -2047,7 +2047,7 @@ async def _serve(told: Any) -> None:
 
 
 def _main(arguments: List[str]) -> int:
-    """``iort.py SERVER publish|read|watch|list`` and ``iort.py --serve``, for shells on robots."""
+    """Run ``iort.py SERVER publish|read|watch|list`` and ``iort.py --serve``, for shells on robots."""
     import argparse
 
     parser = argparse.ArgumentParser(prog="iort.py", description="publish and read values of robots, or serve them")

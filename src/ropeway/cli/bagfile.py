@@ -33,7 +33,7 @@ log = logging.getLogger("ropeway.bag")
 
 
 class Record(NamedTuple):
-    """One recorded message: when it was logged, where, and its CDR."""
+    """A recorded message: when it was logged, its topic, and its CDR."""
 
     time_ns: int
     topic: BagTopic
@@ -93,16 +93,16 @@ class Bag:
 
     @property
     def notes(self) -> list[str]:
-        """What is to be told of the recording as a whole."""
+        """Remarks on the recording as a whole."""
         return self._source.notes
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last message."""
+        """The time from the first to the last message."""
         return max(self._source.end_ns - self._source.start_ns, 0) / 1e9
 
     def records(self, topics: Collection[str] = ()) -> Iterator[Record]:
-        """The messages of ``topics`` (all that can be played, without), in order. Raises ``BagUnreadable``."""
+        """Yield the messages of ``topics`` (all that can be played, without), in order. Raises ``BagUnreadable``."""
         chosen = {
             id: topic
             for id, topic in self._by_channel.items()
@@ -174,7 +174,7 @@ class Bag:
 
 
 def _fitting(registry: TypeRegistry, type: str) -> Callable[[bytes], bytes]:
-    """What brings a message of any distribution into our layout; what is of none is played as it is."""
+    """Return a function that converts a message of any distribution to our layout; others are played unchanged."""
     codec = registry.codec(type)
 
     def convert(raw: bytes) -> bytes:

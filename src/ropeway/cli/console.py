@@ -1,4 +1,4 @@
-"""How verbs speak: results to stdout, everything else as sentences to stderr, and exit codes.
+"""Prints what verbs say: results to stdout, everything else as sentences to stderr; defines the exit codes.
 
 0 is success, 1 failure, 2 a wrong command line or configuration, 130 an interruption.
 """
@@ -20,7 +20,7 @@ __all__ = ["answer", "complain", "fail", "print_json", "reported"]
 
 
 def print_json(value: Any) -> None:
-    """One value on one line, at once, so that a reader of a pipe sees it."""
+    """Print one value on one line, at once, so that a reader of a pipe sees it."""
     import orjson
 
     sys.stdout.write(orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS).decode() + "\n")
@@ -28,13 +28,13 @@ def print_json(value: Any) -> None:
 
 
 def answer(text: str) -> None:
-    """A line (or several) of the result, at once."""
+    """Print a line (or several) of the result, at once."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
 def complain(text: str) -> None:
-    """A sentence for the person at the terminal."""
+    """Print a sentence for the person at the terminal."""
     sys.stderr.write(text + "\n")
     sys.stderr.flush()
 

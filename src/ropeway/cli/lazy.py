@@ -14,7 +14,7 @@ __all__ = ["lazy_group"]
 
 
 def lazy_group(verbs: Mapping[str, str]) -> type[typer.core.TyperGroup]:
-    """A group class whose verbs are ``{name: module}``; each module has its ``typer.Typer`` as ``app``."""
+    """Make a group class whose verbs are ``{name: module}``; each module has its ``typer.Typer`` as ``app``."""
 
     class LazyGroup(typer.core.TyperGroup):
         def list_commands(self, ctx: Any) -> list[str]:

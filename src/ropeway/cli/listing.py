@@ -1,4 +1,4 @@
-"""What ``list``, ``info`` and ``find`` of services and actions have in common."""
+"""Provides what ``list``, ``info`` and ``find`` of services and actions share."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ CountOption = Annotated[bool, typer.Option("--count", "-c", help="Print only how
 
 
 def count_of_others(ends: Iterable[ProviderInfo]) -> int:
-    """How many there are besides ours."""
+    """Return how many there are besides ours."""
     return sum(not end.local for end in ends)
 
 
 def print_list(
     infos: Iterable[ServiceInfo | ActionInfo], *, show_types: bool, count: bool, include_hidden: bool, as_json: bool
 ) -> None:
-    """The names, in order, as the options ask for them."""
+    """Print the names, in order, as the options ask for them."""
     shown = [info for info in sorted(infos, key=lambda info: info.name) if include_hidden or not hidden(info.name)]
     if as_json:
         print_json(
@@ -47,7 +47,7 @@ def print_list(
 
 
 def info_json(info: ServiceInfo | ActionInfo) -> dict[str, Any]:
-    """A service or action with who serves and who uses it, ours left out."""
+    """Return a service or action with its providers and users as JSON, ours left out."""
     return {
         "name": info.name,
         "types": info.types,

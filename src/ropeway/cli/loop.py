@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 def run(coroutine: Coroutine[Any, Any, T]) -> T:
-    """The result of ``coroutine``. Ctrl-C cancels it, lets it clean up and raises ``KeyboardInterrupt``."""
+    """Run ``coroutine`` and return its result. Ctrl-C cancels it, lets it clean up and raises ``KeyboardInterrupt``."""
     try:
         import uvloop
     except ImportError:  # not on every platform

@@ -22,14 +22,16 @@ _PATIENCE_S: Final = 2.0  # what is there has answered by then, also over a slow
 
 
 class Patience:
-    """What is waited for. ``over`` ends the waiting, while whoever waited goes on with something else."""
+    """Tells the user what is being waited for. ``over`` ends the waiting, while whoever waited goes on with something
+    else.
+    """
 
     def __init__(self, waiting_for: Callable[[], str]) -> None:
         self._waiting_for = waiting_for
         self._over = asyncio.Event()
 
     def over(self) -> None:
-        """It has come: say nothing any more."""
+        """Stop telling: the awaited thing has come."""
         self._over.set()
 
     async def watch(self) -> None:

@@ -113,12 +113,12 @@ def _tell_problems(bag: Bag, wanted: list[str]) -> None:
 
 
 def _held(bag: Bag, wanted: list[str]) -> int:
-    """How many messages the recording has of the topics to play."""
+    """Return how many messages the recording has of the topics to play."""
     return sum(topic.count for topic in bag.topics if not wanted or topic.name in wanted)
 
 
 def _span(seconds: float) -> str:
-    """A duration for people."""
+    """Write a duration for people."""
     for unit, size in (("years", 31_557_600), ("days", 86_400), ("h", 3_600)):
         if seconds >= 2 * size:
             return f"{seconds / size:.0f} {unit}"
@@ -126,7 +126,7 @@ def _span(seconds: float) -> str:
 
 
 def _progress(bag: Bag, *, loop: bool, shown: bool) -> AbstractContextManager[Callable[[Played], None]]:
-    """A bar on stderr, where that is a terminal."""
+    """Show a progress bar on stderr, if that is a terminal."""
     if not shown or not sys.stderr.isatty():
         return nullcontext(lambda played: None)
     return _Bar(bag, loop=loop)

@@ -43,7 +43,7 @@ _BIG: Final = struct.Struct(">iI")
 
 @dataclass
 class Played:
-    """How far a recording was played."""
+    """The progress of playing a recording."""
 
     messages: int = 0
     bytes: int = 0
@@ -55,7 +55,7 @@ class Played:
 
 
 class PlaybackSchedule:
-    """When each message of a round is due, counted from its first.
+    """Decides when each message of a round is due, counted from its first.
 
     Stamps that lie further apart than ``max_gap_s``, forwards or backwards, are no pause that anybody wants to wait
     for: the message comes a second after the one before (at once, where time went back). ``jumps`` counts them, and
@@ -72,7 +72,7 @@ class PlaybackSchedule:
         self._last_ns = 0
 
     def due(self, time_ns: int) -> float:
-        """When the message of this time is due."""
+        """Return when the message of this time is due."""
         if self._base_ns is None:
             self._base_ns = self._last_ns = time_ns
         gap_s = (time_ns - self._last_ns) / 1e9
@@ -86,7 +86,7 @@ class PlaybackSchedule:
 
 
 def restamped(payload: bytes, now_ns: int) -> bytes:
-    """The message with ``now_ns`` as the stamp of the header it begins with."""
+    """Return the message with ``now_ns`` as the stamp of the header that it begins with."""
     sec, nanosec = divmod(now_ns, 1_000_000_000)
     stamp = (_LITTLE if payload[1] & 1 else _BIG).pack(sec, nanosec)
     return b"".join((payload[:4], stamp, memoryview(payload)[12:]))
@@ -219,5 +219,5 @@ async def _flat(batches: AsyncIterator[list[Record]]) -> AsyncIterator[Record]:
 
 
 def _round_s(duration_s: float, count: int) -> float:
-    """How long one round of a loop takes: the recording, and a usual gap before it starts again."""
+    """Return how long one round of a loop takes: the recording, and a usual gap before it starts again."""
     return duration_s * count / (count - 1) if count > 1 and duration_s else 1.0

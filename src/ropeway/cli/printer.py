@@ -14,7 +14,7 @@ _LAST_S: Final = 1.0  # how long the last line may take at the end: a reader tha
 
 
 class Printer:
-    """One line per value to the file ``descriptor``, at most one at a time; ``missed`` counts the others."""
+    """Prints one line per value to the file ``descriptor``, at most one at a time; ``missed`` counts the others."""
 
     def __init__(self, descriptor: int) -> None:
         self.missed = 0

@@ -31,7 +31,7 @@ _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 @dataclass(frozen=True)
 class Serving:
-    """How a gateway is run: for how long, with the status as JSON how often, and what is said once it is up.
+    """Says how a gateway is run: for how long, how often it prints its status as JSON, and what it says once it is up.
 
     ``beside`` is entered with the gateway and left before it ends.
     ``retry_s``: an address that is taken is tried again after so many seconds, for ever; ``None`` gives up at once.

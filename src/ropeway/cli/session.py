@@ -1,4 +1,4 @@
-"""What every verb on a graph shares: its options, opening the graph, and waiting a bounded time for discovery."""
+"""Provides what every verb on a graph shares: options, opening the graph, and a bounded wait for discovery."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class OpenGraph:
 
 
 def default_graph(environ: Mapping[str, str] = os.environ) -> str:
-    """``dds:`` with the domain that ROS is told to use."""
+    """Return ``dds:`` with the domain that ROS is told to use."""
     domain = environ.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not domain.isdigit():
         fail(f"ROS_DOMAIN_ID is {domain!r}; set it to a number, or name the network with --graph dds:0", 2)
@@ -96,7 +96,7 @@ def default_graph(environ: Mapping[str, str] = os.environ) -> str:
 
 @asynccontextmanager
 async def open_session(url: str = "", types: list[Path] | None = None) -> AsyncIterator[OpenGraph]:
-    """The graph at ``url`` with a node of its own, closed at the end."""
+    """Open the graph at ``url`` with a node of its own, and close it at the end."""
     from ropeway.networks import open_graph
 
     registry = TypeRegistry()
@@ -119,12 +119,12 @@ async def open_session(url: str = "", types: list[Path] | None = None) -> AsyncI
 
 
 def topic_name(name: str) -> str:
-    """An absolute topic name, or the end with a sentence."""
+    """Return an absolute topic name, or exit with a sentence."""
     return full_name(name)
 
 
 def full_name(name: str) -> str:
-    """The absolute name of a topic, service, action or node, or the end with a sentence."""
+    """Return the absolute name of a topic, service, action or node, or exit with a sentence."""
     try:
         return resolve_name(name)
     except InvalidName as error:
@@ -132,7 +132,7 @@ def full_name(name: str) -> str:
 
 
 def qos_of(profile: str, depth: int | None, history: str, reliability: str, durability: str) -> QoS | None:
-    """The profile that the options ask for; ``None`` where they ask for nothing."""
+    """Return the profile that the options ask for; ``None`` if they ask for nothing."""
     if profile and profile not in PROFILES:
         fail(f"{profile!r} is not a QoS profile; use one of {', '.join(PROFILES)}", 2)
     given = {"history": history, "depth": depth, "reliability": reliability, "durability": durability}
@@ -151,7 +151,7 @@ async def discover(
     look: Callable[[], dict[str, T]],
     done: Callable[[dict[str, T]], bool] | None = None,
 ) -> dict[str, T]:
-    """What ``look`` finds on the graph once ``done`` says so, or at the latest after ``spin_time_s``.
+    """Return what ``look`` finds on the graph once ``done`` says so, or at the latest after ``spin_time_s``.
 
     Without ``done``, once something is there, nothing new came for a while, and the graph expects nothing more.
     """
@@ -195,7 +195,7 @@ def _found_nothing(graph: Graph, spin_time_s: float) -> None:
 async def settle(
     graph: Graph, spin_time_s: float, done: Callable[[dict[str, TopicInfo]], bool] | None = None
 ) -> dict[str, TopicInfo]:
-    """The topics that others publish or read; see ``discover``."""
+    """Return the topics that others publish or read; see ``discover``."""
 
     def topics() -> dict[str, TopicInfo]:
         return {name: info for name, info in graph.topics().items() if not _only_own(info)}
@@ -206,21 +206,21 @@ async def settle(
 async def settle_services(
     graph: Graph, spin_time_s: float, done: Callable[[dict[str, ServiceInfo]], bool] | None = None
 ) -> dict[str, ServiceInfo]:
-    """The services that others serve or call; see ``discover``."""
+    """Return the services that others serve or call; see ``discover``."""
     return await discover(graph, spin_time_s, lambda: _of_others(graph.services()), done)
 
 
 async def settle_actions(
     graph: Graph, spin_time_s: float, done: Callable[[dict[str, ActionInfo]], bool] | None = None
 ) -> dict[str, ActionInfo]:
-    """The actions that others serve or use; see ``discover``."""
+    """Return the actions that others serve or use; see ``discover``."""
     return await discover(graph, spin_time_s, lambda: _of_others(graph.actions()), done)
 
 
 async def settle_nodes(
     graph: Graph, spin_time_s: float, done: Callable[[dict[str, NodeInfo]], bool] | None = None
 ) -> dict[str, NodeInfo]:
-    """The nodes of others; see ``discover``."""
+    """Return the nodes of others; see ``discover``."""
 
     def nodes() -> dict[str, NodeInfo]:
         return {name: info for name, info in graph.nodes().items() if not info.local}
@@ -229,7 +229,7 @@ async def settle_nodes(
 
 
 async def find_topic(graph: Graph, topic: str, spin_time_s: float, *, published: bool = False) -> TopicInfo | None:
-    """The topic as soon as it is discovered (with a publisher, where ``published``), ``None`` where it is not."""
+    """Return the topic as soon as it is discovered (with a publisher, if ``published``), ``None`` if it is not."""
 
     def found(topics: dict[str, TopicInfo]) -> bool:
         return topic in topics and (not published or bool(topics[topic].publishers))

@@ -32,7 +32,7 @@ def make_graph(
     types: Sequence[str] = (),
     **options: object,
 ) -> Graph:
-    """A graph that is not open yet. Raises ``GraphUnavailable`` for a URL of no known kind.
+    """Make a graph that is not open yet. Raises ``GraphUnavailable`` for a URL of no known kind.
 
     ``distro`` and ``types`` are for DDS: whose layouts of types the network has, and files with its own definitions.
     ``options`` go to graphs of the ``ws`` kind (``ssl_context``, ``limits``, ``wait``, ``watch``, ``headers``).
@@ -98,7 +98,7 @@ def make_graph(
 
 
 def _iort(url: str, query: dict[str, str], name: str, registry: TypeRegistry | None) -> Graph:
-    """The topics of robots at a server; the token is that of ``ROPEWAY_TOKEN``."""
+    """Make the graph of the topics of robots at a server; the token is that of ``ROPEWAY_TOKEN``."""
     from ropeway.networks.iort import IortGraph, RemoteLink
 
     _no_more(url, query)
@@ -108,7 +108,7 @@ def _iort(url: str, query: dict[str, str], name: str, registry: TypeRegistry | N
 
 
 def _overlay(url: str, bundle: str, query: dict[str, str], registry: TypeRegistry | None) -> Graph:
-    """The overlay as the owner of a bundle; ``?router=`` and ``?unique=`` stand behind it."""
+    """Make the graph of the overlay for the owner of a bundle; ``?router=`` and ``?unique=`` stand behind it."""
     from ropeway.networks.overlay.crypto.identity import Identity
     from ropeway.networks.overlay.graph import OverlayGraph  # loads Zenoh
     from ropeway.networks.overlay.names import Metadata

@@ -20,7 +20,9 @@ ActionArgument = Annotated[str, typer.Argument(help="The action, such as /fibona
 
 
 async def find_action(graph: str, name: str, spin_time_s: float, *, whole: bool = False) -> ActionInfo:
-    """The action on the graph at the URL ``graph``, or the end with a sentence; ``whole`` waits for all ends of it."""
+    """Return the action on the graph at the URL ``graph``, or exit with a sentence; ``whole`` waits for all its
+    endpoints.
+    """
     async with open_session(graph) as session:
         found = await settle_actions(session.graph, spin_time_s, lambda actions: name in actions)
         if whole and name in found:
@@ -31,7 +33,7 @@ async def find_action(graph: str, name: str, spin_time_s: float, *, whole: bool 
 
 
 def info_text(info: ActionInfo, *, show_types: bool = False, count: bool = False) -> str:
-    """The lines of ``ros2 action info``; ``count`` leaves the names out."""
+    """Return the lines of ``ros2 action info``; ``count`` leaves the names out."""
     lines = [f"Action: {info.name}"]
     types = f" [{', '.join(info.types)}]" if show_types else ""
     for noun, ends in (("clients", info.clients), ("servers", info.servers)):

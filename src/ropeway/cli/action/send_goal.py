@@ -33,16 +33,16 @@ _CANCEL_S: Final = 5.0  # how long Ctrl-C waits for the server to end the goal
 
 
 class GoalReport:
-    """What is said of a goal, by default nothing."""
+    """Reports the progress of a goal, by default nothing."""
 
     def accepted(self, id: bytes) -> None:
-        """The goal was accepted."""
+        """Report that the goal was accepted."""
 
     def feedback(self, payload: bytes) -> None:
-        """A feedback has come."""
+        """Report a feedback."""
 
     def outcome(self, outcome: Outcome) -> None:
-        """The goal has ended."""
+        """Report the end of the goal."""
 
 
 class TextTeller(GoalReport):
@@ -73,7 +73,7 @@ class TextTeller(GoalReport):
 
 
 class JsonTeller(GoalReport):
-    """One JSON object per line: ``accepted``, ``feedback``, ``status``."""
+    """Prints one JSON object per line: ``accepted``, ``feedback``, ``status``."""
 
     def __init__(self, registry: TypeRegistry, type: str) -> None:
         self._registry, self._type = registry, type
@@ -155,7 +155,7 @@ class _Feedback:
             self._early.append(payload)
 
     def release(self) -> None:
-        """The acceptance was told."""
+        """Report the feedback held back until the acceptance was reported."""
         early, self._early = self._early or (), None
         for payload in early:
             self._teller.feedback(payload)

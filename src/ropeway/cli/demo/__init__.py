@@ -148,7 +148,7 @@ async def _first(
 
 
 async def _show(flows: list[Tally], gateways: Mapping[str, GatewayProcess], *, shown: bool) -> None:
-    """The live table, or a line now and then where nobody would see it, until cancelled."""
+    """Show the live table, or print a line now and then if there is no terminal, until cancelled."""
     loop = asyncio.get_running_loop()
     began = loop.time()
     if not shown or not sys.stdout.isatty():

@@ -45,7 +45,7 @@ class Tally:
     _recent: deque[tuple[int, int, float | None]] = field(default_factory=lambda: deque(maxlen=_KEPT))
 
     def on_sent(self, count: int) -> None:
-        """The sender has sent so many."""
+        """Take the number of messages that the sender has sent."""
         self.sent = count
 
     def on_batch(self, batch: Sequence[Sample]) -> None:
@@ -63,7 +63,7 @@ class Tally:
             self._recent.append((sample.stamp_ns, size, delay_ms))
 
     def recent(self, now_ns: int | None = None) -> Snapshot:
-        """The last second."""
+        """Return the figures of the last second."""
         now = time.time_ns() if now_ns is None else now_ns
         while self._recent and self._recent[0][0] < now - _RECENT_NS:
             self._recent.popleft()
@@ -75,7 +75,7 @@ class Tally:
         )
 
     def summary(self) -> dict[str, Any]:
-        """The whole flow, as JSON."""
+        """Return the figures of the whole flow, as JSON."""
         seconds = (self.last_ns - self.first_ns) / 1e9
         ordered = sorted(self.delays_ms)
 

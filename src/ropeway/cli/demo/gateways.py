@@ -27,7 +27,7 @@ _LINE_BYTES: Final = 4 << 20
 
 
 def free_port() -> int:
-    """A TCP port of this machine that nobody uses now."""
+    """Return a TCP port of this machine that is free now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -37,7 +37,7 @@ def free_port() -> int:
 def configurations(
     parts: Iterable[DemoTopic], robot_graph: str, cloud_graph: str, port: int
 ) -> dict[str, dict[str, Any]]:
-    """The configurations of both: the robot dials, as robots behind a firewall do."""
+    """Return the configurations of both: the robot dials, as robots behind a firewall do."""
     listed = list(parts)
 
     def items(side: str) -> list[dict[str, Any]]:
@@ -59,7 +59,7 @@ def configurations(
 
 @dataclass
 class GatewayProcess:
-    """One gateway, with the last it said of itself."""
+    """A gateway process, with its last status."""
 
     name: str
     process: asyncio.subprocess.Process
@@ -101,7 +101,7 @@ class GatewayProcess:
 
 
 def figures(gateways: Mapping[str, GatewayProcess]) -> dict[str, dict[str, Any]]:
-    """What the gateways tell of each topic: state, encoding, and drops of both added up."""
+    """Return what the gateways report on each topic: state, encoding, and the drops of both added up."""
     out: dict[str, dict[str, Any]] = {}
     for route in gateways["robot"].status.get("routes", []):
         out[route["name"]] = {"state": route["state"], "encoding": route["encoding"], "drops": Counter(route["drops"])}

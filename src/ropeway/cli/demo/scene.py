@@ -1,4 +1,4 @@
-"""What the demo sends: a robot with a camera, an odometer and a driver, made up or taken from a recording."""
+"""Makes what the demo sends: a robot with a camera, an odometer and a driver, synthetic or from a recording."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Sender = Callable[[Graph, Callable[[int], None]], Any]
 
 @dataclass(frozen=True)
 class DemoTopic:
-    """One topic of the demo. ``side`` is where it is published: ``robot`` or ``cloud``."""
+    """A topic of the demo. ``side`` is where it is published: ``robot`` or ``cloud``."""
 
     topic: str
     type: str
@@ -57,7 +57,7 @@ def synthetic_parts(registry: TypeRegistry) -> list[DemoTopic]:
 
 
 def odometry_part(registry: TypeRegistry) -> DemoTopic:
-    """A robot that drives in a circle."""
+    """Make the odometry of a robot that drives in a circle."""
     codec = registry.codec(ODOMETRY)
 
     def make(number: int, now_ns: int) -> bytes:
@@ -70,7 +70,7 @@ def odometry_part(registry: TypeRegistry) -> DemoTopic:
 
 
 def command_part(registry: TypeRegistry) -> DemoTopic:
-    """Somebody in the cloud who steers."""
+    """Make the commands of an operator in the cloud."""
     codec = registry.codec(COMMAND)
 
     def make(number: int, now_ns: int) -> bytes:
@@ -81,7 +81,7 @@ def command_part(registry: TypeRegistry) -> DemoTopic:
 
 
 def recorded_parts(registry: TypeRegistry, path: Path) -> list[DemoTopic]:
-    """A recording's camera and odometry from the robot, its second camera (or the same) back from the cloud.
+    """Return a recording's camera and odometry from the robot, its second camera (or the same) back from the cloud.
 
     What the recording lacks is made up. Raises ``BagUnreadable``.
     """

@@ -1,4 +1,4 @@
-"""How the demo shows itself: a live table, lines where there is no terminal, and the summary."""
+"""Displays the demo: a live table, lines if there is no terminal, and the summary."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class FittingTable:
 
 
 def live_table(flows: Iterable[Tally], figures: Mapping[str, Mapping[str, Any]], seconds: float) -> FittingTable:
-    """The last second of each route; ``figures`` is what the gateways tell, by topic."""
+    """Make the table of each route's last second; ``figures`` is what the gateways report, by topic."""
     title = f"Two DDS networks, two gateways, {seconds:.0f} s"
     table = FittingTable(title, "topic", "way", "Hz", "delay ms", "Mb/s", "drops", "encoding")
     for flow in flows:
@@ -76,7 +76,7 @@ def live_table(flows: Iterable[Tally], figures: Mapping[str, Mapping[str, Any]],
 
 
 def summary_table(flows: Iterable[Tally], figures: Mapping[str, Mapping[str, Any]]) -> FittingTable:
-    """The whole run; the delays are the median and the 99th percentile."""
+    """Make the table of the whole run; the delays are the median and the 99th percentile."""
     table = FittingTable("Summary", "topic", "way", "arrived", "Hz", "p50 ms", "p99 ms", "Mb/s", "drops")
     for flow in flows:
         total = flow.summary()
@@ -94,7 +94,7 @@ def summary_table(flows: Iterable[Tally], figures: Mapping[str, Mapping[str, Any
 
 
 def brief(flows: Iterable[Tally], seconds: float) -> str:
-    """One line for logs."""
+    """Return one line for logs."""
     parts = [
         f"{flow.topic} {now.rate_hz:.0f} Hz {_number(now.delay_ms)} ms" for flow in flows for now in [flow.recent()]
     ]

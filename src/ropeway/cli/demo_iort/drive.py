@@ -48,7 +48,7 @@ _KEYS: Final = {
 
 
 def _maps() -> list[dict[str, Any]]:
-    """One name in ROS, /cmd_vel, for what the driver publishes and each robot reads in its own way."""
+    """Return the maps: one ROS name, /cmd_vel, for what the driver publishes and each robot reads in its own way."""
     common = {"name": "/cmd_vel", "type": TWIST}
     alice = {**common, "system": "ALICE", "direction": "out"}
     return [
@@ -61,7 +61,7 @@ def _maps() -> list[dict[str, Any]]:
 async def drive(
     directory: Path, domain: int, *, with_ros1: bool, keyboard: bool, say: Callable[[str], None]
 ) -> dict[str, Track]:
-    """The tracks of the robots, by name."""
+    """Drive the robots and return their tracks, by name."""
     registry = TypeRegistry()
     port = free_port()
     url = f"iort://127.0.0.1:{port}"

@@ -37,7 +37,7 @@ Track = list[tuple[float, float, float, float]]
 
 @dataclass
 class Walker:
-    """Where a robot is, from its speeds."""
+    """Computes where a robot is from its speeds."""
 
     x: float = 0.0
     y: float = 0.0
@@ -101,7 +101,7 @@ class Alice(Walker):
 
 
 def ros1_missing() -> str:
-    """Why there can be no ROS 1 here; ``""`` where there can."""
+    """Return why ROS 1 cannot be used here, ``""`` if it can."""
     if shutil.which("roscore") is None:
         return "roscore is not installed (Debian: apt install python3-roslaunch python3-rospy ros-core)"
     done = subprocess.run(  # noqa: S603 - constant words
@@ -142,7 +142,7 @@ async def _said_ready(lines: asyncio.StreamReader) -> None:
 
 @asynccontextmanager
 async def ros1_robot(directory: Path, port: int) -> AsyncIterator[Walker]:
-    """A master of ROS 1 and a node of rospy that moves by ``/cmd_vel``; its track is there at the end."""
+    """Run a ROS 1 master and a rospy node that moves by ``/cmd_vel``; its track is there at the end."""
     environment = _environment(port, directory)
     program = Path(__file__).with_name("rospy_robot.py")
     walker = Walker()

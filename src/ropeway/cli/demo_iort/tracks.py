@@ -1,4 +1,4 @@
-"""What the robots did: in figures, and drawn side by side."""
+"""Reports what the robots did: in figures, and drawn side by side."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _STILL_RAD: Final = math.radians(5)
 
 
 def _turns(track: Track) -> list[float]:
-    """The turns that it made, in degrees: stretches in which the heading changes, and what they add up to."""
+    """Return the turns of a track, in degrees: stretches in which the heading changes, and what they add up to."""
     found: list[float] = []
     turning = 0.0
     quiet = 0

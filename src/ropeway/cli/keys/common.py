@@ -1,4 +1,4 @@
-"""What the verbs of ``ropeway keys`` share."""
+"""Provides what the verbs of ``ropeway keys`` share."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ MayOffer = Annotated[
 
 
 def open_fleet(directory: Path | None) -> Fleet:
-    """The fleet in a directory, or the only one below this one. Raises ``IdentityError``."""
+    """Open the fleet in a directory, or the only one below this one. Raises ``IdentityError``."""
     if directory is not None:
         return Fleet(directory)
     if Path("ca.key").exists():
@@ -75,7 +75,7 @@ def open_fleet(directory: Path | None) -> Fleet:
 def rights_of(
     publish: list[str] | None, subscribe: list[str] | None, call: list[str] | None, offer: list[str] | None
 ) -> Rights | None:
-    """What the options give; ``None`` where there are none, which gives everything."""
+    """Return the rights that the options give; ``None`` without any, which gives everything."""
     given = dict(zip(VERBS, (publish, subscribe, call, offer), strict=True))
     if not any(given.values()):
         return None
@@ -87,7 +87,7 @@ def rights_of(
 
 
 def about(certificate: Certificate) -> dict[str, Any]:
-    """What a certificate says, as JSON."""
+    """Return the content of a certificate, as JSON."""
     rights = certificate.rights
     return {
         "name": certificate.name,
@@ -101,7 +101,7 @@ def about(certificate: Certificate) -> dict[str, Any]:
 
 
 def describe(certificate: Certificate) -> str:
-    """The same for people."""
+    """Return the content of a certificate, for people."""
     lines = [
         f"name          {certificate.name} ({certificate.role})",
         f"valid until   {certificate.not_after:%Y-%m-%d %H:%M} UTC",

@@ -39,7 +39,7 @@ def sections(node: NodeInfo, actions: Mapping[str, ActionInfo], *, include_hidde
 
 
 def info_text(name: str, parts: Mapping[str, Pairs]) -> str:
-    """The lines of ``ros2 node info``."""
+    """Return the lines of ``ros2 node info``."""
     blocks = []
     for title, pairs in parts.items():
         blocks.append("\n".join([f"  {title}:", *(f"    {one}: {type}" for one, type in pairs)]))

@@ -27,7 +27,7 @@ _LINK_S: Final = 5.0
 
 @asynccontextmanager
 async def joined(identity: Path, routers: list[str] | None, spin_time_s: float) -> AsyncIterator[OverlayGraph]:
-    """The overlay, once it has told what there is, or ``spin_time_s`` are over."""
+    """Join the overlay, and wait until it has announced what there is, or ``spin_time_s`` are over."""
     node = OverlayNode(Identity.load(identity), routers=routers, listen=())
     graph = OverlayGraph(node)
     await graph.open()

@@ -1,4 +1,4 @@
-"""What the verbs on parameters share: options, values as text, and sentences for what goes wrong."""
+"""Provides what the verbs on parameters share: options, values as text, and sentences for failures."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ def ask(graph: str, node: str, timeout_s: float, work: Callable[[OpenGraph], Cor
 
 
 def plain(value: ParameterValue) -> Any:
-    """The value as JSON and YAML can have it: bytes as numbers."""
+    """Return the value as JSON and YAML can hold it: bytes as numbers."""
     return list(value) if isinstance(value, bytes) else value
 
 
 def value_text(value: ParameterValue, *, hide_type: bool = False) -> str:
-    """The value as ``ros2 param get`` shows it."""
+    """Return the value as ``ros2 param get`` shows it."""
     if value is None:
         return "Parameter not set."
     try:

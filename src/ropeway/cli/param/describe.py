@@ -18,7 +18,7 @@ app = typer.Typer(add_completion=False)
 
 
 def description_text(found: ParameterDescription) -> str:
-    """The lines of ``ros2 param describe``."""
+    """Return the lines of ``ros2 param describe``."""
     lines = [f"Parameter name: {found.name}", f"  Type: {found.type.label}"]
     if found.description:
         lines.append(f"  Description: {found.description}")

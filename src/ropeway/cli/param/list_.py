@@ -34,7 +34,10 @@ Listed = dict[str, dict[str, str]]
 async def list_one(
     session: OpenGraph, node: str, prefixes: list[str], timeout_s: float, *, types: bool
 ) -> dict[str, str]:
-    """The names of a node's parameters with their types, which are ``""`` unless ``types``. Raises ``CallError``."""
+    """Return the names of a node's parameters with their types, which are ``""`` unless ``types``.
+
+    Raises ``CallError``.
+    """
     asked = parameters_of(session, node, timeout_s)
     names = await asked.list(prefixes)
     if not types or isinstance(asked, AtMaster):  # which tells no types
@@ -46,7 +49,7 @@ async def list_one(
 async def list_all(
     session: OpenGraph, prefixes: list[str], timeout_s: float, spin_time_s: float, *, types: bool
 ) -> tuple[Listed, dict[str, str]]:
-    """The parameters of all nodes, and why some nodes did not tell theirs."""
+    """Return the parameters of all nodes, and why some nodes did not list theirs."""
     if isinstance(session.graph, ParameterServer):
         return {"/": await list_one(session, "/", prefixes, timeout_s, types=False)}, {}
     nodes = nodes_with_parameters(await settle_services(session.graph, spin_time_s))

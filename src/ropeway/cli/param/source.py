@@ -1,4 +1,4 @@
-"""Where the parameters of a verb are: at a node of ROS 2, or at the master of ROS 1, which keeps those of all nodes."""
+"""Finds the parameters of a verb: at a ROS 2 node, or at the ROS 1 master, which keeps those of all nodes."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ _PACKED: Final = {
 
 
 def open_recording(path: Path) -> AbstractContextManager[Recording]:
-    """The recording at ``path``, to be entered. Raises ``ValueError`` for what is none, and ``DAMAGED``."""
+    """Return the recording at ``path``, to be entered. Raises ``ValueError`` for what is none, and ``DAMAGED``."""
     if path.is_dir():
         _refuse_pointer(path / "metadata.yaml")
         return FolderSource(path, _open_file)

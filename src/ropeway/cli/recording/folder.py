@@ -60,7 +60,7 @@ class FolderSource:
         self._stack.close()
 
     def messages(self, ids: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
-        """The messages of these channels, of all files in the order of time."""
+        """Yield the messages of these channels, of all files in the order of time."""
         chosen: dict[int, list[int]] = {}
         for id in ids:
             chosen.setdefault(id >> _ID_BITS, []).append(id & ((1 << _ID_BITS) - 1))
@@ -90,7 +90,7 @@ class FolderSource:
         return about
 
     def _names(self, about: dict[str, Any]) -> list[str]:
-        """The files to play, in order."""
+        """Return the files to play, in order."""
         here = sorted(file.name for file in self._path.iterdir() if file.name.removesuffix(".zstd").endswith(_KINDS))
         listed = about.get("relative_file_paths")
         if not isinstance(listed, list):
@@ -129,7 +129,7 @@ class FolderSource:
         self.notes += [f"{file.name}: {note}" for note in source.notes]
 
     def _unpacked(self, file: Path) -> Path:
-        """The file that was compressed as a whole, in a directory that goes with the recording."""
+        """Decompress a file that was compressed as a whole, into a directory that is removed with the recording."""
         directory = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="ropeway-bag-"))
         target = Path(directory, file.name.removesuffix(".zstd"))
         with file.open("rb") as packed, target.open("wb") as out:

@@ -57,7 +57,7 @@ class McapSource:
         self._file.close()
 
     def messages(self, ids: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
-        """The messages of these channels."""
+        """Yield the messages of these channels."""
         wanted = frozenset(ids)
         if not self._indexed:
             for record in self._records():
@@ -71,7 +71,7 @@ class McapSource:
                 yield channel.id, message.log_time, message.data
 
     def _summary(self) -> Summary | None:
-        """The summary, if it is all that is needed to find every message."""
+        """Return the summary, if it is all that is needed to find every message."""
         try:
             summary = make_reader(self._file).get_summary()
         except DAMAGED:

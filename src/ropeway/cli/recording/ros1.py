@@ -62,7 +62,7 @@ class Ros1Source:
         self._reader.close()
 
     def messages(self, ids: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
-        """The messages of these connections."""
+        """Yield the messages of these connections."""
         chosen = [connection for number, connection in enumerate(self._reader.connections) if number in ids]
         numbers = {id(connection): number for number, connection in enumerate(self._reader.connections)}
         for connection, time_ns, raw in self._reader.messages(connections=chosen):
@@ -116,7 +116,7 @@ class Ros1Scan:
         self._file.close()
 
     def messages(self, ids: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
-        """The messages of these connections."""
+        """Yield the messages of these connections."""
         wanted = frozenset(ids)
         for header, data in self._records():
             if header["op"] == _MESSAGE and (number := _LENGTH.unpack(header["conn"])[0]) in wanted:

@@ -1,4 +1,4 @@
-"""What every kind of recording tells of itself, and what its readers raise."""
+"""Defines what every kind of recording offers, and what its readers raise."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ DEFINITIONS: Final = ("ros2msg", "ros2idl", "ros1msg")
 
 @dataclass(frozen=True, slots=True)
 class RecordedChannel:
-    """What a file says of one stream of messages."""
+    """Describes one stream of messages in a file."""
 
     id: int
     topic: str
@@ -73,11 +73,11 @@ class Recording(Protocol):
     ) -> None: ...
 
     def messages(self, ids: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
-        """``(channel, time_ns, raw)`` in the order of time, as far as the file can tell it."""
+        """Yield ``(channel, time_ns, raw)`` in the order of time, as far as the file can tell it."""
 
 
 def reason_of(error: BaseException) -> str:
-    """What to tell of an error of a reader."""
+    """Return the text for an error of a reader."""
     if isinstance(error, AssertionError) or not str(error):
         return f"the file is damaged ({error.__class__.__name__})"
     if isinstance(error, UnicodeDecodeError):
@@ -86,7 +86,7 @@ def reason_of(error: BaseException) -> str:
 
 
 def profiles_in(text: Any) -> list[dict[str, Any]]:
-    """The QoS profiles that a recording states, as YAML or already read; none where they cannot be read."""
+    """Return the QoS profiles that a recording states, as YAML or already parsed; empty if they cannot be read."""
     try:
         found = yaml.safe_load(text) if isinstance(text, str) else text
     except (yaml.YAMLError, ValueError):
@@ -95,7 +95,7 @@ def profiles_in(text: Any) -> list[dict[str, Any]]:
 
 
 def recorded_qos(topic: str, profiles: list[dict[str, Any]], *, latched: bool = False) -> QoS:
-    """What the publishers of a recorded topic offered."""
+    """Return what the publishers of a recorded topic offered."""
     if latched or topic.rpartition("/")[2] == "tf_static":
         return LATCHED
     return common_qos(
@@ -110,7 +110,7 @@ def recorded_qos(topic: str, profiles: list[dict[str, Any]], *, latched: bool = 
 
 
 def _policy(value: Any, choices: tuple[str, ...], default: str) -> str:
-    """A policy from its number in ``rmw`` or its name."""
+    """Return a policy from its number in ``rmw`` or its name."""
     if isinstance(value, int):
         return choices[value - 1] if 1 <= value <= len(choices) else default
     return str(value).lower() if str(value).lower() in choices else default

@@ -55,7 +55,7 @@ class SqliteSource:
         self._db.close()
 
     def messages(self, ids: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
-        """The messages of these topics."""
+        """Yield the messages of these topics."""
         wanted = frozenset(ids)
         order = "" if self._damaged else " ORDER BY timestamp, id"
         try:
@@ -91,7 +91,7 @@ class SqliteSource:
             self.notes.append(f"{lost} of its messages are of no topic that it names, and left out")
 
     def _counts(self) -> dict[Any, int]:
-        """How many messages each topic has, counting them one by one where the file is damaged."""
+        """Return how many messages each topic has, counting them one by one if the file is damaged."""
         counts: dict[Any, int] = {}
         times: list[int] = []
         try:

@@ -160,7 +160,7 @@ def server_command(
 
 
 def _config(given: dict[str, Any]) -> Config:
-    """The options as a configuration. Raises ``ConfigError``, or ends with a sentence."""
+    """Turn the options into a configuration. Raises ``ConfigError``, or ends with a sentence."""
     from ropeway.gateway.config.address import is_loopback
     from ropeway.gateway.config.config import parse
     from ropeway.gateway.config.document import read_file

@@ -44,7 +44,7 @@ _TRUTHS: Final = {
 
 
 def arguments(given: Sequence[str], known: Sequence[str], flags: Sequence[str]) -> list[str]:
-    """The command line with ROS arguments, underscores and switches without a value as options of ours.
+    """Return the command line with ROS arguments, underscores and switches without a value as options of ours.
 
     ``known`` are the names of options, ``flags`` those that take no value. Raises ``ConfigError``.
     """
@@ -86,7 +86,7 @@ def _truth(name: str, value: Any) -> bool:
 
 
 def notes(given: Mapping[str, Any]) -> list[str]:
-    """What of ``given`` (by rosbridge's names) has no effect here, each with its reason."""
+    """Return which of ``given`` (by rosbridge's names) have no effect here, each with its reason."""
     out = []
     for name, (expected, reason) in WITHOUT_EFFECT.items():
         value = given.get(name)

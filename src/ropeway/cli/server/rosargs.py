@@ -1,4 +1,6 @@
-"""What ROS 2 puts on a node's command line: ``--ros-args -p port:=9091 -r __node:=name --params-file FILE … --``."""
+"""Parses what ROS 2 puts on a node's command line: ``--ros-args -p port:=9091 -r __node:=name --params-file FILE …
+--``.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ _LEVELS: Final = {"warn": "warning", "fatal": "error", "unset": "info"}
 
 @dataclass
 class RosArgs:
-    """What they say. ``notes`` are sentences about what has no effect here."""
+    """The content of ROS arguments. ``notes`` are sentences about what has no effect here."""
 
     node: str
     namespace: str = "/"
@@ -35,7 +37,7 @@ class RosArgs:
 
 
 def split(arguments: Sequence[str], node: str) -> tuple[list[str], RosArgs]:
-    """The other arguments, and what the sections of ROS arguments say about ``node``, unless they rename it.
+    """Separate the other arguments from what the ROS arguments say about ``node``, unless they rename it.
 
     Raises ``ConfigError`` for what is malformed or cannot be read.
     """
@@ -152,7 +154,7 @@ def _flat(parameters: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any
 
 
 def _names(pattern: str, said: RosArgs) -> bool:
-    """True where the key of a parameter file stands for the node, by the rules of ROS 2."""
+    """Return whether the key of a parameter file stands for the node, by the rules of ROS 2."""
     parts = [
         "(?:/[^/]+)*" if part == "**" else "/[^/]+" if part == "*" else "/" + re.escape(part)
         for part in pattern.strip("/").split("/")

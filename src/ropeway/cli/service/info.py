@@ -20,7 +20,9 @@ ServiceArgument = Annotated[str, typer.Argument(help="The service, such as /add_
 
 
 async def find_service(graph: str, name: str, spin_time_s: float, *, whole: bool = False) -> ServiceInfo:
-    """The service on the graph at the URL ``graph``, or the end with a sentence; ``whole`` waits for all ends of it."""
+    """Return the service on the graph at the URL ``graph``, or exit with a sentence; ``whole`` waits for all its
+    endpoints.
+    """
     async with open_session(graph) as session:
         found = await settle_services(session.graph, spin_time_s, lambda services: name in services)
         if whole and name in found:
@@ -31,7 +33,7 @@ async def find_service(graph: str, name: str, spin_time_s: float, *, whole: bool
 
 
 def info_text(info: ServiceInfo, *, verbose: bool = False) -> str:
-    """The lines of ``ros2 service info``; ``verbose`` names who serves and calls it."""
+    """Return the lines of ``ros2 service info``; ``verbose`` names its servers and clients."""
     lines = [f"Type: {info.types[0] if len(info.types) == 1 else list(info.types)}"]
     for noun, ends in (("Clients", info.clients), ("Services", info.servers)):
         lines.append(f"{noun} count: {count_of_others(ends)}")

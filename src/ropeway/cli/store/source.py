@@ -1,4 +1,4 @@
-"""Where the verbs find last values: at a gateway over HTTP, at a server of nodes, or in what a store keeps."""
+"""Finds last values for the verbs: at a gateway over HTTP, at a server of nodes, or in the files of a store."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ CaOption = Annotated[
 
 
 class StoreAccess(Protocol):
-    """Somewhere values are. All methods block; they raise ``RopewayError``."""
+    """Gives access to stored values. All methods block; they raise ``RopewayError``."""
 
     def values(self, system: str, topic: str) -> list[dict[str, Any]]:
         """Values whose names fit patterns, as JSON."""
 
     def get(self, system: str, topic: str, history: bool) -> list[dict[str, Any]]:
-        """A value, with ``history`` those before it, too; empty where there is none."""
+        """Return a value, with ``history`` those before it, too; empty if there is none."""
 
     def watch(self, system: str, topic: str) -> Iterator[dict[str, Any]]:
-        """The values that are there, and every later one."""
+        """Yield the values that are there, and every later one."""
 
     def remove(self, system: str, topic: str) -> bool:
         """Forget a topic; false where it was not there."""
@@ -83,13 +83,13 @@ def find_source(at: str, token: str, ca: str) -> StoreAccess:
 
 
 def key_of(name: str) -> tuple[str, str]:
-    """``SYSTEM/TOPIC``, with or without a slash before."""
+    """Split ``SYSTEM/TOPIC``, with or without a leading slash."""
     system, _, topic = name.lstrip("/").partition("/")
     return system or "*", topic or "*"
 
 
 def shown(value: dict[str, Any], limit: int = 80) -> str:
-    """The data of a value on one line."""
+    """Return the data of a value on one line."""
     if "message" in value:
         text = json.dumps(value["message"])
     elif "data" in value:
@@ -152,7 +152,7 @@ class _Gateway:
         return [v for v in found if fnmatchcase(v["system"], system) and fnmatchcase(v["topic"], topic)]
 
     def get(self, system: str, topic: str, history: bool) -> list[dict[str, Any]]:
-        """A value."""
+        """Return a value."""
         found = self._json(f"{_path(system, topic)}{'?history=1' if history else ''}")
         return [] if found is None else found if isinstance(found, list) else [found]
 
@@ -172,11 +172,11 @@ class _Gateway:
         return True
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no connection is held."""
 
 
 class _Server:
-    """As a node of a server."""
+    """Reads values as a node of a server."""
 
     def __init__(self, url: str, token: str, ca: str) -> None:
         self._url = url
@@ -191,7 +191,7 @@ class _Server:
         return self._tried(lambda: self._node.list(system, topic))
 
     def get(self, system: str, topic: str, history: bool) -> list[dict[str, Any]]:
-        """A value; a server of nodes tells no history."""
+        """Return a value; a server of nodes has no history."""
         return self.values(system, topic)
 
     def watch(self, system: str, topic: str) -> Iterator[dict[str, Any]]:
@@ -234,7 +234,7 @@ class _Server:
 
 
 class _Kept:
-    """What a store keeps, looked at without a gateway."""
+    """Reads the values of a store without a gateway."""
 
     def __init__(self, url: str) -> None:
         if "://" not in url and not Path(url).expanduser().exists():
@@ -248,14 +248,14 @@ class _Kept:
         return _as_json(sorted(found, key=lambda e: e.key))
 
     def get(self, system: str, topic: str, history: bool) -> list[dict[str, Any]]:
-        """A value."""
+        """Return a value."""
         found = [e for e in self._backend.load() if e.key == (system, topic)]
         if found and history:
             found += self._backend.history((system, topic))
         return _as_json(found)
 
     def watch(self, system: str, topic: str) -> Iterator[dict[str, Any]]:
-        """Nobody tells of changes here."""
+        """Refuse to watch: nothing reports changes here."""
         raise StoreUnavailable(self._backend.url, "is watched at a gateway or a server: --at http://… or iort://…")
 
     def remove(self, system: str, topic: str) -> bool:

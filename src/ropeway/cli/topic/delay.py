@@ -25,7 +25,7 @@ app = typer.Typer(add_completion=False)
 
 
 def gauge(session: OpenGraph, type: str, window: int) -> Delay:
-    """The meter for a type; the end with a sentence where its messages have no stamp."""
+    """Make the meter for a type, or exit with a sentence if its messages have no stamp."""
     codec = session.registry.codec(type)
     if codec.header_stamp_ns(codec.encode({})) is None:
         fail(f"{type} does not begin with a header, so the delay cannot be measured; `ropeway topic hz` tells the rate")

@@ -45,7 +45,7 @@ _BACKLOG: Final = 1000  # messages that may wait to be printed; a terminal slowe
 
 
 def formatter(registry: TypeRegistry, type: str, *, style: Style, form: str = "yaml", field: str = "") -> Formatter:
-    """The function that makes a message's text; ``form`` is yaml, csv, raw or json.
+    """Make the function that formats a message; ``form`` is yaml, csv, raw or json.
 
     It raises ``DecodeError`` for a message that is not of the type, ``LookupError`` where there is no such field.
     """

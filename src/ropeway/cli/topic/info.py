@@ -52,7 +52,7 @@ def info(
 
 
 def info_text(info: TopicInfo, *, verbose: bool = False) -> str:
-    """The lines of ``ros2 topic info``; ``verbose`` adds a block for each end."""
+    """Return the lines of ``ros2 topic info``; ``verbose`` adds a block for each endpoint."""
     gap = "\n\n" if verbose else "\n"
     parts = [f"Type: {info.types[0] if len(info.types) == 1 else list(info.types)}"]
     for noun, ends in (("Publisher", info.publishers), ("Subscription", info.subscriptions)):
@@ -64,7 +64,7 @@ def info_text(info: TopicInfo, *, verbose: bool = False) -> str:
 
 
 def endpoint_block(end: EndpointInfo) -> str:
-    """One publisher or subscription as ``ros2 topic info -v`` shows it, and its gateway where it has one."""
+    """Describe a publisher or subscription as ``ros2 topic info -v`` does, with its gateway if it has one."""
     namespace, _, node = end.node.rpartition("/")
     qos = end.qos
     depth = f" ({qos.depth})" if qos.history == "keep_last" else ""

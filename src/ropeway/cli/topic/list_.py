@@ -18,7 +18,7 @@ app = typer.Typer(add_completion=False)
 
 
 def hidden(name: str) -> bool:
-    """True for names that ROS does not show: a part starts with an underscore."""
+    """Return whether ROS hides the name: a part starts with an underscore."""
     return any(part.startswith("_") for part in name.split("/"))
 
 

@@ -22,7 +22,7 @@ _STEP: Final = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
 
 @dataclass(frozen=True, slots=True)
 class Style:
-    """How much of a message is shown. ``truncate`` bounds arrays and strings, ``None`` shows all."""
+    """Says how much of a message is shown. ``truncate`` bounds arrays and strings, ``None`` shows all."""
 
     truncate: int | None = 128
     no_arr: bool = False
@@ -39,7 +39,7 @@ class Picked:
 
 
 def pick(registry: TypeRegistry, type: str, message: Mapping[str, Any], path: str) -> Picked:
-    """The part at ``pose.position.x`` or ``ranges[3]``; the whole for ``""``.
+    """Return the part at ``pose.position.x`` or ``ranges[3]``; the whole message for ``""``.
 
     Raises ``LookupError`` with a sentence.
     """
@@ -73,7 +73,7 @@ def _index(part: Picked, index: int, path: str) -> Picked:
 
 
 def shown(registry: TypeRegistry, part: Picked, style: Style) -> Any:
-    """The part as plain lists, dicts and scalars, cut as ``style`` says."""
+    """Return the part as plain lists, dicts and scalars, cut as ``style`` says."""
     if part.type.kind != "scalar":
         return _array(registry, part, style)
     if part.type.is_message:
@@ -133,7 +133,7 @@ def as_csv(value: Any) -> str:
 
 
 def as_python(registry: TypeRegistry, type: str, message: Mapping[str, Any], style: Style) -> str:
-    """``std_msgs.msg.String(data='hi')``."""
+    """Write the message as Python: ``std_msgs.msg.String(data='hi')``."""
 
     def spell(part: Picked) -> str:
         if part.type.is_message and part.type.kind == "scalar":

@@ -25,7 +25,7 @@ WindowOption = Annotated[int, typer.Option("--window", "-w", min=1, help="How ma
 
 
 async def resolve_type(session: OpenGraph, topic: str, given: str, spin_time_s: float) -> str:
-    """The type as given or as discovered; the end with a sentence where neither tells it."""
+    """Return the type as given or as discovered, or exit with a sentence if neither gives it."""
     if given:
         return session.registry.canonical(given)
     found = await find_topic(session.graph, topic, spin_time_s)

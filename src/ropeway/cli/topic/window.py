@@ -16,20 +16,20 @@ __all__ = ["Bandwidth", "Delay", "MeterReading", "Rate", "Spread", "TopicMeter"]
 
 @dataclass(frozen=True, slots=True)
 class MeterReading:
-    """What a meter shows: for people and for programs."""
+    """The reading of a meter: for people and for programs."""
 
     text: str
     json: dict[str, Any]
 
 
 class TopicMeter(Protocol):
-    """Counts messages and tells a figure about them."""
+    """Counts messages and computes a figure about them."""
 
     def add(self, sample: Sample) -> None:
         """Count a message."""
 
     def read(self) -> MeterReading | None:
-        """The figure now; ``None`` where there is nothing (new) to tell."""
+        """Return the figure now; ``None`` if there is nothing (new) to report."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +44,13 @@ class Spread:
 
     @classmethod
     def of(cls, values: list[float]) -> Spread:
-        """The figures of at least one value."""
+        """Compute the figures of at least one value."""
         mean = math.fsum(values) / len(values)
         variance = math.fsum((value - mean) ** 2 for value in values) / len(values)
         return cls(mean, min(values), max(values), math.sqrt(variance), len(values))
 
     def json(self, unit: str) -> dict[str, Any]:
-        """As keys with their unit."""
+        """Return the figures under keys with their unit."""
         return {
             f"mean_{unit}": self.mean,
             f"min_{unit}": self.min,
@@ -65,7 +65,7 @@ class Spread:
 
 
 class Rate:
-    """How often messages come. ``window`` is how many of the newest intervals count."""
+    """Measures how often messages come. ``window`` is how many of the newest intervals count."""
 
     def __init__(self, window: int = 10_000) -> None:
         self._stamps_ns: deque[int] = deque(maxlen=max(window, 1) + 1)
@@ -79,7 +79,7 @@ class Rate:
         self._fresh = True
 
     def read(self) -> MeterReading | None:
-        """The rate and the intervals; ``None`` where nothing came since the last call."""
+        """Return the rate and the intervals; ``None`` if nothing came since the last call."""
         if not self._fresh or len(self._stamps_ns) < 2:
             return None
         self._fresh = False
@@ -89,7 +89,7 @@ class Rate:
 
 
 class Bandwidth:
-    """How many bytes come per second. ``window`` is how many of the newest messages count."""
+    """Measures how many bytes come per second. ``window`` is how many of the newest messages count."""
 
     def __init__(self, window: int, clock_ns: Callable[[], int]) -> None:
         self._seen: deque[tuple[int, int]] = deque(maxlen=max(window, 2))
@@ -120,7 +120,7 @@ class Bandwidth:
 
 
 class Delay:
-    """How old messages are when they come, by the stamp in their header.
+    """Measures how old messages are when they come, by the stamp in their header.
 
     ``header_ns`` takes a payload to that stamp in nanoseconds.
     """
@@ -138,7 +138,7 @@ class Delay:
             self._fresh = True
 
     def read(self) -> MeterReading | None:
-        """The delays; ``None`` where nothing came since the last call."""
+        """Return the delays; ``None`` if nothing came since the last call."""
         if not self._fresh:
             return None
         self._fresh = False

@@ -62,25 +62,25 @@ class RemoteGoal:
 
     @property
     def done(self) -> bool:
-        """True once it has ended."""
+        """Whether the goal has ended."""
         return self._outcome.done()
 
     # ── what the peer says ─────────────────────────────────────────────────────────────────────────────────────
 
     def accept(self) -> None:
-        """The far side takes it."""
+        """Note that the far side accepts the goal."""
         if not self.accepted.done():
             self.accepted.set_result(None)
 
     def refuse(self, error: RopewayError) -> None:
-        """It was not taken, or nobody is left to tell."""
+        """Reject the goal, or abort it if its provider cannot be reached any more."""
         if not self.accepted.done():
             self.accepted.set_exception(error)
         else:
             self.finish(Outcome(GoalStatus.ABORTED, None, str(error)))
 
     def fed(self, op: ops.ActionFeedback) -> None:
-        """A feedback came."""
+        """Deliver a feedback."""
         on_feedback, client = self._on_feedback, self._client
         if on_feedback is None or self.done:
             return
@@ -98,7 +98,7 @@ class RemoteGoal:
             failed(log, "%s: a callback for feedback of %s failed", client.calls.graph.name, client.action)
 
     def ended(self, op: ops.ActionResult) -> None:
-        """The result came."""
+        """Take the result."""
         client = self._client
         status = GoalStatus(op.status) if op.status in (4, 5, 6) else GoalStatus.ABORTED
         if not op.result:
@@ -119,12 +119,12 @@ class RemoteGoal:
             self.finish(Outcome(status, payload))
 
     def cancel_answered(self, agreed: bool) -> None:
-        """The far side agrees to its end, or not."""
+        """Note whether the far side accepts the cancellation."""
         if self._cancelling is not None and not self._cancelling.done():
             self._cancelling.set_result(agreed)
 
     def lost(self, reason: str) -> None:
-        """The link has gone."""
+        """Fail or abort the goal: the link has gone."""
         if self.accepted.done():
             self.finish(Outcome(GoalStatus.ABORTED, None, reason))
         else:
@@ -132,7 +132,7 @@ class RemoteGoal:
             self.accepted.exception()
 
     def finish(self, outcome: Outcome) -> None:
-        """It has ended; only the first end counts."""
+        """End the goal; only the first end counts."""
         if not self._outcome.done():
             self._outcome.set_result(outcome)
             self.cancel_answered(outcome.status is GoalStatus.CANCELED)
@@ -181,12 +181,12 @@ class RemoteActionClient:
 
     @property
     def available(self) -> bool | None:
-        """As the far gateway shows it; false with the link down, ``None`` if the peer does not tell."""
+        """Whether the far gateway shows a provider; false with the link down, ``None`` if the peer does not tell."""
         return False if self.closed else self.calls.available("action", self.action)
 
     @property
     def encoding(self) -> str:
-        """In what goals travel: a plain server has named no encoding."""
+        """The encoding of goals: a plain server has named none."""
         return travelling(self.delivery, self.calls.peer, None)
 
     async def wait_available(self, timeout_s: float) -> bool:

@@ -1,4 +1,4 @@
-"""What goes with calls and goals over a link: who and which they are, and why one failed.
+"""Describes calls and goals on a link: who and which they are, and why one failed.
 
 Both roles use it. Everybody gets a text that says what went wrong; Ropeway gateways get a word besides.
 """
@@ -47,7 +47,7 @@ class CallNote(NamedTuple):
 
 
 def call_note(request: Request | Goal, gateway_id: str, encoding: str = "auto") -> dict[str, Any]:
-    """The ``ropeway`` object of a call or goal that this gateway passes on."""
+    """Return the ``ropeway`` object of a call or goal that this gateway passes on."""
     note: dict[str, Any] = {"call": request.id.hex(), "via": [*request.via, gateway_id] if gateway_id else request.via}
     if request.caller:
         note["caller"] = request.caller
@@ -57,7 +57,7 @@ def call_note(request: Request | Goal, gateway_id: str, encoding: str = "auto") 
 
 
 def read_note(note: Mapping[str, Any] | None) -> CallNote:
-    """What a ``ropeway`` object tells; what is missing or odd has its default, the id a new one."""
+    """Read a ``ropeway`` object; whatever is missing or invalid gets its default, the id a new one."""
     note = note or {}
     try:
         id = bytes.fromhex(str(note.get("call", "")))
@@ -75,12 +75,12 @@ def read_note(note: Mapping[str, Any] | None) -> CallNote:
 
 
 def failure(error: BaseException) -> tuple[str, str]:
-    """The word and the text that tell of an error."""
+    """Return the word and the text for an error."""
     return _WORDS.get(type(error), "failed"), str(error) or type(error).__name__
 
 
 def received(name: str, values: Any, note: Mapping[str, Any] | None, *, kind: str, timeout_s: float) -> CallError:
-    """The error that a failed response or result tells of; ``kind`` is ``service`` or ``action``."""
+    """Return the error that a failed response or result reports; ``kind`` is ``service`` or ``action``."""
     text = values[:_TEXT_LIMIT] if isinstance(values, str) else ""
     text = text or f"{name} failed, and does not say why"
     word = (note or {}).get("error")

@@ -43,7 +43,7 @@ class RemoteCaller(Protocol):
 
 
 class Calls:
-    """What ``RosbridgeGraph`` has of services and actions. It outlives connections."""
+    """Manages the services and actions of a ``RosbridgeGraph``. It outlives connections."""
 
     def __init__(self, graph: RosbridgeGraph) -> None:
         self.graph = graph
@@ -60,22 +60,22 @@ class Calls:
     # ── for the parts ──────────────────────────────────────────────────────────────────────────────────────────
 
     def next(self) -> int:
-        """A number that no call or goal of this graph had."""
+        """Return a number that no call or goal of this graph has had."""
         return next(self._numbers)
 
     def turn(self, service: str) -> asyncio.Lock:
-        """Whose turn it is to call a service of a peer that answers one call at a time."""
+        """Return the lock of a service whose peer answers one call at a time."""
         return self._turns.setdefault(service, asyncio.Lock())
 
     def codec(self, type: str) -> MessageCodec | None:
-        """The codec of a type, ``None`` if nobody knows its definition: gateways get raw bytes then."""
+        """Return the codec of a type, ``None`` if its definition is unknown: gateways get raw bytes then."""
         try:
             return self.graph.spelling.codec(type)
         except UnknownType:
             return None
 
     def read(self, type: str, value: object, encoding: str | None, peer: Peer) -> bytes:
-        """The CDR of what came, in our layout. Raises ``TypesError``, ``WireError``."""
+        """Decode a received value to CDR in our layout. Raises ``TypesError``, ``WireError``."""
         payload = decode_value(value, encoding, self.codec(type), limit_bytes=peer.limit_bytes)
         return self.graph.border.incoming(type, payload)
 
@@ -84,7 +84,10 @@ class Calls:
         return self.graph.border.outgoing(type, payload)
 
     async def link(self, deadline: float) -> Peer:
-        """The peer, as soon as it can be called. Raises ``GraphUnavailable`` at the deadline (time of the loop)."""
+        """Return the peer, as soon as it can be called.
+
+        Raises ``GraphUnavailable`` at the deadline (time of the loop).
+        """
         if (peer := self.peer) is not None:
             return peer
         try:
@@ -98,7 +101,7 @@ class Calls:
         return peer
 
     def available(self, kind: str, name: str) -> bool | None:
-        """Whether the far graph shows that somebody serves a name; ``kind`` is ``service`` or ``action``."""
+        """Return whether the far graph shows a provider of a name; ``kind`` is ``service`` or ``action``."""
         peer = self.peer
         if peer is None:
             return False
@@ -161,7 +164,7 @@ class Calls:
         return response.values
 
     def changed(self) -> None:
-        """Who serves what has changed."""
+        """Wake those who wait: the providers have changed."""
         self._changed.set()
         self._changed = asyncio.Event()
 
@@ -182,7 +185,7 @@ class Calls:
                 raise
 
     def providers(self) -> list[RemoteService | RemoteActionServer]:
-        """What is served over this link."""
+        """Return what is served over this link."""
         return [*self.services.values(), *self.servers.values()]
 
     async def close(self) -> None:
@@ -194,12 +197,12 @@ class Calls:
     # ── the connection ─────────────────────────────────────────────────────────────────────────────────────────
 
     def ready(self, peer: Peer) -> None:
-        """The peer can be called."""
+        """Take a peer that can be called."""
         self.peer = peer
         self.changed()
 
     def disconnected(self) -> None:
-        """The link is gone: nothing that is under way can be answered."""
+        """Fail everything under way: the link is gone, so it cannot be answered."""
         self.peer = None
         reason = f"the link to {self.graph.name} was lost"
         pending, self.pending = self.pending, {}
@@ -256,7 +259,7 @@ class Calls:
         return True
 
     def _unasked(self, name: str, id: object, peer: Peer) -> None:
-        """An answer came late, or for nothing."""
+        """Count an answer that came late, or to no call."""
         if any(client.name == name for client in self.clients):
             self.late(name)
         elif isinstance(id, str) and _OURS.fullmatch(id):  # of a client that was closed
@@ -302,7 +305,7 @@ def answer_encoding(delivery: Delivery, peer: Peer, op: ops.CallService | ops.Se
 
 
 def lane(delivery: Delivery) -> int | None:
-    """The priority of calls: what was configured, or what fits their size."""
+    """Return the priority of calls: the configured one, or ``None`` to choose by size."""
     return None if delivery.priority == NO_HINTS.priority else delivery.priority
 
 

@@ -128,12 +128,12 @@ class RosbridgeGraph:
 
     @property
     def state(self) -> LinkState:
-        """Where the connection stands."""
+        """The state of the connection."""
         return self._keeper.state
 
     @property
     def last_error(self) -> str:
-        """Why the last try failed, ``""`` while connected."""
+        """The reason why the last attempt failed, ``""`` while connected."""
         return self._keeper.last_error
 
     def on_state(self, callback: Callable[[LinkState], None]) -> None:
@@ -364,7 +364,7 @@ class RosbridgeGraph:
         return made
 
     def topics(self) -> dict[str, TopicInfo]:
-        """What the far graph showed last; empty without ``watch`` or with the connection down."""
+        """Return what the far graph showed last; empty without ``watch`` or with the connection down."""
         return dict(self.mirror.topics)
 
     @property
@@ -375,19 +375,19 @@ class RosbridgeGraph:
         return self._rosapi_error if self.mirror.filled.is_set() else "it has not told yet what there is"
 
     def services(self) -> dict[str, ServiceInfo]:
-        """What the far graph showed last, and what is served from here; a plain server is asked from now on."""
+        """Return what the far graph showed last, and what is served from here; a plain server is polled from now on."""
         self._wants_calls = True
         ours = (ServiceInfo(s.service, (s.type,), (_US,)) for s in self.calls.services.values())
         return {s.name: s for s in ours} | self.mirror.services
 
     def actions(self) -> dict[str, ActionInfo]:
-        """What the far graph showed last, and what is served from here; a plain server is asked from now on."""
+        """Return what the far graph showed last, and what is served from here; a plain server is polled from now on."""
         self._wants_calls = True
         ours = (ActionInfo(s.action, (s.type,), (_US,)) for s in self.calls.servers.values())
         return {s.name: s for s in ours} | self.mirror.actions
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """What the far graph showed last; empty without ``watch`` or with the connection down."""
+        """Return what the far graph showed last; empty without ``watch`` or with the connection down."""
         return dict(self.mirror.nodes)
 
     def changes(self) -> AsyncIterator[GraphEvent]:
@@ -399,18 +399,18 @@ class RosbridgeGraph:
             raise GraphUnavailable(self.name, "is not open; call open() first")
 
     def parts(self) -> list[RemotePublisher | RemoteSubscription]:
-        """The topics that are announced there."""
+        """Return the topics that are announced there."""
         return [*self._publishers.values(), *self._subscriptions.values()]
 
     def next_number(self) -> int:
-        """A channel number that is free."""
+        """Return a free channel number."""
         while True:
             number = next(self._numbers) % OP_CHANNELS.start
             if number and number not in self._publishers and number not in self._subscriptions:
                 return number
 
     def forget(self, part: RemotePublisher | RemoteSubscription) -> None:
-        """A part was closed."""
+        """Remove a closed part."""
         table: dict[int, Any] = self._publishers if isinstance(part, RemotePublisher) else self._subscriptions
         table.pop(part.number, None)
         self._note_echo(part.topic)
@@ -424,7 +424,7 @@ class RosbridgeGraph:
             self.echoes.pop(topic, None)
 
     def type_note(self, type: str) -> dict[str, Any]:
-        """What a gateway should know of a type: its hash, and once per connection its definition."""
+        """Return what a gateway should know of a type: its hash, and once per connection its definition."""
         if not self.registry.has(type):
             return {}
         note: dict[str, Any] = {"type_hash": self.registry.hash(type)}
@@ -436,7 +436,7 @@ class RosbridgeGraph:
     # ── what the peer says ─────────────────────────────────────────────────────────────────────────────────────
 
     def operation(self, op: ops.Op) -> None:
-        """A rosbridge operation came."""
+        """Handle a rosbridge operation."""
         if isinstance(op, ops.Publish):
             found = False
             for subscription in list(self._subscriptions.values()):
@@ -451,7 +451,7 @@ class RosbridgeGraph:
             self.peer.fault_log.note("operation", "", f"{op.op} is not for a client")
 
     def control(self, message: Mapping[str, Any]) -> None:
-        """A message of the Ropeway dialect came."""
+        """Handle a message of the Ropeway dialect."""
         op, number = message.get("op"), message.get("channel")
         publisher = self._publishers.get(number) if isinstance(number, int) else None
         subscription = self._subscriptions.get(number) if isinstance(number, int) else None
@@ -497,4 +497,4 @@ class RosbridgeGraph:
         return channel in self._subscriptions
 
     def lost(self, code: int, reason: str) -> None:
-        """The connection is gone; ``_keep_connected`` goes on from here."""
+        """Disconnect all parts: the connection is gone, and ``Reconnect`` makes the next one."""

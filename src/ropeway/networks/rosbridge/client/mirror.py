@@ -33,7 +33,7 @@ class RemoteMirror:
         self._graph, self._changes, self._on_calls = graph, changes, on_calls
 
     def clear(self) -> None:
-        """The link is down: nothing is known."""
+        """Forget everything: the link is down."""
         self._replace({}, {})
         self.tells_calls = False
         self._replace_calls({}, {})
@@ -122,7 +122,7 @@ def _providers(kind: str, table: Mapping[str, ServiceInfo | ActionInfo]) -> set[
 
 
 async def _ask(call: Call, list_service: str, key: str, type_service: str, field: str) -> dict[str, str]:
-    """The names that rosapi lists, and their types."""
+    """Return the names that rosapi lists, with their types."""
     names = (await call(list_service, {})).get(key)
     found: dict[str, str] = {}
     for name in names if isinstance(names, list) else ():
@@ -227,7 +227,7 @@ def describe(
     services: Mapping[str, ServiceInfo],
     actions: Mapping[str, ActionInfo],
 ) -> dict[str, Any]:
-    """The JSON form of a graph, which ``RemoteMirror.update`` reads."""
+    """Return the JSON form of a graph, which ``RemoteMirror.update`` reads."""
 
     def provider(p: ProviderInfo) -> dict[str, Any]:
         told = {"node": p.node, "gateway": p.gateway, "local": p.local, "gid": p.gid.hex(), "since_ns": p.since_ns}

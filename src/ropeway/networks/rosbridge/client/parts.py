@@ -43,7 +43,7 @@ class EchoFilter:
         self._sent.append(hash(payload))
 
     def echoes(self, payload: bytes) -> bool:
-        """True, once, for a message that went out before."""
+        """Return true, once, for a message that went out before."""
         key = hash(payload)
         if key in self._sent:
             self._sent.remove(key)
@@ -107,7 +107,7 @@ class RemotePublisher:
 
     @property
     def refused(self) -> str:
-        """Why the far side does not take the topic, ``""`` where it does."""
+        """The reason why the far side does not take the topic, ``""`` if it does."""
         return self.answers.reason
 
     def on_answer(self, callback: Callable[[str], None]) -> None:
@@ -121,7 +121,7 @@ class RemotePublisher:
             callback(self._count)
 
     def demand(self, count: int | None) -> None:
-        """The far side told how many read, or (``None``) can tell no longer."""
+        """Take the number of far readers, or ``None`` if it is no longer known."""
         if count == self._count:
             return
         self._count = count
@@ -174,7 +174,7 @@ class RemotePublisher:
             self.answers.tell("")  # a server that has something against it does not say so
 
     def disconnected(self) -> None:
-        """The connection is gone."""
+        """Let go of the connection, which is gone."""
         self._collect()
         self.channel = None
         self.demand(0)
@@ -241,7 +241,7 @@ class RemoteSubscription:
 
     @property
     def refused(self) -> str:
-        """Why the far side does not give the topic, ``""`` where it does."""
+        """The reason why the far side does not give the topic, ``""`` if it does."""
         return self.answers.reason
 
     def on_answer(self, callback: Callable[[str], None]) -> None:
@@ -254,7 +254,7 @@ class RemoteSubscription:
         callback(self._qos)
 
     def adopted(self, qos: QoS) -> None:
-        """The far graph told which profile it uses."""
+        """Take the profile that the far graph uses."""
         if self._asked is None and qos != self._qos:
             self._qos = qos
             for callback in self._qos_callbacks:
@@ -293,7 +293,7 @@ class RemoteSubscription:
         )
 
     def disconnected(self) -> None:
-        """The connection is gone."""
+        """Let go of the connection, which is gone."""
         self._peer = None
 
     def arrived(self, arrivals: Sequence[Arrival]) -> None:
@@ -318,7 +318,7 @@ class RemoteSubscription:
         self._deliver(batch)
 
     def published(self, op: ops.Publish) -> None:
-        """A message came as a plain ``publish``."""
+        """Take a message that came as a plain ``publish``."""
         peer = self._peer
         if peer is None or self.closed:
             return
@@ -342,7 +342,7 @@ class RemoteSubscription:
         self._deliver([Sample(payload, self.type, now, self._plain_origin, self._plain_seq)])
 
     def learned(self, note: Mapping[str, Any]) -> None:
-        """The far side sent the definition of the type."""
+        """Learn the definition of the type that the far side sent."""
         text = note.get("definition")
         if isinstance(text, str):
             self.graph.teller.tell(self.type, text)
@@ -383,7 +383,7 @@ class RemoteSubscription:
 
 
 def queue_depth(delivery: Delivery, qos: QoS) -> int | None:
-    """How many messages of a topic may wait on a link: as configured, else by its QoS; ``None`` keeps all."""
+    """Return how many messages of a topic may wait on a link: as configured, else by its QoS; ``None`` keeps all."""
     if delivery.depth is not None:
         return delivery.depth
     if qos.history == "keep_all" and qos.reliable:

@@ -1,4 +1,4 @@
-"""Servers that are no Ropeway gateways: which of them take binary messages, and in what they are published to.
+"""Deals with servers that are not Ropeway gateways: which of them accept binary messages, and in which encoding.
 
 A rosbridge server takes JSON; a binary frame ends its connection. rosgw takes what it calls ``compression``. Which
 of the two a server is shows in the head of its answer, or, where that leaves it open, in what it does.
@@ -29,7 +29,7 @@ _RAW: Final = {"none": "cbor-raw", "cbor": "cbor-raw", "zip": "rawzip"}
 
 
 class PlainServer:
-    """What is known of the server at the other end of a link, over all connections."""
+    """Remembers what is known of the server at the other end of a link, over all connections."""
 
     def __init__(self, name: str, registry: TypeRegistry) -> None:
         self._name, self._registry = name, registry
@@ -46,11 +46,11 @@ class PlainServer:
 
     @property
     def is_rosbridge(self) -> bool:
-        """True for a server that is known to be rosbridge, which takes JSON only."""
+        """Whether the server is known to be rosbridge, which takes JSON only."""
         return self._json_only
 
     def encoding(self, peer: Peer, topic: str, type: str, encoding: str) -> str:
-        """In what a topic is published to the server, where ``encoding`` is configured.
+        """Return the encoding in which a topic is published to the server, if ``encoding`` is configured.
 
         A server that may be either is taken for rosgw where a binary encoding is configured.
         """
@@ -71,7 +71,7 @@ class PlainServer:
         return encoding
 
     def ended(self, peer: Peer, channels: Iterable[Channel], lasted_s: float) -> None:
-        """A connection has ended: a server that hangs up whenever it gets a binary frame is rosbridge."""
+        """Learn from the end of a connection: a server that hangs up whenever it gets a binary frame is rosbridge."""
         binary = any(channel.sent and channel.encoding in BINARY for channel in channels)
         if binary and peer.dialect is ROSGW and lasted_s < _HANGS_UP_S:
             self._hung_up += 1
@@ -86,7 +86,9 @@ class PlainServer:
 
 
 def rosgw_reads(registry: TypeRegistry, type: str) -> bool:
-    """True if rosgw can read messages of the type field by field; others end its connection, or arrive garbled."""
+    """Return whether rosgw can read messages of the type field by field; others end its connection, or
+    arrive garbled.
+    """
     names = (type, *registry.dependencies(type))
     return all(_reads(field.type) for name in names for field in registry.definition(name).fields)
 

@@ -29,7 +29,7 @@ _LAZY_RETRY_S: Final = 10.0
 
 
 class LinkState(enum.Enum):
-    """Where the connection stands."""
+    """The state of a connection."""
 
     IDLE = "idle"
     CONNECTING = "connecting"
@@ -61,7 +61,7 @@ class Reconnect:
 
     @property
     def started(self) -> bool:
-        """True from ``start`` to ``stop``."""
+        """Whether ``start`` was called, and ``stop`` was not."""
         return self._task is not None
 
     def start(self) -> None:
@@ -92,7 +92,7 @@ class Reconnect:
         callback(self.state)
 
     def set_state(self, state: LinkState) -> None:
-        """The connection stands there now."""
+        """Set the state of the connection."""
         if state is LinkState.CONNECTED:
             self._tried(None)
             self.answers.tell("")
@@ -136,7 +136,7 @@ class Reconnect:
             delay = min(2 * delay, _LAZY_RETRY_S if patient else _EAGER_RETRY_S)
 
     def _broke(self, error: BaseException) -> None:
-        """Something failed that nobody foresaw; the link is made anew."""
+        """Record an unforeseen failure; the link is made anew."""
         self.last_error = describe(error)
         self._tried(ConnectFailed(self.name, self.last_error))
         self.set_state(LinkState.WAITING)

@@ -27,7 +27,7 @@ def answer_invalid(peer: Peer, calls: Calls, message: Mapping[str, Any], error: 
 
 
 def _answer_to(message: Mapping[str, Any], error: WireError) -> ops.Op | None:
-    """The answer to a request that cannot be understood; ``None`` where it names no request."""
+    """Return the answer to a request that cannot be understood; ``None`` if it names no request."""
     id = _id(error)
     name = message.get("service", message.get("action"))
     if not isinstance(name, str) or not ops.present(id):
@@ -40,7 +40,7 @@ def _answer_to(message: Mapping[str, Any], error: WireError) -> ops.Op | None:
 
 
 def _failure_in(message: Mapping[str, Any], error: WireError) -> ops.Op | None:
-    """A failure in the place of an answer that cannot be understood, for whoever waits for it."""
+    """Return a failure to replace an answer that cannot be understood, for whoever waits for it."""
     id = _id(error)
     name = message.get("service", message.get("action", ""))
     if not ops.present(id):

@@ -1,4 +1,4 @@
-"""How a server writes messages and names types: one of rosbridge may belong to ROS 1, which does both otherwise."""
+"""Finds out how a server writes messages and names types: rosbridge on ROS 1 does both differently."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ log = logging.getLogger("ropeway.rosbridge")
 
 
 class Spelling:
-    """What the server of ``graph`` speaks. ``ros1`` tells whether it belongs to ROS 1, ``None`` that it is to be seen.
+    """The spelling of the server of ``graph``. ``ros1`` tells whether it belongs to ROS 1, ``None`` that it is to be
+    seen.
 
     It is seen in the names of types that rosapi tells, or in a message that makes sense in ROS 1 only. Gateways have
     ROS 2's spelling always.
@@ -42,16 +43,16 @@ class Spelling:
 
     @property
     def is_ros1(self) -> bool:
-        """True if the server belongs to ROS 1."""
+        """Whether the server belongs to ROS 1."""
         peer = self._graph.peer
         return bool(self._ros1) and (peer is None or peer.dialect is not ROPEWAY)
 
     def codec(self, type: str) -> MessageCodec:
-        """How messages of a type are written there. Raises ``TypesError``."""
+        """Return the codec for messages of a type as the server writes them. Raises ``TypesError``."""
         return self._theirs.codec(type) if self.is_ros1 else self._graph.registry.codec(type)
 
     def type_name(self, type: str) -> str:
-        """The name of a type as it is written there."""
+        """Return the name of a type as the server writes it."""
         return self._theirs.name(type) if self.is_ros1 else type
 
     async def find_out(self, peer: Peer) -> None:
@@ -74,7 +75,7 @@ class Spelling:
             self._ros1 = False
 
     def read(self, peer: Peer, type: str, decode: Callable[[MessageCodec], bytes]) -> bytes:
-        """What ``decode`` makes of a message.
+        """Return what ``decode`` makes of a message.
 
         Raises what it does for one that makes no sense in ROS 2 nor, if that may be, in ROS 1.
         """
@@ -91,7 +92,7 @@ class Spelling:
         return payload
 
     def _turn(self, peer: Peer) -> None:
-        """It is ROS 1: announce everything anew, for types have other names there."""
+        """Switch to ROS 1 and announce everything anew, since types have other names there."""
         self._ros1 = True
         log.info("%s: this is a rosbridge server of ROS 1", self._graph.name)
         for part in self._graph.parts():

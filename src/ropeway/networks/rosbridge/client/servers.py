@@ -30,7 +30,7 @@ _WITHDRAWN: Final = "who offered it has withdrawn it"
 
 
 class _Goal:
-    """One goal under way; ``key`` is its id on the link."""
+    """A goal under way; ``key`` is its id on the link."""
 
     def __init__(self, op: ops.SendActionGoal, peer: Peer, key: str) -> None:
         self.op, self.peer, self.key = op, peer, key
@@ -57,12 +57,12 @@ class RemoteActionServer:
 
     @property
     def encoding(self) -> str:
-        """In what feedback and results travel."""
+        """The encoding of feedback and results."""
         return travelling(self.delivery, self._peer, self._asked)
 
     @property
     def refused(self) -> str:
-        """Why the far gateway does not let us serve it now, ``""`` if it does."""
+        """The reason why the far gateway does not let us serve it now, ``""`` if it does."""
         return self.held.by
 
     def on_state(self, callback: Callable[[str], None]) -> None:
@@ -91,7 +91,7 @@ class RemoteActionServer:
         )
 
     def disconnected(self) -> None:
-        """The connection is gone: nobody follows the goals."""
+        """Abort the goals: the connection is gone, so nobody follows them."""
         self._peer = None
         for goal in self._goals.values():
             goal.ended = True
@@ -100,7 +100,7 @@ class RemoteActionServer:
     # ── what the peer asks for ─────────────────────────────────────────────────────────────────────────────────
 
     def asked(self, op: ops.SendActionGoal, peer: Peer) -> None:
-        """A goal came."""
+        """Take a goal."""
         self._asked = op.compression
         goal = _Goal(op, peer, repr(op.id))
         if goal.key in self._goals or len(self._goals) >= CALLS_LIMIT:
@@ -112,7 +112,7 @@ class RemoteActionServer:
         task.add_done_callback(lambda _: self._goals.pop(goal.key, None))
 
     def cancel_asked(self, op: ops.CancelActionGoal, peer: Peer) -> None:
-        """The end of a goal is asked for."""
+        """Take a request to cancel a goal."""
         self._tasks.start(self._cancel(op, peer), f"cancel goal of {self.action}")
 
     async def _carry_out(self, goal: _Goal) -> None:

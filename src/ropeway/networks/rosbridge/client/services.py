@@ -47,7 +47,7 @@ _REMEMBERED_BYTES: Final = 1 << 16  # longer answers are not kept
 
 
 class OtherHolder:
-    """Who else holds a name that we offer; the far gateway tells."""
+    """Tracks who else holds a name that we offer, as the far gateway reports."""
 
     def __init__(self, graph: str, kind: str, name: str) -> None:
         self.by = ""
@@ -61,7 +61,7 @@ class OtherHolder:
         callback(self.by)
 
     def tell(self, by: str) -> None:
-        """The far gateway refused the name, or (``""``) has granted it."""
+        """Note that the far gateway refused the name, or (``""``) has granted it."""
         if by and by != self._said:
             log.info("%s: %s %s was refused: %s", self._graph, self._kind, self._name, by)
             self._said = by
@@ -83,12 +83,12 @@ class RemoteClient:
 
     @property
     def available(self) -> bool | None:
-        """As the far gateway shows it; false with the link down, ``None`` if the peer does not tell."""
+        """Whether the far gateway shows a provider; false with the link down, ``None`` if the peer does not tell."""
         return False if self.closed else self._calls.available("service", self.service)
 
     @property
     def encoding(self) -> str:
-        """In what requests travel: a plain server has named no encoding."""
+        """The encoding of requests: a plain server has named none."""
         return travelling(self.delivery, self._calls.peer, None)
 
     async def wait_available(self, timeout_s: float) -> bool:
@@ -194,12 +194,12 @@ class RemoteService:
 
     @property
     def encoding(self) -> str:
-        """In what answers travel."""
+        """The encoding of answers."""
         return travelling(self.delivery, self._peer, self._asked)
 
     @property
     def refused(self) -> str:
-        """Why the far gateway does not let us serve it now, ``""`` if it does."""
+        """The reason why the far gateway does not let us serve it now, ``""`` if it does."""
         return self.held.by
 
     def on_state(self, callback: Callable[[str], None]) -> None:
@@ -226,12 +226,12 @@ class RemoteService:
         )
 
     def disconnected(self) -> None:
-        """The connection is gone: nobody waits for the answers."""
+        """Drop the calls under way: the connection is gone, so nobody waits for the answers."""
         self._peer = None
         self._answering.cancel()
 
     def called(self, op: ops.CallService, peer: Peer) -> None:
-        """A call came."""
+        """Take a call."""
         self._asked = op.compression
         if len(self._answering) >= CALLS_LIMIT:
             self._fail(op, peer, CallFailed(self.service, f"{self.service} is busy with {CALLS_LIMIT} calls"))
@@ -317,6 +317,6 @@ class RemoteService:
 
 
 def _retrieved(future: asyncio.Future[bytes]) -> None:
-    """A failure may be nobody's but the first caller's."""
+    """Mark a failure as seen: it may concern the first caller only."""
     if not future.cancelled():
         future.exception()

@@ -143,7 +143,7 @@ class OpSender:
 
     @property
     def waiting_bytes(self) -> int:
-        """What waits for the link."""
+        """The bytes that wait for the link."""
         return sum(channel.queue.bytes for channel in self._channels.values())
 
     async def room(self) -> None:
@@ -204,7 +204,7 @@ class OpSender:
         return "zstd" if slow else "cbor-raw"
 
     def _lane(self, key: str, priority: int | None, size: int) -> int:
-        """An operation waits behind those of its id."""
+        """Return the lane of an operation, which waits behind the others of its id."""
         waiting = self._waiting.get(key)
         if waiting is not None:
             return waiting[0]
@@ -236,7 +236,7 @@ class OpSender:
 
 
 def _nothing() -> None:
-    """Nobody wants to know."""
+    """Do nothing: no callback was set."""
 
 
 def _write_json(

@@ -1,4 +1,4 @@
-"""One topic that goes out on a link: what waits of it, and how it is encoded."""
+"""Sends a topic out on a link: holds what waits, and decides how it is encoded."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ M = TypeVar("M", bound=Message)
 
 
 class Stream(Generic[M]):
-    """What goes out on a link under one ``number``, in its order: the messages of a topic, or operations.
+    """Sends what goes out on a link under one ``number``, in order: the messages of a topic, or operations.
 
     ``used`` is the encoding of the last message, ``ready`` the number of that of messages that go as they are. ``gone``
     is called with each message that has gone.

@@ -59,20 +59,20 @@ _REQUESTS: Final = ("call_service", "send_action_goal")  # answered with or with
 
 
 class Wrapping(enum.IntEnum):
-    """In what the text of an operation came, the outer first."""
+    """The wrappers that the text of an operation came in, outermost first."""
 
     FRAGMENTS = 1
     IMAGE = 2
 
 
 class PeerHandler(Protocol):
-    """Who listens to a peer."""
+    """Handles what a peer sends."""
 
     def operation(self, op: ops.Op) -> None:
-        """A rosbridge operation came."""
+        """Handle a rosbridge operation."""
 
     def control(self, message: Mapping[str, Any]) -> None:
-        """A message of the Ropeway dialect came (``op`` is one of ``CONTROL_OPS``)."""
+        """Handle a message of the Ropeway dialect (``op`` is one of ``CONTROL_OPS``)."""
 
     def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
         """Messages came on a channel, still encoded."""
@@ -81,7 +81,7 @@ class PeerHandler(Protocol):
         """Return whether messages are expected on a channel; parts of others are not even kept."""
 
     def lost(self, code: int, reason: str) -> None:
-        """The connection is gone."""
+        """Handle the loss of the connection."""
 
 
 class Peer:
@@ -200,7 +200,9 @@ class Peer:
 
     @property
     def answers_waiting(self) -> int:
-        """How many calls and answers wait for the link; ``on_answer_gone`` is called for each that has gone."""
+        """The number of calls and answers that wait for the link; ``on_answer_gone`` is called for each that
+        has gone.
+        """
         return self._ops.count
 
     def on_answer_gone(self, callback: Callable[[], None]) -> None:
@@ -387,7 +389,7 @@ class Peer:
             self.fault_log.note(op, "", error)
 
     def decode(self, arrival: Arrival, codec: MessageCodec | None) -> bytes:
-        """The CDR of a message that came in a record. Raises ``DecodeError`` or ``MessageTooBig``."""
+        """Decode a message that came in a record to CDR. Raises ``DecodeError`` or ``MessageTooBig``."""
         if arrival.encoding == wire_codec.CBOR_RAW:
             return arrival.body
         encoding = wire_codec.encoding_name(arrival.encoding)

@@ -34,7 +34,7 @@ _AHEAD_S: Final = 0.004  # before the end of a message the next is encoded, so t
 
 
 class LinkSender:
-    """What waits for one link, and the turn of the event loop in which it goes.
+    """Holds what waits for one link, and sends it once per turn of the event loop.
 
     ``second`` tells whether it sends on a second connection; ``recent`` is what it sent last, where that may have to go
     again.
@@ -325,7 +325,7 @@ class RecordSender(LinkSender):
         return part
 
     def _next(self) -> _Cursor | None:
-        """The message whose turn it is; it is under way from now on."""
+        """Return the message whose turn it is, and mark it as under way."""
         outbox = self.outbox
         if not self._parts:
             for lane in outbox.lanes():
@@ -403,7 +403,7 @@ class RecordSender(LinkSender):
         self.in_thread(lambda: stream.body(cursor.item, cursor.encoding), then)
 
     def _part_bytes(self) -> int:
-        """The size of a part: what the link carries in a moment, so that nothing urgent waits for more."""
+        """Return the size of a part: what the link carries in a moment, so that nothing urgent waits longer."""
         flow = self.connection.flow
         if not flow.known:
             return _PART_MAX_BYTES

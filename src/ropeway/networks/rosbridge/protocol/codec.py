@@ -87,14 +87,14 @@ Data = bytes | bytearray | memoryview
 
 
 class Frame(NamedTuple):
-    """One WebSocket frame."""
+    """A WebSocket frame."""
 
     text: bool
     data: bytes
 
 
 def encoding_name(number: int) -> str:
-    """The encoding that a record names. Raises ``DecodeError``."""
+    """Return the encoding that a record names. Raises ``DecodeError``."""
     if 0 <= number < len(ENCODINGS):
         return ENCODINGS[number]
     raise DecodeError("message", f"encoding {number}", "there is no such encoding")
@@ -112,7 +112,7 @@ def encode_publish(
     dialect: Dialect = ROSBRIDGE,
     stamp_ns: int,
 ) -> Frame:
-    """The ``publish`` frame of a message.
+    """Return the ``publish`` frame of a message.
 
     ``codec`` may be ``None`` for what is not in ``NEEDS_CODEC``; ``stamp_ns`` goes into cbor-raw. An encoding that
     nobody knows is none, as rosbridge has it. Raises ``DecodeError`` for a payload that is not of its type.
@@ -139,7 +139,7 @@ def _text_start(topic: str) -> bytes:
 
 
 def _binary_edges(topic: str, compression: str) -> tuple[bytes, bytes]:
-    """What comes before and after the message in a CBOR frame."""
+    """Return what comes before and after the message in a CBOR frame."""
     start = cbor2.dumps({"op": "publish", "topic": topic, "msg": None})[1:-1]
     if not compression:
         return b"\xa3" + start, b""
@@ -151,7 +151,7 @@ _SHORT: Final = (functools.lru_cache(4096)(_text_start), functools.lru_cache(409
 
 
 def _bytes(data: bytes) -> tuple[bytes, bytes]:
-    """A CBOR byte string, in two parts so that it is copied once only."""
+    """Return a CBOR byte string, in two parts so that it is copied only once."""
     size = len(data)
     if size < 24:
         return bytes((0x40 + size,)), data
@@ -174,7 +174,7 @@ def encode_msg(
     type: str = "",
     tagged: bool = True,
 ) -> bytes:
-    """The body of a message for a record.
+    """Return the body of a message for a record.
 
     ``codec`` may be ``None`` for what is not in ``NEEDS_CODEC``; zstd then takes the name of the type from ``type``,
     and does without filters where there is neither. ``tagged`` tells how typed arrays stand in CBOR; ``stamp_ns``
@@ -230,7 +230,7 @@ def encode_value(
     dialect: Dialect = ROSBRIDGE,
     stamp_ns: int = 0,
 ) -> Any:
-    """A message as the ``args``, ``values`` or ``msg`` of an operation that ``encode_op`` writes.
+    """Return a message as the ``args``, ``values`` or ``msg`` of an operation that ``encode_op`` writes.
 
     Raises as ``encode_msg`` does; png has no values.
     """
@@ -247,7 +247,7 @@ def encode_value(
 
 
 def encode_op(op: Operation | Mapping[str, Any], encoding: str = "none") -> Frame:
-    """The frame of an operation whose body, if it has one, is in this encoding."""
+    """Return the frame of an operation whose body, if it has one, is in this encoding."""
     message = op.to_dict() if isinstance(op, Operation) else op
     if encoding in BINARY:
         return Frame(False, cbor_dumps(message))
@@ -256,7 +256,9 @@ def encode_op(op: Operation | Mapping[str, Any], encoding: str = "none") -> Fram
 
 
 def cbor_with_bytes(message: Mapping[str, Any], key: str, data: bytes) -> bytes:
-    """The CBOR of a map with one more entry, a byte string, which is copied only once. At most 22 other entries."""
+    """Return the CBOR of a map with one more entry, a byte string, which is copied only once. At most 22
+    other entries.
+    """
     if len(data) < _COPIED_BYTES:
         return cbor_dumps({**message, key: data})
     coded = cbor_dumps(message)
@@ -267,7 +269,7 @@ def cbor_with_bytes(message: Mapping[str, Any], key: str, data: bytes) -> bytes:
 
 
 def decode_msg(encoding: str, body: Data, codec: MessageCodec | None, *, limit_bytes: int = LIMIT_BYTES) -> bytes:
-    """The payload of a body that ``encode_msg`` made; see the module for what it raises."""
+    """Return the payload of a body that ``encode_msg`` made; see the module for what it raises."""
     if len(body) > limit_bytes:
         raise MessageTooBig(len(body), limit_bytes)
     if encoding == "cbor-raw":
@@ -294,7 +296,7 @@ def decode_msg(encoding: str, body: Data, codec: MessageCodec | None, *, limit_b
 def decode_publish_msg(
     msg: Any, compression: str | None, codec: MessageCodec | None, *, limit_bytes: int = LIMIT_BYTES
 ) -> bytes:
-    """The payload of the ``msg`` of a ``publish`` that came, as parsed from JSON or CBOR.
+    """Return the payload in the ``msg`` of a received ``publish``, as parsed from JSON or CBOR.
 
     What ``msg`` looks like decides, ``compression`` only where that leaves a choice; senders may leave it out.
     Raw bytes are taken apart once where ``codec`` is there, so that nothing is passed on that is not of its type.
@@ -332,7 +334,7 @@ def _has_fields(codec: MessageCodec | None, msg: Mapping[Any, Any]) -> bool:
 def decode_value(
     value: Any, compression: str | None, codec: MessageCodec | None, *, limit_bytes: int = LIMIT_BYTES
 ) -> bytes:
-    """The payload of the ``args`` or ``values`` of an operation that came.
+    """Return the payload in the ``args`` or ``values`` of a received operation.
 
     As ``decode_publish_msg``; besides, a list gives the fields in order, superfluous ones ignored, and nothing
     stands for an empty message.
@@ -345,7 +347,7 @@ def decode_value(
 
 
 def unpack_png(data: str, *, limit_bytes: int = LIMIT_BYTES) -> bytes:
-    """The JSON text in the ``data`` of a ``png`` operation. Raises ``DecodeError``, ``MessageTooBig``."""
+    """Return the JSON text in the ``data`` of a ``png`` operation. Raises ``DecodeError``, ``MessageTooBig``."""
     try:
         image = binascii.a2b_base64(data)
     except ValueError as error:
@@ -354,7 +356,7 @@ def unpack_png(data: str, *, limit_bytes: int = LIMIT_BYTES) -> bytes:
 
 
 def _from_raw(raw: bytes, codec: MessageCodec | None) -> bytes:
-    """The payload in raw bytes that came with an operation."""
+    """Return the payload in raw bytes that came with an operation."""
     if codec is None:
         return _cdr(raw)
     return codec.from_raw(raw if codec.variant != "ros2" else _cdr(raw))
@@ -383,7 +385,7 @@ def _unlz4(data: Data, limit_bytes: int) -> bytes:
 
 
 def _unlz4_on(decompressor: lz4.frame.LZ4FrameDecompressor, content: bytes, limit_bytes: int) -> bytes:
-    """The rest of a frame that does not state its size."""
+    """Return the rest of a frame that does not state its size."""
     parts = [content]
     size = len(content)
     while not decompressor.eof:

@@ -1,4 +1,4 @@
-"""Who speaks rosbridge how: rosbridge itself, the original ROS Gateway (rosgw), and other Ropeway gateways.
+"""Defines the dialects of rosbridge: rosbridge itself, the original ROS Gateway (rosgw), and other Ropeway gateways.
 
 Another Ropeway gateway is known by the WebSocket subprotocol. A plain peer is taken for rosbridge until it does
 something that only rosgw does: ``by_server`` tells from the answer of a server, ``detect`` from what a peer says.
@@ -30,7 +30,7 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """What a peer understands.
+    """Describes what a peer understands.
 
     ``subscribe`` and ``publish`` are the encodings in which it may be sent what it subscribed to, and in which it
     takes what is published to it. ``bodies`` are the binary ones that it may ask for with the ``compression`` of a
@@ -91,12 +91,12 @@ _ROSGW_ONLY: Final = frozenset(("zip", "rawzip"))
 
 
 def by_subprotocol(subprotocol: str | None) -> Dialect:
-    """The dialect of a peer that has just connected with this WebSocket subprotocol, or none."""
+    """Return the dialect of a peer that has just connected with this WebSocket subprotocol, or none."""
     return ROPEWAY if subprotocol == ROPEWAY_SUBPROTOCOL else ROSBRIDGE
 
 
 def by_server(server: str, *, dated: bool) -> Dialect | None:
-    """The dialect of a server without our subprotocol, from the head of its answer; ``None`` leaves it open.
+    """Return the dialect of a server without our subprotocol, from the head of its answer; ``None`` leaves it open.
 
     ``server`` is its ``Server`` line, ``dated`` tells whether it had a ``Date``. rosbridge servers stand on Tornado,
     Autobahn (ROS 1) or WebSocket++; the library below rosgw gives a date and no name.
@@ -107,7 +107,7 @@ def by_server(server: str, *, dated: bool) -> Dialect | None:
 
 
 def detect(dialect: Dialect, op: Op) -> Dialect:
-    """The dialect of a peer that spoke ``dialect`` so far and now sends ``op``.
+    """Return the dialect of a peer that spoke ``dialect`` so far and now sends ``op``.
 
     Signs of rosgw: an encoding named in anything but ``subscribe``, an encoding that rosbridge has not, an id as
     only rosgw makes it.

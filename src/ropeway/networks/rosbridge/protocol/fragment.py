@@ -25,7 +25,7 @@ class Fragmenter:
         self._ids = itertools.count(1)
 
     def split(self, text: bytes, fragment_size: int | None) -> list[bytes]:
-        """The frames to send for an operation's JSON text in ASCII, in order.
+        """Split an operation's JSON text in ASCII into the frames to send, in order.
 
         A text of at most ``fragment_size`` characters stays as it is; ``None`` means no limit.
         """
@@ -86,7 +86,7 @@ class Defragmenter:
 
     @property
     def held_bytes(self) -> int:
-        """What is kept in all: pieces may be so small that keeping them costs more than they hold."""
+        """The bytes kept in all: pieces may be so small that keeping them costs more than they hold."""
         return self.pending_bytes + _KEEPING_BYTES * (self.pending_fragments + len(self._partials))
 
     def clear(self) -> None:
@@ -96,7 +96,7 @@ class Defragmenter:
 
     @property
     def pending(self) -> int:
-        """How many texts are not complete."""
+        """The number of incomplete texts."""
         return len(self._partials)
 
     def add(self, fragment: Fragment) -> bytes | None:

@@ -23,7 +23,7 @@ _PENDING_LIMIT_BYTES: Final = 16 << 20
 def loads(
     data: bytes | bytearray | memoryview | str, *, text: bool, max_depth: int = NESTED_CONTAINERS
 ) -> list[dict[Any, Any]]:
-    """The objects of one frame, in order: JSON, several of them one after the other, or (binary) one CBOR map.
+    """Parse the objects of one frame, in order: JSON, several of them one after the other, or (binary) one CBOR map.
 
     ``NaN`` and ``Infinity`` are taken as numbers. Raises ``InvalidFrame``, also if anything else than objects is
     in the frame or the last one is not complete.
@@ -97,7 +97,7 @@ class JsonAssembler:
 
     @property
     def pending_bytes(self) -> int:
-        """How much of an incomplete object is kept."""
+        """The bytes kept of an incomplete object."""
         return len(self._buffer)
 
     def clear(self) -> None:
@@ -106,7 +106,7 @@ class JsonAssembler:
         self._open.clear()
 
     def feed(self, data: bytes | bytearray | memoryview | str, *, text: bool) -> list[dict[Any, Any]]:
-        """The objects that this frame completes; none while the first one is not complete.
+        """Return the objects that this frame completes; none while the first one is incomplete.
 
         Raises ``InvalidFrame`` if the frame has nothing of use. What is between objects is only counted.
         """
@@ -135,7 +135,7 @@ class JsonAssembler:
         return [whole]
 
     def _binary(self, data: bytes | bytearray | memoryview) -> dict[Any, Any] | None:
-        """The CBOR map that a frame is, ``None`` for what may continue a JSON text."""
+        """Parse a frame as a CBOR map; ``None`` if it may continue a JSON text."""
         try:
             if not 0xA0 <= data[0] <= 0xBF:
                 raise InvalidFrame("a binary frame that is neither JSON nor a CBOR map", len(data))
@@ -203,7 +203,7 @@ class JsonAssembler:
         return True
 
     def _end(self) -> int | None:
-        """Where the object ends that the buffer begins with; ``None`` if that is still to come.
+        """Return where the object ends that the buffer begins with; ``None`` if its end has not arrived.
 
         Continues where it stopped before. Raises ``_NotJson`` at what cannot be a part of an object.
         """
@@ -259,7 +259,7 @@ class JsonAssembler:
                 raise _NotJson(start)
 
     def _unfinished(self, at: int) -> int:
-        """Where a number or a word begins that what is left can become, behind white space."""
+        """Return where, after white space, an unfinished number or word begins."""
         start = _matched(_SPACE, self._buffer, at).end()
         rest = bytes(self._buffer[start : start + _LONGEST_NUMBER])
         number = rest[:1].isdigit() or (rest[:1] == b"-" and rest[1:2].isdigit())

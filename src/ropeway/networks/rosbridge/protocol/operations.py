@@ -41,12 +41,12 @@ __all__ = [
 
 
 def present(id: object) -> bool:
-    """True for an id that the operation has, whatever it is."""
+    """Return whether the operation has an id, whatever it is."""
     return id is not ABSENT
 
 
 class Operation:
-    """What all operations have in common. ``KEYS`` are in the order of rosbridge, ``ROSGW_KEYS`` in that of rosgw."""
+    """The base of all operations. ``KEYS`` are in the order of rosbridge, ``ROSGW_KEYS`` in that of rosgw."""
 
     __slots__ = ()
     op: ClassVar[str]
@@ -54,7 +54,7 @@ class Operation:
     ROSGW_KEYS: ClassVar[tuple[str, ...]] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON object, or with a binary body the CBOR map."""
+        """Return the JSON object, or with a binary body the CBOR map."""
         cls = type(self)
         rosgw = cls.ROSGW_KEYS and getattr(self, "compression", None) is not None
         out: dict[str, Any] = {"op": cls.op}
@@ -260,7 +260,7 @@ class CancelActionGoal(Operation):
 
 @dataclass(slots=True, kw_only=True)
 class ActionFeedback(Operation):
-    """How a goal goes on. ``goal_id`` and ``result`` are rosgw's."""
+    """Reports the progress of a goal. ``goal_id`` and ``result`` are rosgw's."""
 
     op: ClassVar[Literal["action_feedback"]] = "action_feedback"
     KEYS = ("goal_id", "action", "values", "result", "id")
@@ -276,7 +276,7 @@ class ActionFeedback(Operation):
 
 @dataclass(slots=True, kw_only=True)
 class ActionResult(Operation):
-    """How a goal ended: ``status`` as in action_msgs/GoalStatus (4 succeeded, 5 canceled, 6 aborted).
+    """Reports the end of a goal: ``status`` as in action_msgs/GoalStatus (4 succeeded, 5 canceled, 6 aborted).
 
     With a false ``result`` there is no result and ``values`` is a text. ``goal_id`` is rosgw's.
     """

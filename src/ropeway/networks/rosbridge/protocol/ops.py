@@ -75,7 +75,7 @@ __all__ = [
 
 
 def dumps(message: Mapping[str, Any]) -> bytes:
-    """A JSON object in pure ASCII, as rosbridge clients expect it; ``orjson.Fragment`` values go in as they are.
+    """Return a JSON object in pure ASCII, as rosbridge clients expect it; ``orjson.Fragment`` values go in unchanged.
 
     Raises ``TypeError`` for what JSON cannot say (bytes).
     """
@@ -99,7 +99,7 @@ codecs.register_error("ropeway-json", _escape)
 
 
 def parse(message: Mapping[Any, Any]) -> Op:
-    """The operation that a JSON object or CBOR map is. Raises ``InvalidOperation``."""
+    """Parse an operation from a JSON object or CBOR map. Raises ``InvalidOperation``."""
     op = message.get("op", ABSENT)
     read = _READERS.get(op) if isinstance(op, str) else None
     if read is not None:
@@ -116,14 +116,14 @@ _SCALARS: Final = frozenset((str, int, float, bool, type(None)))
 
 
 def _show(value: object) -> str:
-    """A value for an error's text, short however big it is."""
+    """Return a value for an error's text, short however big it is."""
     if isinstance(value, str):
         return value[:100]
     return str(value)[:100] if type(value) in _SCALARS else f"<{type(value).__name__}>"
 
 
 def _id_of(message: Mapping[Any, Any]) -> Any:
-    """The id, whatever it is; ``null`` is none, as rosbridge has it: it is not repeated in answers."""
+    """Return the id, whatever it is; ``null`` counts as none, as in rosbridge: it is not repeated in answers."""
     id = message.get("id")
     return ABSENT if id is None else id
 
@@ -210,7 +210,7 @@ class _Fields:
         raise self._wrong(key, value, "bool")
 
     def number(self, key: str) -> float | None:
-        """A finite number, if there is one."""
+        """Return a finite number, if there is one."""
         value = self._message.get(key)
         if value is None:
             return None
@@ -228,7 +228,7 @@ class _Fields:
         return self.count(key, 0) or None
 
     def id_or_suffix(self, name: str) -> Any:
-        """The id, or what stands behind ``#`` in an old client's name."""
+        """Return the id, or what follows ``#`` in an old client's name."""
         if self.id is ABSENT:
             _, mark, suffix = name.partition("#")
             return suffix if mark else ABSENT
@@ -249,7 +249,7 @@ def _advertise(f: _Fields) -> Advertise:
 
 
 def _lenient_count(value: object, default: int) -> int:
-    """A field that rosbridge does not check."""
+    """Return a count from a field that rosbridge does not check."""
     if isinstance(value, (int, float)) and math.isfinite(value):
         return max(0, int(value))
     return default

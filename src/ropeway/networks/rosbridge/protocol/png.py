@@ -25,7 +25,7 @@ _U8 = npt.NDArray[np.uint8]
 
 
 def pack(text: bytes) -> bytes:
-    """The PNG of a text: as square as can be, padded with line feeds."""
+    """Return the PNG of a text: as square as can be, padded with line feeds."""
     width = max(1, math.isqrt(len(text) // 3))
     height = max(1, -(-len(text) // (3 * width)))
     rows = np.zeros((height, 1 + 3 * width), np.uint8)  # each begins with the number of its filter: none
@@ -40,7 +40,7 @@ def _chunk(kind: bytes, data: bytes) -> tuple[bytes, ...]:
 
 
 def unpack(image: bytes | memoryview, *, limit_bytes: int) -> bytes:
-    """The text of a PNG as any rosbridge server makes it, without the padding.
+    """Return the text of a PNG as any rosbridge server makes it, without the padding.
 
     Raises ``DecodeError``, and ``MessageTooBig`` where the text is above ``limit_bytes``.
     """

@@ -147,7 +147,7 @@ class RecordReader:
         self._partials: dict[int, _Partial] = {}
 
     def read(self, data: bytes | memoryview) -> list[Arrival]:
-        """The messages that this frame completes.
+        """Return the messages that this frame completes.
 
         Raises ``InvalidFrame`` at a malformed record; what the frame completed before it is lost with it.
         """

@@ -1,4 +1,4 @@
-"""The definition texts that web clients get of every topic, none of which they cannot read.
+"""Makes the definition texts that web clients get for every topic, so that every client can read all of them.
 
 Lichtblick asks for the texts of all topics every three seconds and drops the whole list if one of them does not
 parse. Its parser is stricter than ROS: names of fields are in small letters, a type in another package has two parts,
@@ -70,7 +70,7 @@ class Texts:
         self._made: dict[str, _Made] = {}
 
     def of(self, type: str) -> str:
-        """The text of a message and all it is made of; where there is none, a comment that says why."""
+        """Return the text of a message and all that it contains; if there is none, a comment that says why."""
         made = self._made.get(type)
         if made is None or not self._holds(type, made):
             if len(self._made) >= _MOST:
@@ -103,7 +103,7 @@ class Ros1Texts:
         self._spelling = spelling
 
     def of(self, type: str) -> str:
-        """The text of a message and all it is made of; where there is none, a comment that says why."""
+        """Return the text of a message and all that it contains; if there is none, a comment that says why."""
         try:
             return self._spelling.text(type)
         except TypesError as error:
@@ -111,7 +111,7 @@ class Ros1Texts:
 
 
 def _failure(type: str, reason: object) -> str:
-    """What rosbridge sends in place of a text, in one line."""
+    """Return what rosbridge sends in place of a text, in one line."""
     return f"# failed to get full definition text for {_one_line(type)}: {_one_line(str(reason))}"
 
 
@@ -120,7 +120,7 @@ def _one_line(text: str) -> str:
 
 
 def _readable(type: str, source: str, registry: TypeRegistry) -> str:
-    """``source``, or the same types written anew, or a comment. Raises ``TypesError``."""
+    """Return ``source``, or the same types rewritten, or a comment. Raises ``TypesError``."""
     root = registry.definition(type)
     parts = [registry.definition(name) for name in registry.dependencies(type)]
     listed = [short_name(part.name) for part in parts]
@@ -139,7 +139,7 @@ def _readable(type: str, source: str, registry: TypeRegistry) -> str:
 
 
 def _plainest(definition: Definition) -> Definition:
-    """The definition without what only programs on the network need: defaults, and constants that clients trip over."""
+    """Return the definition without defaults, and without constants that clients trip over: only programs need them."""
     constants = tuple(_plain(c) for c in definition.constants)
     return replace(
         definition,
@@ -150,14 +150,14 @@ def _plainest(definition: Definition) -> Definition:
 
 
 def _plain(constant: Constant) -> Constant:
-    """The constant with its value as every parser reads it."""
+    """Return the constant with its value as every parser reads it."""
     value = constant.value
     quoted = isinstance(value, str) and '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
     return replace(constant, text=quoted or str(value))
 
 
 def is_readable(definition: Definition, listed: Sequence[str], *, root: bool, text: str) -> bool:
-    """True if the parser of Lichtblick reads ``text``, and as ``definition`` means it.
+    """Return whether Lichtblick's parser reads ``text``, and as ``definition`` means it.
 
     ``listed`` are the types (``pkg/Name``) whose definitions follow the ``root``. Constants may be missing.
     """
@@ -206,7 +206,7 @@ def _fits(field: Field) -> bool:
 
 
 def _finds(written: str, meant: str, within: str, listed: Sequence[str], root: bool) -> bool:
-    """True if the name of a type leads to the type that it means."""
+    """Return whether the written name of a type leads to the type that is meant."""
     short = short_name(meant)
     if meant in TIMES and written in ("time", "duration", short, meant):
         return True

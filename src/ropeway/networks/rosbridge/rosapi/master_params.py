@@ -19,7 +19,7 @@ class ParameterServer(Protocol):
     """A graph whose network keeps all parameters in one place."""
 
     async def get_param(self, name: str) -> Any:
-        """The value. Raises ``KeyError``."""
+        """Return the value of a parameter. Raises ``KeyError``."""
 
     async def set_param(self, name: str, value: Any) -> None:
         """Set it. Raises ``ValueError`` for what cannot be kept."""
@@ -32,20 +32,20 @@ class ParameterServer(Protocol):
 
 
 class MasterParams:
-    """As ``Params``, for a graph with a parameter server. ``timeout_s`` bounds every call."""
+    """Answers like ``Params``, for a graph with a parameter server. ``timeout_s`` bounds every call."""
 
     def __init__(self, server: ParameterServer, globs: Globs, timeout_s: float) -> None:
         self._server, self._globs, self._timeout_s = server, globs, timeout_s
 
     async def get(self, name: str, default: str) -> dict[str, Any]:
-        """The value of a parameter, or ``default`` with the reason."""
+        """Return the value of a parameter, or ``default`` with the reason."""
         value, reason = await self._tried(name, lambda: self._server.get_param(_absolute(name)))
         if reason:
             return {"value": to_json(from_json(default)), "successful": False, "reason": reason}
         return {"value": to_json(value), "successful": True, "reason": ""}
 
     async def has(self, name: str) -> bool:
-        """True if it is there."""
+        """Return whether the parameter exists."""
         return not (await self._tried(name, lambda: self._server.get_param(_absolute(name))))[1]
 
     async def set(self, name: str, value: str) -> dict[str, Any]:
@@ -66,7 +66,7 @@ class MasterParams:
         return {"successful": not reason, "reason": reason}
 
     async def names(self) -> list[str]:
-        """The names of all parameters that the globs show."""
+        """Return the names of all parameters that the globs show."""
         try:
             async with aio.timeout(self._timeout_s):
                 found = await self._server.list_params()
@@ -75,7 +75,7 @@ class MasterParams:
         return [name for name in found if Globs.allows(name, self._globs.params)]
 
     async def _tried(self, name: str, work: Callable[[], Any]) -> tuple[Any, str]:
-        """What came of it, and why nothing did."""
+        """Return the result, or the reason for failure."""
         if not Globs.allows(_absolute(name), self._globs.params):
             return None, f"Parameter {name} does not match any of the glob strings"
         try:

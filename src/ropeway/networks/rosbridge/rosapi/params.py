@@ -43,7 +43,7 @@ _NUMBERS: Final = (ParameterType.DOUBLE, ParameterType.DOUBLE_ARRAY)
 
 
 class _Refused(Exception):
-    """Why a parameter cannot be had or changed."""
+    """Raised when a parameter cannot be read or changed."""
 
 
 class Params:
@@ -54,7 +54,7 @@ class Params:
         self._turns = asyncio.Semaphore(_AT_A_TIME)
 
     async def get(self, name: str, default: str) -> dict[str, Any]:
-        """The value of a parameter, or ``default`` with the reason."""
+        """Return the value of a parameter, or ``default`` with the reason."""
         try:
             async with aio.timeout(self._timeout_s):
                 value = await self._get(*self._split(name, "get_parameters"))
@@ -63,7 +63,7 @@ class Params:
         return {"value": to_json(value), "successful": True, "reason": ""}
 
     async def has(self, name: str) -> bool:
-        """True if a node has the parameter and it is set."""
+        """Return whether a node has the parameter and it is set."""
         try:
             async with aio.timeout(self._timeout_s):
                 await self._get(*self._split(name, "get_parameters"))
@@ -106,7 +106,7 @@ class Params:
         return _result(refused[parameter])
 
     async def names(self) -> list[str]:
-        """The parameters of all nodes that answer in time, as ``/node:parameter``."""
+        """Return the parameters of all nodes that answer in time, as ``/node:parameter``."""
         nodes = [node for node in nodes_with_parameters(self._graph.services()) if not is_hidden_node(node)]
         tasks = {node: asyncio.create_task(self._list(node), name=f"parameters of {node}") for node in nodes}
         try:
@@ -163,7 +163,7 @@ class Params:
         return Globs.allows(parameter, patterns) or Globs.allows(f"{node}:{parameter}", patterns)
 
     async def _typed(self, node: str, parameter: str, given: Any, text: str) -> ParameterValue:
-        """The value in the type that the node gives the parameter: JavaScript writes 5.0 as 5.
+        """Return the value in the type that the node gives the parameter: JavaScript writes 5.0 as 5.
 
         Where that is not known, the type is that of the value, and a text is read as ``ros2 param set`` does.
         """
@@ -222,7 +222,7 @@ def _reason(error: BaseException) -> str:
 
 
 def from_json(text: str) -> Any:
-    """The value of a JSON text; an empty text where it is none."""
+    """Parse a JSON text; anything else gives an empty text."""
     try:
         return json_value(text) if text else ""
     except ValueError:
@@ -230,7 +230,7 @@ def from_json(text: str) -> Any:
 
 
 def to_json(value: Any) -> str:
-    """A JSON text that every client parses: of bytes the numbers, of what is no number ``null``."""
+    """Write a JSON text that every client parses: bytes as numbers, NaN and infinity as ``null``."""
     if isinstance(value, bytes):
         value = list(value)
     try:

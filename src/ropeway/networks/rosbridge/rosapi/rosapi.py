@@ -115,11 +115,11 @@ class Rosapi:
         }
 
     def serves(self, name: str) -> bool:
-        """True for the name of a service that is answered here: ``/rosapi/topics``, or ``rosapi/topics``."""
+        """Return whether a service is answered here: ``/rosapi/topics``, or ``rosapi/topics``."""
         return self._last_part(name) in self._answers
 
     async def call(self, name: str, args: Any = None) -> Values:
-        """The values of the response, in the order of its fields.
+        """Return the values of the response, in the order of its fields.
 
         ``args`` is the object or the list that came with the call. Raises ``NotServed`` for a name that is not one of
         rosapi, ``CallFailed`` for arguments that do not fit the request.
@@ -147,7 +147,9 @@ class Rosapi:
         return full.removeprefix(self._prefix) if full.startswith(self._prefix) else ""
 
     def _request(self, name: str, type: str, args: object) -> Mapping[str, Any]:
-        """The request with every field; ``args`` in a list are taken in the order of the fields, null is left out."""
+        """Return the request with every field; ``args`` in a list are taken in the order of the fields, null is left
+        out.
+        """
         codec = self._registry.codec(f"{type}_Request")
         named = dict(zip(codec.fields, args, strict=False)) if isinstance(args, (list, tuple)) else args
         given = {k: v for k, v in named.items() if v is not None} if isinstance(named, Mapping) else {}
@@ -157,7 +159,7 @@ class Rosapi:
             raise CallFailed(name, error.reason) from None
 
     def _spelled(self, type: str) -> str:
-        """The name of a type as clients of this network write it."""
+        """Return the name of a type as clients of this network write it."""
         if self._ros1 is None:
             return type
         return self._ros1.name(type).replace("rosapi_msgs/", "rosapi/")
@@ -235,7 +237,7 @@ class Rosapi:
         return lambda request: self._typedefs(request["type"], kind, end)
 
     def _typedefs(self, type: str, kind: str, end: str) -> Values:
-        """The definitions of a message or of one part of a service or action; none where it is not known."""
+        """Return the definitions of a message or of one part of a service or action; empty if it is not known."""
         try:
             full = self._registry.canonical(type, kind)
             known = self._registry.has(full) and (not end or full.split("/")[1] == kind)
@@ -265,7 +267,7 @@ class Rosapi:
     # ── time and version ───────────────────────────────────────────────────────────────────────────────────────
 
     def _get_time(self, _: Mapping[str, Any]) -> Values:
-        """The time, with the names of ROS 1 beside those of ROS 2: roslibpy reads them."""
+        """Return the time, with the names of ROS 1 beside those of ROS 2: roslibpy reads them."""
         sec, nanosec = divmod(self._clock(), 1_000_000_000)
         return {"time": {"sec": sec, "nanosec": nanosec, "secs": sec, "nsecs": nanosec}}
 

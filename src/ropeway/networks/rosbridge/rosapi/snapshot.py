@@ -1,4 +1,4 @@
-"""What rosapi tells of a graph: names and types by the rules of the original.
+"""Presents a graph as rosapi does: names and types by the rules of the original.
 
 Hidden names are left out: topics and services with a part that begins with ``_``, and nodes whose last part does.
 Of several types a topic has, the first is told. Nothing unknown is an error: the answer is empty.
@@ -22,12 +22,12 @@ _FRESH_S: Final = 0.02  # a web client asks for the details of every node at onc
 
 
 def is_hidden(name: str) -> bool:
-    """True for a topic or service that lists leave out."""
+    """Return whether lists leave the topic or service out."""
     return "/_" in name or name.startswith("_")
 
 
 def is_hidden_node(name: str) -> bool:
-    """True for a node that lists leave out."""
+    """Return whether lists leave the node out."""
     last = name.rpartition("/")[2]
     return not last or last.startswith("_")
 
@@ -54,21 +54,21 @@ class GraphSnapshot:
         }
 
     def topic_type(self, topic: str) -> str:
-        """The type of a topic, or ``""``."""
+        """Return the type of a topic, or ``""``."""
         name = _absolute(topic)
         info = self._graph.topics().get(name)
         shown = info is not None and not is_hidden(name) and Globs.allows(name, self._globs.topics)
         return info.type if shown and info is not None else ""
 
     def publishers(self, topic: str) -> list[str]:
-        """The nodes that publish a topic."""
+        """Return the nodes that publish a topic."""
         name = _absolute(topic)
         info = self._graph.topics().get(name)
         shown = info is not None and not is_hidden(name) and Globs.allows(name, self._globs.topics_pub)
         return _nodes_of(info.publishers) if shown and info is not None else []
 
     def subscribers(self, topic: str) -> list[str]:
-        """The nodes that read a topic."""
+        """Return the nodes that read a topic."""
         name = _absolute(topic)
         info = self._graph.topics().get(name)
         shown = info is not None and not is_hidden(name) and Globs.allows(name, self._globs.topics_sub)
@@ -87,7 +87,7 @@ class GraphSnapshot:
         }
 
     def service_type(self, service: str) -> str:
-        """The type of a service, or ``""``."""
+        """Return the type of a service, or ``""``."""
         name = _absolute(service)
         if is_hidden(name) or not Globs.allows(name, self._globs.services):
             return ""
@@ -95,7 +95,7 @@ class GraphSnapshot:
         return self._own.get(name) or (info.type if info is not None and _served(info) else "")
 
     def providers(self, type: str) -> list[str]:
-        """The nodes that serve a service of this type; the name of a service is taken, too."""
+        """Return the nodes that serve a service of this type; the name of a service is accepted, too."""
         if not Globs.allows(type, self._globs.services):
             return []
         nodes: dict[str, None] = {}
@@ -107,7 +107,7 @@ class GraphSnapshot:
         return list(nodes)
 
     def service_node(self, service: str) -> str:
-        """The node that serves a service, or ``""``."""
+        """Return the node that serves a service, or ``""``."""
         name = _absolute(service)
         if is_hidden(name) or not Globs.allows(name, self._globs.services):
             return ""
@@ -118,7 +118,7 @@ class GraphSnapshot:
     # ── actions ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def action_servers(self) -> list[str]:
-        """The actions that somebody serves, sorted."""
+        """Return the actions that have a server, sorted."""
         patterns = self._globs.topics
         return [
             name
@@ -128,7 +128,7 @@ class GraphSnapshot:
         ]
 
     def action_type(self, action: str) -> str:
-        """The type of an action, or ``""``."""
+        """Return the type of an action, or ``""``."""
         info = self._graph.actions().get(_absolute(action))
         return info.type if info is not None else ""
 
@@ -144,7 +144,7 @@ class GraphSnapshot:
         return self._nodes
 
     def node_details(self, node: str) -> dict[str, Any]:
-        """What a node reads, publishes and serves; nothing for one that is not there."""
+        """Return what a node reads, publishes and serves; empty for an unknown one."""
         info = self.nodes().get(_absolute(node))
         return {
             "subscribing": _names(info.subscriptions) if info is not None else [],
@@ -165,10 +165,10 @@ def _names(pairs: Iterable[tuple[str, str]]) -> list[str]:
 
 
 def _served(info: ServiceInfo) -> bool:
-    """True unless only somebody waits for it."""
+    """Return whether it has a server, or no client that only waits for one."""
     return bool(info.servers) or not info.clients
 
 
 def _nodes_of(ends: Iterable[Any]) -> list[str]:
-    """The nodes of endpoints or providers, each once, sorted."""
+    """Return the nodes of endpoints or providers, each once, sorted."""
     return sorted({end.node for end in ends if end.node and not is_hidden_node(end.node)})

@@ -47,13 +47,13 @@ class OfferedAction:
         self.taken_by = taken_by
 
     def restart(self, op: ops.AdvertiseAction) -> None:
-        """The client advertised it once more: its goals end here."""
+        """Abort all goals: the client advertised the action once more."""
         self.abort_all("its provider began anew")
         self.given_type, self.compression = op.type, op.compression
         self.count = 0
 
     async def _accept(self, goal: ServerGoal) -> bool:
-        """A plain client takes every goal; a gateway asks further on."""
+        """Accept a goal; a plain client takes every goal, and a gateway asks further on."""
         if self.closed or self.session.gone or len(self.pending) >= GOALS_PER_OFFERED_ACTION:
             return False
         if not self.session.gateway:
@@ -146,13 +146,13 @@ class TakenGoal:
         self.end(Outcome(GoalStatus.ABORTED, None, str(error)))
 
     def accepted(self) -> None:
-        """The gateway takes it."""
+        """Note that the gateway accepts the goal."""
         self.is_accepted = True
         if not self._answer.done():
             self._answer.set_result(True)
 
     async def wait_accepted(self) -> bool:
-        """Whether the gateway takes it; what it is aborted with before is no acceptance."""
+        """Return whether the gateway accepts the goal; an abortion before that is no acceptance."""
         waited: set[asyncio.Future[Any]] = {self._answer, self._outcome}
         await asyncio.wait(waited, return_when=asyncio.FIRST_COMPLETED)
         if self._answer.done():
@@ -163,7 +163,7 @@ class TakenGoal:
         return False
 
     async def run(self) -> Outcome:
-        """How it ends."""
+        """Wait for the end of the goal and return its outcome."""
         asked = asyncio.ensure_future(self.goal.cancelled.wait())
         try:
             waited: set[asyncio.Future[Any]] = {asked, self._outcome}
@@ -184,18 +184,18 @@ class TakenGoal:
         return agreed.done() and bool(agreed.result())
 
     def cancelling(self, agreed: bool) -> None:
-        """The gateway answers whether it agrees to the end."""
+        """Note whether the gateway accepts the cancellation."""
         if self._agreed is not None and not self._agreed.done():
             self._agreed.set_result(agreed)
 
     def feedback(self, op: ops.ActionFeedback) -> None:
-        """The client tells how it goes on. Raises ``TypesError``."""
+        """Pass on the client's feedback. Raises ``TypesError``."""
         if op.values is None:
             raise InvalidOperation("", "Expected a values field but none was found.")
         self.goal.feedback(decode_body(self._session, op.values, op.compression, self._action.type + "_Feedback"))
 
     def ended(self, op: ops.ActionResult) -> None:
-        """The client tells how it ended. Raises ``TypesError``, and the goal is aborted."""
+        """Take the client's result. Raises ``TypesError``, and the goal is aborted."""
         name = self._action.name
         if not op.result or isinstance(op.values, str):
             status = GoalStatus.CANCELED if op.result and op.status == GoalStatus.CANCELED else GoalStatus.ABORTED
@@ -216,10 +216,10 @@ class TakenGoal:
 
     @property
     def has_ended(self) -> bool:
-        """True once its outcome is known."""
+        """Whether the outcome is known."""
         return self._outcome.done()
 
     def end(self, outcome: Outcome) -> None:
-        """It has ended."""
+        """End the goal."""
         if not self._outcome.done():
             self._outcome.set_result(outcome)

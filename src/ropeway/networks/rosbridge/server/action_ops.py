@@ -1,4 +1,4 @@
-"""What a client does with actions: it uses those of the graph, and carries out goals for it."""
+"""Carries out a client's operations on actions: it uses those of the graph, and carries out goals for it."""
 
 from __future__ import annotations
 
@@ -57,7 +57,9 @@ class ActionOps:
         self._cancelling = Chores()
 
     async def leave(self) -> None:
-        """The client has left: its goals are cancelled, unless they may go on, and its actions withdrawn."""
+        """Clean up after a client that has left: its goals are cancelled, unless they may go on, and its actions
+        withdrawn.
+        """
         await self._cancel_all()
         await self._cancelling.close()
         await end(*(goal.task for goal in self.goals))
@@ -79,7 +81,7 @@ class ActionOps:
         await self._cancelling.wait(_LEAVE_S)
 
     def status(self) -> Iterator[dict[str, Any]]:
-        """One row per action that the client serves."""
+        """Yield one row per action that the client serves."""
         for action in self.offered.values():
             yield {
                 "name": action.action,
@@ -92,7 +94,7 @@ class ActionOps:
     # ── using actions ──────────────────────────────────────────────────────────────────────────────────────────
 
     def send(self, op: ops.SendActionGoal) -> None:
-        """The client sends a goal; it has exactly one result, unless the client leaves."""
+        """Send a goal of the client; it has exactly one result, unless the client leaves."""
         if len(self.goals) >= GOALS_PER_CLIENT:
             self.refuse(op, CallFailed(op.name, f"too many goals: {GOALS_PER_CLIENT} of this client are under way"))
             return
@@ -114,7 +116,7 @@ class ActionOps:
         self.session.peer.send_op(reply)
 
     def invalid_goal(self, message: Mapping[str, Any], error: WireError) -> None:
-        """A goal came that cannot be understood; it is answered if it says what it is about."""
+        """Answer a goal that cannot be understood, if it says what it is about."""
         action = message.get("action")
         id = error.id if isinstance(error, InvalidOperation) else ops.ABSENT
         if isinstance(action, str) or ops.present(id):
@@ -122,7 +124,7 @@ class ActionOps:
             self.refuse(ops.SendActionGoal(action=name, action_type="", args=None, id=id), error)
 
     def cancel(self, op: ops.CancelActionGoal) -> None:
-        """The client asks for the end of a goal, or without an id of all its goals of the action."""
+        """Cancel a goal of the client, or without an id all its goals of the action."""
         name = self.session.names.resolve(op.name)
         found = [g for g in self.goals if g.name == name and (not ops.present(op.id) or g.op.id == op.id)]
         for goal in found:
@@ -133,7 +135,7 @@ class ActionOps:
     # ── serving actions ────────────────────────────────────────────────────────────────────────────────────────
 
     async def advertise(self, op: ops.AdvertiseAction) -> None:
-        """The client carries out goals."""
+        """Offer an action whose goals the client carries out."""
         session = self.session
         name = session.names.resolve(op.action)
         session.access.check("advertise_action", name)
@@ -162,18 +164,18 @@ class ActionOps:
             raise
 
     async def unadvertise(self, op: ops.UnadvertiseAction) -> None:
-        """The client carries out goals no more."""
+        """Withdraw an action of the client."""
         action = self.offered.pop(op.action, None)
         if action is None:
             raise InvalidOperation("", f"Action {op.action} has not been advertised via rosbridge, can't unadvertise.")
         await action.close("its provider has withdrawn it")
 
     def feedback(self, op: ops.ActionFeedback) -> None:
-        """The client tells how a goal goes on."""
+        """Pass on the client's feedback on a goal."""
         self._goal(op).feedback(op)
 
     def result(self, op: ops.ActionResult) -> None:
-        """The client tells how a goal ended."""
+        """Take the client's result of a goal."""
         self._goal(op).ended(op)
 
     def _goal(self, op: ops.ActionFeedback | ops.ActionResult) -> TakenGoal:
@@ -190,14 +192,14 @@ class ActionOps:
         return goal
 
     def invalid_result(self, message: Mapping[str, Any], error: WireError) -> None:
-        """A result came that cannot be understood: the goal is aborted."""
+        """Abort a goal whose result cannot be understood."""
         id = message.get("id")
         for action in self.offered.values():
             if isinstance(id, str) and (goal := action.pending.get(id)) is not None:
                 goal.end(Outcome(GoalStatus.ABORTED, None, text_of(error)))
 
     def control(self, message: Mapping[str, Any]) -> None:
-        """A gateway that carries out a goal says that it takes it, or whether it agrees to its end."""
+        """Handle a gateway's word on a goal that it carries out: whether it accepts it, or its cancellation."""
         id = message.get("id")
         for action in self.offered.values():
             if isinstance(id, str) and (goal := action.pending.get(id)) is not None:
@@ -225,7 +227,7 @@ class SentGoal:
             self._actions.refuse(self.op, error)
 
     def _done(self, _: asyncio.Task[None]) -> None:
-        """Who waits for the goal waits no longer, also where the task was cancelled before it began."""
+        """Release those who wait for the goal, also if the task was cancelled before it began."""
         if not self._goal.done():
             self._goal.set_result(None)
 

@@ -20,7 +20,9 @@ __all__ = ["answer_encoding", "codec_of", "decode_args", "decode_body", "failure
 
 
 def type_of(session: Session, name: str, kind: str) -> str:
-    """The full name of the type of ``kind`` (msg, srv, action) that a client named. Raises ``InvalidTypeName``.
+    """Return the full name of the type of ``kind`` (msg, srv, action) that a client named.
+
+    Raises ``InvalidTypeName``.
 
     A middle part that leads nowhere counts for nothing with rosbridge: ``std_srvs/msg/Trigger`` is a service, too.
     """
@@ -33,7 +35,7 @@ def type_of(session: Session, name: str, kind: str) -> str:
 
 
 def codec_of(session: Session, type: str) -> MessageCodec | None:
-    """The codec of a type; ``None`` where a gateway can do without. Raises ``TypesError``."""
+    """Return the codec of a type; ``None`` if a gateway can do without. Raises ``TypesError``."""
     try:
         return session.codec(type)
     except TypesError:
@@ -43,7 +45,7 @@ def codec_of(session: Session, type: str) -> MessageCodec | None:
 
 
 def decode_body(session: Session, value: Any, compression: str | None, type: str) -> bytes:
-    """The CDR of ``args`` or ``values`` that a client sent. Raises ``TypesError`` or ``MessageTooBig``.
+    """Decode ``args`` or ``values`` that a client sent to CDR. Raises ``TypesError`` or ``MessageTooBig``.
 
     What says nothing (left out, ``null``, an empty text) is a message of default values, as rosbridge has it.
     """
@@ -64,7 +66,7 @@ def decode_body(session: Session, value: Any, compression: str | None, type: str
 
 
 def decode_args(session: Session, value: Any, compression: str | None, type: str) -> bytes:
-    """The CDR of the ``args`` of a request. Raises ``TypesError`` or ``MessageTooBig``.
+    """Decode the ``args`` of a request to CDR. Raises ``TypesError`` or ``MessageTooBig``.
 
     What is neither an object nor a list asks for nothing in particular, as rosbridge has it.
     """
@@ -81,17 +83,17 @@ def answer_encoding(session: Session, op: ops.CallService | ops.SendActionGoal) 
 
 
 def text_of(error: Exception) -> str:
-    """What a client is told: rosbridge's text where it has one."""
+    """Return the text of an error for a client: rosbridge's own text if it has one."""
     return error.reason if isinstance(error, ValueMismatch) else str(error)
 
 
 def failure_note(session: Session, error: Exception) -> dict[str, Any] | None:
-    """What a gateway is told besides the text."""
+    """Return what a gateway is told besides the text."""
     return {"error": failure(error)[0]} if session.gateway else None
 
 
 def passage(session: Session, note: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The ``id``, ``via`` and ``caller`` of a request of a gateway; for other clients only who calls."""
+    """Return the ``id``, ``via`` and ``caller`` of a request of a gateway; for other clients only the caller."""
     peer = session.peer.connection.peer
     if not session.gateway:
         return {"caller": peer}

@@ -1,4 +1,4 @@
-"""What the server answers to plain HTTP on its port: who it is, whether it lives, whether it is ready."""
+"""Answers plain HTTP on the server's port: what it is, whether it lives, whether it is ready."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Pages:
         self._reasons, self._refuses, self._more = reasons, refuses, more
 
     def __call__(self, request: HttpRequest) -> Response | asyncio.Protocol:
-        """The answer."""
+        """Return the answer to a request."""
         found = self._more(request)
         if found is None:
             found = self._refuses(request) or self._own(request)

@@ -1,4 +1,4 @@
-"""Keeps the topics of clients that left for a while, so that what they said last is heard."""
+"""Keeps the topics of departed clients for a while, so that their last messages are delivered."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ log = logging.getLogger("ropeway.server")
 
 
 class Lingerer(Protocol):
-    """What is left of a client: topics that it published."""
+    """The remains of a client: topics that it published."""
 
     @property
     def lingers(self) -> bool:

@@ -79,7 +79,7 @@ class OwnParameters:
         return {"result": {"names": names, "prefixes": sorted(above)}}
 
     def _each(self, asked: Mapping[str, Any], make: Callable[[OwnParameter], Any]) -> list[Any]:
-        """What ``make`` gives for each name that is asked for; nothing where one is unknown, as nodes of ROS 2 do."""
+        """Return what ``make`` gives for each requested name; nothing if one is unknown, like nodes of ROS 2."""
         found = [self._parameters.get(name) for name in asked["names"]]
         return [] if None in found else [make(known) for known in found if known is not None]
 
@@ -107,7 +107,9 @@ def _descriptor(known: OwnParameter) -> dict[str, Any]:
 
 
 def _listed(name: str, prefixes: Sequence[str], depth: int) -> bool:
-    """True for a name at or below one of ``prefixes`` (any, without), at most ``depth`` levels down (0: any)."""
+    """Return whether a name is at or below one of ``prefixes`` (any, without), at most ``depth`` levels down
+    (0: any).
+    """
     for prefix in prefixes or [""]:
         if name == prefix or not prefix or name.startswith(f"{prefix}."):
             below = name[len(prefix) :].strip(".")

@@ -1,4 +1,4 @@
-"""Whether clients of a server are those of a ROS 1 network."""
+"""Finds out whether a server's clients are those of a ROS 1 network."""
 
 from __future__ import annotations
 
@@ -20,5 +20,5 @@ class _SpeaksRos1(Protocol):
 
 
 def ros1_spelling(graph: Graph) -> Ros1Spelling | None:
-    """How messages of ``graph`` are written for rosbridge clients; ``None`` for all that is not ROS 1."""
+    """Return the spelling of messages of ``graph`` for rosbridge clients; ``None`` for anything but ROS 1."""
     return graph.ros1_spelling if isinstance(graph, _SpeaksRos1) else None

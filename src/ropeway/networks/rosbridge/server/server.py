@@ -198,7 +198,7 @@ class RosbridgeServer:
         return Admission(subprotocol(request), limits, role)
 
     def _refusal(self, role: Role, request: HttpRequest) -> Rejection | None:
-        """The answer to a client of this role that may come in, but not now or not like this."""
+        """Return the answer to a client of this role that is allowed in, but not now or not like this."""
         if full := self._full(role):
             return refusal(503, full, Retry_After="10")
         offered = unserved(request)
@@ -319,7 +319,7 @@ class RosbridgeServer:
                 session.peer.connection.close(1011, "internal error")
 
     def status(self) -> dict[str, Any]:
-        """What was denied, and how many watch the store, as JSON."""
+        """Return what was denied, and how many watch the store, as JSON."""
         return {"denied": dict(self.denied), "clients": {"watchers": len(self.watchers)}}
 
     async def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What a client does with services: it calls those of the graph, and serves its own to it."""
+"""Carries out a client's operations on services: it calls those of the graph, and serves its own to it."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class ServiceOps:
         self._clients: dict[tuple[str, str], ViewClient] = {}
 
     async def leave(self) -> None:
-        """The client has left: its calls are given up, its services withdrawn."""
+        """Clean up after a client that has left: its calls are given up, its services withdrawn."""
         await end(*self._calls)
         await self._rosapi.close()
         for client in self._clients.values():
@@ -84,11 +84,11 @@ class ServiceOps:
 
     @property
     def questions(self) -> int:
-        """How many calls of rosapi are not answered."""
+        """The number of rosapi calls not answered yet."""
         return len(self._rosapi)
 
     def status(self) -> Iterator[dict[str, Any]]:
-        """One row per service that the client serves."""
+        """Yield one row per service that the client serves."""
         for service in self.offered.values():
             yield {
                 "name": service.service,
@@ -101,7 +101,7 @@ class ServiceOps:
     # ── calling ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def call(self, op: ops.CallService) -> None:
-        """The client calls a service; it is answered exactly once, unless it leaves."""
+        """Call a service for the client; it is answered exactly once, unless the client leaves."""
         self.called += 1
         if len(self._calls) + len(self._rosapi) >= CALLS_PER_CLIENT:
             self.refuse(op, CallFailed(op.name, f"too many calls: {CALLS_PER_CLIENT} of this client are under way"))
@@ -167,7 +167,7 @@ class ServiceOps:
         )
 
     async def _client(self, name: str, type: str) -> ViewClient:
-        """The client for a service, kept for further calls."""
+        """Return the client for a service, kept for further calls."""
         client = self._clients.pop((name, type), None) or await self.session.view.create_client(name, type)
         return await self._keep(name, type, client)
 
@@ -205,7 +205,7 @@ class ServiceOps:
         return await self._keep(name, type, client)
 
     def _type(self, op: ops.CallService, name: str) -> tuple[str, bool]:
-        """The type of a service, and whether to wait for it.
+        """Return the type of a service, and whether to wait for it.
 
         It is as it is served, else as the client says, if it says something sensible. A gateway knows what it wants.
         """
@@ -237,7 +237,7 @@ class ServiceOps:
         self.session.peer.send_op(reply)
 
     def invalid_call(self, message: Mapping[str, Any], error: WireError) -> None:
-        """A call came that cannot be understood; it is answered if it says what it is about."""
+        """Answer a call that cannot be understood, if it says what it is about."""
         service = message.get("service")
         id = error.id if isinstance(error, InvalidOperation) else ops.ABSENT
         if isinstance(service, str) or ops.present(id):
@@ -247,7 +247,7 @@ class ServiceOps:
     # ── serving ────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def advertise(self, op: ops.AdvertiseService) -> None:
-        """The client serves a service."""
+        """Offer a service that the client serves."""
         session = self.session
         name = session.names.resolve(op.service)
         session.access.check("advertise_service", name)
@@ -276,7 +276,7 @@ class ServiceOps:
             raise
 
     async def unadvertise(self, op: ops.UnadvertiseService) -> None:
-        """The client serves a service no more."""
+        """Withdraw a service of the client."""
         service = self.offered.pop(op.service, None)
         if service is None:
             raise InvalidOperation(
@@ -285,7 +285,7 @@ class ServiceOps:
         await service.close("its provider has withdrawn it")
 
     def response(self, op: ops.ServiceResponse) -> None:
-        """The client answers a call."""
+        """Take the client's answer to a call."""
         service = self._offered(op.service)
         if not ops.present(op.id):
             raise InvalidOperation("", f"Received service response without an id for service {op.service}")
@@ -301,7 +301,7 @@ class ServiceOps:
         return found
 
     def invalid_response(self, message: Mapping[str, Any], error: WireError) -> None:
-        """An answer came that cannot be understood: who waits for it need not wait longer."""
+        """Fail the call whose answer cannot be understood, so that nobody waits for it."""
         id = message.get("id")
         for service in self.offered.values():
             if isinstance(id, str) and id in service.pending:
@@ -331,7 +331,7 @@ class OfferedService:
         self.taken_by = taken_by
 
     def restart(self, op: ops.AdvertiseService) -> None:
-        """The client advertised it once more: what it was asked before is not answered any more."""
+        """Fail all calls under way: the client advertised the service once more."""
         self.fail_all("its provider began anew")
         self._compression = op.compression
         self.count = 0
@@ -369,7 +369,7 @@ class OfferedService:
                 del self.pending[id]
 
     def answered(self, op: ops.ServiceResponse) -> None:
-        """An answer came: a response, or a text (or nothing, with a false ``result``) that fails the call.
+        """Take an answer: a response, or a text (or nothing, with a false ``result``) that fails the call.
 
         A false ``result`` with a response counts for nothing, as with rosbridge: what a ROS 2 service has to say stands
         in its response. Raises ``InvalidOperation`` for an answer that nobody waits for, ``TypesError`` for a bad one.
@@ -411,7 +411,7 @@ class OfferedService:
 
 
 def codec_fields(session: Session, type: str) -> bool:
-    """True for a service whose response has fields."""
+    """Return whether the response of a service has fields."""
     codec = codec_of(session, type + "_Response")
     return codec is None or bool(codec.fields)
 

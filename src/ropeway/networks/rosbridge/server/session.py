@@ -1,4 +1,4 @@
-"""One client of the server: its operations, in order, on our graph."""
+"""Serves one client: carries out its operations, in order, on our graph."""
 
 from __future__ import annotations
 
@@ -53,14 +53,15 @@ class RosapiAnswers(Protocol):
     """Answers the services of rosapi; see ``ropeway.networks.rosbridge.rosapi``."""
 
     def serves(self, name: str) -> bool:
-        """True for the name of a service that it answers."""
+        """Return whether it answers the service ``name``."""
 
     def question(self, name: str, args: Any) -> Callable[[], Any]:
         """Return what finds the ``values`` of the response, as JSON has them. Raises ``RopewayError``."""
 
 
 class Session:
-    """What one client does here. Withdrawn as a whole when the client leaves.
+    """One client's session; it is withdrawn as a whole when the client leaves. Withdrawn as a whole when the client
+    leaves.
 
     A client that connects with ``?status=1`` in its URL is told what it did wrong, in ``status`` operations
     (``{"op":"status","level":"error","msg":…}``, with the id of the operation where it had one). Others are not:
@@ -173,11 +174,11 @@ class Session:
 
     @property
     def lingers(self) -> bool:
-        """True if the client, which has left, published topics that may still be wanted."""
+        """Whether the client, which has left, published topics that may still be wanted."""
         return self.topics.lingers
 
     async def withdraw(self, name: str | None = None) -> None:
-        """The client has left for good: take back its topics, or with ``name`` this one."""
+        """Take back the topics of a client that has left for good, or with ``name`` this one."""
         await self.topics.withdraw(name)
         if not self.topics.inputs:
             await self.view.close()
@@ -185,7 +186,7 @@ class Session:
     # ── what the peer says ─────────────────────────────────────────────────────────────────────────────────────
 
     def operation(self, op: ops.Op) -> None:
-        """An operation came. What takes no time is done at once, unless something waits; all else has its turn."""
+        """Carry out an operation. What takes no time is done at once, unless something waits; all else has its turn."""
         if self.access.limited and not self._within_rates(op):
             return
         turns = self.turns
@@ -201,7 +202,9 @@ class Session:
             return True
 
     def _within_rates(self, op: ops.Op) -> bool:
-        """True unless the client sends more than its role may; then a request is refused, and all else dropped."""
+        """Return whether the client keeps to the rates of its role; otherwise a request is refused, and all else
+        dropped.
+        """
         verb, field = _RATED.get(type(op), ("", ""))
         if not verb:
             return True  # an answer, or something taken back: others wait for it
@@ -241,7 +244,7 @@ class Session:
             self._searches.release()
 
     def control(self, message: Mapping[str, Any]) -> None:
-        """A message of the Ropeway dialect came."""
+        """Handle a message of the Ropeway dialect."""
         op = message.get("op")
         if op == "hello":
             self.remote = {k: message[k][:256] for k in ("gateway", "name") if isinstance(message.get(k), str)}
@@ -253,7 +256,7 @@ class Session:
             self.actions.control(message)
 
     def invalid(self, message: Mapping[str, Any], error: WireError) -> None:
-        """Something came that is no operation. Where an answer is awaited, this is it."""
+        """Handle something that is not an operation. Where an answer is awaited, this is it."""
         op = message.get("op")
         if op == "call_service":
             self.services.invalid_call(message, error)
@@ -287,13 +290,13 @@ class Session:
         return self.topics.takes(channel, self.turns.waiting)
 
     def lost(self, code: int, reason: str) -> None:
-        """The connection is gone."""
+        """Begin to clean up: the connection is gone."""
         self._gone = True
         self.turns.wake()
 
     @property
     def gone(self) -> bool:
-        """True once the client has left: nothing new begins."""
+        """Whether the client has left, so that nothing new begins."""
         return self._gone
 
     # ── what is said of it ─────────────────────────────────────────────────────────────────────────────────────
@@ -324,7 +327,7 @@ class Session:
             self.peer.ping()
 
     def status(self) -> dict[str, Any]:
-        """What the client does here, for people and programs."""
+        """Return what the client does here, for people and programs."""
         connection = self.peer.connection
         return {
             "peer": connection.peer,
@@ -408,7 +411,7 @@ class Session:
             self.peer.send({"op": "refused", kind: name, "reason": str(error)})
 
     def codec(self, type: str) -> MessageCodec:
-        """How messages are written for the client. Raises ``TypesError``."""
+        """Return the codec of messages for this client. Raises ``TypesError``."""
         codec = self.registry.codec(type) if self._ros1 is None or self.gateway else self._ros1.codec(type)
         if not self._long_texts:
             return codec
@@ -421,11 +424,11 @@ class Session:
 
     @property
     def is_ros1(self) -> bool:
-        """True if the client gets messages as ROS 1 writes them."""
+        """Whether the client gets messages as ROS 1 writes them."""
         return self._ros1 is not None and not self.gateway
 
     def knows(self, type: str) -> bool:
-        """True if messages of the type can be taken apart."""
+        """Return whether messages of the type can be decoded."""
         try:
             self.codec(type)
         except TypesError:

@@ -67,7 +67,7 @@ class TopicIn:
         self._origin = new_origin()
 
     def ready(self, publisher: ViewPublisher) -> None:
-        """The publisher was made: what came early goes out."""
+        """Take the publisher that was made, and publish what came early."""
         self.publisher = publisher
         early, self._early, self._early_bytes = self._early, None, 0
         for sample in early or ():
@@ -80,18 +80,18 @@ class TopicIn:
 
     @property
     def held_bytes(self) -> int:
-        """What is kept for the client."""
+        """The bytes kept for the client."""
         kept = self.publisher.kept_bytes if self.publisher is not None else 0
         return self._early_bytes + kept + REGISTRATION_BYTES * len(self.ids)
 
     def codec(self) -> MessageCodec:
-        """How to read the client's messages. Raises ``UnknownType``."""
+        """Return the codec for the client's messages. Raises ``UnknownType``."""
         if self._codec is None:
             self._codec = self.session.codec(self.type)
         return self._codec
 
     def published(self, op: ops.Publish) -> None:
-        """A message came as a plain ``publish``. Raises ``TypesError``."""
+        """Publish a message that came as a plain ``publish``. Raises ``TypesError``."""
         if ops.present(op.id) and self._unique(op) and not self._is_new(op.id):
             self.lost[Lost.REPEATED] += 1
             return
@@ -183,7 +183,7 @@ class TopicOut:
 
     @property
     def held_bytes(self) -> int:
-        """What is kept for the client, besides what waits for the link."""
+        """The bytes kept for the client, besides what waits for the link."""
         throttled = self._throttle.bytes if self._throttle is not None else 0
         return throttled + REGISTRATION_BYTES * len(self.requests)
 
@@ -224,7 +224,9 @@ class TopicOut:
             self.follow(self.subscription.qos)
 
     def _settle_rate(self, requests: Sequence[ops.Subscribe], rate_hz: float | None) -> None:
-        """A gateway's rate is kept on average; rosbridge's least time between messages may have a queue."""
+        """Set the limit: a gateway's rate is kept on average; rosbridge's least time between messages may
+        have a queue.
+        """
         waiting = self._throttle.close() if self._throttle is not None else []
         self._limit = self._throttle = None
         period_ms = min(LONGEST_THROTTLE_MS, *(r.throttle_rate for r in requests))
@@ -239,7 +241,7 @@ class TopicOut:
             self._pass(sample)
 
     def follow(self, qos: QoS) -> None:
-        """The subscription has this profile: queue as deep, and tell a gateway."""
+        """Adopt the profile of the subscription: queue as deep, and tell a gateway."""
         if self.channel is not None and self._depth is None:
             keep_all = qos.history == "keep_all" and qos.reliable
             self.channel.queue.depth = None if keep_all else max(qos.depth, 1)
@@ -294,7 +296,7 @@ class TopicOut:
 def topic_status(
     topic: str, direction: str, type: str, encoding: str, meter: Meter, drops: Mapping[Any, int]
 ) -> dict[str, Any]:
-    """One row of a table."""
+    """Return one row of the table of topics."""
     return {
         "name": topic,
         "direction": direction,

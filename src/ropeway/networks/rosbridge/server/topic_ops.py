@@ -1,4 +1,4 @@
-"""What a client does with topics: advertise, publish, subscribe, and their opposites."""
+"""Carries out a client's operations on topics: advertise, publish, subscribe, and their opposites."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class TopicOps:
     # ── lifecycle ──────────────────────────────────────────────────────────────────────────────────────────────
 
     async def leave(self) -> None:
-        """The client has left: take back everything but the topics that linger; ``withdraw`` takes those back."""
+        """Clean up after a client that has left, except topics that linger; ``withdraw`` takes those back."""
         await end(self._type_watch)
         self._untyped.clear()
         for handle in self._lingering.values():
@@ -66,18 +66,18 @@ class TopicOps:
 
     @property
     def lingers(self) -> bool:
-        """True if the client, which has left, published topics that may still be wanted."""
+        """Whether the client, which has left, published topics that may still be wanted."""
         return bool(self.inputs) and self.unregister_timeout_s > 0
 
     async def withdraw(self, name: str | None = None) -> None:
-        """The client has left for good: take back its topics, or with ``name`` this one."""
+        """Take back the topics of a client that has left for good, or with ``name`` this one."""
         for topic in [t for t in self.inputs.values() if name is None or t.name == name]:
             self.inputs.pop(topic.topic, None)
             await topic.close()
 
     @property
     def held_bytes(self) -> int:
-        """What is kept for the client's topics."""
+        """The bytes kept for the client's topics."""
         waiting = sum(map(len, self._untyped.values()))
         inputs = sum(topic.held_bytes for topic in self._all_inputs())
         outputs = sum(output.held_bytes for output in self._all_outputs())
@@ -91,7 +91,7 @@ class TopicOps:
             output.meter.update()
 
     def status(self) -> Iterator[dict[str, Any]]:
-        """One row per topic."""
+        """Yield one row per topic."""
         for topic in self._all_inputs():
             yield topic_status(topic.topic, "in", topic.type, topic.encoding, topic.meter, topic.lost)
         for output in self._all_outputs():
@@ -141,7 +141,7 @@ class TopicOps:
     # ── publishing ─────────────────────────────────────────────────────────────────────────────────────────────
 
     async def advertise(self, op: ops.Advertise) -> None:
-        """The client publishes a topic."""
+        """Advertise a topic for the client."""
         number = self._channel(op.ropeway)
         try:
             await self._make_input(op, number)
@@ -211,7 +211,7 @@ class TopicOps:
         return replace(qos, depth=depth)
 
     def _asked_qos(self, asked: Mapping[str, Any]) -> QoS:
-        """The profile that a client asks for; rosbridge takes no notice of policies that it does not know."""
+        """Return the profile that a client asks for; like rosbridge, ignore policies that are not known."""
         known = {key: value for key, value in asked.items() if key in _POLICIES}
         profile = QoS.parse(known)
         if (asked_depth := known.get("depth", 0)) > profile.depth:
@@ -224,7 +224,7 @@ class TopicOps:
         return profile
 
     async def unadvertise(self, op: ops.Unadvertise) -> None:
-        """The client publishes a topic no more."""
+        """Withdraw a topic that the client publishes no more."""
         if self.session.gateway:
             for number, topic in list(self.input_channels.items()):
                 if topic.topic == op.topic and _key(op.id) in topic.ids:
@@ -254,14 +254,14 @@ class TopicOps:
         self.session.turns.push(Retire(name))
 
     async def retire(self, name: str) -> None:
-        """The time that a withdrawn topic was kept for is over."""
+        """Close a withdrawn topic whose time of grace is over."""
         topic = self.inputs.get(name)
         if topic is not None and not topic.ids and name not in self._lingering:
             del self.inputs[name]
             await topic.close()
 
     async def publish(self, op: ops.Publish) -> None:
-        """A message; where its topic was not advertised, this does."""
+        """Publish a message; if its topic was not advertised, this advertises it."""
         topic = self.inputs.get(op.topic)
         if topic is None or not topic.ids:
             type = topic.type if topic is not None else op.type or self._inferred(op.topic)
@@ -282,7 +282,7 @@ class TopicOps:
     # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def subscribe(self, op: ops.Subscribe) -> None:
-        """The client reads a topic."""
+        """Subscribe the client to a topic."""
         session = self.session
         name = session.names.resolve(op.topic)
         session.access.check("subscribe", name)
@@ -339,7 +339,7 @@ class TopicOps:
         output.subscription.on_qos(output.follow)
 
     async def unsubscribe(self, op: ops.Unsubscribe) -> None:
-        """The client reads a topic no more."""
+        """End the client's subscription to a topic."""
         if self.session.gateway:
             for output in list(self.output_channels.values()):
                 if output.topic == op.topic and _key(op.id) in output.requests:
@@ -395,7 +395,7 @@ class TopicOps:
     # ── checks ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _channel(self, extra: Mapping[str, Any] | None) -> int | None:
-        """The channel number that a gateway gave a topic."""
+        """Return the channel number that a gateway gave a topic."""
         number = (extra or {}).get("channel")
         if not self.session.gateway or number is None:
             return None
@@ -410,7 +410,7 @@ class TopicOps:
             raise InvalidOperation("", f"a client may have {TOPICS_PER_CLIENT} topics at most")
 
     def _types(self, name: str) -> tuple[str, ...]:
-        """The types that a topic has now; those of an action have them from it."""
+        """Return the types that a topic has now; topics of an action have them from it."""
         view = self.session.view
         types = view.types(name)
         action, mark, part = name.rpartition("/_action/")

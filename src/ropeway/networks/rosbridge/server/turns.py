@@ -1,4 +1,4 @@
-"""The operations of one client that wait for their turn, and whether its socket is read meanwhile.
+"""Queues a client's operations until their turn, and decides whether its socket is read meanwhile.
 
 What a client asks for is kept until it is carried out, and so is what it is told until it has read it. Where either is
 much, its socket is not read: the operating system's window then holds the client back, and nobody else.
@@ -38,7 +38,7 @@ class Turns:
 
     @property
     def bytes(self) -> int:
-        """How much was received while operations waited."""
+        """The number of bytes received while operations waited."""
         return self._peer.connection.bytes_in - self._idle_bytes if self.waiting else 0
 
     def push(self, op: ops.Op | Retire) -> None:
@@ -59,7 +59,7 @@ class Turns:
 
     @property
     def ready(self) -> bool:
-        """True if an operation has its turn: none has while too many answers wait."""
+        """Whether an operation may run: none may while too many answers wait."""
         return bool(self.waiting) and self._peer.answers_waiting <= WAITING_ANSWERS
 
     def done(self) -> None:
