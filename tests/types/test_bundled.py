@@ -6,13 +6,13 @@ import subprocess
 import sys
 
 import pytest
-from ropeway.types.told import Teller
 
 from ropeway.types import TypeRegistry
 from ropeway.types.bundled import FOLDER, Bundled, bundled_packages, has_changed
 from ropeway.types.parser import PARTS
 from ropeway.types.ros1_types import Ros1Types
 from ropeway.types.stores import DISTROS
+from ropeway.types.told_types import Teller
 from tests.types.packages import SOURCES
 
 ROS2 = [distro for distro in DISTROS if distro != "noetic"]

@@ -15,6 +15,7 @@ import typer
 from ropeway.cli.console import fail, print_json
 from ropeway.cli.logs import LEVELS, set_up
 from ropeway.cli.loop import run
+from ropeway.cli.notify import Notifier, notifying
 from ropeway.cli.session import JsonOption
 from ropeway.networks.overlay.crypto.identity import Identity
 
@@ -55,7 +56,10 @@ def router_command(
     log_level: Annotated[str, typer.Option("--log-level", help=f"{', '.join(LEVELS)}.")] = "info",
     as_json: JsonOption = False,
 ) -> None:
-    """Run a router until Ctrl-C or SIGTERM. It lets in who has a certificate of its fleet, and sees no content."""
+    """Run a router until Ctrl-C or SIGTERM. It lets in who has a certificate of its fleet, and sees no content.
+
+    SIGHUP makes it read the revocation list at once.
+    """
     set_up(log_level)
     where = listen or ["tls/127.0.0.1:7447"]
     for endpoint in (*where, *(connect or ())):
@@ -73,17 +77,30 @@ async def _serve(
     from ropeway.networks.overlay.router import Router
 
     stop = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    notifier = Notifier()
+    loop = asyncio.get_running_loop()
+
+    def stopped() -> None:
+        notifier.stopping()
+        stop.set()
 
     def say(text: str) -> None:
         log.info("router %s: %s", identity.name, text)
         if as_json:
             print_json({"event": text, **router.status()})
 
+    def hang_up() -> None:
+        notifier.reloading()
+        router.look()
+        notifier.ready("running; the revocation list was read again")
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stopped)
     router = Router(identity, listen=listen, connect=connect, crl=crl, state=state, on_change=say)
-    async with router:
+    async with notifying(notifier), router:
+        loop.add_signal_handler(signal.SIGHUP, hang_up)
         say(f"it listens on {', '.join(listen)}")
+        notifier.ready(f"listening on {', '.join(listen)}")
         running = asyncio.create_task(router.wait(), name="router")
         stopping = asyncio.create_task(stop.wait(), name="signals")
         await asyncio.wait({running, stopping}, return_when=asyncio.FIRST_COMPLETED)

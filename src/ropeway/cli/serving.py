@@ -1,4 +1,7 @@
-"""Runs a gateway until it is told to stop: signals, the status as JSON, and reading certificates again on SIGHUP."""
+"""Runs a gateway until it is told to stop: signals, the status as JSON, and reading certificates again on SIGHUP.
+
+A service manager is told how it is.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway.cli.notify import Notifier, notifying
 from ropeway.cli.printer import Printer
 from ropeway.errors import ConfigError, ConnectFailed
 from ropeway.gateway.factory import make_gateway
@@ -51,8 +55,10 @@ async def serve(serving: Serving) -> None:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     running: list[Gateway | Supervisor] = []
+    notifier = Notifier()
 
     def stopped() -> None:
+        notifier.stopping()
         stop.set()
         for number in _SIGNALS:  # a second signal does not wait for an orderly end
             loop.remove_signal_handler(number)
@@ -63,20 +69,22 @@ async def serve(serving: Serving) -> None:
         if on_terminal and not _on_terminal():
             stopped()  # it is the terminal that was closed
         else:
-            _reload(running)
+            notifier.reloading()
+            notifier.ready(_reload(running))
 
     for number in _SIGNALS:
         loop.add_signal_handler(number, stopped)
     loop.add_signal_handler(signal.SIGHUP, hang_up)
-    working = asyncio.create_task(_run(serving, running), name="gateway")
-    waiting = asyncio.create_task(stop.wait(), name="signals")
-    try:
-        await asyncio.wait([working, waiting], return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        waiting.cancel()
-        working.cancel()  # without effect where it has ended by itself
-        with contextlib.suppress(asyncio.CancelledError):
-            await working
+    async with notifying(notifier):
+        working = asyncio.create_task(_run(serving, running, notifier), name="gateway")
+        waiting = asyncio.create_task(stop.wait(), name="signals")
+        try:
+            await asyncio.wait([working, waiting], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            waiting.cancel()
+            working.cancel()  # without effect where it has ended by itself
+            with contextlib.suppress(asyncio.CancelledError):
+                await working
     log.info("%s has ended", serving.config.gateway.name)
 
 
@@ -84,15 +92,18 @@ def _on_terminal() -> bool:
     return any(os.isatty(number) for number in range(3))
 
 
-def _reload(running: list[Any]) -> None:
+def _reload(running: list[Any]) -> str:
+    """Read the files again, and return what came of it."""
     for gateway in running:
         try:
             gateway.reload()
         except ConfigError as error:
             log.error("SIGHUP: nothing has changed: %s", error)
+            return f"running; at the last reload nothing has changed: {error}"
+    return "running; certificates and tokens were read again"
 
 
-async def _brought_up(serving: Serving) -> Gateway | Supervisor:
+async def _brought_up(serving: Serving, notifier: Notifier) -> Gateway | Supervisor:
     while True:
         gateway = make_gateway(serving.config, log_level=serving.level)
         try:
@@ -101,19 +112,21 @@ async def _brought_up(serving: Serving) -> Gateway | Supervisor:
             if serving.retry_s is None:
                 raise
             log.warning("%s; trying again in %g s", error, serving.retry_s)
+            notifier.status(f"{error}; trying again in {serving.retry_s:g} s")
         await asyncio.sleep(serving.retry_s)
 
 
-async def _run(serving: Serving, running: list[Gateway | Supervisor]) -> None:
+async def _run(serving: Serving, running: list[Gateway | Supervisor], notifier: Notifier) -> None:
     loop = asyncio.get_running_loop()
     async with contextlib.AsyncExitStack() as stack:
-        gateway = await _brought_up(serving)
+        gateway = await _brought_up(serving, notifier)
         stack.push_async_exit(gateway.__aexit__)
         running.append(gateway)
         if serving.beside is not None:
             await stack.enter_async_context(serving.beside(gateway))
         if serving.up is not None:
             serving.up(gateway)
+        notifier.ready("running")
         ends = math.inf if serving.for_s is None else loop.time() + serving.for_s
         printer = None if serving.period_s is None else Printer(sys.stdout.fileno())
         failing = asyncio.create_task(gateway.wait(), name="gateway failure")

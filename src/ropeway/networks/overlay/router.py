@@ -83,6 +83,11 @@ class Router:
         """Run until cancelled."""
         await self._task.wait()
 
+    def look(self) -> None:
+        """Read the files of revocation lists now, and deny whom they deny."""
+        self._read_files()
+        self._newer.set()
+
     def status(self) -> dict[str, Any]:
         """Return the state of the router, for people and programs."""
         return {

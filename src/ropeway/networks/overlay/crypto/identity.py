@@ -97,7 +97,7 @@ class Identity:
         if not path.exists():
             raise IdentityError(str(path), "there is no such bundle; make one with: ropeway keys issue NAME")
         text = read_material_text(path)
-        if os.name == "posix" and path.stat().st_mode & 0o077:
+        if os.name == "posix" and path.stat().st_mode & 0o077 and not _is_credential(path):
             log.warning("%s: others can read this key; chmod 600 keeps it secret", path)
         return cls.parse(text, str(path))
 
@@ -183,3 +183,9 @@ def _der(pem: str) -> bytes:
 def private_pem(key: PrivateKey) -> str:
     """Return a private key as text."""
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()).decode()
+
+
+def _is_credential(path: Path) -> bool:
+    """Return whether a service manager put the file where this service alone can read it, whatever its mode says."""
+    directory = os.environ.get("CREDENTIALS_DIRECTORY")
+    return directory is not None and path.absolute().is_relative_to(directory)
