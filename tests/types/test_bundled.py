@@ -12,7 +12,7 @@ from ropeway.types.bundled import FOLDER, Bundled, bundled_packages, has_changed
 from ropeway.types.parser import PARTS
 from ropeway.types.ros1_types import Ros1Types
 from ropeway.types.stores import DISTROS
-from ropeway.types.told_types import Teller
+from ropeway.types.told_types import DefinitionTeller
 from tests.types.packages import SOURCES
 
 ROS2 = [distro for distro in DISTROS if distro != "noetic"]
@@ -107,7 +107,7 @@ def test_a_graph_knows_better() -> None:
     """What a graph tells of a bundled type is believed while the graph is there; what a client tells is not."""
     registry, name = TypeRegistry(), "px4_msgs/msg/ActuatorArmed"
     bundled = list(registry.codec(name).fields)
-    client, graph = Teller(registry), Teller(registry, graph=True)
+    client, graph = DefinitionTeller(registry), DefinitionTeller(registry, graph=True)
     client.tell(name, "bool of_a_client\n")
     assert list(registry.codec(name).fields) == bundled
     graph.tell(name, "uint64 timestamp\nbool of_the_robot\n")
