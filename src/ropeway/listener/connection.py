@@ -7,9 +7,7 @@ A ``Connection`` delivers whole messages (continuation frames joined, bounded), 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
-import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -29,9 +27,7 @@ __all__ = ["Connection", "Limits", "peer_address"]
 log = logging.getLogger("ropeway.link")
 
 
-_TCP_RTO_MAX_MS: Final = 44  # Linux 6.15
 _LOOKS_PER_PING: Final = 4
-_RETRANSMIT_MS: Final = 1000  # what was lost is sent again so often at least, and goes soon after a cut has ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,8 +183,6 @@ class Connection(WSListener):
         underlying = transport.underlying_transport
         underlying.set_write_buffer_limits(high=0, low=0)
         self._socket = underlying.get_extra_info("socket")
-        with contextlib.suppress(OSError, AttributeError):
-            self._socket.setsockopt(socket.IPPROTO_TCP, _TCP_RTO_MAX_MS, _RETRANSMIT_MS)
         self.secure = underlying.get_extra_info("sslcontext") is not None
         if not self.peer:
             self.peer = peer_address(underlying.get_extra_info("peername"))

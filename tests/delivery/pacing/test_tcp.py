@@ -82,3 +82,22 @@ def test_congestion_control(pair: tuple[socket.socket, socket.socket]) -> None:
     assert tcp.congestion == "reno"
     assert not tcp.use_congestion("nonsense")
     assert tcp.congestion == "reno"
+
+
+def test_bearing_losses(pair: tuple[socket.socket, socket.socket]) -> None:
+    """A connection bears losses from when it is told so, also a second time, until it is to be steady."""
+    tcp = Tcp(pair[0])
+    assert tcp.use_congestion("reno")
+    for _ in range(2):
+        tcp.bear_losses()
+        assert tcp.congestion in ("bbr", "reno")  # where the kernel has no bbr, it keeps what it had
+    tcp.stay_steady()
+    assert tcp.congestion in ("cubic", "reno")
+
+
+def test_sending_again_soon(pair: tuple[socket.socket, socket.socket]) -> None:
+    """What is lost is sent again sooner than usual where the kernel lets us say so, and all else stays as it was."""
+    near, far = pair
+    Tcp(near).retransmit_soon()
+    near.sendall(b"whole")
+    assert far.recv(5) == b"whole"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from ropeway.delivery.pacing.model import LinkModel
-from ropeway.delivery.pacing.tcp import Tcp
+from ropeway.delivery.pacing.tcp import LOSSES_BORNE_S, Tcp
 
 __all__ = ["Flow"]
 
@@ -18,8 +18,6 @@ _LOOKS_PER_ROUND_TRIP: Final = 8
 _PACING_GAIN: Final = 1.25  # more than the pace, so that a faster link shows
 _PACING_ROUND_TRIP_S: Final = 0.002  # nearer, bursts cost no other topic anything
 _PACING_LIMIT: Final = 50e6  # bytes per second: faster links swallow bursts
-_LOSS_TOLERANT: Final = "bbr"  # takes no loss for a full link, but leaves a full one empty for 0.2 s in every ten
-_STEADY: Final = "cubic"  # is never in the way where nothing is lost, as we send less than it would
 
 
 class Flow:
@@ -37,6 +35,7 @@ class Flow:
         self._tcp: Tcp | None = None
         self._full = False  # the operating system takes no more
         self._held = False  # the link has no room
+        self._bears_losses_s = float("-inf")  # since when
         self._look: asyncio.TimerHandle | None = None
 
     @property
@@ -49,11 +48,11 @@ class Flow:
         self._open = True
         self.free = not self._full
         tcp = Tcp(sock)
+        tcp.retransmit_soon()
         reading = tcp.read()
         if reading is not None:
             self._tcp = tcp
-            if tcp.congestion == _LOSS_TOLERANT:
-                tcp.use_congestion(_STEADY)
+            tcp.stay_steady()
             self.model.observe(reading)
 
     def close(self) -> None:
@@ -126,5 +125,6 @@ class Flow:
         if pace is not None:
             spread = not model.starting and pace < _PACING_LIMIT and (model.base_rtt_s or 0.0) >= _PACING_ROUND_TRIP_S
             tcp.pace(_PACING_GAIN * pace if spread else None)
-        if model.losing and tcp.congestion != _LOSS_TOLERANT:
-            tcp.use_congestion(_LOSS_TOLERANT)
+        if model.losing and reading.now_s - self._bears_losses_s >= LOSSES_BORNE_S:
+            self._bears_losses_s = reading.now_s
+            tcp.bear_losses()

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 
 from ropeway.delivery.pacing.model import LinkReading
 
-__all__ = ["Tcp", "TcpInfo", "tcp_info"]
+__all__ = ["LOSSES_BORNE_S", "Tcp", "TcpInfo", "tcp_info"]
 
 _TCP_INFO: Final = getattr(socket, "TCP_INFO", None)
 # tcpi_snd_mss | unacked sacked lost retrans | rtt rttvar | total_retrans | bytes_acked bytes_received |
@@ -24,6 +24,15 @@ _TCP_CONGESTION: Final = getattr(socket, "TCP_CONGESTION", None)
 _SO_MAX_PACING_RATE: Final = 47
 _RATE: Final = struct.Struct("@L")
 _NO_PACING: Final = (1 << 8 * _RATE.size) - 1
+_RETRANSMIT_OPTIONS: Final = (
+    (45, 60_000),  # TCP_RTO_MIN_US: a round trip and 60 ms later, where 200 ms is usual
+    (44, 1_000),  # TCP_RTO_MAX_MS: then every second at least, so that it goes soon after a cut has ended
+)
+_STEADY: Final = "cubic"  # is never in the way where nothing is lost, as we send less than it would
+_LOSS_TOLERANT: Final = "bbr"  # takes no loss for a full link
+LOSSES_BORNE_S: Final = 6.0
+"""After so long ``bear_losses`` wants to be called again: every ten seconds what bears losses nearly stops for 0.2 s,
+to see the shortest round trip, unless it has just begun."""
 
 
 class TcpInfo(NamedTuple):
@@ -120,3 +129,19 @@ class Tcp:
         except (OSError, AttributeError):
             return False
         return True
+
+    def retransmit_soon(self) -> None:
+        """Send again soon what the peer does not acknowledge, where the kernel lets us say when."""
+        for option, value in _RETRANSMIT_OPTIONS:
+            with contextlib.suppress(OSError, AttributeError):
+                self._socket.setsockopt(socket.IPPROTO_TCP, option, value)
+
+    def stay_steady(self) -> None:
+        """Use no congestion control that stops now and then: little is lost."""
+        if self.congestion == _LOSS_TOLERANT:
+            self.use_congestion(_STEADY)
+
+    def bear_losses(self) -> None:
+        """Begin with a congestion control that takes no loss for a full link, also where it is in use already."""
+        self.stay_steady()
+        self.use_congestion(_LOSS_TOLERANT)

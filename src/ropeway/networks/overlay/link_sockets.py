@@ -4,9 +4,9 @@ When the address of a machine changes, its old TCP connections live on without a
 to one waits. Zenoh sees by its lease that nothing comes, but a transport that is blocked in writing closes late, or not
 at all. ``TCP_USER_TIMEOUT`` (RFC 5482) ends the connection itself.
 
-Little is to wait in the kernel, and the congestion control is to suit the link. BBR stops for a fifth of a second every
-ten to see the shortest round trip, which looks like a loss from above; others take a lost packet for a full link. So it
-is used where packets are lost, and only there.
+Little is to wait in the kernel, what is lost goes again soon, and the congestion control is to suit the link. BBR stops
+for a fifth of a second every ten to see the shortest round trip, which looks like a loss from above, unless it is begun
+anew in time; others take a lost packet for a full link. So it is used where packets are lost, and only there.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ import contextlib
 import os
 import re
 import socket
+import time
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Final
 
-from ropeway.delivery.pacing.tcp import Tcp, tcp_info
+from ropeway.delivery.pacing.tcp import LOSSES_BORNE_S, Tcp, tcp_info
 
 __all__ = ["Losses", "set_options"]
 
@@ -27,8 +28,6 @@ _LOCATOR: Final = re.compile(r"(?:tls|tcp)/(?:\[(?P<six>[^\]]+)\]|(?P<four>[^:]+
 _DESCRIPTORS: Final = Path("/proc/self/fd")
 _NOTSENT_LOWAT: Final[int | None] = getattr(socket, "TCP_NOTSENT_LOWAT", None)
 _UNSENT_BYTES: Final = 128 * 1024  # the next batch of Zenoh's, of 32 kB, is there before the last has left
-_LOSS_TOLERANT: Final = "bbr"
-_STEADY: Final = "cubic"
 _TELLING_BYTES: Final = 64 * 1024  # fewer say nothing of a link
 _LOSSY: Final = 0.003  # of what was sent, sent again
 
@@ -50,8 +49,8 @@ def set_options(source: str, target: str, timeout_ms: int) -> bool:
         if _NOTSENT_LOWAT is not None:
             link.setsockopt(socket.IPPROTO_TCP, _NOTSENT_LOWAT, _UNSENT_BYTES)
         tcp = Tcp(link)
-        if tcp.congestion == _LOSS_TOLERANT:
-            tcp.use_congestion(_STEADY)
+        tcp.retransmit_soon()
+        tcp.stay_steady()
         found = True
     return found
 
@@ -61,13 +60,22 @@ class Losses:
 
     def __init__(self) -> None:
         self._seen: dict[tuple[str, str], tuple[int, int]] = {}  # bytes sent, and sent again, at the last look
+        self._bearing_s: dict[tuple[str, str], float] = {}  # since when
 
     def look(self, links: Collection[tuple[str, str]]) -> None:
         """Look at the connections between these pairs of locators."""
-        seen, self._seen = self._seen, {}
+        now_s, seen, bearing_s = time.monotonic(), self._seen, self._bearing_s
+        self._seen, self._bearing_s = {}, {}
         for link, sock in _sockets(links):
             info, tcp = tcp_info(sock), Tcp(sock)
-            if info is None or tcp.congestion == _LOSS_TOLERANT:
+            since_s = bearing_s.get(link)
+            if since_s is not None:
+                if now_s - since_s >= LOSSES_BORNE_S:
+                    since_s = now_s
+                    tcp.bear_losses()
+                self._bearing_s[link] = since_s
+                continue
+            if info is None:
                 continue
             sent, again = seen.get(link, (0, 0))
             if info.bytes_sent - sent < _TELLING_BYTES:
@@ -75,7 +83,8 @@ class Losses:
                 continue
             self._seen[link] = info.bytes_sent, info.bytes_sent_again
             if info.bytes_sent_again - again > _LOSSY * (info.bytes_sent - sent):
-                tcp.use_congestion(_LOSS_TOLERANT)
+                self._bearing_s[link] = now_s
+                tcp.bear_losses()
 
 
 def _sockets(links: Collection[tuple[str, str]]) -> Iterator[tuple[tuple[str, str], socket.socket]]:
