@@ -234,6 +234,9 @@ OVERLAY_REQUESTS_BYTES: Final = 256 << 20
 OVERLAY_CHANNELS: Final = 4_096
 """Sealed channels that other gateways opened. The one that was not used for longest goes."""
 
+OVERLAY_CHANNELS_PER_MEMBER: Final = 128
+"""The same of one member: twice as many as it may have gateways."""
+
 OVERLAY_LIST_BYTES: Final = 128 << 20
 """All that a gateway advertises, as it is told."""
 

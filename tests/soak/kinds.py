@@ -13,9 +13,10 @@ from typing import Any, Final, NamedTuple
 from ropeway import aio
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
 from tests.gateway.test_tls import Authority
-from tests.soak.megabytes import GATEWAY, PLAIN, SENT_BYTES, Make, a_megabyte
+from tests.soak.megabytes import GATEWAY, PLAIN, SENT_BYTES, Make, a_megabyte, operation
 from tests.soak.nodes import PACKETS
-from tests.soak.strangers import STRANGERS, Strangers, abort
+from tests.soak.overlay import MEMBERS, TO_ROUTERS, Attack, Overlay, a_gateway, a_router, attacked
+from tests.soak.strangers import AT_ROUTERS, STRANGERS, Strangers, abort
 from tests.support.websocket import Client
 
 __all__ = ["KINDS", "Kind"]
@@ -126,6 +127,31 @@ def _listening(scheme: str) -> Prepare:
 
 
 _FROM_MANY: Final = 10  # connections, each of which may write some thousand topics
+
+
+def _overlay(name: str, attack: Attack, *, gateway: bool) -> Kind:
+    """What a member of an overlay does to a gateway or to a router."""
+    made: list[Overlay] = []
+
+    async def prepare(stack: AsyncExitStack) -> dict[str, Any]:
+        made[:] = [Overlay(Path(stack.enter_context(TemporaryDirectory())))]
+        return await (a_gateway if gateway else a_router)(made[0], stack)
+
+    async def visit(ports: list[int], stack: AsyncExitStack, first: bool) -> None:
+        if gateway:
+            reader = await stack.enter_async_context(Client(ports[0]))
+            reader.raw(operation("subscribe", topic="/soak", type="std_msgs/String"))
+            reading = asyncio.create_task(_read_all(reader.reader))
+            stack.callback(reading.cancel)
+        await attacked(made[0], attack, stack, _WARM_UP_BYTES if first else SENT_BYTES, gateway=gateway)
+
+    return Kind(f"{'member' if gateway else 'router'}-{name}", prepare, visit)
+
+
+async def _a_router(stack: AsyncExitStack) -> dict[str, Any]:
+    return await a_router(Overlay(Path(stack.enter_context(TemporaryDirectory()))), stack)
+
+
 _MEMORY: Final = _serving(_config("memory:memory"))
 _DDS: Final = _serving(_config("dds:77?interface=lo"))
 _ON_DDS: Final = (
@@ -156,5 +182,8 @@ KINDS: Final = [
         Kind(f"nodes-{name}", _listening("iort"), _node(PACKETS[name], connections=_FROM_MANY))
         for name in ("plain", "systems", "brought", "subscriptions", "advertisements")
     ),
+    *(_overlay(name, attack, gateway=True) for name, attack in MEMBERS.items()),
+    *(_overlay(name, attack, gateway=False) for name, attack in TO_ROUTERS.items()),
+    *(Kind(f"router-{name}", _a_router, _strangers(visit)) for name, visit in AT_ROUTERS.items()),
     *(Kind(f"{name}-dds", _DDS, _client(PLAIN[name])) for name in _ON_DDS),
 ]

@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from typing import Final
 
-__all__ = ["STRANGERS", "Strangers", "abort"]
+__all__ = ["AT_ROUTERS", "STRANGERS", "Strangers", "abort"]
 
 _FEW: Final = 20  # as many as come before it is measured
 _CLIENT_HELLO: Final = b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + bytes(500)  # its last bytes are missing
@@ -107,3 +107,12 @@ STRANGERS: Final[dict[str, tuple[str, Strangers]]] = {
     "resets": ("ws", _one_after_the_other(lambda _: struct.pack("!I", 5) * 50 + b"\r\n\r\n")),
 }
 """By their names: the scheme of the listener that they come to, and what they do."""
+
+AT_ROUTERS: Final[dict[str, Strangers]] = {
+    "silent": _silent(200, lambda _: b"", addresses=400),
+    "half-open-tls": _silent(500, lambda _: _CLIENT_HELLO, addresses=400),
+    "unfinished-tls": _silent(len(_HELLO), lambda _: _HELLO, addresses=400),
+    "no-tls": _one_after_the_other(lambda _: _get("/") + b"\r\n" * 500),
+    "large-records": _one_after_the_other(lambda _: b"\x16\x03\x01\xff\xff" + b"x" * 60_000),
+}
+"""The same at a router of an overlay, all of whose links are TLS."""

@@ -14,7 +14,8 @@ PEAK_BYTES = 16 << 20
 LEFT_BYTES = 16 << 20  # pages that the allocators keep for the next
 
 KEPT_BYTES = 64 << 20  # a megabyte is up to 40,000 topics, which ten connections share; values are kept within limits
-FROM_MANY = "nodes-"
+FROM_MANY = ("nodes-", "router-half", "router-unfinished")
+HELD_BY_ZENOH = ("router-silent", "router-half-open-tls", "router-unfinished-tls")  # it lets go of ten a second
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -31,6 +32,8 @@ async def test_a_megabyte(kind: Kind) -> None:
     """A gateway that gets a megabyte holds some more while it is there, and is what it was once all have left."""
     growth = await grown_by(kind)
     kept = {"Entry"} if kind.name.startswith("node") else set()  # values of nodes, which others may read
+    if kind.name in HELD_BY_ZENOH:
+        kept = {"descriptors"}
     assert growth.left.keys() <= kept
     if kind.name.startswith(FROM_MANY):
         assert growth.peak_bytes < KEPT_BYTES

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import os
 import stat
 import subprocess
 import sys
@@ -83,6 +84,34 @@ def test_bundles(tmp_path: Path) -> None:
     write_private(path, made.renew("robot1").to_text(), replace=True)
     assert mode(path) == 0o600
     assert Identity.load(path).certificate.serial != robot.certificate.serial
+
+
+def test_files_that_others_can_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A key that others can read is refused with the command that mends it; one of another owner is told of."""
+    made = Fleet.create("f", tmp_path / "f")
+    path = tmp_path / "robot1.ropeway"
+    write_private(path, made.issue("robot1").to_text())
+    for readable in (0o640, 0o604, 0o660, 0o644):
+        path.chmod(readable)
+        with pytest.raises(IdentityError, match=f"mode {readable:04o}.*chmod 600 {path}"):
+            Identity.load(path)
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))  # a service manager has put it there
+    assert Identity.load(path).name == "robot1"
+    monkeypatch.delenv("CREDENTIALS_DIRECTORY")
+    monkeypatch.setattr(os, "geteuid", lambda: path.stat().st_uid + 1)  # a secret that a container has mounted
+    assert Identity.load(path).name == "robot1"
+    assert "others can read it (mode 0644)" in caplog.text
+    monkeypatch.undo()
+    path.chmod(0o400)
+    assert Identity.load(path).name == "robot1"
+    for name in ("ca.key", "name.secret"):
+        (tmp_path / "f" / name).chmod(0o644)
+        with pytest.raises(IdentityError, match=f"chmod 600 .*{name}"):
+            Fleet(tmp_path / "f")
+        (tmp_path / "f" / name).chmod(0o600)
+    assert Fleet(tmp_path / "f").ca == made.ca
 
 
 def test_damaged_bundles(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from ropeway.networks.overlay.node import OverlayNode
 from tests.networks.overlay.conftest import Site
 from tests.networks.overlay.fleet import member
 from tests.support.messages import STRING
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 
 async def test_coming_as_another_one_leaves(site: Site) -> None:
@@ -41,3 +41,16 @@ async def test_a_session_that_answers_nothing(site: Site, caplog: pytest.LogCapt
     assert sum("Zenoh answers no more" in message for message in caplog.messages) == 1
     await other.create_publisher("/late", STRING)
     await until(lambda: "/late" in graph.topics())
+
+
+async def test_asking_while_links_are_made_anew(site: Site) -> None:
+    """While the session is made anew, nobody answers and there is no link, and neither is an error."""
+    graph = await site.join()
+    fabric = graph.node.links.fabric
+    async with fabric._changing:
+        await fabric._stop()
+        assert await fabric.ask("rw/crl", b"", 0.05) == []
+        assert not await fabric.linked(0.05)
+        await fabric._start()
+    assert await fabric.linked(PATIENCE_S)
+    await until(lambda: graph.node.links.unlinked == "")

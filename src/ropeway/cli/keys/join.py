@@ -12,7 +12,7 @@ from ropeway.cli.console import answer, print_json
 from ropeway.cli.keys.common import about, describe
 from ropeway.cli.session import JsonOption
 from ropeway.networks.overlay.crypto.identity import Identity, read_bundle, write_private
-from ropeway.networks.overlay.crypto.material import read_material_text
+from ropeway.networks.overlay.crypto.material import check_private, read_material_text
 
 __all__ = ["app"]
 
@@ -31,6 +31,7 @@ def join(
     """Write NAME.ropeway, the bundle of this machine."""
     found = dict(read_bundle(read_material_text(signed), str(signed)))
     found["key"] = read_material_text(key)
+    check_private(key)
     text = json.dumps(found, indent=1) + "\n"
     identity = Identity.parse(text, str(signed))
     path = output or Path(f"{identity.name}.ropeway")

@@ -334,11 +334,14 @@ class Fabric:
     ) -> list[bytes]:
         """Every answer to a query, once all who can answer have; fewer, or none, after ``timeout_s``.
 
-        Answers beyond ``limit_bytes`` in all are not taken.
+        Answers beyond ``limit_bytes`` in all are not taken. Where links are made anew all that time, nobody answers.
         """
         with contextlib.suppress(TimeoutError):
             async with aio.timeout(min(timeout_s, _REOPEN_S)):
                 await self._open.wait()
+        session = self._session
+        if session is None:
+            return []
         answers: list[bytes] = []
         left = limit_bytes
         done: asyncio.Future[None] = self._loop.create_future()
@@ -361,7 +364,7 @@ class Fabric:
 
         cancel: Any = zenoh.CancellationToken()
         get = partial(
-            self.session.get,
+            session.get,
             key,
             zenoh.handlers.Callback(take, dropped, indirect=False),
             payload=payload,
@@ -389,9 +392,11 @@ class Fabric:
         changed = asyncio.Event()
         changed.set()
         inlet: Inlet[None] = Inlet(self._loop, lambda _: changed.set())
-        listener = self.session.info.declare_transport_events_listener(lambda _: inlet.put(None))
+        listener = None
         try:
             async with aio.timeout(timeout_s):
+                await self._open.wait()
+                listener = self.session.info.declare_transport_events_listener(lambda _: inlet.put(None))
                 while not self.links():
                     await changed.wait()
                     changed.clear()
@@ -400,7 +405,8 @@ class Fabric:
         finally:
             inlet.closed = True
             if listener is not None:
-                listener.undeclare()  # type: ignore[no-untyped-call]
+                with contextlib.suppress(zenoh.ZError):  # the session has closed
+                    listener.undeclare()  # type: ignore[no-untyped-call]
         return True
 
     # ── where ──────────────────────────────────────────────────────────────────────────────────────────────────

@@ -42,7 +42,7 @@ from ropeway.networks.overlay.crypto.certificate import (
     common_name,
 )
 from ropeway.networks.overlay.crypto.identity import Identity, bundle_text, private_pem, write_private
-from ropeway.networks.overlay.crypto.material import SECRET_BYTES, read_secret, understood
+from ropeway.networks.overlay.crypto.material import SECRET_BYTES, check_private, read_secret, understood
 from ropeway.networks.overlay.durable import locked, write_durable
 from ropeway.networks.overlay.rights import EVERYTHING, VERBS, Rights
 from ropeway.types.untrusted import json_value
@@ -87,6 +87,8 @@ class Fleet:
             self.name_secret = read_secret((directory / "name.secret").read_text().strip())
             self.crl = x509.load_pem_x509_crl((directory / "crl.pem").read_bytes())
             self._record = _read_record(directory)
+        for name in ("ca.key", "name.secret"):
+            check_private(directory / name)
         if not isinstance(key, (Ed25519PrivateKey, RSAPrivateKey)):
             raise IdentityError(str(directory), "the authority's key is neither Ed25519 nor RSA")
         self._key: PrivateKey = key

@@ -19,7 +19,13 @@ import cbor2
 
 from ropeway import aio
 from ropeway.errors import CallTimeout, ProviderLost, RopewayError, SealError
-from ropeway.limits import OVERLAY_CHANNELS, OVERLAY_REQUEST_ITEMS, OVERLAY_REQUESTS, OVERLAY_REQUESTS_BYTES
+from ropeway.limits import (
+    OVERLAY_CHANNELS,
+    OVERLAY_CHANNELS_PER_MEMBER,
+    OVERLAY_REQUEST_ITEMS,
+    OVERLAY_REQUESTS,
+    OVERLAY_REQUESTS_BYTES,
+)
 from ropeway.networks.overlay.crypto.cbor import loads
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.channel import Initiator, SecureChannel, peek_channel, respond
@@ -207,10 +213,18 @@ class Rpc:
             self._refused("a gateway that greets", error)
             asked.answer(_REFUSED + str(error).encode())
             return
+        self._keep(channel)
+        asked.answer(_HELLO + reply)
+
+    def _keep(self, channel: SecureChannel) -> None:
+        """Keep a channel that another gateway opened; above the limits, the one goes that was not used for longest."""
         self._inbound[channel.id] = channel
+        owner = channel.peer.fingerprint
+        same = [id for id, other in self._inbound.items() if other.peer.fingerprint == owner]
+        if len(same) > OVERLAY_CHANNELS_PER_MEMBER:
+            del self._inbound[same[0]]
         while len(self._inbound) > OVERLAY_CHANNELS:
             self._inbound.popitem(last=False)
-        asked.answer(_HELLO + reply)
 
     def _serve(self, asked: Asked, packet: bytes) -> None:
         try:

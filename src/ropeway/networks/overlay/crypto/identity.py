@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import logging
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,12 +23,10 @@ from cryptography.hazmat.primitives.serialization import (
 
 from ropeway.errors import IdentityError
 from ropeway.networks.overlay.crypto.certificate import Certificate, PrivateKey, common_name, sign
-from ropeway.networks.overlay.crypto.material import read_material_text, read_secret, understood
+from ropeway.networks.overlay.crypto.material import check_private, read_material_text, read_secret, understood
 from ropeway.types.untrusted import json_value
 
 __all__ = ["Identity", "bundle_text", "private_pem", "public_bytes", "read_bundle", "write_private"]
-
-log = logging.getLogger("ropeway.overlay")
 
 _VERSION: Final = 1
 
@@ -92,14 +89,13 @@ class Identity:
 
     @classmethod
     def load(cls, path: str | Path) -> Identity:
-        """Read a bundle. Raises ``IdentityError`` that says what to do."""
+        """Read a bundle that nobody else can read. Raises ``IdentityError`` that says what to do."""
         path = Path(path)
         if not path.exists():
             raise IdentityError(str(path), "there is no such bundle; make one with: ropeway keys issue NAME")
-        text = read_material_text(path)
-        if os.name == "posix" and path.stat().st_mode & 0o077 and not _is_credential(path):
-            log.warning("%s: others can read this key; chmod 600 keeps it secret", path)
-        return cls.parse(text, str(path))
+        found = cls.parse(read_material_text(path), str(path))
+        check_private(path)
+        return found
 
     @classmethod
     def parse(cls, text: str, source: str) -> Identity:
@@ -183,9 +179,3 @@ def _der(pem: str) -> bytes:
 def private_pem(key: PrivateKey) -> str:
     """Return a private key as text."""
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()).decode()
-
-
-def _is_credential(path: Path) -> bool:
-    """Return whether a service manager put the file where this service alone can read it, whatever its mode says."""
-    directory = os.environ.get("CREDENTIALS_DIRECTORY")
-    return directory is not None and path.absolute().is_relative_to(directory)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import logging
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -10,7 +12,9 @@ from typing import Final
 from ropeway.errors import IdentityError
 from ropeway.limits import OVERLAY_FILE_BYTES
 
-__all__ = ["SECRET_BYTES", "read_material", "read_material_text", "read_secret", "understood"]
+__all__ = ["SECRET_BYTES", "check_private", "read_material", "read_material_text", "read_secret", "understood"]
+
+log = logging.getLogger("ropeway.overlay")
 
 SECRET_BYTES: Final = 32
 """The secret that global names are made under."""
@@ -35,6 +39,28 @@ def read_material_text(path: Path) -> str:
         return data.decode()
     except UnicodeDecodeError as error:
         raise IdentityError(str(path), f"it cannot be read: {error}") from error
+
+
+def check_private(path: Path) -> None:
+    """Refuse a file of our own that others can read; one of somebody else, as a mounted secret, is only told of.
+
+    Raises ``IdentityError`` that says what to do.
+    """
+    if os.name != "posix":
+        return
+    found = path.stat()
+    if not found.st_mode & 0o077 or _is_credential(path):
+        return
+    text = f"others can read it (mode {found.st_mode & 0o777:04o}), and may have its key"
+    if found.st_uid == os.geteuid():
+        raise IdentityError(str(path), f"{text}; keep it to yourself with: chmod 600 {path}")
+    log.warning("%s: %s; its owner keeps it secret with chmod 600", path, text)
+
+
+def _is_credential(path: Path) -> bool:
+    """Return whether a service manager put the file where this service alone can read it, whatever its mode says."""
+    directory = os.environ.get("CREDENTIALS_DIRECTORY")
+    return directory is not None and path.absolute().is_relative_to(directory)
 
 
 def read_secret(text: str) -> bytes:
