@@ -25,6 +25,8 @@ from ropeway.networks.overlay.graph import OverlayGraph
 from ropeway.networks.overlay.graph.publisher import OverlayPublisher
 from ropeway.networks.overlay.names import Metadata, global_name
 from ropeway.networks.overlay.node import OverlayNode
+from ropeway.networks.overlay.packet_item import RAW, ZSTD, PacketItem
+from ropeway.networks.overlay.packet_mark import Mark
 from ropeway.networks.overlay.router import Router
 from ropeway.networks.overlay.rpc import key_of
 from ropeway.qos import QoS
@@ -145,17 +147,17 @@ async def _revocation_lists(evil: Hostile, number: int) -> int:
 
 
 async def _packets(evil: Hostile, number: int) -> int:
-    items = [Item(100 * number + n, 0, 1, b"o" * 16, 0, RAW, b"") for n in range(4000)]
+    items = [PacketItem(100 * number + n, 0, 1, b"o" * 16, 0, RAW, b"") for n in range(4000)]
     return await evil.put(evil.publisher.key, evil.publisher.source.seal(items))
 
 
 async def _bombs(evil: Hostile, number: int) -> int:
-    items = [Item(number * 4 + n, 0, 1, b"o" * 16, 0, ZSTD, bomb(1 << 29)) for n in range(4)]
+    items = [PacketItem(number * 4 + n, 0, 1, b"o" * 16, 0, ZSTD, bomb(1 << 29)) for n in range(4)]
     return await evil.put(evil.publisher.key, evil.publisher.source.seal(items)) * 20
 
 
 async def _unknown_keys(evil: Hostile, number: int) -> int:
-    junk = bytearray(evil.publisher.source.seal([Item(1, 0, 1, b"o" * 16, 0, RAW, bytes(10))]))
+    junk = bytearray(evil.publisher.source.seal([PacketItem(1, 0, 1, b"o" * 16, 0, RAW, bytes(10))]))
     junk[4:8] = b"\xff\xff\xff\xff"
     return await evil.put(evil.publisher.key, bytes(junk))
 
