@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import cbor2
-from ropeway.networks.overlay.item import RAW, ZSTD, Item
-from ropeway.networks.overlay.mark import Mark
 
 from ropeway.networks.overlay.advert import Advertisement, advert_key, make_advert
 from ropeway.networks.overlay.announcement import NoteKey
