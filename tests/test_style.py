@@ -56,6 +56,43 @@ def test_a_public_class_name_exists_once() -> None:
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
+_RIDDLES = (
+    "what who whose whom it its one true false they their he she there are is was were that this these those where when"
+    " how why no none nothing nobody everybody everyone everything somebody someone something of in on at by for from"
+    " to with without as if only more others another our"
+)
+RIDDLES = frozenset(_RIDDLES.split())
+"""Openings that leave a docstring without a subject: the reader would have to guess who does what."""
+_NOUNS = "the a an whether every all any both each messages events values bytes other called"
+NOUNS = RIDDLES | frozenset(_NOUNS.split())
+"""Openings of what ought to be an order: a function's docstring begins with its verb."""
+
+
+def _opening(node: ast.AST, text: str) -> tuple[str, frozenset[str]]:
+    """Return how a docstring begins, and which openings it must not have."""
+    first = text.split()[0].rstrip(",.:;")
+    if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+        return first, RIDDLES
+    if any(ast.unparse(decorator).endswith(("property", ".setter")) for decorator in node.decorator_list):
+        return first, RIDDLES
+    return (first, NOUNS) if first[0].isupper() else ("the", NOUNS)
+
+
+def test_docstrings_name_their_subject() -> None:
+    """A function's docstring begins with its verb; that of a module, a class or a property with a verb or a noun."""
+    found = []
+    for module, tree in _sources().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                text = ast.get_docstring(node)
+                if not text:
+                    continue
+                first, refused = _opening(node, text)
+                if first.lower() in refused:
+                    found.append(f"{module}:{node.body[0].lineno}: {text.splitlines()[0]}")
+    assert not found, "begin these with a verb, see CONTRIBUTING.md:\n" + "\n".join(found)
+
+
 AWAITED = "whoever begins it waits for it there, and sees how it ends"
 ANSWERED = "when it is done, a callback logs its failure and answers whoever waits"
 ALLOWED_TASKS = {

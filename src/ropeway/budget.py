@@ -22,7 +22,7 @@ _LOOK_BYTES: Final = 256 << 10  # received; less cannot change much
 
 
 class Budget:
-    """All accounts of one process. ``ended`` counts the connections that were closed, by reason."""
+    """Keeps all accounts of one process. ``ended`` counts the connections that were closed, by reason."""
 
     def __init__(self, *, limit_bytes: int = PROCESS_BYTES, account_limit_bytes: int = ACCOUNT_BYTES) -> None:
         self.limit_bytes, self.account_limit_bytes = limit_bytes, account_limit_bytes
@@ -83,7 +83,9 @@ class Account:
         self._holders[what] = count
 
     def received(self, total_bytes: int) -> None:
-        """Look again if so much was received since the last look that it matters; ``total_bytes`` ever were."""
+        """Check again if enough was received since the last check to matter; ``total_bytes`` counts all that
+        ever was.
+        """
         if total_bytes - self._looked_at_bytes >= _LOOK_BYTES:
             self._looked_at_bytes = total_bytes
             self.look()

@@ -111,7 +111,7 @@ class ConfigError(RopewayError):
 
 
 class TypesError(RopewayError):
-    """Message definitions and values."""
+    """Raised for message definitions and values."""
 
 
 class InvalidTypeName(TypesError):
@@ -327,7 +327,7 @@ class SealError(OverlayError):
 
 
 class StoreError(RopewayError):
-    """Last values that cannot be had or kept."""
+    """Raised for last values that cannot be read or kept."""
 
 
 class StoreUnavailable(StoreError):

@@ -1029,7 +1029,7 @@ class AsyncNode:
     async def request(
         self, system: str, topic: str, op: str, head: Dict[str, object], timeout_s: float = 5.0
     ) -> Packet:
-        """Any request of the protocol, and its answer. Raises ``NodeError``."""
+        """Send any request of the protocol, and return its answer. Raises ``NodeError``."""
         connection = self._connection
         if connection is None:
             raise NodeError("lost", self.last_error or "no server can be reached")
@@ -1987,7 +1987,7 @@ class Node:
         return self._run(self._node.list(system, topic), 10.0)
 
     def request(self, system: str, topic: str, op: str, head: Dict[str, object]) -> Packet:
-        """Any request of the protocol, and its answer. Raises ``NodeError``."""
+        """Send any request of the protocol, and return its answer. Raises ``NodeError``."""
         return self._run(self._node.request(system, topic, op, head), 10.0)
 
     def close(self) -> None:
@@ -2023,7 +2023,7 @@ class Node:
 
 
 async def _serve(told: Any) -> None:
-    """Be the local server until the process is ended."""
+    """Run the local server until the process is ended."""
     host, _, port = told.serve.rpartition(":")
     if not host or not port.isdigit() or "/" in host:
         raise NodeError("malformed", "--serve takes HOST:PORT, such as 0.0.0.0:7410; the cloud comes with --cloud")

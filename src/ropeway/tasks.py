@@ -111,7 +111,7 @@ def keep_running(
 
 
 class Supervised:
-    """Work in the background that goes on for as long as its owner wants, whatever happens to it.
+    """Keeps background work running for as long as its owner wants, whatever happens to it.
 
     If it raises, the failure is logged, ``error`` says why, and the work is started again after a pause that doubles
     from ``pause_s`` to ``longest_pause_s``. Work that returns is done. ``work`` is called in ``start``, before anything

@@ -62,7 +62,7 @@ async def _open(urls: tuple[str, str], node: str, types: Iterable[str | Path], t
 
 
 class AsyncBridge(Closing):
-    """Two graphs of a program, and the names that it joins on them.
+    """Joins names on two graphs of a program.
 
     ``left`` is the source and ``right`` the target of what is joined, unless ``reverse`` is true: messages go from
     source to target, and what is served on the source is offered on the target. ``rename`` is the name on the target

@@ -1,4 +1,4 @@
-"""What services and actions of programs have in common: somebody who uses them, and somebody who offers them."""
+"""Defines what services and actions of programs share: a user of the name, and a provider."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def open_gateway(config: Mapping[str, Any] | Sequence[Any] | str | Path | Config
 
 
 class BlockingBridge(BlockingRoot[AsyncBridge]):
-    """Two graphs of a program, and the names that it joins on them; see ``AsyncBridge``."""
+    """Joins names on two graphs of a program; see ``AsyncBridge``."""
 
     def topic(
         self,

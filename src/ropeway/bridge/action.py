@@ -99,7 +99,7 @@ class ActionBridge(Offer):
         return running is not None and await running.cancel()
 
     async def withdrawn(self) -> None:
-        """Goals that were accepted and not begun."""
+        """Abort goals that were accepted and not begun."""
         for running in list(self._goals.values()):
             await self._give_up(running)
 

@@ -187,7 +187,7 @@ def _fitting(registry: TypeRegistry, type: str) -> Callable[[bytes], bytes]:
 
 
 def _from_ros1(registry: TypeRegistry, type: str, definition: str | None) -> Callable[[bytes], bytes]:
-    """Bytes of ROS 1 to CDR, as this network defines the type; the recording's definition, where it knows none.
+    """Convert bytes of ROS 1 to CDR, as this network defines the type, or else as the recording does.
 
     Where both differ, fields of the same name (case apart) are carried over.
     """

@@ -93,7 +93,7 @@ def restamped(payload: bytes, now_ns: int) -> bytes:
 
 
 async def read_ahead(records: Iterator[Record]) -> AsyncGenerator[list[Record], None]:
-    """Batches of records, the next of which is read in a thread while one is in use."""
+    """Yield batches of records; while one is in use, a thread reads the next."""
 
     def take() -> list[Record]:
         batch: list[Record] = []

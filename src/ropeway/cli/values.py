@@ -1,4 +1,4 @@
-"""Values of messages, requests and goals as they are written on the command line."""
+"""Reads the values of messages, requests and goals from the command line."""
 
 from __future__ import annotations
 

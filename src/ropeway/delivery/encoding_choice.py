@@ -122,7 +122,9 @@ class EncodingChooser:
             self._retry_at = now + self._retry_s
 
     def _may_win(self, encoding: str, size_bytes: int) -> bool:
-        """Raw cannot bring more messages than the link has room for, and none where the link is the slower part."""
+        """Return whether going raw can bring more messages: not more than the link has room for, and none on a slow
+        link.
+        """
         pace = self._pace.bytes_per_s
         if encoding == PACKED or pace is None:
             return True

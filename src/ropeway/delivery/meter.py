@@ -1,4 +1,4 @@
-"""Rate, bandwidth and delay of a topic, as a table or a metric shows them."""
+"""Measures rate, bandwidth and delay of a topic, as tables and metrics show them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["Meter"]
 
 
 class Meter:
-    """Rate, bandwidth and delay over the last seconds, at a cost per batch and not per message."""
+    """Measures rate, bandwidth and delay over the last seconds, at a cost per batch and not per message."""
 
     __slots__ = (
         "_at",

@@ -46,7 +46,7 @@ class Message(Protocol):
 
     @property
     def payload(self) -> bytes:
-        """What is sent, or what it is made of; its size counts."""
+        """The bytes to send, or those that they are made from; their size counts."""
 
     @property
     def stamp_ns(self) -> int:
@@ -125,7 +125,7 @@ class Queue(Generic[M]):
 
 
 class Outbox(Generic[M]):
-    """All queues of one link. Not thread-safe: it belongs to the event loop."""
+    """Holds all queues of one link. Not thread-safe: it belongs to the event loop."""
 
     def __init__(self) -> None:
         self._small: list[Lane[M]] = [[] for _ in range(LANES)]  # heaps by virtual time, of topics whose next
@@ -182,7 +182,7 @@ class Outbox(Generic[M]):
             self.messages += 1
 
     def clear(self, reason: Lost = Lost.UNSENT) -> None:
-        """Lose everything that waits."""
+        """Drop everything that waits, and count it as lost."""
         for queue in self._queues:
             self._clear(queue, reason)
 
@@ -303,7 +303,7 @@ class Outbox(Generic[M]):
         return None
 
     def served(self, queue: Queue[M], size_bytes: int) -> None:
-        """Charge a topic for what was sent of its message."""
+        """Charge a topic for the bytes that were sent of its message."""
         queue.served += size_bytes / queue.weight
 
     def done(self, queue: Queue[M]) -> None:

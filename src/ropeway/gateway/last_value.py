@@ -14,7 +14,9 @@ __all__ = ["LastValue", "key_of"]
 
 
 def key_of(name: str, gateway: str) -> tuple[str, str]:
-    """System and topic of a ROS name: its first part and the rest; a name of one part belongs to the gateway."""
+    """Split a ROS name into system and topic: its first part and the rest; a name of one part belongs to the
+    gateway.
+    """
     system, topic = names_of(name)
     return (system, topic) if "/" in name.lstrip("/") else (gateway, topic)
 

@@ -11,7 +11,7 @@ __all__ = ["GroupActionClient"]
 
 
 class GroupActionClient:
-    """One action of a group, as a client per member.
+    """An action of a group, as a client per member.
 
     A goal is never sent to two members at a time, whatever the policy: it would be carried out twice at full length.
     Its feedback, its cancellation and its outcome are those of the member that accepted it.

@@ -19,7 +19,7 @@ _PERCENTILE: Final = re.compile(r"p(\d{1,2}(?:\.\d+)?)")
 
 
 class Standing(enum.Enum):
-    """How a member stands against a bound."""
+    """The standing of a member against a bound."""
 
     MET = "met"
     MISSED = "missed"
@@ -28,7 +28,7 @@ class Standing(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class LatencyBound:
-    """Upper bounds in seconds on statistics of a latency window; what has no bound is not looked at.
+    """Sets upper bounds in seconds on statistics of a latency window; a statistic without a bound is ignored.
 
     ``limits`` has them by name: ``max``, ``mean``, ``median``, ``min``, ``stddev``, or a percentile such as ``p99``.
     """

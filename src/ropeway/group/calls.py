@@ -27,7 +27,7 @@ _UNTOUCHED: Final = (NotServed, GraphUnavailable)  # nobody has begun to carry i
 
 
 class Available(Protocol):
-    """Who can tell whether a name is served."""
+    """Tells whether a name is served."""
 
     @property
     def available(self) -> bool | None:
@@ -38,7 +38,7 @@ class Available(Protocol):
 
 
 class Ways:
-    """How the calls of one name go to the members of a group."""
+    """Decides how the calls of one name go to the members of a group."""
 
     def __init__(self, group: Chooser, name: str, kind: str = "service") -> None:
         self.group, self.name, self.kind = group, name, kind
@@ -151,7 +151,7 @@ def _telling(errors: Iterable[RopewayError]) -> RopewayError:
 
 
 class GroupClient:
-    """One service of a group, as a client per member."""
+    """A service of a group, as a client per member."""
 
     def __init__(self, ways: Ways, parts: Mapping[str, Client]) -> None:
         first = next(iter(parts.values()))

@@ -1,4 +1,4 @@
-"""What the parts of a group need of it."""
+"""Defines what the parts of a group need of it."""
 
 from __future__ import annotations
 

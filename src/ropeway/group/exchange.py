@@ -19,7 +19,7 @@ _MOST: Final = 1024  # requests whose order is remembered
 
 
 class Exchange:
-    """One pair of topics, asked of the members that ``scheduler`` chooses."""
+    """A pair of topics, requested from the members that ``scheduler`` chooses."""
 
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler = scheduler
@@ -31,7 +31,7 @@ class Exchange:
         self._speaker = ""  # whose unasked messages count
 
     def asked(self, names: Sequence[str], key: Hashable, stamp: Hashable | None, now_s: float) -> None:
-        """A request was sent to ``names``."""
+        """Note that a request was sent to ``names``."""
         if key not in self._order:
             self._asked += 1
             self._order[key] = self._asked
@@ -71,7 +71,7 @@ class Exchange:
         return {how: n for how, n in total.items() if n}
 
     def forget(self, name: str) -> None:
-        """A member is gone, and its requests with it."""
+        """Forget a member that is gone, and its requests."""
         self._pairings.pop(name, None)
 
     def _unasked(self, name: str) -> Undelivered | None:

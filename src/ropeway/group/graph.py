@@ -68,7 +68,7 @@ HEDGE_S: Final = 0.1
 
 
 class Policy(enum.Enum):
-    """Which members get a request."""
+    """Says which members get a request."""
 
     ONE = "one"
     HEDGE = "hedge"
@@ -84,7 +84,7 @@ class Connecting(Protocol):
 
 
 class Group:
-    """Several graphs as one; see the module.
+    """Presents several graphs as one.
 
     ``members`` has them by the names that they are called by. ``policy`` says who is asked: ``one`` the member that
     the scheduler chooses by ``bound``; ``hedge`` that one, and the next if its answer takes longer than usual; ``all``

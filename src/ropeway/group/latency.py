@@ -21,7 +21,7 @@ _GIVE_UP_WINDOWS: Final = 10  # a request that is older than so many windows is 
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """What a window holds, in seconds.
+    """Summarises what a window holds, in seconds.
 
     ``answered`` requests count with their latency, ``pending`` ones with their age: they take at least that long.
     ``values`` are all of them, in order of size.
@@ -93,7 +93,7 @@ class LatencyWindow:
         return now_s - asked_s
 
     def gave_up(self, now_s: float, key: Hashable) -> None:
-        """Nobody waits for the answer to ``key`` any more: it took at least until now."""
+        """Note that nobody waits for the answer to ``key`` any more: it took at least until now."""
         self.answered(now_s, key)
 
     def forget(self, key: Hashable) -> None:

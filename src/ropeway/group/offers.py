@@ -26,7 +26,7 @@ class _Offer(Generic[S]):
 
 
 class GroupService(_Offer[Service]):
-    """One service, served to every member."""
+    """A service, served to every member."""
 
     def __init__(self, group: Chooser, service: str, type: str, parts: Mapping[str, Service]) -> None:
         super().__init__(group, parts)
@@ -34,7 +34,7 @@ class GroupService(_Offer[Service]):
 
 
 class GroupActionServer(_Offer[ActionServer]):
-    """One action, served to every member."""
+    """An action, served to every member."""
 
     def __init__(self, group: Chooser, action: str, type: str, parts: Mapping[str, ActionServer]) -> None:
         super().__init__(group, parts)

@@ -19,7 +19,7 @@ _MOST: Final = 1024  # requests that are remembered
 
 
 class How(enum.Enum):
-    """How a response was paired with its request."""
+    """Says how a response was paired with its request."""
 
     STAMP = "equal header stamp"
     ONLY = "the only request under way"

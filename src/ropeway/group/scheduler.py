@@ -34,7 +34,7 @@ _MOST_PENALTY_S: Final = 300.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """How a scheduler decides.
+    """Configures how a scheduler decides.
 
     ``profile_s``: how long each member is asked alone at the start (100 ms in the thesis). ``pairs``: how many requests
     two members must both have had before they are compared. ``margin``: by how much of its latency the one in use must
@@ -53,7 +53,7 @@ class Options:
 
 
 class Phase(enum.Enum):
-    """What a scheduler is doing."""
+    """The activity of a scheduler."""
 
     IDLE = "no member is there"
     PROFILING = "each member is asked for a moment"
@@ -105,7 +105,7 @@ class _Comparison:
 
 
 class _Side(NamedTuple):
-    """How one side of a comparison did: requests above the limit, and the mean."""
+    """The result of one side of a comparison: requests above the limit, and the mean."""
 
     late: int
     mean_s: float
@@ -197,7 +197,7 @@ class Scheduler:
     # ── what happens ───────────────────────────────────────────────────────────────────────────────────────────
 
     def came(self, name: str, now_s: float) -> None:
-        """A member is there."""
+        """Add a member that is there."""
         member = self._members[name]
         if member.here:
             return
@@ -209,7 +209,7 @@ class Scheduler:
             self._to_profile.append(name)
 
     def left(self, name: str, now_s: float) -> None:
-        """A member is gone: the next request goes to the most promising of the others."""
+        """Remove a member that is gone: the next request goes to the most promising of the others."""
         member = self._members[name]
         if not member.here:
             return
@@ -235,7 +235,7 @@ class Scheduler:
         self._profile_ends_s = now_s + self.options.profile_s
 
     def asked(self, names: Sequence[str], key: Hashable, now_s: float) -> None:
-        """A request was sent to ``names``."""
+        """Note that a request was sent to ``names``."""
         if not self._profiled and self.bound.limits:
             self.profile(now_s)
         for name in names:
@@ -245,7 +245,7 @@ class Scheduler:
             comparison.asked[key], comparison.took[key] = now_s, {}
 
     def answered(self, name: str, key: Hashable, now_s: float) -> float | None:
-        """A member has answered; return how long it took, ``None`` if it was not asked that."""
+        """Note a member's answer; return how long it took, ``None`` if the member was not asked that."""
         took_s = self._members[name].window.answered(now_s, key)
         if took_s is None:
             return None
@@ -256,16 +256,16 @@ class Scheduler:
         return took_s
 
     def gave_up(self, name: str, key: Hashable, now_s: float) -> None:
-        """Nobody waits for that answer any more."""
+        """Note that nobody waits for that answer any more."""
         self._members[name].window.gave_up(now_s, key)
         self._was(name, float("inf"))
 
     def refused(self, name: str, key: Hashable) -> None:
-        """A request was refused before it was carried out, which says nothing of latency."""
+        """Note that a request was refused before it was carried out, which says nothing of latency."""
         self._members[name].window.forget(key)
 
     def measured(self, name: str, latency_s: float, now_s: float) -> None:
-        """A latency of a member was measured elsewhere."""
+        """Add a latency of a member that was measured elsewhere."""
         self._members[name].window.add(now_s, latency_s)
         self._was(name, latency_s)
 
@@ -334,7 +334,7 @@ class Scheduler:
             rival.window.clear()  # it has to prove itself now
 
     def _probation(self, member: _Member, bad: bool, now_s: float) -> None:
-        """Go back at once if a change that could not be compared beforehand has proved wrong."""
+        """Switch back at once if a change that could not be compared beforehand has proved wrong."""
         before = self._members[self._came_from]
         found, was = member.window.statistics(now_s), before.window.statistics(now_s)
         if found is None or found.answered + found.pending < self.options.pairs:

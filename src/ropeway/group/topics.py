@@ -15,7 +15,7 @@ __all__ = ["GroupPublisher", "GroupSubscription"]
 
 
 class GroupPublisher:
-    """One topic, announced to every member, so that each stands ready."""
+    """A topic, announced to every member, so that each stands ready."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class GroupPublisher:
 
 
 class GroupSubscription:
-    """One topic, read from every member."""
+    """A topic, read from every member."""
 
     def __init__(
         self, group: Chooser, topic: str, callback: SampleCallback, exchange: Exchange, stamp: StampReader

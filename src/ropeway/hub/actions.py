@@ -214,4 +214,4 @@ def aborted(text: str) -> Outcome:
 
 
 def _nobody(payload: bytes) -> None:
-    """Feedback that nobody asked for."""
+    """Ignore feedback that nobody asked for."""

@@ -135,7 +135,7 @@ class HubCalls:
     # ── calls ──────────────────────────────────────────────────────────────────────────────────────────────────
 
     def check_circle(self, name: str, via: tuple[str, ...]) -> None:
-        """Raises ``CallFailed`` for a call that has been here before."""
+        """Refuse a call that has been here before."""
         if self.gateway_id and self.gateway_id in via:
             raise CallFailed(name, f"the call of {name} went in a circle, through the gateways {', '.join(via)}")
 

@@ -1,4 +1,4 @@
-"""Several users of one graph: each hears the others and the network, none hears itself.
+"""Shares one graph between several users: each hears the others and the network, none hears itself.
 
 A graph does not deliver to its own subscriptions what it publishes itself. A gateway, though, has many users of one
 graph: the bridges of every remote and the session of every client. Each gets a ``View``. What one view publishes
@@ -63,13 +63,13 @@ class Hub:
         self.calls = HubCalls(graph, gateway_id)
 
     async def open(self) -> None:
-        """Look out for other gateways from now on."""
+        """Watch for other gateways from now on."""
         if self._lookout is None:
             graph = self.graph
             self._lookout = Supervised(lambda: self._look_out(graph.changes()), f"look out on {graph.name}").start()
 
     async def close(self) -> None:
-        """Look out no longer."""
+        """Stop watching for other gateways."""
         await end(self._lookout)
         self._lookout = None
         await self.calls.close()
@@ -133,7 +133,9 @@ class Hub:
 
 
 class View:
-    """One user's side of a shared graph; it is a ``Graph`` itself. ``close`` takes back what this user created."""
+    """The side of one user side of a shared graph; it is a ``Graph`` itself. ``close`` takes back what this user
+    created.
+    """
 
     def __init__(self, hub: Hub, user: str, *, echo: bool, alone: bool) -> None:
         self.hub = hub
@@ -273,21 +275,21 @@ class View:
         return replace(endpoint, local=mine) if endpoint.local else endpoint
 
     def services(self) -> dict[str, ServiceInfo]:
-        """Every service on the graph; what other views offer does not count as local."""
+        """Return every service on the graph; what other views offer does not count as local."""
         mine = {p.service for p in self._parts if isinstance(p, ViewService)}
         return {name: _shared(info, name in mine) for name, info in self.hub.graph.services().items()}
 
     def actions(self) -> dict[str, ActionInfo]:
-        """Every action on the graph; what other views offer does not count as local."""
+        """Return every action on the graph; what other views offer does not count as local."""
         mine = {p.action for p in self._parts if isinstance(p, ViewActionServer)}
         return {name: _shared(info, name in mine) for name, info in self.hub.graph.actions().items()}
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """Every node on the graph."""
+        """Return every node on the graph."""
         return self.hub.graph.nodes()
 
     def changes(self) -> AsyncIterator[GraphEvent]:
-        """Events of the network and of the other views."""
+        """Iterate over events of the network and of the other views."""
         return _merged(self.hub.graph.changes(), self.own_changes.listen())
 
 

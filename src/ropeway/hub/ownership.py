@@ -95,7 +95,7 @@ class NameOwners(Generic[P]):
         return self._changed
 
     def names(self) -> Sequence[str]:
-        """Every name that is wanted here."""
+        """Return every name that is wanted here."""
         return list(self._entries)
 
     async def add(self, entry: Claim[P]) -> None:

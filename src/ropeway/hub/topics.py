@@ -222,7 +222,7 @@ class ViewSubscription:
                 callback(qos)
 
     def arrived(self, batch: Sequence[Sample]) -> None:
-        """Messages came from the network: they are known from now on, should a link bring them back."""
+        """Deliver messages from the network, and remember them, should a link bring them back."""
         fresh: list[Sample] = []
         for sample in batch:
             self._received.add(sample)

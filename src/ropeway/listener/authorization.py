@@ -134,7 +134,9 @@ class Access:
         self._bytes = _Bucket(role.bytes_per_s, clock())
 
     def check(self, verb: str, name: str) -> None:
-        """Raises ``AccessDenied``, counted and logged, where the client may not do this with ``name``."""
+        """Check that the client may do this with ``name``; a denial is counted and logged, and raises
+        ``AccessDenied``.
+        """
         rule = self._rule_against(verb, name)
         if rule:
             raise self._refused(verb, name, rule)

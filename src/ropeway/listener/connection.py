@@ -178,7 +178,7 @@ class Connection(WSListener):
     # ── picows callbacks ───────────────────────────────────────────────────────────────────────────────────────
 
     def on_ws_connected(self, transport: WSTransport) -> None:
-        """Called by picows after the handshake."""
+        """Begin after the handshake; called by picows."""
         self._transport = transport
         underlying = transport.underlying_transport
         underlying.set_write_buffer_limits(high=0, low=0)
@@ -200,7 +200,7 @@ class Connection(WSListener):
         self.on_connected()
 
     def on_ws_frame(self, transport: WSTransport, frame: WSFrame) -> None:
-        """Called by picows for every frame."""
+        """Take a frame; called by picows."""
         kind = frame.msg_type
         self._last_heard = time.monotonic()
         size = frame.payload_size
@@ -268,7 +268,7 @@ class Connection(WSListener):
             self._pong = ping  # only the last one needs an answer, and a peer that does not read gets no more
 
     def on_ws_disconnected(self, transport: WSTransport) -> None:
-        """Called by picows when the transport is gone."""
+        """Clean up when the transport is gone; called by picows."""
         self.flow.close()
         handshake = transport.close_handshake
         if handshake is not None and handshake.sent is not None and self._close_code == 1006:
@@ -287,11 +287,11 @@ class Connection(WSListener):
             self.on_closed(self._close_code, self._close_reason)
 
     def pause_writing(self) -> None:
-        """Called by the transport when it holds bytes that the operating system did not take."""
+        """Hold back while the transport holds bytes that the operating system did not take; called by the transport."""
         self.flow.full()
 
     def resume_writing(self) -> None:
-        """Called by the transport when the operating system took everything."""
+        """Resume when the operating system took everything; called by the transport."""
         self.flow.drained()
 
     def _fail(self, code: int, reason: str) -> None:

@@ -92,7 +92,7 @@ class HttpUpgrade(asyncio.BufferedProtocol):
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Bytes came."""
+        """Take bytes that have arrived."""
         if self._answered:
             return
         begin = max(len(self._head) - len(_END) + 1, 0)

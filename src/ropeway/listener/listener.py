@@ -114,7 +114,7 @@ class Listener:
             connection.close()
 
     async def _greet(self, visit: Visit) -> None:
-        """Speak TLS, and hand the connection over; from then on the visit is the protocol's."""
+        """Do the TLS handshake, and hand the connection over; from then on the visit is the protocol's."""
         if self.context is not None:
             async with self._lobby.turns.turn():
                 await self._hand_over(visit)

@@ -1,4 +1,5 @@
-"""Last values over HTTP: ``GET /store``, ``GET /store/SYSTEM``, ``GET /store/SYSTEM/TOPIC``, and ``DELETE`` of one.
+"""Serves last values over HTTP: ``GET /store``, ``GET /store/SYSTEM``, ``GET /store/SYSTEM/TOPIC``, and ``DELETE`` of
+one.
 
 ``?watch=1`` keeps the connection and sends every later value as a line of JSON; ``?raw=1`` gives the bytes as they
 are, ``?history=1`` the values before, too. Names are percent-encoded; whatever stands behind the system is the topic.
@@ -58,7 +59,7 @@ class StorePages:
         return self._value(system, topic, flags)
 
     async def _found(self, system: str, topic: str, flags: set[str]) -> Response:
-        """Look a value up in the database elsewhere first."""
+        """Return a value, first looking it up in a database elsewhere."""
         await self.store.find(system, topic)
         answer = self._value(system, topic, flags)
         return await answer.work if isinstance(answer, _Later) else answer

@@ -26,7 +26,7 @@ __all__ = ["connect", "listen"]
 
 
 class _PicowsLog(LoggerAdapter):
-    """Leaves to us what a peer did wrong: we know its address."""
+    """Drops picows' lines on what a peer did wrong: we log it with the peer's address."""
 
     def error(self, msg: object, *args: object, **kwargs: Any) -> None:
         if not str(msg).startswith("WS parser error"):

@@ -1,4 +1,4 @@
-"""Last values: what every topic said last, kept over restarts and merged between sites."""
+"""Keeps the last value of every topic over restarts, and merges values between sites."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ class Entry:
         return self.version, self.origin
 
     def age_s(self, now_ns: int | None = None) -> float:
-        """Seconds since it was written; 0 for one that a clock in the future wrote."""
+        """Return the seconds since it was written; 0 if it comes from a clock in the future."""
         return max((time.time_ns() if now_ns is None else now_ns) - self.stamp_ns, 0) / 1e9
 
     @property
@@ -118,7 +118,7 @@ class Backend(Protocol):
         """Connect, or make the file."""
 
     def load(self) -> list[Entry]:
-        """Every last value."""
+        """Return every last value."""
 
     def write(self, entries: list[Entry], depth: int) -> dict[Key, str]:
         """Keep entries; one that is older than what is kept becomes history.
@@ -164,7 +164,7 @@ class SharedBackend(Backend, Protocol):
 
     @property
     def follows(self) -> str:
-        """How changes are followed, in a few words."""
+        """The way in which changes are followed, in a few words."""
 
     @property
     def pause_s(self) -> float:
@@ -178,7 +178,7 @@ class SharedBackend(Backend, Protocol):
 
 
 def check_name(system: str, topic: str) -> None:
-    """Raises ``ValueRefused`` for a name that is empty, too long or has control characters."""
+    """Refuse a name that is empty, too long or has control characters."""
     for what, name in (("system", system), ("topic", topic)):
         if not name:
             raise ValueRefused(system, topic, "name", f"the name of the {what} is empty")

@@ -1,4 +1,5 @@
-"""Last values as JSON files, one per topic in a directory per system: the layout of the IoRT paper's local file system.
+"""Keeps last values as JSON files, one per topic in a directory per system: the layout of the IoRT paper's local file
+system.
 
 A file is replaced as a whole, so that a reader never sees half of one. Names are percent-encoded where a file system
 would not take them, and cut with a hash at their end where they are too long then; the file has the whole name in it.
@@ -33,7 +34,7 @@ _OF_ONE_FILE: Final = frozenset(
 
 
 class FilesBackend:
-    """Values under the directory ``path``: ``SYSTEM/TOPIC.json``; earlier ones in ``SYSTEM/TOPIC.history/``."""
+    """Keeps values under the directory ``path``: ``SYSTEM/TOPIC.json``; earlier ones in ``SYSTEM/TOPIC.history/``."""
 
     def __init__(self, path: str) -> None:
         self.url = path
@@ -45,7 +46,7 @@ class FilesBackend:
             self._root.mkdir(parents=True, exist_ok=True)
 
     def load(self) -> list[Entry]:
-        """Every last value; a file that is none is left alone."""
+        """Return every last value; other files are left alone."""
         with self._told():
             found = [entry for path in self._root.glob("*/*.json") if (entry := _read(path)) is not None]
         return sorted(found, key=lambda entry: (entry.key, entry.order))  # the last one of a topic counts

@@ -1,4 +1,4 @@
-"""Last values in MongoDB as the IoRT paper has them: a collection per system, a document per topic."""
+"""Keeps last values in MongoDB as the IoRT paper has them: a collection per system, a document per topic."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _POLL_SHARE: Final = 20
 
 
 class MongoBackend:
-    """Values in the database that ``url`` names (``ropeway`` where it names none), through pymongo.
+    """Keeps values in the database that ``url`` names (``ropeway`` if it names none), through pymongo.
 
     A document is ``{_id: TOPIC, data, version, stamp_ns, origin, type, form, history}``. Data that is text is text
     there, too. An entry never replaces a later one, also if several servers write.
@@ -54,7 +54,7 @@ class MongoBackend:
 
     @property
     def follows(self) -> str:
-        """How changes are followed."""
+        """The way in which changes are followed."""
         return "change stream" if self._stream is not None else f"read every {self.pause_s:g} s"
 
     @property
@@ -79,7 +79,7 @@ class MongoBackend:
             self._client.admin.command("ping")
 
     def load(self) -> list[Entry]:
-        """Every last value, those of other programs as well."""
+        """Return every last value, those of other programs as well."""
         with self._lock, self._told():
             self._seen.clear()
             self._stream = self._open_stream()

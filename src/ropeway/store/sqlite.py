@@ -1,4 +1,4 @@
-"""Last values in one SQLite file: the default. A write is on the disk before it counts as done."""
+"""Keeps last values in one SQLite file: the default. A write is on the disk before it counts as done."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ _OF_ONE_ROW: Final = (sqlite3.DataError, sqlite3.InterfaceError, OverflowError, 
 
 
 class SqliteBackend:
-    """Values in the file ``path``, which is made with its directories; ``:memory:`` keeps them in this process only."""
+    """Keeps values in the file ``path``, which is made with its directories; ``:memory:`` keeps them in this process
+    only.
+    """
 
     def __init__(self, path: str) -> None:
         self.url = path
@@ -73,7 +75,7 @@ class SqliteBackend:
             self._db = db
 
     def load(self) -> list[Entry]:
-        """Every last value."""
+        """Return every last value."""
         with self._told():
             rows = self._opened().execute(f"SELECT {_FIELDS} FROM last_values").fetchall()  # noqa: S608 - constant
         return [Entry(*row) for row in rows]

@@ -55,14 +55,14 @@ class StoreLimits:
 
 
 class Sink(Protocol):
-    """Is told when values have been written."""
+    """Learns when values have been written."""
 
     def kept(self, tokens: list[Any], error: StoreUnavailable | None) -> None:
         """Take note that the values of these tokens now survive a crash, or do not (yet) because of ``error``."""
 
 
 class Store:
-    """Last values by system and topic; ``open`` before use, on the event loop that uses it.
+    """Keeps last values by system and topic; ``open`` before use, on the event loop that uses it.
 
     ``on_change`` callbacks get every entry that became the last one, and the key of one that was removed.
     """

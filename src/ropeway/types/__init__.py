@@ -1,4 +1,4 @@
-"""Message definitions and codecs, without a ROS installation."""
+"""Provides message definitions and codecs without a ROS installation."""
 
 from ropeway.types.codec import MessageCodec
 from ropeway.types.registry import TypeRegistry

@@ -46,7 +46,9 @@ class _Found(Exception):
 
 
 class _Walk:
-    """``path`` names a value with indices; ``stack`` without them, as rosbridge's texts do."""
+    """Walks over a value to find what does not fit: ``path`` names a value with indices, ``stack`` without them, as
+    rosbridge's texts do.
+    """
 
     def __init__(self, root: str, definition: Callable[[str], Definition]) -> None:
         self.root = short_name(root)
@@ -99,7 +101,7 @@ class _Walk:
             self.scalar(inner, item, (*path, f"[{index}]"), stack)
 
     def packed(self, type: FieldType, value: Any, path: tuple[str, ...], stack: tuple[str, ...]) -> bool:
-        """Look at an array of numbers that is not a list; True where that is all there is to see."""
+        """Check an array of numbers that is not a list; return true if there is nothing more to check."""
         if isinstance(value, (list, tuple)):
             return False
         if isinstance(value, str) and type.base in ("uint8", "char", "byte"):

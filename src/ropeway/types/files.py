@@ -18,7 +18,7 @@ _PACKAGE_NAME: Final = re.compile(r"<name>\s*([A-Za-z][A-Za-z0-9_]*)\s*</name>")
 
 
 def find_interfaces(path: Path) -> dict[str, Path]:
-    """Full names and files of all definitions at or below ``path``.
+    """Return full names and files of all definitions at or below ``path``.
 
     A definition stands in a directory ``msg``, ``srv`` or ``action``, whose parent names the package (by its
     ``package.xml`` where there is one, else by its own name). Raises ``InvalidDefinition`` where ``path`` does not
@@ -46,7 +46,7 @@ def find_interfaces(path: Path) -> dict[str, Path]:
 
 
 def find_share(share: Path) -> dict[str, Path]:
-    """Full names and files of all definitions in the ``share`` directory of an installed workspace.
+    """Return full names and files of all definitions in the ``share`` directory of an installed workspace.
 
     Looks into ``<package>/msg``, ``srv`` and ``action`` only, for a whole distribution has much else there.
     """

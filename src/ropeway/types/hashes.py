@@ -91,7 +91,7 @@ def _describe(name: str, type: FieldType) -> dict[str, Any]:
 
 
 def definition_md5(full: str, definition: Callable[[str], Definition]) -> str:
-    """ROS 1's sum of ``full``: constants, then fields, a message field standing there with its own sum.
+    """Compute ROS 1's MD5 sum of ``full``: constants, then fields, with a message field represented by its own sum.
 
     Raises ``InvalidDefinition`` for a message that contains itself.
     """

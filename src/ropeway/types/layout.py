@@ -75,7 +75,7 @@ class Slot:
 
 @dataclass(slots=True, eq=False)
 class Run:
-    """Slots at known distances, the first at a position that is aligned to ``align`` first."""
+    """Slots at known distances; the position of the first is aligned to ``align`` before."""
 
     align: int
     slots: list[Slot] = field(default_factory=list)
@@ -121,7 +121,7 @@ Step = Run | Text | Numbers | Loop | Call
 
 @dataclass(slots=True, eq=False)
 class Plan:
-    """All steps of one message.
+    """Lists all steps of one message.
 
     ``minimum`` is the least number of bytes that it needs, ``objects`` the least number of texts, truth values
     in arrays and messages in it.

@@ -103,7 +103,7 @@ def _parse_lines(name: str, text: str, lines: Sequence[str], siblings: Collectio
 
 
 def parse_srv(name: str, text: str, *, siblings: Collection[str] = ()) -> list[Definition]:
-    """Request, response and event of the service ``name``. Raises ``InvalidDefinition``."""
+    """Parse request, response and event of the service ``name``. Raises ``InvalidDefinition``."""
     request, response = _split(name, text, 2, "request --- response")
     return [
         parse_msg(f"{name}_Request", request, siblings=siblings),

@@ -1,4 +1,4 @@
-"""Every message definition that Ropeway knows, by name, without a ROS installation.
+"""Knows every message definition, by name, without a ROS installation.
 
 Definitions come from those that a ROS distribution ships, from a table of standard services and
 actions, from packages that many robots have, from files the user names or a sourced workspace has, and from peers and
@@ -100,7 +100,9 @@ class TypeRegistry:
         return self._known(name) and (name in self._builtin or name not in self._definitions)
 
     def is_guess(self, name: str) -> bool:
-        """True for an interface of a package that is no part of a distribution's core: a robot may have another."""
+        """Return whether the interface belongs to a package outside the core of any distribution: a robot may have
+        another.
+        """
         return owner_of(name) in self._bundled and self.is_builtin(name)
 
     def is_standard(self, name: str) -> bool:
@@ -418,7 +420,7 @@ class TypeRegistry:
         return [base for _, type in self._members(full) if type.is_message and (base := type.base)]
 
     def _members(self, full: str) -> list[tuple[str, FieldType]]:
-        """Field names and types of a message, or of the structure that stands for a service or action."""
+        """Return field names and types of a message, or of the structure that stands for a service or action."""
         if self.joins(full):
             return interface_members(full)
         return [(field.name, field.type) for field in self.definition(full).fields]

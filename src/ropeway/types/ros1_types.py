@@ -175,7 +175,8 @@ class Ros1Types:
     # ── values ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     def converter(self, type: str, ros1: str = "") -> Converter:
-        """Between CDR of ``type`` and the bytes of the ROS 1 message ``ros1`` (left out: of the same name).
+        """Make the converter between CDR of ``type`` and the bytes of the ROS 1 message ``ros1`` (left out: of the same
+        name).
 
         A type that only ROS 1 has is made known to the registry. Raises ``TypesError``.
         """

@@ -26,7 +26,7 @@ _BLOCK: Final = re.compile(r"^=== (?P<name>\S+) (?P<first>\S+) (?P<last>\S+)\n(?
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One layout of an interface, with the places in ``DISTROS`` of the first and the last that has it."""
+    """A layout of an interface, with the places in ``DISTROS`` of the first and the last distribution that has it."""
 
     name: str
     first: int

@@ -194,7 +194,7 @@ def items(value: Any, count: int, limit: int) -> Any:
 
 
 def time_parts(value: Any) -> tuple[int, int]:
-    """Seconds and nanoseconds of a Time or Duration, in ROS 2's or ROS 1's spelling; what is missing is 0."""
+    """Return seconds and nanoseconds of a Time or Duration, in ROS 2's or ROS 1's spelling; what is missing is 0."""
     if not isinstance(value, Mapping):
         raise Misfit
     seconds = value["sec"] if "sec" in value else value.get("secs", 0)

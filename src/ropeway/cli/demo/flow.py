@@ -49,7 +49,7 @@ class Tally:
         self.sent = count
 
     def on_batch(self, batch: Sequence[Sample]) -> None:
-        """Messages have arrived."""
+        """Count messages that have arrived."""
         for sample in batch:
             stamp_ns = self.header_ns(sample.payload)
             delay_ms = None if stamp_ns is None else (sample.stamp_ns - stamp_ns) / 1e6

@@ -118,7 +118,7 @@ def figures(gateways: Mapping[str, GatewayProcess]) -> dict[str, dict[str, Any]]
 
 @asynccontextmanager
 async def running(configs: dict[str, dict[str, Any]], directory: Path) -> AsyncIterator[dict[str, GatewayProcess]]:
-    """Both gateways, for as long as the block runs; their configurations and logs stand in ``directory``."""
+    """Run both gateways for the length of the block; their configurations and logs stand in ``directory``."""
     gateways: dict[str, GatewayProcess] = {}
     try:
         for name, config in configs.items():

@@ -41,7 +41,7 @@ class DemoTopic:
 
 
 def synthetic_parts(registry: TypeRegistry) -> list[DemoTopic]:
-    """Pictures both ways at 30 Hz, odometry at 50 Hz, commands at 20 Hz."""
+    """Make images both ways at 30 Hz, odometry at 50 Hz, commands at 20 Hz."""
     camera, annotated = _Picture(registry, seed=1), _Picture(registry, seed=2)
     return [
         DemoTopic("/camera/image", IMAGE, "robot", partial(_stream, "/camera/image", IMAGE, SENSOR_DATA, 30.0, camera)),

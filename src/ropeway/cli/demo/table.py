@@ -102,7 +102,7 @@ def brief(flows: Iterable[Tally], seconds: float) -> str:
 
 
 def _number(value: float | None) -> str:
-    """Three digits or so."""
+    """Write a number with three digits or so."""
     if value is None:
         return "-"
     return f"{value:.1f}" if value >= 1 else f"{value:.2f}"

@@ -146,7 +146,7 @@ async def _by_script(driver: AsyncNode, say: Callable[[str], None]) -> None:
 
 
 async def _by_keys(driver: AsyncNode, say: Callable[[str], None]) -> None:
-    """Arrow keys or WASD until q."""
+    """Drive by arrow keys or WASD until q."""
     import termios
     import tty
 

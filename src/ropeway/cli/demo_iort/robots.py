@@ -49,7 +49,7 @@ class Walker:
     began: float = field(default_factory=time.monotonic)
 
     def command(self, speed: float, turn: float, hold_s: float = _HOLD_S) -> None:
-        """Go on like this, for ``hold_s`` at most."""
+        """Keep this speed, for ``hold_s`` at most."""
         self.speed, self.turn, self.until = speed, turn, time.monotonic() + hold_s
 
     async def walk(self) -> None:

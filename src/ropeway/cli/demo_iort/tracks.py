@@ -37,7 +37,7 @@ def _turns(track: Track) -> list[float]:
 
 
 def summary(name: str, track: Track) -> dict[str, Any]:
-    """Metres and turns; ``ok`` if they are those of the script, a tenth of a second more or less."""
+    """Return metres and turns; ``ok`` if they are those of the script, a tenth of a second more or less."""
     metres = sum(math.hypot(b[1] - a[1], b[2] - a[2]) for a, b in itertools.pairwise(track))
     turns = _turns(track)
     ok = abs(metres - 1.5) < 0.3 and len(turns) == 2 and abs(turns[0] - 45) < 15 and abs(turns[1] - 180) < 20

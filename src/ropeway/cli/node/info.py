@@ -22,7 +22,7 @@ Pairs = list[tuple[str, str]]
 
 
 def sections(node: NodeInfo, actions: Mapping[str, ActionInfo], *, include_hidden: bool = False) -> dict[str, Pairs]:
-    """Name and type of what a node uses, under the titles of ``ros2 node info``."""
+    """Return name and type of what a node uses, under the titles of ``ros2 node info``."""
 
     def shown(pairs: Iterable[tuple[str, str]]) -> Pairs:
         return sorted(pair for pair in pairs if include_hidden or not hidden(pair[0]))

@@ -20,7 +20,7 @@ app = typer.Typer(add_completion=False)
 
 
 def nested(values: Mapping[str, ParameterValue]) -> dict[str, Any]:
-    """Names with dots as dicts in dicts; where a name is also the beginning of others, these keep their dots."""
+    """Return names with dots as dicts in dicts; if a name is also the beginning of others, these keep their dots."""
     out: dict[str, Any] = {}
     for name, value in sorted(values.items()):
         parts = name.split(".")

@@ -67,7 +67,7 @@ def _bag(path: Path) -> Iterator[Recording]:
 
 
 def _refuse_pointer(path: Path) -> None:
-    """Name what a checkout has in place of large files as what it is."""
+    """Refuse the pointer that a checkout has in place of a large file, and say what it is."""
     annexed = f"{path.name} is a pointer of git-annex, not the file itself; `git annex get` brings it"
     if path.is_symlink() and not path.exists():
         target = str(path.readlink())

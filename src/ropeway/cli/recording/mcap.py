@@ -108,7 +108,7 @@ class McapSource:
         self._list(channels, schemas, counts)
 
     def _records(self, notes: list[str] | None = None) -> Iterator[McapRecord]:
-        """All records that are whole; ``notes`` is told what is not."""
+        """Yield all records that are whole; ``notes`` is told of the others."""
         self._file.seek(0)
         damaged = 0
         try:

@@ -123,7 +123,7 @@ class Ros1Scan:
                 yield number, _time_ns(header), data
 
     def _records(self) -> Iterator[tuple[dict[str, bytes], bytes]]:
-        """Connections and messages, up to where the file ends or makes no sense any more."""
+        """Yield connections and messages, up to where the file ends or makes no sense any more."""
         self._file.seek(0)
         self._file.readline()
         try:

@@ -49,7 +49,7 @@ class StoreAccess(Protocol):
     """Gives access to stored values. All methods block; they raise ``RopewayError``."""
 
     def values(self, system: str, topic: str) -> list[dict[str, Any]]:
-        """Values whose names fit patterns, as JSON."""
+        """Return the values whose names match patterns, as JSON."""
 
     def get(self, system: str, topic: str, history: bool) -> list[dict[str, Any]]:
         """Return a value, with ``history`` those before it, too; empty if there is none."""
@@ -103,14 +103,14 @@ def shown(value: dict[str, Any], limit: int = 80) -> str:
 
 
 class _NoRedirects(HTTPRedirectHandler):
-    """Leaves an answer that points elsewhere as it is: a token is for the host that was named."""
+    """Refuses to follow redirects: a token is for the host that was named."""
 
     def redirect_request(self, *_: Any) -> None:
-        """Part of ``HTTPRedirectHandler``: do not follow."""
+        """Refuse to follow; see ``HTTPRedirectHandler``."""
 
 
 class _Gateway:
-    """Over HTTP."""
+    """Reads values from a gateway over HTTP."""
 
     def __init__(self, url: str, token: str, ca: str) -> None:
         self._url, self._token = url, token
@@ -147,7 +147,7 @@ class _Gateway:
             return json.loads(answer.read())
 
     def values(self, system: str, topic: str) -> list[dict[str, Any]]:
-        """Values whose names fit."""
+        """Return the values whose names match."""
         found = self._json("/store") or []
         return [v for v in found if fnmatchcase(v["system"], system) and fnmatchcase(v["topic"], topic)]
 
@@ -157,7 +157,7 @@ class _Gateway:
         return [] if found is None else found if isinstance(found, list) else [found]
 
     def watch(self, system: str, topic: str) -> Iterator[dict[str, Any]]:
-        """Every value."""
+        """Yield every value."""
         with self._ask(f"{_path(system, topic)}?watch=1", timeout_s=None) as lines:
             for line in lines:
                 yield json.loads(line)
@@ -187,7 +187,7 @@ class _Server:
             raise ConnectFailed(url, error)
 
     def values(self, system: str, topic: str) -> list[dict[str, Any]]:
-        """Values whose names fit."""
+        """Return the values whose names match."""
         return self._tried(lambda: self._node.list(system, topic))
 
     def get(self, system: str, topic: str, history: bool) -> list[dict[str, Any]]:
@@ -195,7 +195,7 @@ class _Server:
         return self.values(system, topic)
 
     def watch(self, system: str, topic: str) -> Iterator[dict[str, Any]]:
-        """Every value."""
+        """Yield every value."""
         values: SimpleQueue[Any] = SimpleQueue()
         self._tried(lambda: self._node.subscribe(topic, values.put, system=system))
         while True:
@@ -243,7 +243,7 @@ class _Kept:
         self._backend.open()
 
     def values(self, system: str, topic: str) -> list[dict[str, Any]]:
-        """Values whose names fit."""
+        """Return the values whose names match."""
         found = [e for e in self._backend.load() if fnmatchcase(e.system, system) and fnmatchcase(e.topic, topic)]
         return _as_json(sorted(found, key=lambda e: e.key))
 

@@ -23,7 +23,7 @@ def hidden(name: str) -> bool:
 
 
 def verbose_lines(topics: Iterable[TopicInfo]) -> str:
-    """Publishers and subscriptions counted, as ``ros2 topic list -v`` shows them."""
+    """Count publishers and subscriptions, in the lines of ``ros2 topic list -v``."""
     known = list(topics)
     blocks = []
     for title, noun, ends in (

@@ -116,7 +116,7 @@ def _scalar(value: Any, style: Style) -> Any:
 
 
 def as_yaml(value: Any, style: Style) -> str:
-    """YAML, without the ``---`` that follows it."""
+    """Write the message as YAML, without the ``---`` that follows it."""
     text: str = yaml.dump(
         value, Dumper=_Dumper, allow_unicode=True, width=_WIDTH, sort_keys=False, default_flow_style=style.flow
     )
@@ -124,7 +124,7 @@ def as_yaml(value: Any, style: Style) -> str:
 
 
 def as_csv(value: Any) -> str:
-    """All values in order, separated by commas."""
+    """Write all values in order, separated by commas."""
     if isinstance(value, Mapping):
         return ",".join(as_csv(item) for item in value.values())
     if isinstance(value, list):

@@ -34,7 +34,7 @@ class TopicMeter(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Mean, least, most and standard deviation of a series."""
+    """The mean, minimum, maximum and standard deviation of a series."""
 
     mean: float
     min: float
@@ -100,7 +100,9 @@ class Bandwidth:
         self._seen.append((sample.stamp_ns, len(sample.payload)))
 
     def read(self) -> MeterReading | None:
-        """Bytes per second until now and the sizes, all in the unit of the rate; ``None`` before the second message."""
+        """Return bytes per second until now and the sizes, all in the unit of the rate; ``None`` before the second
+        message.
+        """
         now_ns = self._clock_ns()
         if len(self._seen) < 2 or now_ns <= self._seen[0][0]:
             return None

@@ -27,7 +27,7 @@ _MIN_COUNT: Final = 256  # elements; below that the planes' own headers cost mor
 
 @dataclass(frozen=True, slots=True)
 class Array:
-    """``count`` elements from byte ``start`` on, for the filter ``BYTES``, ``NUMBERS`` or ``RECORDS``.
+    """An array of ``count`` elements from byte ``start`` on, for the filter ``BYTES``, ``NUMBERS`` or ``RECORDS``.
 
     ``width`` is the number of elements in a row, for ``RECORDS`` the bytes of a record. ``green``: the second of
     the ``channels`` is green, between red and blue.

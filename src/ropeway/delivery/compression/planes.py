@@ -149,7 +149,8 @@ def _byte_planes(rows: _U8) -> list[bytes]:
 
 
 def _differences(values: npt.NDArray[Any], width: int) -> tuple[npt.NDArray[Any], bool]:
-    """Each value less its left neighbour, and that less the same of the row above if it helps; reuses ``values``.
+    """Subtract from each value its left neighbour, and from that the same of the row above if it helps; reuses
+    ``values``.
 
     The rows of all planes follow each other as if they were one image.
     """

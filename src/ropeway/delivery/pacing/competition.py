@@ -182,7 +182,7 @@ class _Probe(NamedTuple):
 
 
 class _Held(NamedTuple):
-    """Our share of a link before others filled it, and its shortest round trip then."""
+    """The share of a link that we had before others filled it, and its shortest round trip then."""
 
     bytes_per_s: float
     base_s: float

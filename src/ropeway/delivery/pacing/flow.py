@@ -83,7 +83,7 @@ class Flow:
         self.free = False
 
     def drained(self) -> None:
-        """Go on: the operating system took everything."""
+        """Resume: the operating system took everything."""
         self._full = False
         self._go_on()
 
@@ -93,7 +93,7 @@ class Flow:
             self._on_free()
 
     def _watch(self) -> None:
-        """Look again soon, while sending is held or enough is on the way to show the pace."""
+        """Poll again soon, while sending is held or enough is in flight to show the pace."""
         if self._look is not None or not (self._held or self.model.outstanding_bytes >= _WATCHED_BYTES):
             return
         if self._held:

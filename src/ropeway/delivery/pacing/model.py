@@ -79,7 +79,7 @@ class LinkReading(NamedTuple):
 
 
 class LinkTraits(NamedTuple):
-    """What sets a path apart from a TCP connection of ours, of which the kernel tells everything.
+    """Describes how a path differs from a TCP connection of ours, of which the kernel tells everything.
 
     ``part_bytes`` are handed over at once, at least, and not spread by the kernel. Round trips vary by ``slack_s`` for
     reasons that have nothing to do with the link, and a queue that becomes longer shows in them after ``echo_rounds``.

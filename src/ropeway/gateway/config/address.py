@@ -98,7 +98,10 @@ def parse_graph(text: str) -> str:
 
 
 def default_graph(environ: Mapping[str, str] | None = None) -> str:
-    """DDS with the domain that ROS is told to use. Raises ``ValueError`` where ``ROS_DOMAIN_ID`` is no domain."""
+    """Return the DDS graph of the domain that ROS is told to use.
+
+    Raises ``ValueError`` where ``ROS_DOMAIN_ID`` is no domain.
+    """
     domain = (os.environ if environ is None else environ).get("ROS_DOMAIN_ID", "").strip() or "0"
     if not domain.isdecimal() or int(domain) > _MAX_DOMAIN:
         raise ValueError(f'ROS_DOMAIN_ID is "{domain}"; expected a number from 0 to {_MAX_DOMAIN}')

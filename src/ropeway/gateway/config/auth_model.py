@@ -156,7 +156,7 @@ class CertificateItem(Model):
 
 
 class Patterns(Model):
-    """Names by what is done with them; ``*`` also stands for slashes."""
+    """Lists name patterns by verb; ``*`` also stands for slashes."""
 
     publish: Many[Pattern] = Field((), description="topics that may be published")
     subscribe: Many[Pattern] = Field((), description="topics that may be read")

@@ -196,7 +196,7 @@ def _keys(model: type[BaseModel]) -> list[str]:
 
 
 def _spellings(model: type[BaseModel]) -> dict[str, str]:
-    """Every spelling of every key, with its first spelling."""
+    """Return every spelling of every key, with its first spelling."""
     out: dict[str, str] = {}
     for key, (name, info) in zip(_keys(model), model.model_fields.items(), strict=True):
         for spelling in _aliases(info.validation_alias) or [info.alias or name]:

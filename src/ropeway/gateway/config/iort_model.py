@@ -93,7 +93,7 @@ def _identifier(value: str) -> str:
 
 
 def _codes(value: object) -> object:
-    """YAML reads the code 0 as a number."""
+    """Convert codes to text: YAML reads the code 0 as a number."""
     if isinstance(value, Mapping):
         return {str(code): {} if fields is None else fields for code, fields in value.items()}
     return value
@@ -188,7 +188,7 @@ MapList = Annotated[
 
 
 class IortConfig(Model):
-    """Robots of any make, at listeners such as iort://127.0.0.1:7410."""
+    """Configures robots of any make, at listeners such as iort://127.0.0.1:7410."""
 
     maps: MapList = Field(
         (), description="topics that are shared with ROS: maps, files of them, or names of robots such as alice"
@@ -203,7 +203,7 @@ class IortConfig(Model):
 
 
 class StoreConfig(Model):
-    """Last values: of nodes, and of topics with "store": true."""
+    """Configures last values: of nodes, and of topics with "store": true."""
 
     path: str | None = Field(
         None,

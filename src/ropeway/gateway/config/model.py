@@ -346,7 +346,7 @@ class ListenTls(Model):
 
 
 class RemoteConfig(Model):
-    """Another gateway (or rosbridge server) and what crosses to and from it."""
+    """Configures another gateway (or rosbridge server) and what crosses to and from it."""
 
     address: Annotated[str, AfterValidator(_address)] = Field(
         description="ws://host:port or wss://host:port, overlay: everybody in the overlay, or iort://host:port: a "
@@ -396,7 +396,7 @@ class RemoteConfig(Model):
     reserve_action: Many[ActionItem] = Field((), alias="reserve-action", description="remote actions offered here")
 
     def items(self) -> Iterable[tuple[str, int, BridgedName]]:
-        """Every ``(operation, index, item)``, in the order of ``OPERATIONS``."""
+        """Yield every ``(operation, index, item)``, in the order of ``OPERATIONS``."""
         for operation in OPERATIONS:
             for index, item in enumerate(getattr(self, operation.replace("-", "_"))):
                 yield operation, index, item

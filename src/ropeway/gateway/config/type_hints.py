@@ -51,7 +51,7 @@ def type_hints(config: Config, registry: TypeRegistry) -> list[tuple[str, str]]:
 
 
 def _named(config: Config) -> Iterator[tuple[str, str, str]]:
-    """Every place of the configuration where a type stands, with the type and its kind."""
+    """Yield every place of the configuration that names a type, with the type and its kind."""
     for route in config.routes():
         yield route.path, route.type, _KINDS.get(route.operation.rpartition("-")[2], "msg")
     maps = [("gateway.iort", config.gateway.iort.maps)]

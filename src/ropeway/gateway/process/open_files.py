@@ -1,4 +1,4 @@
-"""Room for connections: each is an open file to the system, and many systems allow 1,024 by default."""
+"""Makes room for connections: each is an open file to the system, and many systems allow 1,024 by default."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def parts_of_action(action: str, type: str) -> list[tuple[str, str, str]]:
 
 
 class ActionParts:
-    """Names, types and payloads of one action.
+    """Provides the names, types and payloads of one action.
 
     Raises ``UnknownType`` if ``registry`` does not know the action, ``InvalidName``, ``InvalidTypeName``. A goal id
     is 16 bytes, which keep the alignment of what follows; so goals and feedback are cut out of the messages that

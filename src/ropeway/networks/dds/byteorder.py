@@ -29,7 +29,7 @@ class Codec(Protocol):
         """Decode the message."""
 
     def encode(self, message: Mapping[str, Any]) -> bytes:
-        """Little-endian CDR."""
+        """Encode the message as little-endian CDR."""
 
 
 class ByteOrder:

@@ -246,7 +246,7 @@ class DdsClient(Ends):
                 call.finish(CallFailed(self.service, f"the answer cannot be read: {error}"))
 
     def on_match(self) -> None:
-        """Other servers are there now."""
+        """Take the current list of matched servers."""
         found = paired(
             (reader for reader in self._readers if not reader.helper),
             (writer for writer in self._writers if not writer.helper),

@@ -128,7 +128,7 @@ class DdsDiscovery:
     # Queries ----------------------------------------------------------------------------------------------------
 
     def topics(self) -> dict[str, TopicInfo]:
-        """Every topic, with its endpoints; those that actions are made of stand under ``actions``."""
+        """Return every topic, with its endpoints; those that belong to actions stand under ``actions``."""
         return {
             name: self._topic_info(name, topic)
             for name, topic in sorted(self._topics.items())
@@ -136,7 +136,7 @@ class DdsDiscovery:
         }
 
     def services(self) -> dict[str, ServiceInfo]:
-        """Every service, with its servers and clients; those of actions, too."""
+        """Return every service, with its servers and clients, including those of actions."""
         return {name: self._service_info(name, service) for name, service in sorted(self._services.items())}
 
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
@@ -169,7 +169,7 @@ class DdsDiscovery:
         return tuple(dict.fromkeys(endpoint.name.type for endpoint in (*first, *second)))
 
     def actions(self) -> dict[str, ActionInfo]:
-        """Every action: who takes and sends goals, and who else publishes or reads feedback."""
+        """Return every action: its servers and clients, and who else publishes or reads feedback."""
         return self._actions_of(self._endpoints.values())
 
     def _actions_of(self, endpoints: Iterable[_Endpoint]) -> dict[str, ActionInfo]:
@@ -204,7 +204,7 @@ class DdsDiscovery:
         return self._node_of.get(guid, "")
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """Every node, with what it publishes, reads, serves and calls."""
+        """Return every node, with what it publishes, reads, serves and calls."""
         found: dict[str, list[NodeEntities]] = {}
         local: set[str] = set()
         for record in self._nodes.values():

@@ -95,7 +95,9 @@ def read_qos(handle: int, *, tells_history: bool = True) -> QoS:
 
 
 def user_data(*, type_hash: str = "", gateway_id: str = "", extra: str = "", since_ns: int = 0) -> bytes:
-    """USER_DATA of an endpoint: ``extra`` as it is, ROS's type hash, the mark of our gateway, and since when it is."""
+    """Return the USER_DATA of an endpoint: ``extra`` as it is, ROS's type hash, the mark of our gateway, and its start
+    time.
+    """
     marks = [extra]
     if type_hash:
         marks.append(f"typehash={type_hash};")

@@ -266,15 +266,15 @@ class DdsGraph:
         return await self._start(ComposedActionServer(self, action, type, handlers, self.registry))
 
     def topics(self) -> dict[str, TopicInfo]:
-        """Every topic of ROS in the domain, ours too."""
+        """Return every ROS topic in the domain, ours included."""
         return self._discovery.topics() if self._discovery else {}
 
     def services(self) -> dict[str, ServiceInfo]:
-        """Every service in the domain, ours too; those of other middlewares are listed like the rest."""
+        """Return every service in the domain, ours included; those of other middlewares are listed like the rest."""
         return self._discovery.services() if self._discovery else {}
 
     def actions(self) -> dict[str, ActionInfo]:
-        """Every action in the domain, ours too."""
+        """Return every action in the domain, ours included."""
         return self._discovery.actions() if self._discovery else {}
 
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
@@ -286,7 +286,7 @@ class DdsGraph:
         return self._discovery.types_of(kind, name) if self._discovery else ()
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """Every node of ROS in the domain, ours too."""
+        """Return every ROS node in the domain, ours included."""
         return self._discovery.nodes() if self._discovery else {}
 
     def changes(self) -> AsyncIterator[GraphEvent]:
@@ -391,7 +391,7 @@ class DdsGraph:
         return registry.hash(type) if registry is not None and registry.has(type) else ""
 
     def little_endian(self, type: str, payload: bytes) -> bytes:
-        """CDR of ``type`` in our byte order. Raises ``DecodeError``, ``UnknownType``."""
+        """Convert CDR of ``type`` to our byte order. Raises ``DecodeError``, ``UnknownType``."""
         if payload[1] == _LITTLE_ENDIAN:
             return payload
         codec = self.registry.codec(type)

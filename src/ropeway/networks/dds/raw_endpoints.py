@@ -60,7 +60,7 @@ class WriterIdentity(NamedTuple):
 
 
 class Taken:
-    """Room for what one call takes from a reader; the readers of a participant share it, in the pump's thread."""
+    """Holds what one call takes from a reader; the readers of a participant share it, in the pump's thread."""
 
     def __init__(self) -> None:
         self.refs = (ct.c_uint64 * _BATCH)()

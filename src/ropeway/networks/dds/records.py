@@ -46,7 +46,7 @@ class Gone:
 
 @dataclass(frozen=True, slots=True)
 class NodesRecord:
-    """All nodes of a participant, as it told last, with gids of so many bytes."""
+    """The nodes of a participant, as it announced last, and the size of its gids."""
 
     participant: bytes
     nodes: tuple[NodeEntities, ...]

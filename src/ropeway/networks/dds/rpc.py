@@ -48,7 +48,7 @@ def join(header: RequestHeader, payload: bytes) -> bytes:
 
 
 def split(message: bytes) -> RpcMessage | None:
-    """Header and payload of what arrived; ``None`` for bytes that are none."""
+    """Split a message into header and payload; ``None`` for bytes that are not such a message."""
     if len(message) < _BODY:
         return None
     order = message[:2]

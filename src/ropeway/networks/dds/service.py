@@ -93,7 +93,7 @@ class DdsService(Ends):
             self._take(sample.origin, message.header, message.payload)
 
     def on_match(self) -> None:
-        """Other clients are there now."""
+        """Take the current list of matched clients."""
         self._callers = paired(self._writers, self._readers)
         self._paces = {guid: pace for guid, pace in self._paces.items() if guid in self._callers or not pace.idle}
 

@@ -100,7 +100,7 @@ class Ends:
         raise NotImplementedError
 
     def on_match(self) -> None:
-        """Other endpoints are matched now."""
+        """Take the current list of matched endpoints."""
         raise NotImplementedError
 
     def _on_dropped(self, counts: list[tuple[Undelivered, int]]) -> None:

@@ -1,4 +1,4 @@
-"""Which far ends speak our mapping of requests and replies, and who helps with the others.
+"""Tells which far endpoints use our mapping of requests and replies, and who helps with the others.
 
 ROS 2 has one mapping per middleware: rmw_cyclonedds puts a header in front of each request and reply (``rpc``),
 rmw_fastrtps and rmw_connextdds correlate by inline QoS, which the library does not show. Topics are the same for all,

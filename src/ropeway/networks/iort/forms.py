@@ -160,7 +160,7 @@ class JsonForm:
 
 
 class CodesForm:
-    """One word out of a few, each with the fields that it stands for; fields left out are zero.
+    """A single word out of a few, each with the fields that it stands for; fields left out are zero.
 
     A message becomes the code whose fields point the same way (the greatest cosine); one whose fields are all within
     ``deadband`` of zero becomes the code without fields. ``send`` limits the codes that are sent. A message that

@@ -151,29 +151,29 @@ class IortGraph:
         return subscription
 
     async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> Client:
-        """Not of this network. Raises ``GraphUnavailable``."""
+        """Refuse: nodes have no services. Raises ``GraphUnavailable``."""
         raise GraphUnavailable(self.name, _NO_CALLS)
 
     async def create_service(
         self, service: str, type: str, handler: ServiceHandler, *, delivery: Delivery = NO_HINTS
     ) -> Service:
-        """Not of this network. Raises ``GraphUnavailable``."""
+        """Refuse: nodes have no services. Raises ``GraphUnavailable``."""
         raise GraphUnavailable(self.name, _NO_CALLS)
 
     async def create_action_client(self, action: str, type: str, *, delivery: Delivery = NO_HINTS) -> ActionClient:
-        """Not of this network. Raises ``GraphUnavailable``."""
+        """Refuse: nodes have no actions. Raises ``GraphUnavailable``."""
         raise GraphUnavailable(self.name, _NO_CALLS)
 
     async def create_action_server(
         self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
     ) -> ActionServer:
-        """Not of this network. Raises ``GraphUnavailable``."""
+        """Refuse: nodes have no actions. Raises ``GraphUnavailable``."""
         raise GraphUnavailable(self.name, _NO_CALLS)
 
     # ── what is there ──────────────────────────────────────────────────────────────────────────────────────────
 
     def topics(self) -> dict[str, TopicInfo]:
-        """Every topic that somebody publishes or reads, by its ROS name."""
+        """Return every topic that a node publishes or reads, by its ROS name."""
         found: dict[str, tuple[list[EndpointInfo], list[EndpointInfo]]] = {}
         for endpoint in self._endpoints.values():
             if is_pattern(endpoint.system) or is_pattern(endpoint.topic):
@@ -211,7 +211,7 @@ class IortGraph:
         return {node: NodeInfo(node, tuple(pubs), tuple(subs)) for node, (pubs, subs) in sorted(ends.items())}
 
     def changes(self) -> AsyncIterator[GraphEvent]:
-        """Events from now on."""
+        """Iterate over events from now on."""
         return self._changes.listen()
 
     def offered(self, topic: str) -> list[QoS]:

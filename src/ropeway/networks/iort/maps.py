@@ -1,4 +1,4 @@
-"""Which topic of which system is which topic of ROS, of which type, and in which form it is written."""
+"""Maps topics of systems to ROS topics: names, types, and the form in which they are written."""
 
 from __future__ import annotations
 
@@ -97,6 +97,6 @@ def ros_name(system: str, topic: str) -> str:
 
 
 def names_of(name: str) -> tuple[str, str]:
-    """System and topic of a ROS name."""
+    """Split a ROS name into system and topic."""
     first, slash, rest = name.lstrip("/").partition("/")
     return (first, rest) if slash else (NO_SYSTEM, first)

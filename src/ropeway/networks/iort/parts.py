@@ -111,7 +111,7 @@ class IortPublisher:
         return None
 
     def on_demand(self, callback: Callable[[int], None]) -> None:
-        """Never called; see ``subscribers``."""
+        """Ignore the callback, which is never called; see ``subscribers``."""
 
     async def close(self) -> None:
         """Withdraw the topic; its last value stays."""

@@ -83,7 +83,7 @@ def is_pattern(name: str) -> bool:
 
 
 class Space:
-    """All systems and topics of one server, over an opened store."""
+    """Holds all systems and topics of one server, over an opened store."""
 
     def __init__(self, store: Store) -> None:
         self.store = store
@@ -118,7 +118,7 @@ class Space:
             self._take_away(member, presence, endpoint)
 
     def endpoints(self) -> Iterator[tuple[Member, MemberEndpoint]]:
-        """Every endpoint of every member."""
+        """Yield every endpoint of every member."""
         for member, presence in self._members.items():
             for endpoint in presence.endpoints.values():
                 yield member, endpoint

@@ -49,7 +49,7 @@ _P = TypeVar("_P", bound=_Part)
 
 
 class _Table(Generic[_P]):
-    """Parts by their names; under one name in the order in which they came."""
+    """Holds parts by name; those of one name are in the order of their creation."""
 
     def __init__(self) -> None:
         self._named: dict[str, dict[_P, None]] = {}
@@ -225,7 +225,7 @@ class MemoryGraph:
         return self._registry
 
     def services(self) -> dict[str, ServiceInfo]:
-        """Every service of the network, served or called."""
+        """Return every service of the network, served or called."""
         network = self.network
         return {name: self._service(name) for name in sorted({*network.services.names(), *network.clients.names()})}
 
@@ -239,11 +239,11 @@ class MemoryGraph:
         )
 
     def actions(self) -> dict[str, ActionInfo]:
-        """Every action of the network, served or used."""
+        """Return every action of the network, served or used."""
         return actions_of(self.services())
 
     def topics(self) -> dict[str, TopicInfo]:
-        """Every topic of the network; those that actions are made of stand under ``actions``."""
+        """Return every topic of the network; those that belong to actions stand under ``actions``."""
         network = self.network
         names = sorted({*network.publishers.names(), *network.subscriptions.names()})
         return {name: self._topic(name) for name in names if _ACTION_PART not in name}
@@ -265,7 +265,7 @@ class MemoryGraph:
         return service if kind == "service" else actions_of({service.name: service}).get(name)
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """Every participant, as a node."""
+        """Return every participant, as a node."""
         out: dict[str, NodeInfo] = {}
         for graph in self.network.graphs:
             pubs = tuple((p.topic, p.type) for p in self.network.publishers if p.graph is graph)
@@ -276,7 +276,7 @@ class MemoryGraph:
         return out
 
     def changes(self) -> AsyncIterator[GraphEvent]:
-        """Events from now on."""
+        """Iterate over events from now on."""
         return self._changes.listen()
 
     def announce(self, kind: str, name: str, type: str, discovered: bool) -> None:

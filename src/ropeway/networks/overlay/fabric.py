@@ -81,7 +81,7 @@ class Asked:
 
 
 class _Declared:
-    """Something declared in a session, and how to declare it again."""
+    """A declaration in a session, and how to repeat it."""
 
     def __init__(self, declare: Callable[[zenoh.Session], Any]) -> None:
         self.declare = declare
@@ -137,7 +137,7 @@ class Fabric:
                 losses.look({(str(link.src), str(link.dst)) for link in self._session.info.links()})
 
     async def reopen(self, config: zenoh.Config) -> None:
-        """Go on with another configuration: links are made anew, and what was declared is declared again.
+        """Open the session again with another configuration: links and declarations are made anew.
 
         What is sent meanwhile waits. Raises ``GraphUnavailable`` where the session cannot start; may be called again.
         """
@@ -332,7 +332,7 @@ class Fabric:
         lane: int = 1,
         limit_bytes: int = OVERLAY_ROUTED_BYTES,
     ) -> list[bytes]:
-        """Every answer to a query, once all who can answer have; fewer, or none, after ``timeout_s``.
+        """Return every answer to a query, once all who can answer have; fewer, or none, after ``timeout_s``.
 
         Answers beyond ``limit_bytes`` in all are not taken. Where links are made anew all that time, nobody answers.
         """

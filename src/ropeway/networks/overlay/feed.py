@@ -70,10 +70,10 @@ class FeedReader(Protocol):
         """Whether earlier messages are wanted."""
 
     def received(self, stream: PublisherStream, items: Sequence[PacketItem]) -> None:
-        """Messages came, in order."""
+        """Take messages, in order."""
 
     def overrun(self, count: int) -> None:
-        """So many messages were lost because the event loop was behind."""
+        """Count messages that were lost because the event loop was behind."""
 
 
 class PublisherStream:
@@ -246,7 +246,7 @@ class PublisherStream:
         self.want_key()
 
     def opened(self, epoch: int, items: Sequence[PacketItem]) -> None:
-        """Messages that were checked."""
+        """Take messages that were checked."""
         if epoch != self._epoch:  # the next key is in use: the one after it is wanted
             self._epoch = epoch
             self.want_key()
@@ -261,7 +261,7 @@ class PublisherStream:
                 self._feed.missed += follower.lost - lost
 
     def overrun(self, count: int) -> None:
-        """So many messages were lost because the event loop was behind."""
+        """Count messages that were lost because the event loop was behind."""
         for reader in list(self.readers):
             reader.overrun(count)
 

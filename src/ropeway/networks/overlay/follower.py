@@ -36,7 +36,7 @@ class Follower:
             self.missing = (0, None)
 
     def arrived(self, items: Iterable[PacketItem]) -> list[PacketItem]:
-        """Messages came; those that can be given now."""
+        """Take messages and return those that can be delivered now."""
         given: list[PacketItem] = []
         for item in items:
             if item.number <= self.last:

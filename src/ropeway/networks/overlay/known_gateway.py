@@ -26,7 +26,7 @@ SHAPES: Final[Mapping[str, Mapping[str, type]]] = {
 
 @dataclass(slots=True)
 class KnownGateway:
-    """What we know of another gateway."""
+    """Holds what we know of another gateway."""
 
     certificate: Certificate | None = None
     name: str = ""

@@ -63,7 +63,7 @@ class Losses:
         self._bearing_s: dict[tuple[str, str], float] = {}  # since when
 
     def look(self, links: Collection[tuple[str, str]]) -> None:
-        """Look at the connections between these pairs of locators."""
+        """Read the losses of the connections between these pairs of locators."""
         now_s, seen, bearing_s = time.monotonic(), self._seen, self._bearing_s
         self._seen, self._bearing_s = {}, {}
         for link, sock in _sockets(links):

@@ -207,7 +207,7 @@ class Membership:
             yield self._note("adverts", {"t": hello["t"], **self._with_nodes(adverts[at : at + _CHUNK])})
 
     def _with_nodes(self, adverts: list[tuple[bytes, bytes]]) -> dict[str, Any]:
-        """Advertisements, and beside them the nodes that have them: members of before nodes were told read on."""
+        """Pair advertisements with the nodes that have them; older members, which know no nodes, ignore those."""
         nodes = {endpoint: self._nodes[endpoint] for endpoint, _ in adverts if endpoint in self._nodes}
         return {"a": [raw for _, raw in adverts], **({"x": nodes} if nodes else {})}
 

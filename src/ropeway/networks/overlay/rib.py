@@ -21,7 +21,7 @@ OnChange = Callable[[Advertisement, bool], None]
 
 
 class Rib:
-    """Every advertisement of the others. ``secret`` is the fleet's name secret.
+    """Holds every advertisement of the others. ``secret`` is the fleet's name secret.
 
     ``refused`` is told, with the name of the sender, of each that is not believed.
     """

@@ -19,7 +19,7 @@ _ACTIONS: Final = {"publish": "offer", "subscribe": "call"}
 
 @dataclass(frozen=True, slots=True)
 class Rights:
-    """Patterns of absolute ROS names per verb; ``*`` stands for any text, slashes included.
+    """Lists patterns of absolute ROS names per verb; ``*`` stands for any text, slashes included.
 
     What an action is made of is judged by the action's name: who may ``call`` it may read its feedback, who may
     ``offer`` it may publish it.

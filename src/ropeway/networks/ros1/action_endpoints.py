@@ -72,7 +72,7 @@ class RawSubscription:
         return len(self._reader.links)
 
     def take(self, batch: Batch) -> None:
-        """Part of ``Consumer``."""
+        """Take messages; see ``Consumer``."""
         for raw in batch.raws:
             try:
                 self._take(raw, batch.link.caller)
@@ -84,7 +84,7 @@ class RawSubscription:
                     log.warning("%s: a message of %s is unreadable: %s", node.graph, self.topic, error)
 
     def links_changed(self) -> None:
-        """Part of ``Consumer``."""
+        """Take a change of connections; see ``Consumer``."""
         self._on_links()
 
     async def close(self) -> None:

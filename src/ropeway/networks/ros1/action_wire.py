@@ -210,7 +210,7 @@ class _Cursor:
 
 
 def read_goal(raw: bytes) -> tuple[GoalId, bytes]:
-    """Id and goal of a NameActionGoal. Raises ``DecodeError``."""
+    """Read id and goal of a NameActionGoal. Raises ``DecodeError``."""
     cursor = _Cursor(raw, "action goal")
     cursor.header()
     return cursor.id(), cursor.rest()
@@ -222,7 +222,7 @@ def read_cancel(raw: bytes) -> GoalId:
 
 
 def read_report(raw: bytes) -> tuple[Ros1GoalStatus, bytes]:
-    """Status and result, or feedback. Raises ``DecodeError``."""
+    """Read status and result, or feedback. Raises ``DecodeError``."""
     cursor = _Cursor(raw, "action result")
     cursor.header()
     return cursor.status(), cursor.rest()

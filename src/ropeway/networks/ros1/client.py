@@ -209,7 +209,7 @@ class Ros1Client:
         await close_streams(self._forget())
 
     def _forget(self) -> list[asyncio.StreamWriter]:
-        """Look it up again before the next call; gives the streams that are closed now."""
+        """Forget the provider, so that the next call looks it up again; return the streams to close."""
         self._api = None
         writers = [writer for _, writer in self._idle]
         self._idle.clear()

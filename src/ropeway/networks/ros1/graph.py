@@ -251,7 +251,7 @@ class Ros1Graph:
         return {} if self._keeper is None else self._keeper.picture.nodes()
 
     def changes(self) -> AsyncIterator[GraphEvent]:
-        """Changes that the master shows, our own left out."""
+        """Iterate over changes that the master shows, our own left out."""
         return self._changes.listen()
 
     # ── the parameter server ───────────────────────────────────────────────────────────────────────────────────

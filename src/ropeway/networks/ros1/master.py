@@ -109,7 +109,7 @@ class Master:
             return None
 
     async def system_state(self) -> tuple[dict[str, list[str]], dict[str, list[str]], dict[str, list[str]]]:
-        """Publishers, subscribers and service providers: names to the nodes that have them."""
+        """Return publishers, subscribers and service providers: names to the nodes that have them."""
         state = await self.call("getSystemState")
         try:
             publishers, subscribers, services = ({str(name): _texts(nodes) for name, nodes in part} for part in state)

@@ -41,7 +41,9 @@ Part = TopicWriter | TopicReader | ServiceDoor
 
 
 class MasterRegistration:
-    """See the module. ``poll_s``: how often the master is asked; ``up``: whether it answered last."""
+    """Keeps our node registered with the master, and polls the master. ``poll_s``: how often the master is asked;
+    ``up``: whether it answered last.
+    """
 
     def __init__(self, node: Ros1Node, changes: Changes, poll_s: float) -> None:
         self.node = node
@@ -131,7 +133,7 @@ class MasterRegistration:
         return f"{self._first_name}_{secrets.token_hex(2)}"
 
     async def _take_name(self, name: str) -> None:
-        """Go on under another name; what the master still has of ours under the old one is withdrawn."""
+        """Continue under another name; what the master still has of ours under the old one is withdrawn."""
         node = self.node
         for part in self._parts():
             part.registered = False

@@ -137,7 +137,7 @@ class Ros1Node:
         self._newcomers[connection] = timer
 
     def header(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
-        """Part of ``tcpros.Receiver``: the peer says what it wants."""
+        """Read what a peer that connected wants; see ``tcpros.Receiver``."""
         self._greeted(connection)
         topic, service = fields.get("topic"), fields.get("service")
         target = self.services.get(service or "") if topic is None else self.writers.get(topic)
@@ -150,14 +150,14 @@ class Ros1Node:
             connection.refuse(f"[{self.name}] has no {what}")
 
     def frames(self, connection: TcprosConnection, frames: Sequence[bytes]) -> None:
-        """Part of ``tcpros.Receiver``: nothing of a peer that was refused matters."""
+        """Ignore the frames of a peer that was refused; see ``tcpros.Receiver``."""
 
     def lost(self, connection: TcprosConnection) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
         self._greeted(connection)
 
     def writable(self, connection: TcprosConnection) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
 
     def _greeted(self, connection: TcprosConnection) -> None:
         timer = self._newcomers.pop(connection, None)

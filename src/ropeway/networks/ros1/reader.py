@@ -54,7 +54,7 @@ class Consumer(Protocol):
     """Reads a topic."""
 
     def take(self, batch: Batch) -> None:
-        """Messages came."""
+        """Take messages."""
 
     def links_changed(self) -> None:
         """React to a publisher that was connected, or whose connection was lost."""
@@ -142,11 +142,11 @@ class Publication:
             log.log(level, "%s: %s from %s: %s", self._reader.node.graph, self._reader.topic, self.uri, text)
 
     def made(self, connection: TcprosConnection) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
         connection.write_header(self._reader.request())
 
     def header(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
         reader = self._reader
         self.caller = fields.get("callerid", "")
         if self.caller == reader.node.name:
@@ -167,7 +167,7 @@ class Publication:
         reader.links_changed()
 
     def frames(self, connection: TcprosConnection, frames: Sequence[bytes]) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
         raws, traces = self._split(frames) if self.traced else (frames, [b""] * len(frames))
         if not raws:
             return
@@ -181,7 +181,7 @@ class Publication:
             self._reader.deliver(Batch(self._reader, self, raws, traces))
 
     def _split(self, frames: Sequence[bytes]) -> tuple[list[bytes], list[bytes]]:
-        """Messages, and the traces that go before them."""
+        """Separate messages from the traces that go before them."""
         raws: list[bytes] = []
         traces: list[bytes] = []
         for frame in frames:
@@ -201,10 +201,10 @@ class Publication:
         return None if self.last is None else Batch(self._reader, self, [self.last[0]], [self.last[1]])
 
     def writable(self, connection: TcprosConnection) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
 
     def lost(self, connection: TcprosConnection) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
         if self.connected:
             self.connected = False
             self._reader.links_changed()
@@ -243,7 +243,7 @@ class TopicReader:
         return found if found.sure else None
 
     def request(self) -> dict[str, str]:
-        """Our header: any sum will do where the ROS 1 definition is not known for sure."""
+        """Return our header: any MD5 sum is accepted if the ROS 1 definition is not known for sure."""
         known = self._known()
         fields = {
             "callerid": self.node.name,
@@ -271,7 +271,7 @@ class TopicReader:
             raise InvalidFrame(f"its definition of {self.ros1_name} is of no use: {error}") from None
 
     def decode(self, raws: Sequence[bytes], traces: Sequence[bytes], origin: FirstSeenPublisher) -> list[Sample]:
-        """Samples of messages; what is none of this type is counted and left out."""
+        """Decode messages to samples; whatever is not of this type is counted and left out."""
         converter = self._converter
         stamp_ns = time.time_ns()
         out: list[Sample] = []
@@ -327,7 +327,7 @@ class TopicReader:
             del self._links[link.uri]
 
     def deliver(self, batch: Batch) -> None:
-        """Messages of one publisher came."""
+        """Deliver messages of one publisher."""
         for user in list(self.users):
             user.take(batch)
 

@@ -43,16 +43,16 @@ class _Caller:
         self._work: asyncio.Task[None] | None = None
 
     def made(self, connection: TcprosConnection) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
 
     def header(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
 
     def writable(self, connection: TcprosConnection) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
 
     def frames(self, connection: TcprosConnection, frames: Sequence[bytes]) -> None:
-        """Part of ``tcpros.Receiver``: requests came."""
+        """Take requests; see ``tcpros.Receiver``."""
         self._waiting.extend(frames)
         if len(self._waiting) > _AHEAD_LIMIT:
             connection.abort(f"more than {_AHEAD_LIMIT} requests wait")
@@ -60,7 +60,7 @@ class _Caller:
             self._work = background(self._answer_all(), f"calls of {self.service.service}")
 
     def lost(self, connection: TcprosConnection) -> None:
-        """Part of ``tcpros.Receiver``: nobody waits for the answers any more."""
+        """Drop the answers, which nobody waits for any more; see ``tcpros.Receiver``."""
         self._waiting.clear()
         if self._work is not None:
             self._door.late()

@@ -103,7 +103,7 @@ class Ros1Snapshot:
         return any(node != own for node in self.state.services.get(service, ()))
 
     def topics(self) -> dict[str, TopicInfo]:
-        """All topics but those that actions are made of."""
+        """Return all topics except those that belong to actions."""
         state, hidden = self.state, self._hidden()
         out: dict[str, TopicInfo] = {}
         for topic in sorted({*state.publishers, *state.subscribers} - hidden):
@@ -120,7 +120,7 @@ class Ros1Snapshot:
         return EndpointInfo(kind, topic, type, qos or DEFAULT, node=node, local=node == self._own())
 
     def services(self) -> dict[str, ServiceInfo]:
-        """All services whose providers were asked for the type; they may not have told it."""
+        """Return all services whose providers were asked for the type, even if they did not answer."""
         state, own = self.state, self._own()
         out: dict[str, ServiceInfo] = {}
         for name, nodes in sorted(state.services.items()):
@@ -132,7 +132,7 @@ class Ros1Snapshot:
         return out
 
     def actions(self) -> dict[str, ActionInfo]:
-        """All actions that have a server."""
+        """Return all actions that have a server."""
         own, state = self._own(), self.state
         out: dict[str, ActionInfo] = {}
         for name, type in sorted(self._actions.items()):
@@ -142,7 +142,7 @@ class Ros1Snapshot:
         return out
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """All nodes that have anything."""
+        """Return all nodes that have anything."""
         state, own = self.state, self._own()
         found: dict[str, tuple[list[tuple[str, str]], ...]] = {}
         for place, table, types in (
@@ -168,7 +168,7 @@ def full_name(ros1: str, kind: str = "msg") -> str:
 
 
 def _find_actions(state: State) -> dict[str, str]:
-    """Actions with a server, and their types."""
+    """Return the actions that have a server, with their types."""
     found: dict[str, str] = {}
     types = state.topic_types
     for topic, type in types.items():

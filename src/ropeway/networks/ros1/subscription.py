@@ -62,7 +62,7 @@ class Ros1Subscription:
         self._missed.clear()
 
     def take(self, batch: Batch) -> None:
-        """Part of ``Consumer``."""
+        """Take messages; see ``Consumer``."""
         self._missed.discard(batch.link)
         samples = batch.samples
         if self.closed or not samples:

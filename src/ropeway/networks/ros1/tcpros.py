@@ -94,7 +94,7 @@ class Receiver(Protocol):
         """Handle the peer's header. ``InvalidFrame`` that is raised closes the connection."""
 
     def frames(self, connection: TcprosConnection, frames: Sequence[bytes]) -> None:
-        """Frames came, oldest first."""
+        """Take frames, oldest first."""
 
     def lost(self, connection: TcprosConnection) -> None:
         """Note that the connection is closed, by whichever side."""
@@ -122,13 +122,13 @@ class TcprosConnection(asyncio.Protocol):
         self._missing = 0  # … that lacks so many bytes
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Part of ``asyncio.Protocol``."""
+        """See ``asyncio.Protocol``."""
         self.transport = cast(asyncio.Transport, transport)
         self.transport.set_write_buffer_limits(_BUFFERED_BYTES)
         self.receiver.made(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Part of ``asyncio.Protocol``."""
+        """See ``asyncio.Protocol``."""
         if exc is not None and not self.reason:
             self.reason = str(exc)
         self._pieces.clear()
@@ -136,16 +136,16 @@ class TcprosConnection(asyncio.Protocol):
         self.receiver.lost(self)
 
     def pause_writing(self) -> None:
-        """Part of ``asyncio.Protocol``."""
+        """See ``asyncio.Protocol``."""
         self.ready = False
 
     def resume_writing(self) -> None:
-        """Part of ``asyncio.Protocol``."""
+        """See ``asyncio.Protocol``."""
         self.ready = True
         self.receiver.writable(self)
 
     def data_received(self, data: bytes) -> None:
-        """Part of ``asyncio.Protocol``."""
+        """See ``asyncio.Protocol``."""
         missing = self._missing
         if len(data) < missing:
             self._pieces.append(data)

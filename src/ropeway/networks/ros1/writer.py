@@ -57,23 +57,23 @@ class _Link:
             self._writer.dropped()
 
     def made(self, connection: TcprosConnection) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
 
     def header(self, connection: TcprosConnection, fields: dict[str, str]) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
 
     def frames(self, connection: TcprosConnection, frames: Sequence[bytes]) -> None:
-        """Part of ``tcpros.Receiver``: a subscriber has nothing to say."""
+        """Ignore frames: a subscriber has nothing to say; see ``tcpros.Receiver``."""
 
     def writable(self, connection: TcprosConnection) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
         while self._waiting and connection.ready:
             frame, size = self._waiting.popleft()
             self._waiting_bytes -= size
             connection.write(frame)
 
     def lost(self, connection: TcprosConnection) -> None:
-        """Part of ``tcpros.Receiver``."""
+        """See ``tcpros.Receiver``."""
         self._waiting.clear()
         self._writer.left(self)
 

@@ -49,7 +49,7 @@ _DEPTH_LIMIT: Final = 3 * NESTED_CONTAINERS + 8  # a list in a list is a value, 
 
 
 class _Malformed(Exception):
-    """Not HTTP, or not XML-RPC."""
+    """Raised for text that is not HTTP, or not XML-RPC."""
 
 
 Stream = tuple[asyncio.StreamReader, asyncio.StreamWriter]
@@ -67,7 +67,7 @@ async def close_streams(writers: Sequence[asyncio.StreamWriter]) -> None:
 
 
 def split_uri(uri: str) -> tuple[str, int]:
-    """Host and port of ``http://host:port/``. Raises ``ValueError``."""
+    """Return host and port of ``http://host:port/``. Raises ``ValueError``."""
     parts = urlsplit(uri)
     if parts.scheme != "http" or not parts.hostname or parts.port is None:
         raise ValueError(f"expected http://host:port, got {uri!r}")
@@ -306,7 +306,7 @@ class _Reader(xmlrpc.client.Unmarshaller):
         self._depth = 0
 
     def start(self, tag: str, attrs: dict[str, str]) -> None:
-        """Part of ``Unmarshaller``: an element begins."""
+        """Begin an element; see ``Unmarshaller``."""
         self._depth += 1
         if self._depth > _DEPTH_LIMIT:
             raise _Malformed(f"elements stand in each other {_DEPTH_LIMIT} deep")
@@ -315,13 +315,16 @@ class _Reader(xmlrpc.client.Unmarshaller):
         super().start(tag, attrs)
 
     def end(self, tag: str) -> None:
-        """Part of ``Unmarshaller``: an element ends."""
+        """End an element; see ``Unmarshaller``."""
         self._depth -= 1
         super().end(tag)
 
 
 def _loads(body: bytes) -> tuple[tuple[Any, ...], str | None]:
-    """Parameters and method of an XML-RPC body. Raises ``_Malformed``; ``Fault`` where the body is one."""
+    """Parse the parameters and the method of an XML-RPC body.
+
+    Raises ``_Malformed``; ``Fault`` where the body is one.
+    """
     if b"\0" in body:  # UTF-16, in which what follows could not be found
         raise _Malformed("XML-RPC is written in UTF-8")
     if b"<!DOCTYPE" in body or b"<!ENTITY" in body:

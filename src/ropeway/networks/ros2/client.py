@@ -49,7 +49,7 @@ class ClientHost(Ros2Host, Protocol):
     """The services of a graph for its clients."""
 
     async def remove(self, part: Ros2Client, raw: Any, lane: Lane) -> None:
-        """Know a client no more."""
+        """Remove a closed client."""
         ...
 
 

@@ -20,7 +20,9 @@ _Thing = tuple[str, str, str, object]  # kind, name, type, and what tells two of
 
 
 class Ros2Discovery:
-    """``emit`` gets the events, others' only; ``changed`` the topics whose publishers changed."""
+    """Compares snapshots of the network: ``emit`` gets the events, others' only; ``changed`` the topics whose
+    publishers changed.
+    """
 
     def __init__(
         self, graph: str, gateway_id: str, emit: Callable[[GraphEvent], None], changed: Callable[[set[str]], None]
@@ -36,15 +38,15 @@ class Ros2Discovery:
         self.settled = False
 
     def topics(self) -> dict[str, TopicInfo]:
-        """Every topic; those that are parts of actions stand under the actions."""
+        """Return every topic; those that belong to actions stand under the actions."""
         return {name: topic for name, topic in self._picture.topics.items() if _has_ends(topic) and not is_inner(name)}
 
     def services(self) -> dict[str, ServiceInfo]:
-        """Every service."""
+        """Return every service."""
         return self._picture.services
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """Every node."""
+        """Return every node."""
         return self._picture.nodes
 
     def publishers(self, topic: str, type: str) -> list[EndpointInfo]:
@@ -52,12 +54,12 @@ class Ros2Discovery:
         return [end for end in self.all_publishers(topic, type) if not self.is_own(end)]
 
     def all_publishers(self, topic: str, type: str) -> list[EndpointInfo]:
-        """All, ours too."""
+        """Return all publishers of a topic, ours included."""
         known = self._picture.topics.get(topic)
         return [e for e in known.publishers if e.type == type] if known is not None else []
 
     def subscriptions(self, topic: str, type: str) -> list[EndpointInfo]:
-        """All, ours too."""
+        """Return all subscriptions of a topic, ours included."""
         known = self._picture.topics.get(topic)
         return [e for e in known.subscriptions if e.type == type] if known is not None else []
 

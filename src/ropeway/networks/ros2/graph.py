@@ -161,7 +161,7 @@ class Ros2Graph:
         return subscription
 
     def topics(self) -> dict[str, TopicInfo]:
-        """Every topic in the domain, ours too; those that actions are made of stand under ``actions``."""
+        """Return every topic in the domain, ours included; those that belong to actions stand under ``actions``."""
         return self._discovery.topics() if self._participant is not None else {}
 
     # Services and actions ---------------------------------------------------------------------------------------
@@ -226,7 +226,7 @@ class Ros2Graph:
         return self._registry
 
     def services(self) -> dict[str, ServiceInfo]:
-        """Every service in the domain, ours too."""
+        """Return every service in the domain, ours included."""
         if self._participant is None:
             return {}
         found = {
@@ -245,11 +245,11 @@ class Ros2Graph:
         return {name: info for name, info in sorted(found.items()) if info.servers or info.clients}
 
     def actions(self) -> dict[str, ActionInfo]:
-        """Every action in the domain, ours too."""
+        """Return every action in the domain, ours included."""
         return actions_of(self.services())
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """Every node in the domain, ours too."""
+        """Return every node in the domain, ours included."""
         return self._discovery.nodes() if self._participant is not None else {}
 
     def changes(self) -> AsyncIterator[GraphEvent]:
@@ -373,4 +373,4 @@ def _of_others(providers: tuple[ProviderInfo, ...]) -> tuple[ProviderInfo, ...]:
 
 
 def _never(*_: object) -> None:
-    """Asked for by rclpy; no executor that would call it ever sees our node."""
+    """Satisfy rclpy, which asks for a callback; no executor that would call it ever sees our node."""

@@ -39,7 +39,7 @@ class PublisherHost(Ros2Host, Protocol):
         ...
 
     async def withdraw(self, publisher: Ros2Publisher, lane: Lane) -> None:
-        """Know a publisher no more."""
+        """Remove a closed publisher."""
         ...
 
 

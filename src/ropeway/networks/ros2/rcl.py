@@ -95,7 +95,7 @@ class Rcl:
         self._allocator = _function(utils.rcutils_get_default_allocator, _Allocator)()
 
     def buffer(self) -> Buffer:
-        """Room for one message at a time; ``free`` it."""
+        """Make room for one message at a time; ``free`` it."""
         made = Buffer(_Bytes(), _Info())
         self._check(self._init(made.bytes, 4096, self._allocator), "rcutils_uint8_array_init")
         return made

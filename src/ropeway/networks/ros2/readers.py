@@ -49,7 +49,7 @@ class ReadersHost(Ros2Host, Protocol):
         ...
 
     def forget(self, subscription: Ros2Subscription) -> None:
-        """Know a subscription no more."""
+        """Release what belongs to a closed subscription."""
         ...
 
     def guard(self, topic: str, callback: Callable[[T], None], value: T) -> None:
@@ -187,4 +187,4 @@ def _fits(ask: QoS, offer: QoS) -> bool:
 
 
 def _never(_: object) -> None:
-    """Asked for by rclpy; no executor that would call it ever sees our node."""
+    """Satisfy rclpy, which asks for a callback; no executor that would call it ever sees our node."""

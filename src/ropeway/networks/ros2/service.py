@@ -31,7 +31,7 @@ class ServiceHost(Ros2Host, Protocol):
     """The services of a graph for the services that it serves."""
 
     async def remove(self, part: Ros2Service, raw: Any, lane: Lane) -> None:
-        """Know a service no more."""
+        """Remove a closed service."""
         ...
 
 

@@ -56,8 +56,8 @@ class Marks:
 
 @dataclass(frozen=True, slots=True)
 class Ros2Snapshot:
-    """Everything on the network at one moment. ``topics`` has those that are parts of actions, too, but no marks of
-    ours.
+    """The state of the whole network at one moment. ``topics`` has those that are parts of actions, too, but no marks
+    of ours.
     """
 
     topics: dict[str, TopicInfo] = field(default_factory=dict)

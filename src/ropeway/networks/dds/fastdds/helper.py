@@ -38,7 +38,7 @@ class FastHelper:
         self._services: dict[PendingService, None] = {}
 
     def on_discovered(self, batch: Iterable[Discovered]) -> None:
-        """Look who has come."""
+        """Check endpoints that were discovered for Fast DDS nodes."""
         if not self._known and any(isinstance(item, Joined) and item.participant.startswith(FAST) for item in batch):
             self._known = True
             if self._services:

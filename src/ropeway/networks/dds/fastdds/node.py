@@ -118,7 +118,7 @@ class FastNode:
         return user_data(type_hash=type_hash, gateway_id=self.gateway_id, extra=f"{HELPER_MARK}=1;")
 
     def expect(self, guids: Iterable[bytes]) -> None:
-        """Services that are opened from now on wait until these endpoints are found."""
+        """Make services that are opened from now on wait until these endpoints are found."""
         with self.lock:
             self._census = Census(self.participant, guids)
         self.wake()

@@ -236,7 +236,7 @@ def _test_serdata(sertype: int) -> Iterator[tuple[int, bytes]]:
 
 @contextmanager
 def _writable(address: int, size: int) -> Iterator[None]:
-    """Memory that the loader has made read-only, writable for the length of the ``with`` block."""
+    """Make memory writable that the loader has made read-only, for the length of the ``with`` block."""
     start = address & -mmap.PAGESIZE
     length = address + size - start
     protect: Callable[[int, int, int], int] = ct.CFUNCTYPE(
@@ -275,7 +275,7 @@ class RelatedWriter:
 
     @property
     def acks(self) -> int:
-        """How often readers have acknowledged, which they do once they are matched with this writer."""
+        """The number of acknowledgements by readers, which send one once they are matched with this writer."""
         return self._acks.value
 
     def write(self, payload: bytes, parameter: int, related: SampleIdentity, stamp_ns: int) -> int:
@@ -319,7 +319,7 @@ _memory = -1
 
 
 def _read(address: int, size: int) -> bytes:
-    """Memory of this process, or ``b""`` where there is none."""
+    """Return memory of this process, or ``b""`` if there is none at this address."""
     global _memory
     try:
         if _memory < 0:

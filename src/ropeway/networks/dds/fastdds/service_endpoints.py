@@ -318,7 +318,7 @@ class ServiceEnd(_End):
         self.node.emit(HelperFrame(Op.REQUEST, self.number, self._last, head + payload))
 
     def asked(self, number: int) -> tuple[int, SampleIdentity] | None:
-        """Under which parameter, and with which related identity, a request is to be answered."""
+        """Return the parameter and the related identity with which a request is to be answered."""
         return self._requests.get(number)
 
     def reply(self, number: int, payload: bytes) -> None:

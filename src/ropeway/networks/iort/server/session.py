@@ -33,7 +33,7 @@ _IDENTIFIER_CHARACTERS: Final = 40  # of one that is shown in the status
 
 
 class IortSession(asyncio.Protocol):
-    """See the module. It is a member of the space."""
+    """The connection of one node, which is a member of the space. It is a member of the space."""
 
     def __init__(self, server: IortServer, visit: Visit) -> None:
         self.server, self.space = server, server.space
@@ -106,7 +106,7 @@ class IortSession(asyncio.Protocol):
             self.transport.pause_reading()
 
     def resume_writing(self) -> None:
-        """Go on: the node caught up."""
+        """Resume: the node caught up."""
         self._paused = False
         self._catch_up()
         self._work()

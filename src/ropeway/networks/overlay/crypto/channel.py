@@ -43,7 +43,7 @@ _PACKETS: Final = 1 << 31
 
 
 class SecureChannel:
-    """One side of an open channel. ``peer`` is the other side's certificate."""
+    """Seals and opens packets on one side of an open channel. ``peer`` is the other side's certificate."""
 
     def __init__(self, id: bytes, peer: Certificate, out: bytes, into: bytes) -> None:
         self.id, self.peer = id, peer
@@ -82,7 +82,7 @@ class SecureChannel:
 
 
 def peek_channel(packet: bytes) -> bytes:
-    """Which channel a packet is of. Raises ``SealError``."""
+    """Return which channel a packet belongs to. Raises ``SealError``."""
     if len(packet) < _HEAD.size:
         raise SealError(Refusal.TRUNCATED, f"a packet of {len(packet)} bytes")
     return bytes(packet[:_ID_BYTES])

@@ -73,7 +73,7 @@ class Identity:
         return common_name(self.ca.subject)
 
     def sign(self, message: bytes) -> bytes:
-        """Our signature."""
+        """Sign a message."""
         return sign(self.key, message)
 
     def tls(self) -> dict[str, Any]:

@@ -1,4 +1,6 @@
-"""Which numbers of a counter came already, within a window: replays are known, what is too old is told apart."""
+"""Remembers which numbers of a counter were received, within a window, and tells replays from numbers that
+are too old.
+"""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ class ContentKey:
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """What a reader is given: the key in use, the one after it, and the number of the newest message."""
+    """Holds what a reader is given: the key in use, the one after it, and the number of the newest message."""
 
     current: ContentKey
     next: ContentKey

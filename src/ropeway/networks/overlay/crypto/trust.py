@@ -1,4 +1,6 @@
-"""Which certificates are believed: those of the fleet's authority, in their time, for their purpose, not revoked."""
+"""Decides which certificates to trust: those of the fleet's authority, in their time, for their purpose, not
+revoked.
+"""
 
 from __future__ import annotations
 

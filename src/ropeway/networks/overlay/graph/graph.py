@@ -396,7 +396,7 @@ class OverlayGraph:
         return tuple(dict.fromkeys(advert.type for advert in self._all(*kinds) if advert.name == name))
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """Every gateway, as a node."""
+        """Return every gateway, as a node."""
         parts: dict[bytes, dict[str, list[tuple[str, str]]]] = {self.node.gateway: {}}
         for gateway in self.node.membership.gateways():
             parts[gateway] = {}
@@ -412,7 +412,7 @@ class OverlayGraph:
         return out
 
     def changes(self) -> AsyncIterator[GraphEvent]:
-        """Events from now on."""
+        """Iterate over events from now on."""
         return self._changes.listen()
 
 

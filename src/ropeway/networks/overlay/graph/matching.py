@@ -1,4 +1,4 @@
-"""Which publishers and subscriptions go together: the rules of ROS 2."""
+"""Matches publishers and subscriptions by the rules of ROS 2."""
 
 from __future__ import annotations
 

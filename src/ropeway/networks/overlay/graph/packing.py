@@ -66,6 +66,6 @@ class TopicPacking:
         return item._replace(encoding=ZSTD, payload=packed) if len(packed) < len(item.payload) else item
 
     def taken(self, size_bytes: int, seconds: float) -> None:
-        """So many bytes were taken by Zenoh in so long."""
+        """Note how long Zenoh took to accept so many bytes."""
         if size_bytes >= _TELLING_BYTES:
             self._taken.carried(size_bytes, seconds)

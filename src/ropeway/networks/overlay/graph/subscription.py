@@ -74,7 +74,7 @@ class OverlaySubscription:
                     self._graph.guard(self.topic, callback, qos)
 
     def received(self, stream: PublisherStream, items: Sequence[PacketItem]) -> None:
-        """Messages came, in order."""
+        """Deliver messages, in order."""
         if self.closed:
             return
         now = time.time_ns()
@@ -88,7 +88,7 @@ class OverlaySubscription:
             log.exception("%s: a callback for %s failed", self._graph.name, self.topic)
 
     def overrun(self, count: int) -> None:
-        """So many messages were lost because the event loop was behind."""
+        """Count messages that were lost because the event loop was behind."""
         self._graph.drops[self.topic, Undelivered.BACKLOG] += count
 
     async def close(self) -> None:

@@ -38,7 +38,7 @@ _VIA_LIMIT: Final = 64  # gateways
 
 
 class CallNote(NamedTuple):
-    """Which call or goal it is: see ``Request``."""
+    """Identifies a call or goal; see ``Request``."""
 
     id: bytes
     via: tuple[str, ...]

@@ -80,7 +80,7 @@ class Calls:
         return self.graph.border.incoming(type, payload)
 
     def written(self, type: str, payload: bytes) -> bytes:
-        """CDR of ours in the layout of the far graph. Raises ``ValueMismatch``."""
+        """Return our CDR in the layout of the far graph. Raises ``ValueMismatch``."""
         return self.graph.border.outgoing(type, payload)
 
     async def link(self, deadline: float) -> Peer:
@@ -127,7 +127,9 @@ class Calls:
         return True
 
     async def may_try_again(self, caller: RemoteCaller, began: float, deadline: float) -> bool:
-        """After a call that was not served: wait until another is worth it. False when it is not, within the time."""
+        """Wait, after a call that was not served, until another is worthwhile; return false if none is within the time.
+        False when it is not, within the time.
+        """
         loop = asyncio.get_running_loop()
         if caller.available is None:
             deadline = min(deadline, began + _NOBODY_S)

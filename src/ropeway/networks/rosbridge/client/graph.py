@@ -391,7 +391,7 @@ class RosbridgeGraph:
         return dict(self.mirror.nodes)
 
     def changes(self) -> AsyncIterator[GraphEvent]:
-        """Changes that the far graph shows."""
+        """Iterate over changes that the far graph shows."""
         return self._changes.listen()
 
     def _check(self) -> None:
@@ -485,7 +485,7 @@ class RosbridgeGraph:
             log.warning("%s: %s was refused: %s", self.name, part.topic, reason)
 
     def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
-        """Messages came on a channel."""
+        """Deliver messages that came on a channel."""
         subscription = self._subscriptions.get(channel)
         if subscription is not None:
             subscription.arrived(arrivals)

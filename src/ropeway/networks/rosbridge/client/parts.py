@@ -180,7 +180,7 @@ class RemotePublisher:
         self.demand(0)
 
     def statistics(self) -> tuple[int, int]:
-        """Messages and bytes sent, over all connections."""
+        """Return the messages and bytes sent, over all connections."""
         live = (self.channel.sent, self.channel.sent_bytes) if self.channel is not None else (0, 0)
         return self.sent + live[0], self.sent_bytes + live[1]
 
@@ -297,7 +297,7 @@ class RemoteSubscription:
         self._peer = None
 
     def arrived(self, arrivals: Sequence[Arrival]) -> None:
-        """Messages came in records."""
+        """Deliver messages that came in records."""
         peer = self._peer
         if peer is None or self.closed:
             return

@@ -39,7 +39,7 @@ class LinkState(enum.Enum):
 
 
 class Reconnect:
-    """See the module.
+    """Keeps a link connected: dials, waits and dials again.
 
     ``connect`` makes one connection within the limits that it is given, or raises ``ConnectFailed``; it gives what
     lasts as long as the connection does. ``rtt_s`` is how long the peer took to answer, as far as it is known.

@@ -26,7 +26,7 @@ _SLOW_BYTES: Final = {"png": 16 << 10, "zstd": 64 << 10}  # these take longer
 
 
 class Outgoing(Protocol):
-    """What a link needs of a message that goes out; ``ropeway.graph.Sample`` has it."""
+    """A message as a link sees it; ``ropeway.graph.Sample`` is one."""
 
     payload: bytes
     type: str

@@ -180,7 +180,7 @@ class Express:
             self._detach()
 
     def _detach(self) -> None:
-        """Go on with the first connection alone."""
+        """Continue with the first connection alone."""
         express, self._sender, self._connection = self._sender, None, None
         if express is None:
             return

@@ -75,7 +75,7 @@ class PeerHandler(Protocol):
         """Handle a message of the Ropeway dialect (``op`` is one of ``CONTROL_OPS``)."""
 
     def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
-        """Messages came on a channel, still encoded."""
+        """Take messages that came on a channel, still encoded."""
 
     def takes(self, channel: int) -> bool:
         """Return whether messages are expected on a channel; parts of others are not even kept."""
@@ -85,7 +85,9 @@ class PeerHandler(Protocol):
 
 
 class Peer:
-    """See the module. ``limit_bytes`` bounds one inbound message after decompression."""
+    """A connection to a rosbridge peer, in either role. ``limit_bytes`` bounds one inbound message after
+    decompression.
+    """
 
     def __init__(
         self,

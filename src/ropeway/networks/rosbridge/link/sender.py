@@ -151,7 +151,7 @@ class LinkSender:
         future.add_done_callback(done)
 
     def close(self) -> None:
-        """Lose everything that waits: the link is gone."""
+        """Drop everything that waits: the link is gone."""
         for channel in list(self.channels.values()):
             channel.close()
         self.outbox.clear()

@@ -184,7 +184,7 @@ class JsonAssembler:
         self._open.clear()
 
     def _begin(self) -> bool:
-        """Go to where an object begins; false if there is none."""
+        """Skip to where an object begins; return false if there is none."""
         if self._open:
             return True
         at = self._buffer.find(b"{")

@@ -320,7 +320,7 @@ class UnadvertiseAction(Operation):
 
 @dataclass(slots=True, kw_only=True)
 class Fragment(Operation):
-    """Part ``num`` (from 0) of the ``total`` parts of the text of an operation."""
+    """Carries part ``num`` (from 0) of the ``total`` parts of the text of an operation."""
 
     op: ClassVar[Literal["fragment"]] = "fragment"
     KEYS = ("id", "data", "num", "total")

@@ -59,7 +59,7 @@ def unpack(image: bytes | memoryview, *, limit_bytes: int) -> bytes:
 
 
 def _read(image: bytes) -> tuple[int, int, bytes]:
-    """Width, height and compressed rows."""
+    """Return width, height and compressed rows."""
     if not image.startswith(_SIGNATURE):
         raise _error("it does not begin like a PNG")
     at = len(_SIGNATURE)

@@ -63,7 +63,7 @@ class _Made(NamedTuple):
 
 
 class Texts:
-    """Full definition texts by type, made once."""
+    """Makes full definition texts by type, once each."""
 
     def __init__(self, registry: TypeRegistry, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._registry, self._clock = registry, clock
@@ -97,7 +97,7 @@ class Texts:
 
 
 class Ros1Texts:
-    """Full definition texts as ROS 1 has them."""
+    """Makes full definition texts as ROS 1 has them."""
 
     def __init__(self, spelling: Ros1Spelling) -> None:
         self._spelling = spelling

@@ -28,7 +28,7 @@ class ParameterServer(Protocol):
         """Delete it. Raises ``KeyError``."""
 
     async def list_params(self) -> list[str]:
-        """All names."""
+        """Return all names."""
 
 
 class MasterParams:

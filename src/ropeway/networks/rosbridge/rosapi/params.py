@@ -143,7 +143,9 @@ class Params:
         return value
 
     def _split(self, name: str, service: str) -> tuple[str, str]:
-        """Node and parameter of ``/node:parameter``; the node must be there and the parameter not hidden by a glob."""
+        """Split ``/node:parameter`` into node and parameter; the node must be there and the parameter not hidden by a
+        glob.
+        """
         node, colon, parameter = name.partition(":")
         if not colon or not node.strip("/") or not parameter:
             raise _Refused(f"Malformed parameter name: {name}; expecting <node_name>:<param_name>")

@@ -44,7 +44,7 @@ class GraphSnapshot:
     # ── topics ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     def topics(self) -> dict[str, str]:
-        """Topics and their types, sorted by name."""
+        """Return topics and their types, sorted by name."""
         patterns = self._globs.topics
         found = self._graph.topics()
         return {
@@ -77,7 +77,7 @@ class GraphSnapshot:
     # ── services ───────────────────────────────────────────────────────────────────────────────────────────────
 
     def services(self) -> dict[str, str]:
-        """Services and their types, sorted by name; those of rosapi stand among them."""
+        """Return services and their types, sorted by name, including those of rosapi."""
         found = {name: info.type for name, info in self._graph.services().items() if _served(info)}
         patterns = self._globs.services
         return {
@@ -135,7 +135,9 @@ class GraphSnapshot:
     # ── nodes ──────────────────────────────────────────────────────────────────────────────────────────────────
 
     def nodes(self) -> dict[str, NodeInfo]:
-        """Nodes by full name. Calls that come together share what they see, unless we change something ourselves."""
+        """Return nodes by full name. Calls that come together share what they see, unless we change something
+        ourselves.
+        """
         now, changes = asyncio.get_running_loop().time(), self._changes()
         seen, at = self._nodes_at
         if seen != changes or now - at > _FRESH_S:

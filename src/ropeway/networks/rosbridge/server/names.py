@@ -1,4 +1,6 @@
-"""Names as clients write them: relative and private ones, and the substitutions of ROS 2, belong to our node."""
+"""Resolves names as clients write them: relative and private ones, and the substitutions of ROS 2, belong to
+our node.
+"""
 
 from __future__ import annotations
 

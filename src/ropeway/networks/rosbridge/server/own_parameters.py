@@ -24,7 +24,7 @@ _Answer = Callable[[Mapping[str, Any]], dict[str, Any]]
 
 @dataclass(frozen=True, slots=True)
 class OwnParameter:
-    """One of our parameters. Its value stands until the program ends; ``change`` says how to have another."""
+    """A parameter of our own node. Its value stands until the program ends; ``change`` says how to have another."""
 
     name: str
     value: ParameterValue

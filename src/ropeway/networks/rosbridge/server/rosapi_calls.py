@@ -28,7 +28,7 @@ Question = Callable[[], Any]
 
 
 class RosapiCalls:
-    """See the module. ``fail`` answers a call that failed."""
+    """Answers one client's calls of rosapi. ``fail`` answers a call that failed."""
 
     def __init__(self, peer: Peer, turns: Turns, fail: Callable[[ops.CallService, Exception], None]) -> None:
         self._peer, self._turns, self._fail = peer, turns, fail

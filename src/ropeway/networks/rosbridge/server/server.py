@@ -158,7 +158,7 @@ class RosbridgeServer:
             log.warning("%s does not take what the server tells about itself: %s", self.hub.graph.name, error)
 
     def _more_pages(self, request: HttpRequest) -> Response | asyncio.Protocol | None:
-        """Pages beyond the server's own: what the store has, for who may read it."""
+        """Serve pages beyond the server's own: the values of the store, to clients that may read them."""
         pages = self._store_pages
         if pages is None or not pages.knows(request.path):
             return None

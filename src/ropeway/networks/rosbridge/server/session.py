@@ -60,8 +60,7 @@ class RosapiAnswers(Protocol):
 
 
 class Session:
-    """One client's session; it is withdrawn as a whole when the client leaves. Withdrawn as a whole when the client
-    leaves.
+    """The session of one client; it is withdrawn as a whole when the client leaves.
 
     A client that connects with ``?status=1`` in its URL is told what it did wrong, in ``status`` operations
     (``{"op":"status","level":"error","msg":…}``, with the id of the operation where it had one). Others are not:
@@ -232,7 +231,10 @@ class Session:
 
     @contextlib.asynccontextmanager
     async def searching(self, name: str, timeout_s: float) -> AsyncIterator[None]:
-        """Look for a name that nobody is known to serve, when few others are looked for. Raises ``CallTimeout``."""
+        """Count a search for a name that nobody is known to serve, while few others are under way.
+
+        Raises ``CallTimeout``.
+        """
         try:
             async with aio.timeout(timeout_s):
                 await self._searches.acquire()
@@ -272,7 +274,7 @@ class Session:
         )
 
     def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
-        """Messages came on a channel."""
+        """Deliver messages that came on a channel."""
         if self.access.limited:
             arrivals = [arrival for arrival in arrivals if self._may_arrive(channel, arrival)]
         self.topics.arrived(channel, arrivals, self.turns.waiting)

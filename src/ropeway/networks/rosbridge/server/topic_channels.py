@@ -116,7 +116,7 @@ class TopicIn:
         return True
 
     def arrived(self, arrivals: Sequence[Arrival]) -> None:
-        """Messages came in records."""
+        """Publish messages that came in records."""
         session = self.session
         peer = session.peer
         now = session.clock()
@@ -254,7 +254,7 @@ class TopicOut:
         self.session.peer.send(message)
 
     def deliver(self, batch: Sequence[Sample]) -> None:
-        """Messages came from the graph."""
+        """Send messages of the graph to the client."""
         channel = self.channel
         if self._throttle is None and self._limit is None and channel is not None:
             for sample in batch:

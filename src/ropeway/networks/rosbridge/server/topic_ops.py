@@ -123,7 +123,7 @@ class TopicOps:
         )
 
     def arrived(self, channel: int, arrivals: Sequence[Arrival], waiting: Sequence[object]) -> None:
-        """Messages came on a channel; ``waiting`` are the operations that have not had their turn."""
+        """Publish messages that came on a channel; ``waiting`` are the operations that have not had their turn."""
         topic = self.input_channels.get(channel)
         if topic is not None:
             topic.arrived(arrivals)

@@ -25,7 +25,7 @@ _RESUME_AT: Final = 32  # operations that still wait when the socket is read aga
 
 
 class Turns:
-    """See the module. ``questions`` returns how many calls of rosapi are not answered."""
+    """Queues the operations of one client. ``questions`` returns how many calls of rosapi are not answered."""
 
     def __init__(self, peer: Peer, questions: Callable[[], int]) -> None:
         self.waiting: deque[ops.Op | Retire] = deque()
