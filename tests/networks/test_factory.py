@@ -70,3 +70,12 @@ async def test_needs_ros() -> None:
     """A ``ros2`` graph that cannot be opened says what to source."""
     with pytest.raises(GraphUnavailable, match=r"setup\.bash before starting ropeway"):
         await make_graph("ros2:0").open()
+
+
+async def test_group() -> None:
+    """Several addresses with commas between are a group, one that is no rosbridge server cannot be in it."""
+    graph = make_graph("ws://edge1:9090,wss://edge2:9090?token=secret")
+    assert graph.kind == "group"
+    assert graph.name == "ws://edge1:9090,wss://edge2:9090?token=..."
+    with pytest.raises(GraphUnavailable, match="'dds:0' cannot be in a group"):
+        make_graph("ws://edge1:9090,dds:0")

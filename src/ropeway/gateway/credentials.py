@@ -35,7 +35,7 @@ def read_credentials(remote: RemoteConfig, index: int) -> Credentials:
     """Read the files and variables that the configuration names. Raises ``ConfigError``."""
     path, secure = f"remotes[{index}]", is_secure(remote.address)
     token = None if remote.token is None else read_secret(remote.token, f"{path}.token")
-    if token is not None and not secure and not is_loopback(remote.address):
+    if token is not None and not secure and not all(map(is_loopback, remote.addresses)):
         shown = without_token(remote.address)
         log.warning("%s: the token travels in clear; %s:// would hide it", shown, f"{shown.partition(':')[0]}s")
     context = client_context(remote.tls, f"{path}.tls") if secure else None

@@ -21,13 +21,14 @@ from ropeway.gateway.config.iort_model import StoreConfig
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.overlay_model import OVERLAY
 from ropeway.gateway.config.type_hints import learn_types, type_hints
-from ropeway.gateway.credentials import read_credentials
+from ropeway.gateway.credentials import Credentials, read_credentials
+from ropeway.gateway.group import GroupRemote
 from ropeway.gateway.last_value import LastValue, key_of
 from ropeway.gateway.nodes import Nodes
 from ropeway.gateway.process.allocator import keep_freed_memory
 from ropeway.gateway.process.counts import summed
 from ropeway.gateway.process.open_files import make_room
-from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote
+from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote, shown_address
 from ropeway.gateway.tls import server_context, trusted_files
 from ropeway.graph.layout_border import Distributed
 from ropeway.hub.hub import Hub, View
@@ -224,6 +225,8 @@ class Gateway:
                 remote = OverlayRemote(config, self._overlay_graph(config))
             elif is_iort(config.address):
                 remote = self._iort_remote(config, index)
+            elif len(config.addresses) > 1:
+                remote = self._group(config, index, mine, limits)
             else:
                 remote = self._link(config, index, mine, limits)
             await remote.graph.open()
@@ -236,6 +239,9 @@ class Gateway:
                 await bridge.start()
                 stack.push_async_callback(bridge.close)
                 remote.bridges.append((route, bridge))
+            if isinstance(remote, GroupRemote):
+                await remote.listen(self._view(stack, views, config.graph or self.config.gateway.graphs[0], config))
+                stack.push_async_callback(remote.close)
             if config.automatic is not None and isinstance(remote, OverlayRemote):
                 url = config.graph or self.config.gateway.graphs[0]
                 view = self._view(stack, views, url, config)
@@ -246,7 +252,7 @@ class Gateway:
     def _view(self, stack: AsyncExitStack, views: dict[str, View], url: str, config: RemoteConfig) -> View:
         view = views.get(url)
         if view is None:
-            view = views[url] = self.hubs[url].view(without_token(config.address))
+            view = views[url] = self.hubs[url].view(shown_address(config))
             stack.push_async_callback(view.close)
         return view
 
@@ -267,8 +273,18 @@ class Gateway:
 
     def _link(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> LinkRemote:
         shown = read_credentials(config, index)
-        graph = RosbridgeGraph(
-            config.address,
+        return LinkRemote(config, self._link_graph(config, config.address, shown, routes, limits), shown)
+
+    def _group(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> GroupRemote:
+        shown = read_credentials(config, index)
+        links = {without_token(url): self._link_graph(config, url, shown, routes, limits) for url in config.addresses}
+        return GroupRemote(config, links, routes, self.registry, shown)
+
+    def _link_graph(
+        self, config: RemoteConfig, url: str, shown: Credentials, routes: list[Route], limits: Limits
+    ) -> RosbridgeGraph:
+        return RosbridgeGraph(
+            url,
             registry=self.registry,
             limits=limits,
             ssl_context=shown.context,
@@ -279,9 +295,8 @@ class Gateway:
             watch=any(r.operation in _NEED_DISCOVERY for r in routes),
             ask_rosapi=False,
             ros1=None if config.ros is None else config.ros == 1,
-            network=make_network(self.registry, config.distro, config.types, label=without_token(config.address)),
+            network=make_network(self.registry, config.distro, config.types, label=without_token(url)),
         )
-        return LinkRemote(config, graph, shown)
 
     def _overlay_graph(self, config: RemoteConfig) -> OverlayGraph:
         from ropeway.networks.overlay.crypto.identity import Identity

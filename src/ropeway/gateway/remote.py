@@ -13,13 +13,22 @@ from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.credentials import Credentials
 from ropeway.graph.base import Graph
 from ropeway.listener.http import without_token
-from ropeway.networks.rosbridge.client import LinkState, RosbridgeGraph
+from ropeway.networks.rosbridge.client import RosbridgeGraph
 
 if TYPE_CHECKING:
     from ropeway.networks.iort import IortGraph, RemoteLink
     from ropeway.networks.overlay.graph import OverlayGraph
 
-__all__ = ["Bridge", "IortRemote", "LinkRemote", "OverlayRemote", "Remote"]
+__all__ = [
+    "Bridge",
+    "IortRemote",
+    "LinkRemote",
+    "OverlayRemote",
+    "Remote",
+    "link_state",
+    "link_status",
+    "shown_address",
+]
 
 Bridge = TopicBridge | ServiceBridge | ActionBridge
 
@@ -72,27 +81,14 @@ class LinkRemote(Remote):
     @property
     def state(self) -> str:
         """The state in one word; ``connected`` while data can flow."""
-        return "connected" if self.graph.state is LinkState.CONNECTED else self.graph.state.value
+        return link_state(self.graph)
 
     def status(self) -> dict[str, Any]:
         """Return the state of the link, for people and programs."""
-        peer = self.graph.peer
-        bytes_in, bytes_out = self.graph.traffic
-        pace = peer.connection.flow.pace.bytes_per_s if peer is not None else None
         return {
-            "address": without_token(self.config.address),
+            "address": shown_address(self.config),
             "title": self.config.title,
-            "state": self.state,
-            "error": self.graph.last_error,
-            "gateway": self.graph.remote.get("name", ""),
-            "connections": self.graph.connections,
-            "rtt_ms": None if peer is None or peer.rtt_s is None else round(1e3 * peer.rtt_s, 3),
-            "pace_bps": None if pace is None else round(8 * pace),
-            "bytes_in": bytes_in,
-            "bytes_out": bytes_out,
-            "complaints": {}
-            if peer is None
-            else {f"{kind} {topic}".strip(): n for (kind, topic), n in peer.fault_log.counts.items()},
+            **link_status(self.graph),
         }
 
 
@@ -115,7 +111,7 @@ class IortRemote(Remote):
     def status(self) -> dict[str, Any]:
         """Return the state of the link, for people and programs."""
         return {
-            "address": without_token(self.config.address),
+            "address": shown_address(self.config),
             "title": self.config.title,
             "state": self.state,
             "error": "" if self.link.connected else self.link.node.last_error,
@@ -144,7 +140,7 @@ class OverlayRemote(Remote):
     def status(self) -> dict[str, Any]:
         """Return the state of the overlay as this member sees it."""
         return {
-            "address": without_token(self.config.address),
+            "address": shown_address(self.config),
             "title": self.config.title,
             "state": self.state,
             "error": self.graph.node.trouble or self.graph.node.links.unlinked,
@@ -167,6 +163,36 @@ class OverlayRemote(Remote):
         return found
 
 
+def shown_address(config: RemoteConfig) -> str:
+    """Return the address of a remote without secrets; of a group all of them."""
+    return ",".join(map(without_token, config.addresses))
+
+
+def link_state(graph: RosbridgeGraph) -> str:
+    """Return how a link is, in one word; ``connected`` where data can flow."""
+    return graph.state.value
+
+
+def link_status(graph: RosbridgeGraph) -> dict[str, Any]:
+    """Return a link as it stands, as JSON."""
+    peer = graph.peer
+    bytes_in, bytes_out = graph.traffic
+    pace = peer.connection.flow.pace.bytes_per_s if peer is not None else None
+    return {
+        "state": link_state(graph),
+        "error": graph.last_error,
+        "gateway": graph.remote.get("name", ""),
+        "connections": graph.connections,
+        "rtt_ms": None if peer is None or peer.rtt_s is None else round(1e3 * peer.rtt_s, 3),
+        "pace_bps": None if pace is None else round(8 * pace),
+        "bytes_in": bytes_in,
+        "bytes_out": bytes_out,
+        "complaints": {}
+        if peer is None
+        else {f"{kind} {topic}".strip(): n for (kind, topic), n in peer.fault_log.counts.items()},
+    }
+
+
 def _route(route: Route, bridge: Bridge, state: str) -> dict[str, Any]:
     """Return one row of the table of routes."""
     common = {
@@ -174,7 +200,7 @@ def _route(route: Route, bridge: Bridge, state: str) -> dict[str, Any]:
         "operation": route.operation,
         "name": route.name,
         "remote_name": route.remote_name,
-        "address": without_token(route.remote.address),
+        "address": shown_address(route.remote),
         "type": route.type,
         "state": bridge.state if state == "connected" else state,
     }

@@ -63,6 +63,10 @@ T = TypeVar("T")
 HEDGE_PERCENT: Final = 95.0
 """A second member is asked once the first takes longer than so many percent of its answers do: 5 % more requests."""
 
+HEDGE_SLACK: Final = 0.1
+HEDGE_LEAST_SLACK_S: Final = 0.001
+"""What is added to that, as a share and at least: machines that are steady would else be hedged by chance."""
+
 HEDGE_S: Final = 0.1
 """When the second is asked while nothing is known of the first, and no bound says what is late."""
 
@@ -129,6 +133,7 @@ class Group:
         self._parts: dict[Any, None] = {}
         self._told: int = 0
         self._open = False
+        self._opened: dict[str, Graph] = {}
 
     # ── opening, members, closing ──────────────────────────────────────────────────────────────────────────────
 
@@ -150,7 +155,7 @@ class Group:
         for name in names:
             if name in failed:
                 continue
-            graph = self.members[name]
+            graph = self._opened[name] = self.members[name]
             self._stack.push_async_callback(graph.close)
             if isinstance(graph, Connecting):
                 graph.on_reached(functools.partial(self._reached, name))
@@ -169,6 +174,7 @@ class Group:
         for part in list(self._parts):
             await part.close()
         await self._stack.aclose()
+        self._opened.clear()
         self._changes.close()
 
     def now(self) -> float:
@@ -225,7 +231,8 @@ class Group:
         current = self.scheduler.current
         found = self.scheduler.window(current).statistics(self.now()) if current else None
         if found is not None and found.answered:
-            return found.percentile(HEDGE_PERCENT)
+            usual_s = found.percentile(HEDGE_PERCENT)
+            return usual_s + max(HEDGE_SLACK * usual_s, HEDGE_LEAST_SLACK_S)
         return self.scheduler.bound.limit_s or HEDGE_S
 
     # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────
@@ -257,7 +264,7 @@ class Group:
         made = GroupSubscription(self, name, callback, exchange, stamp_reader(self.registry, type))
         parts: dict[str, Subscription] = {}
         try:
-            for member, graph in self._opened():
+            for member, graph in self._here():
                 arrived = functools.partial(made.arrived, member)
                 parts[member] = await graph.create_subscription(topic, type, qos, arrived, delivery=delivery)
         except BaseException:
@@ -297,16 +304,16 @@ class Group:
         )
         return self._keep(GroupActionServer(self, resolve_name(action), next(iter(parts.values())).type, parts))
 
-    def _opened(self) -> list[tuple[str, Graph]]:
+    def _here(self) -> list[tuple[str, Graph]]:
         if not self._open:
             raise GraphUnavailable(self.name, "is not open; call open() first")
-        return list(self.members.items())
+        return list(self._opened.items())
 
     async def _each(self, make: Callable[[Graph], Any]) -> dict[str, Any]:
         """Make a part on every member; what was made is closed again if one cannot be."""
         made: dict[str, Any] = {}
         try:
-            for name, graph in self._opened():
+            for name, graph in self._here():
                 made[name] = await make(graph)
         except BaseException:
             for part in made.values():
@@ -327,7 +334,7 @@ class Group:
     def topics(self) -> dict[str, TopicInfo]:
         """Return what is discovered on any member."""
         found: dict[str, list[TopicInfo]] = {}
-        for graph in self.members.values():
+        for graph in self._opened.values():
             for name, info in graph.topics().items():
                 found.setdefault(name, []).append(info)
         return {
@@ -340,7 +347,7 @@ class Group:
     def services(self) -> dict[str, ServiceInfo]:
         """Return what is served on any member."""
         found: dict[str, list[ServiceInfo]] = {}
-        for graph in self.members.values():
+        for graph in self._opened.values():
             for name, info in graph.services().items():
                 found.setdefault(name, []).append(info)
         return {
@@ -351,7 +358,7 @@ class Group:
     def actions(self) -> dict[str, ActionInfo]:
         """Return the actions of any member."""
         found: dict[str, list[ActionInfo]] = {}
-        for graph in self.members.values():
+        for graph in self._opened.values():
             for name, info in graph.actions().items():
                 found.setdefault(name, []).append(info)
         return {
@@ -361,7 +368,7 @@ class Group:
 
     def nodes(self) -> dict[str, NodeInfo]:
         """Return the nodes of every member; one that is on several is told of once."""
-        return {name: info for graph in self.members.values() for name, info in graph.nodes().items()}
+        return {name: info for graph in self._opened.values() for name, info in graph.nodes().items()}
 
     def changes(self) -> AsyncIterator[GraphEvent]:
         """Return what changes on any member from now on."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 
 from ropeway.graph.base import Publisher, Sample, SampleCallback, Subscription, Undelivered
@@ -30,6 +31,7 @@ class GroupPublisher:
         self._group, self._parts = group, dict(parts)
         self._exchange, self._stamp = exchange, stamp
         self._timers: set[asyncio.TimerHandle] = set()
+        self._numbers = itertools.count()
 
     def publish(self, sample: Sample) -> None:
         """Give the message to whoever is in use, and to a second where the policy says so."""
@@ -38,7 +40,7 @@ class GroupPublisher:
             self._group.drops[self.topic, Undelivered.NOBODY] += 1
             return
         if self._exchange is not None and self._stamp is not None:
-            key = (self.topic, sample.origin, sample.seq)
+            key = (self.topic, next(self._numbers))
             stamp = self._stamp(sample.payload)
             self._exchange.asked(names, key, stamp, self._group.now())
             second = self._group.second()

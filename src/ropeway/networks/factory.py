@@ -1,5 +1,6 @@
 """Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ros1``, ``ros1:http://host:11311``,
-``ws://host:9090``, ``memory:x``, ``overlay:robot1.ropeway``, ``iort://host:7410``.
+``ws://host:9090``, ``memory:x``, ``overlay:robot1.ropeway``, ``iort://host:7410``. Several ``ws://`` addresses with commas
+between are a group.
 
 ``ros2`` goes through the installed rclpy, in the domain of ``ROS_DOMAIN_ID`` unless it names one. ``auto`` is ``ros2``
 where rclpy can be imported, because ROS 2 is sourced, and else ``dds`` in the same domain. ``ros1`` is the master of
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl, urlsplit
 
 from ropeway.errors import GraphUnavailable
+from ropeway.listener.http import without_token
 
 if TYPE_CHECKING:
     from ropeway.graph.base import Graph
@@ -81,6 +83,9 @@ def make_graph(
     if scheme in ("ws", "wss"):
         from ropeway.networks.rosbridge.client import RosbridgeGraph
 
+        if "," in url:
+            return _group(url, registry=registry, gateway_id=gateway_id, name=name, **options)
+
         return RosbridgeGraph(url, registry=registry, gateway_id=gateway_id, name=name, **options)  # type: ignore[arg-type]
     if scheme == "memory":
         from ropeway.networks.memory.graph import MemoryGraph
@@ -95,6 +100,19 @@ def make_graph(
         "is no graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, ros1, ros1:http://host:11311, "
         "ws://host:9090, wss://host, iort://host:7410 or overlay:NAME.ropeway",
     )
+
+
+def _group(url: str, **options: Any) -> Graph:
+    """Several rosbridge servers or gateways that offer the same."""
+    from ropeway.group import Group
+    from ropeway.networks.rosbridge.client import RosbridgeGraph
+
+    addresses = url.split(",")
+    for address in addresses:
+        if not address.startswith(("ws://", "wss://")):
+            raise GraphUnavailable(url, f"{address!r} cannot be in a group; write ws://edge1:9090,ws://edge2:9090")
+    members = {without_token(address): RosbridgeGraph(address, **options) for address in addresses}
+    return Group(members, name=without_token(url), registry=options["registry"])
 
 
 def _iort(url: str, query: dict[str, str], name: str, registry: TypeRegistry | None) -> Graph:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Final
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
-from ropeway.gateway.config.suggest import did_you_mean, one_of
+from ropeway.gateway.config.suggest import did_you_mean, one_of, show
 from ropeway.types.distros import ROS2_DISTROS
 
 __all__ = [
@@ -63,10 +63,10 @@ def parse_link(text: str) -> str:
     parts = _split(text, ("overlay",))
     host, port = parts.hostname or "", parts.port if parts.port is not None else LINKS[parts.scheme]
     if not 1 <= port <= 65535:
-        raise ValueError(f'expected a port from 1 to 65535, got "{text}"')
+        raise ValueError(f"expected a port from 1 to 65535, got {show(text)}")
     path = "" if parts.path == "/" else parts.path
     if parts.scheme in ("iort", "iorts") and (path or parts.query):
-        raise ValueError(f'the address of a server of nodes has no path, got "{text}"')
+        raise ValueError(f"the address of a server of nodes has no path, got {show(text)}")
     return f"{parts.scheme}://{_bracketed(host)}:{port}{path}{'?' + parts.query if parts.query else ''}"
 
 
@@ -74,7 +74,7 @@ def parse_listen(text: str) -> str:
     """Normalise a listener's address; port 0 takes any free port. Raises ``ValueError`` with what was expected."""
     parts = _split(text)
     if parts.path not in ("", "/") or parts.query:
-        raise ValueError(f'a listener has no path; expected ws://host:port, got "{text}"')
+        raise ValueError(f"a listener has no path; expected ws://host:port, got {show(text)}")
     port = parts.port if parts.port is not None else LINKS[parts.scheme]
     return f"{parts.scheme}://{_bracketed(parts.hostname or '')}:{port}"
 
@@ -84,13 +84,13 @@ def parse_graph(text: str) -> str:
     kind = text.partition(":")[0]
     if kind not in GRAPHS:
         near = did_you_mean(kind, GRAPHS)
-        raise ValueError(f'expected a graph such as dds:0 (kinds: {", ".join(GRAPHS)}), got "{text}"{near}')
+        raise ValueError(f"expected a graph such as dds:0 (kinds: {', '.join(GRAPHS)}), got {show(text)}{near}")
     match = re.fullmatch(GRAPHS[kind], text)
     if match is None:
-        raise ValueError(f'expected {_WRITTEN[kind]}, got "{text}"')
+        raise ValueError(f"expected {_WRITTEN[kind]}, got {show(text)}")
     domain = match.groupdict().get("domain")
     if domain is not None and int(domain) > _MAX_DOMAIN:
-        raise ValueError(f'expected a {_DOMAINS[kind]} domain from 0 to {_MAX_DOMAIN}, got "{text}"')
+        raise ValueError(f"expected a {_DOMAINS[kind]} domain from 0 to {_MAX_DOMAIN}, got {show(text)}")
     distro = dict(parse_qsl(text.partition("?")[2])).get("distro")
     if distro is not None and distro not in ROS2_DISTROS:
         raise ValueError(f"distro: {one_of(distro, ROS2_DISTROS)}")
@@ -128,7 +128,7 @@ def is_iort(address: str) -> bool:
 
 
 def _split(text: str, others: tuple[str, ...] = ()) -> SplitResult:
-    wanted = f'expected {" or ".join((*(f"{scheme}://host:port" for scheme in LINKS), *others))}, got "{text}"'
+    wanted = f"expected {' or '.join((*(f'{scheme}://host:port' for scheme in LINKS), *others))}, got {show(text)}"
     scheme, colon, _ = text.strip().partition("://")
     if not colon:
         raise ValueError(wanted)

@@ -308,8 +308,14 @@ def _auth(gateway: Mapping[str, Any]) -> Iterable[Problem]:
         yield "gateway.auth.certificates", "needs gateway.tls with ca: only so are clients asked for certificates"
 
 
+def _first_address(remote: Mapping[str, Any]) -> object:
+    """Return the address; of a group the first, which says what kind all are."""
+    address = remote.get("address")
+    return address[0] if isinstance(address, list) and address else address
+
+
 def _remote(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable[Problem]:
-    address = _attempt(parse_link, remote.get("address"))
+    address = _attempt(parse_link, _first_address(remote))
     tls = remote.get("tls")
     if isinstance(tls, Mapping):
         if address is not None and not is_secure(address):
@@ -321,10 +327,13 @@ def _remote(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable
         if remote.get(key) is None:
             continue
         if not isinstance(address, str) or not address.startswith("ws"):
-            if address is not None or remote.get("address") == OVERLAY:
+            if address is not None or _first_address(remote) == OVERLAY:
                 yield f"{path}.{key}", f"only ws:// and wss:// remotes have this key, and this is {remote['address']}"
         elif remote.get("ros") == 1:
             yield f"{path}.{key}", 'a remote of ROS 1 has no layouts of ROS 2; leave this or "ros": 1 out'
+    listed = remote.get("address")
+    if remote.get("anycast") is not None and not (isinstance(listed, list) and len(listed) > 1):
+        yield f"{path}.anycast", f"needs several addresses; {path}.address is one"
     graph = _attempt(parse_graph, remote.get("graph"))
     if graph is not None and graphs and graph not in graphs:
         near = did_you_mean(graph, [g for g in graphs if isinstance(g, str)])
@@ -333,7 +342,7 @@ def _remote(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable
 
 def _overlay(remote: Mapping[str, Any], path: str, gateway: Mapping[str, Any]) -> Iterable[Problem]:
     """Check the keys that only a remote in the overlay has, and those that it does not have."""
-    there = remote.get("address") == OVERLAY
+    there = _first_address(remote) == OVERLAY
     if there and gateway.get("overlay") is None and not _inactive(remote):
         yield f"{path}.address", 'the overlay needs gateway.overlay with an "identity"; ropeway keys issue writes one'
     for key in ("tls", "token") if there else ("unique", "readers", "callers", "automatic"):
@@ -354,7 +363,7 @@ def _overlay(remote: Mapping[str, Any], path: str, gateway: Mapping[str, Any]) -
 
 def _iort(remote: Mapping[str, Any], path: str) -> Iterable[Problem]:
     """Check the keys that only a server of nodes has, and those that it does not have."""
-    address = _attempt(parse_link, remote.get("address"))
+    address = _attempt(parse_link, _first_address(remote))
     if address is None or not is_iort(address):
         if remote.get("maps"):
             yield f"{path}.maps", "needs an iort:// address; maps of listeners stand under gateway.iort"

@@ -21,15 +21,15 @@ from pydantic_core import PydanticCustomError
 
 from ropeway.budget import ACCOUNT_BYTES, PROCESS_BYTES, Budget
 from ropeway.errors import InvalidName, InvalidTypeName
-from ropeway.gateway.config.address import default_graph, parse_graph, parse_link, parse_listen
+from ropeway.gateway.config.address import default_graph, parse_graph, parse_listen
 from ropeway.gateway.config.auth_model import AuthConfig, GlobsConfig, Secret
 from ropeway.gateway.config.fields import ExistingPath, Many, Model
 from ropeway.gateway.config.graph_model import Distro, GraphConfig, GraphItem
+from ropeway.gateway.config.group_model import Addresses, AnycastConfig
 from ropeway.gateway.config.iort_model import IortConfig, MapList, StoreConfig
 from ropeway.gateway.config.overlay_model import (
     METADATA,
     METADATUM,
-    OVERLAY,
     AutomaticConfig,
     Metadatum,
     OverlayConfig,
@@ -95,10 +95,6 @@ def _node_part(value: str) -> str:
     if not _PART.fullmatch(value):
         raise ValueError(f"expected letters, digits and _, not starting with a digit, got {show(value)}")
     return value
-
-
-def _address(value: str) -> str:
-    return OVERLAY if value == OVERLAY else parse_link(value)
 
 
 def _url_path(value: str) -> str:
@@ -348,9 +344,10 @@ class ListenTls(Model):
 class RemoteConfig(Model):
     """Configures another gateway (or rosbridge server) and what crosses to and from it."""
 
-    address: Annotated[str, AfterValidator(_address)] = Field(
+    addresses: Addresses = Field(
+        alias="address",
         description="ws://host:port or wss://host:port, overlay: everybody in the overlay, or iort://host:port: a "
-        "server of IoRT nodes"
+        "server of IoRT nodes; a list of ws:// or wss:// addresses that offer the same is a group",
     )
     title: str = Field("", description="for people")
     active: Switch = Field(True, description="false: parsed and checked, but not started")
@@ -384,6 +381,7 @@ class RemoteConfig(Model):
     automatic: AutomaticConfig | None = Field(
         None, description="overlay: topics are offered and fetched as the local graph needs"
     )
+    anycast: AnycastConfig | None = Field(None, description="of a group: which address gets a request")
     token: Secret | None = Field(None, description='shown to the remote: {"env": "NAME"} or {"file": "PATH"}')
     publish: Many[TopicItem] = Field((), description="topics sent to the remote")
     subscribe: Many[TopicItem] = Field((), description="topics fetched from the remote")
@@ -394,6 +392,11 @@ class RemoteConfig(Model):
     reserve_service: Many[ServiceItem] = Field((), alias="reserve-service", description="remote services offered here")
     expose_action: Many[ActionItem] = Field((), alias="expose-action", description="local actions offered there")
     reserve_action: Many[ActionItem] = Field((), alias="reserve-action", description="remote actions offered here")
+
+    @property
+    def address(self) -> str:
+        """The address; of a group all of them, with commas between."""
+        return ",".join(self.addresses)
 
     def items(self) -> Iterable[tuple[str, int, BridgedName]]:
         """Yield every ``(operation, index, item)``, in the order of ``OPERATIONS``."""

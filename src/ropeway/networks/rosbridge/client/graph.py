@@ -140,6 +140,10 @@ class RosbridgeGraph:
         """Call with the state of the connection, now and at each change."""
         self._keeper.on_state(callback)
 
+    def on_reached(self, callback: Callable[[bool], None]) -> None:
+        """Call with whether the far side is connected, now and at each change."""
+        self.on_state(lambda state: callback(state is LinkState.CONNECTED))
+
     def on_answer(self, callback: Callable[[str], None]) -> None:
         """See ``Answering.on_answer``: whether the server lets us in."""
         self._keeper.answers.on_answer(callback)
