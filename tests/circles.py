@@ -33,7 +33,7 @@ STANDING: Final[Mapping[str, str]] = {
     ),
     "networks.rosbridge.client.parts": "networks.rosbridge.client.graph",
     "networks.rosbridge.client.refusals": "networks.rosbridge.client.calls",
-    "networks.rosbridge.client.spelling": "networks.rosbridge.client.graph",
+    "networks.rosbridge.client.ros1_spelling": "networks.rosbridge.client.graph",
     "networks.rosbridge.link.calls": "networks.rosbridge.link.sender",
     "networks.rosbridge.link.channel": "networks.rosbridge.link.express networks.rosbridge.link.sender",
     "networks.rosbridge.link.express": "networks.rosbridge.link.channel networks.rosbridge.link.peer",
@@ -46,7 +46,7 @@ STANDING: Final[Mapping[str, str]] = {
     "networks.rosbridge.server.topic_channels": "networks.rosbridge.server.session",
     "types.codec": "types.registry",
     "types.distros": "types.registry types.variant",
-    "types.told": "types.registry",
+    "types.told_types": "types.registry",
 }
 """Which files still import what imports them, each name without ``ropeway.``."""
 

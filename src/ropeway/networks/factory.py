@@ -1,6 +1,6 @@
 """Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ros1``, ``ros1:http://host:11311``,
-``ws://host:9090``, ``memory:x``, ``overlay:robot1.ropeway``, ``iort://host:7410``. Several ``ws://`` addresses with commas
-between are a group.
+``ws://host:9090``, ``memory:x``, ``overlay:robot1.ropeway``, ``iort://host:7410``. Several ``ws://`` addresses with
+commas between are a group.
 
 ``ros2`` goes through the installed rclpy, in the domain of ``ROS_DOMAIN_ID`` unless it names one. ``auto`` is ``ros2``
 where rclpy can be imported, because ROS 2 is sourced, and else ``dds`` in the same domain. ``ros1`` is the master of
