@@ -11,7 +11,7 @@ PARALLEL = -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 COVERAGE = $(shell $(BIN)/python -c 'import sys; print("COVERAGE_CORE=sysmon" * (sys.version_info >= (3, 12)))' 2>/dev/null)
 export PYTHON
 
-.PHONY: help demo demo-iort test test-all cov lint bench fuzz clean
+.PHONY: help demo demo-iort test test-all test-dds cov lint bench fuzz clean
 
 help: ## show this
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-10s %s\n", $$1, $$2}'
@@ -27,6 +27,10 @@ test: $(VENV)/dev.stamp ## all tests but the slow ones; TEST="-k outbox" for som
 
 test-all: $(VENV)/dev.stamp ## all tests, with a short run of the fuzzer and of everything that must not grow
 	@$(BIN)/python -m pytest -q $(PARALLEL) $(TEST)
+
+test-dds: $(VENV)/dev.stamp ## the tests of DDS against the C library of Debian (apt install cyclonedds-tools), not the wheel's
+	@ROPEWAY_DDS_LIBRARY=$(or $(DDS_LIBRARY),$(lastword $(sort $(wildcard /usr/lib/*/libddsc.so.*.*.*)))) \
+		$(BIN)/python -m pytest -q $(PARALLEL) -m "not slow" --ignore tests/networks/dds/fastdds tests/networks/dds $(TEST)
 
 cov: $(VENV)/dev.stamp ## all tests but the slow ones, with the lines that they reach, and a floor for every module
 	@$(COVERAGE) $(BIN)/python -m pytest -q $(PARALLEL) -m "not slow" --cov --cov-report=json --cov-report=term:skip-covered $(TEST)

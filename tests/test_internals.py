@@ -20,8 +20,7 @@ from rosbags.rosbag1 import Reader, Writer
 
 from ropeway.listener.connection import Connection, Limits
 from ropeway.listener.websocket import connect, listen
-from ropeway.networks.dds import DdsGraph
-from ropeway.networks.dds.raw import WHEEL_VERSION
+from ropeway.networks.dds import DdsGraph, library
 from ropeway.networks.overlay import link_sockets
 from ropeway.networks.overlay.zenoh_config import gateway_config, gateway_id, router_config
 from tests.networks.overlay.fleet import member
@@ -66,8 +65,10 @@ def test_failures_say_what_to_do() -> None:
 
 
 def test_cyclonedds_version() -> None:
-    """The wheel that the raw path takes is the pinned one."""
-    assert f"`cyclonedds=={WHEEL_VERSION}`" in PAGE
+    """The layouts of the pinned wheel are known."""
+    version = importlib.metadata.version("cyclonedds")
+    assert f"`cyclonedds=={version}`" in PAGE
+    assert version.startswith(library.KNOWN)
 
 
 async def test_cyclonedds_layouts() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import shutil
+import sys
 from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
@@ -17,6 +19,10 @@ def domain() -> int:
     """A domain for one test."""
     return next(_domains)
 
+
+needs_elf = pytest.mark.skipif(
+    sys.platform != "linux" or shutil.which("cc") is None, reason="there is no C compiler, or this is not Linux"
+)
 
 Join = Callable[..., Awaitable[DdsGraph]]
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ctypes
-import importlib.util
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from ropeway.errors import GraphUnavailable
-from ropeway.networks.dds import raw, selftest
+from ropeway.networks.dds import library, raw, selftest
+from ropeway.networks.dds.raw import lib
 from ropeway.qos import QoS
 from tests.support.messages import text
 
@@ -23,20 +25,32 @@ def unverified(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "told"),
+    ("change", "told"),
     [
-        ("SERDATA_TIMESTAMP", 24, "timestamp"),
-        ("SERDATA_SIZE", 68, "size"),
-        ("SERDATA_HEADER", 112, "payload"),
+        (lambda layout: layout._replace(timestamp=24), "timestamp"),
+        (lambda layout: layout._replace(size=68), "size"),
+        (lambda layout: layout._replace(header=112), "payload"),
     ],
+    ids=["timestamp", "size", "header"],
 )
 async def test_other_layout(
-    join: Join, monkeypatch: pytest.MonkeyPatch, unverified: None, name: str, value: int, told: str
+    join: Join,
+    monkeypatch: pytest.MonkeyPatch,
+    unverified: None,
+    change: Callable[[library.Layout], library.Layout],
+    told: str,
 ) -> None:
     """A library whose structs differ is refused before anything is read from them, with what differs."""
-    monkeypatch.setattr(raw, name, value)
+    layouts = [change(layout) for layout in library.LAYOUTS]
+    monkeypatch.setattr(library, "LAYOUTS", layouts)
     with pytest.raises(GraphUnavailable, match=told):
         await join()
+
+
+async def test_layout_of_this_version(join: Join, unverified: None) -> None:
+    """The layout that fits is one of those known for the version of the library."""
+    await join()
+    assert library.version_of(Path(lib.name.split()[0])).startswith(lib.version.split()[0])
 
 
 async def test_other_sample_info(join: Join, monkeypatch: pytest.MonkeyPatch, unverified: None) -> None:
@@ -49,7 +63,7 @@ async def test_other_sample_info(join: Join, monkeypatch: pytest.MonkeyPatch, un
 
 
 async def test_verified_once(join: Join, unverified: None) -> None:
-    """The self-test passes with the pinned wheel, and is done once."""
+    """The self-test passes with the library, and is done once."""
     await join()
     assert selftest._state["verified"]
 
@@ -60,7 +74,7 @@ async def test_serdata_round_trip(join: Join, payload: bytes) -> None:
     graph = await join()
     writer = graph.participant.create_writer(("rt/t", DDS_STRING), QoS(), b"", print)
     serdata = raw.make_serdata(writer._sertype, payload)
-    assert ctypes.string_at(serdata + raw.SERDATA_HEADER, len(payload)) == payload
+    assert ctypes.string_at(serdata + lib.header_at, len(payload)) == payload
     raw.lib.serdata_unref(serdata)
 
 
@@ -72,9 +86,10 @@ async def test_errors_speak(join: Join) -> None:
     assert raw.check(5, "x") == 5
 
 
-def test_no_wheel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the wheel, the error says how to get it."""
+def test_no_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a library, the graph says why, and what to install."""
     monkeypatch.setattr(raw.Lib, "loaded", False)
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    with pytest.raises(GraphUnavailable, match="pip install"):
+    monkeypatch.setattr(library, "_candidates", lambda _: iter(()))
+    monkeypatch.delenv(library.ENVIRONMENT, raising=False)
+    with pytest.raises(GraphUnavailable, match=r"^dds:0: no Cyclone DDS library .*cyclonedds"):
         raw.load("dds:0")

@@ -1,9 +1,22 @@
-"""A peer that speaks DDS through the classes of cyclonedds, with type information, as an ordinary DDS program does."""
+"""A peer that speaks DDS through the classes of cyclonedds, with type information, as an ordinary DDS program does.
 
+Its library is that of the wheel. Where ours is another, both meet on the network.
+"""
+
+import contextlib
+import os
 from dataclasses import dataclass
 from typing import Any
 
-from cyclonedds.domain import DomainParticipant
+import pytest
+
+from ropeway.networks.dds import library
+from ropeway.networks.dds.profile import make_profile
+
+pytest.importorskip("cyclonedds", reason="there is no wheel of cyclonedds")
+
+from cyclonedds.core import DDSException
+from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
@@ -14,6 +27,10 @@ from cyclonedds.util import duration
 RELIABLE = Policy.Reliability.Reliable(duration(seconds=1))
 BEST_EFFORT = Policy.Reliability.BestEffort
 LATCHED = (RELIABLE, Policy.Durability.TransientLocal, Policy.History.KeepLast(1))
+
+
+SEPARATE = bool(os.environ.get(library.ENVIRONMENT))
+"""Whether our library is another than the wheel's."""
 
 
 @dataclass
@@ -30,6 +47,10 @@ class Peer:
     """One participant; ``enclave`` is in its USER_DATA as ROS has it."""
 
     def __init__(self, domain: int) -> None:
+        self._domain: Any = None
+        if SEPARATE:
+            with contextlib.suppress(DDSException):  # another peer has made it
+                self._domain = Domain(domain, make_profile("peer", "lo").xml)
         self.participant = DomainParticipant(domain, qos=Qos(Policy.Userdata(b"enclave=/;")))
         self._parts: list[Any] = []
 

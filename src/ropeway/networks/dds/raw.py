@@ -1,13 +1,13 @@
-"""Serialised messages in and out of Cyclone DDS, by ctypes on the library inside the ``cyclonedds`` wheel.
+"""Serialised messages in and out of Cyclone DDS, by ctypes on its C library.
 
-The wheel's own classes serialise in Python; its library can do without. A topic made here has an opaque type of one
+Its Python classes serialise in Python; the library can do without. A topic made here has an opaque type of one
 octet under the name of the real type, and Cyclone DDS passes whatever CDR follows through unread. Since neither side
 then has type information to compare, endpoints match by name, as those of ROS 2 do.
 
-Functions keep their C names less the ``dds_`` prefix. They are looked up by ``load()``, once per process, which
-refuses a wheel other than the pinned one; ``selftest`` then checks the memory layouts that this module relies on
-against a live participant. Every function returns what the C function returns: negative numbers are errors, which
-``check`` raises as ``DdsError``.
+Functions keep their C names less the ``dds_`` prefix. They are looked up by ``load()``, once per process, in the
+library that ``library`` finds; what older versions lack is made up for. ``selftest`` then finds which of the known
+memory layouts it has, against a live participant. Every function returns what the C function returns: negative numbers
+are errors, which ``check`` raises as ``DdsError``.
 
 Two kinds of prototypes: functions that may block or copy much release the GIL, the small ones hold it.
 """
@@ -15,14 +15,12 @@ Two kinds of prototypes: functions that may block or copy much release the GIL, 
 from __future__ import annotations
 
 import ctypes as ct
-import importlib.metadata
-import importlib.util
 import struct
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, Final
 
 from ropeway.errors import GraphUnavailable
+from ropeway.networks.dds import library, memory
 
 __all__ = [
     "ALIVE",
@@ -36,12 +34,8 @@ __all__ = [
     "PRECONDITION_NOT_MET",
     "PUBLICATION_MATCHED",
     "SERDATA_DATA",
-    "SERDATA_HEADER",
-    "SERDATA_SIZE",
-    "SERDATA_TIMESTAMP",
     "SUBSCRIPTION_MATCHED",
     "TIMEOUT",
-    "WHEEL_VERSION",
     "BuiltinEndpoint",
     "DdsError",
     "IoVec",
@@ -56,8 +50,6 @@ __all__ = [
     "load",
     "user_data_of",
 ]
-
-WHEEL_VERSION: Final = "11.0.1"
 
 INFINITY: Final = 2**63 - 1
 TIMEOUT: Final = -10
@@ -75,10 +67,6 @@ PUBLICATION_MATCHED: Final = 1 << 11
 SUBSCRIPTION_MATCHED: Final = 1 << 12
 
 SERDATA_DATA: Final = 2  # a sample, not only its key
-# struct dds_serdata_default of the pinned version; selftest compares each with what the library does.
-SERDATA_TIMESTAMP: Final = 32
-SERDATA_SIZE: Final = 64  # without the CDR header
-SERDATA_HEADER: Final = 116  # the CDR header, and the payload right behind it
 
 _i32, _u32, _i64, _u64, _vp, _size = ct.c_int32, ct.c_uint32, ct.c_int64, ct.c_uint64, ct.c_void_p, ct.c_size_t
 _out = ct.POINTER
@@ -237,9 +225,20 @@ _PROTOTYPES: Final[dict[str, tuple[bool, Any, tuple[Any, ...]]]] = {
 
 
 class Lib:
-    """The functions of the library, as attributes, once ``load()`` has found them."""
+    """The functions of the library, as attributes, once ``load()`` has found them, and its layout."""
 
     loaded = False
+    name = "Cyclone DDS"
+    """The library for people: its path and version."""
+
+    version = library.LAYOUTS[0].version
+    timestamp_at = library.LAYOUTS[0].timestamp
+    size_at = library.LAYOUTS[0].size
+    header_at = library.LAYOUTS[0].header
+
+    def use(self, layout: library.Layout) -> None:
+        """Read and write serialised samples in this layout from now on."""
+        self.version, self.timestamp_at, self.size_at, self.header_at = layout
 
     strretcode: Function
     create_domain: Function
@@ -313,46 +312,60 @@ _OCTET_OPS = (_u32 * 3)(0x01010000, 0, 0)
 
 
 def load(graph: str) -> None:
-    """Find the library and its functions; raises ``GraphUnavailable`` where the wheel is missing or another."""
+    """Find the library and its functions; raises ``GraphUnavailable`` where there is none, or another one."""
     if lib.loaded:
         return
-    advice = f"install it with: pip install cyclonedds=={WHEEL_VERSION}"
     try:
-        version = importlib.metadata.version("cyclonedds")
-    except importlib.metadata.PackageNotFoundError:
-        raise GraphUnavailable(graph, f"the cyclonedds wheel is not installed; {advice}") from None
-    if version != WHEEL_VERSION:
-        raise GraphUnavailable(
-            graph, f"cyclonedds {version} is installed, and this works with {WHEEL_VERSION} only; {advice}"
-        )
-    try:
-        dll = ct.CDLL(_library_path())
-    except OSError as error:
-        raise GraphUnavailable(graph, f"the library of cyclonedds cannot be loaded ({error}); {advice}") from error
+        found = library.find()
+    except library.LibraryMissing as error:
+        raise GraphUnavailable(graph, str(error)) from None
+    stand_ins = _stand_ins(found.dll)
     for symbol, (releases_gil, result, arguments) in _PROTOTYPES.items():
         kind = ct.CFUNCTYPE if releases_gil else ct.PYFUNCTYPE
         try:
-            function = kind(result, *arguments)((symbol, dll))
+            function: Function = kind(result, *arguments)((symbol, found.dll))
         except AttributeError:
-            raise GraphUnavailable(
-                graph, f"the library of cyclonedds {version} lacks {symbol}, so this is another build; {advice}"
-            ) from None
+            if symbol not in stand_ins:
+                raise GraphUnavailable(
+                    graph, f"{found.path} lacks {symbol}, so it is no build that Ropeway knows; see docs/install.md"
+                ) from None
+            function = stand_ins[symbol]
         setattr(lib, symbol.removeprefix("dds_").removeprefix("ddsi_"), function)
     _, result, arguments = _PROTOTYPES["ddsi_serdata_from_ser_iov"]
-    lib.serdata_from_ser_iov_nogil = ct.CFUNCTYPE(result, *arguments)(("ddsi_serdata_from_ser_iov", dll))
+    lib.serdata_from_ser_iov_nogil = ct.CFUNCTYPE(result, *arguments)(("ddsi_serdata_from_ser_iov", found.dll))
+    Lib.name = f"{found.path} {found.version}".rstrip()
     Lib.loaded = True
 
 
-def _library_path() -> str:
-    """Return where the wheel keeps its library, without importing the wheel's classes, which takes 0.2 s."""
-    spec = importlib.util.find_spec("cyclonedds")
-    if spec is None or spec.origin is None:
-        raise OSError("the package cyclonedds has no files")
-    package = Path(spec.origin).parent
-    for pattern in ("../cyclonedds.libs/libddsc*", ".dylibs/libddsc*", "../cyclonedds.libs/ddsc*"):
-        for found in sorted(package.glob(pattern)):
-            return str(found.resolve())
-    raise OSError(f"no libddsc beside {package}")
+_MAX_TOPIC_BYTES: Final = 1024  # of which an entity's own part is a third
+
+
+def _stand_ins(dll: ct.CDLL) -> dict[str, Function]:
+    """Return what takes the place of functions that 0.10 lacks."""
+
+    def get_entity_sertype(topic: int, out: Any) -> int:
+        """Find the sertype behind a topic by its table of functions, which has a name."""
+        try:
+            table = ct.addressof(ct.c_char.in_dll(dll, "ddsi_sertype_ops_default"))
+        except ValueError:
+            return BAD_PARAMETER
+        pinned = _vp()
+        code: int = lib.entity_pin(topic, ct.byref(pinned))
+        if code < 0:
+            return code
+        try:
+            for pointer in memory.words(pinned.value or 0, _MAX_TOPIC_BYTES):
+                if memory.read(pointer, 8) == table.to_bytes(8, "little"):
+                    out._obj.value = pointer
+                    return 0
+        finally:
+            lib.entity_unpin(pinned)
+        return BAD_PARAMETER
+
+    return {
+        "dds_get_entity_sertype": get_entity_sertype,
+        "dds_qset_writer_batching": lambda _qos, _batch: None,  # each sample goes at once, as it always did there
+    }
 
 
 def check(code: int, action: str) -> int:

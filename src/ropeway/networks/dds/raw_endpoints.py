@@ -14,9 +14,6 @@ from ropeway.networks.dds.raw import (
     ANY_STATE,
     INFO,
     SERDATA_DATA,
-    SERDATA_HEADER,
-    SERDATA_SIZE,
-    SERDATA_TIMESTAMP,
     IoVec,
     SampleInfo,
     check,
@@ -130,7 +127,7 @@ class RawReader:
             check(count, "takecdr")
             return
         stamp = self._clock()
-        identities, unref = self._identities, lib.serdata_unref
+        identities, unref, size_at = self._identities, lib.serdata_unref, lib.size_at
         pending = self._pending
         if pending is None:
             pending = self._pending = deque()
@@ -142,7 +139,7 @@ class RawReader:
             if valid:
                 identity = identities.get(handle) or self._participant.identify(self.entity, handle)
                 if (identity.wanted or everyone) and not identity.helper:
-                    length = _u32_at(serdata + SERDATA_SIZE).value + _HEADER_BYTES
+                    length = _u32_at(serdata + size_at).value + _HEADER_BYTES
                     size += length
                     pending.append((serdata, length, stamp, source_stamp, identity))
                     continue
@@ -158,11 +155,11 @@ class RawReader:
         samples, size = self._pump.space()
         batch: list[Sample] = []
         handed = 0
-        type, order, unref = self.type, self._order, lib.serdata_unref
+        type, order, unref, header_at = self.type, self._order, lib.serdata_unref, lib.header_at
         while pending and samples > 0 and size > 0:
             serdata, length, stamp, source_stamp, identity = pending.popleft()
             if length < _COPY_WITHOUT_GIL_BYTES:
-                payload = _string_at(serdata + SERDATA_HEADER, length)
+                payload = _string_at(serdata + header_at, length)
             else:
                 payload = _new_bytes(None, length)
                 lib.serdata_to_ser(serdata, 0, length, _address_of(payload))
@@ -310,7 +307,7 @@ class RawWriter:
             return Undelivered.ENCODE
         tell_padding(serdata, length)
         if 0 < source_stamp_ns <= _MAX_STAMP:
-            _i64_at(serdata + SERDATA_TIMESTAMP).value = source_stamp_ns
+            _i64_at(serdata + lib.timestamp_at).value = source_stamp_ns
             code = lib.forwardcdr(self.entity, serdata)  # either takes the reference over
         else:
             code = lib.writecdr(self.entity, serdata)
@@ -375,5 +372,5 @@ def tell_padding(serdata: int, length: int) -> None:
     The library would refuse a sample that is told so and is not filled up yet, where its body has but a byte or two.
     """
     padding = -length & 3
-    _u8_at(serdata + SERDATA_HEADER + _OPTIONS_AT).value = padding
-    ct.memset(serdata + SERDATA_HEADER + length, 0, padding)
+    _u8_at(serdata + lib.header_at + _OPTIONS_AT).value = padding
+    ct.memset(serdata + lib.header_at + length, 0, padding)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import ctypes as ct
 
 from ropeway.errors import GraphUnavailable
-from ropeway.networks.dds import raw
+from ropeway.networks.dds import library, raw
 from ropeway.networks.dds.raw import check, lib
 
-__all__ = ["verify"]
+__all__ = ["choose_layout", "verify"]
 
 _state: dict[str, bool] = {"verified": False}
 
@@ -20,17 +20,32 @@ def verify(graph: str, participant: int, sertype: int) -> None:
     """
     if _state["verified"]:
         return
-    for wrong in (_wrong_serdata(sertype), _wrong_info(participant)):
-        if wrong:
-            raise GraphUnavailable(
-                graph,
-                f"the library of cyclonedds {raw.WHEEL_VERSION} differs from the one this was written for ({wrong}); "
-                f"install the wheel from PyPI: pip install --force-reinstall cyclonedds=={raw.WHEEL_VERSION}",
-            )
+    choose_layout(graph, sertype)
+    if wrong := _wrong_info(participant):
+        raise _unknown(graph, wrong)
     _state["verified"] = True
 
 
-def _wrong_serdata(sertype: int) -> str:
+def choose_layout(graph: str, sertype: int) -> None:
+    """Have samples read and written in the known layout that fits. Raises ``GraphUnavailable`` if none does."""
+    wrong: list[str] = []
+    for layout in library.LAYOUTS:
+        fault = _wrong_serdata(sertype, layout)
+        if not fault:
+            lib.use(layout)
+            return
+        wrong.append(f"{layout.version}: {fault}")
+    raise _unknown(graph, "; ".join(wrong))
+
+
+def _unknown(graph: str, wrong: str) -> GraphUnavailable:
+    return GraphUnavailable(
+        graph,
+        f"{lib.name} is no build of Cyclone DDS that Ropeway knows ({wrong}); docs/install.md lists those",
+    )
+
+
+def _wrong_serdata(sertype: int, layout: library.Layout) -> str:
     for payload in (b"\0\1\0\0\x07", b"\0\1\0\0" + bytes(range(256)) * 5):
         serdata = raw.make_serdata(sertype, payload)
         if not serdata:
@@ -38,15 +53,15 @@ def _wrong_serdata(sertype: int) -> str:
         try:
             if lib.serdata_size(serdata) != len(payload):
                 return "serdata size"
-            if ct.c_uint32.from_address(serdata + raw.SERDATA_SIZE).value != len(payload) - 4:
+            if ct.c_uint32.from_address(serdata + layout.size).value != len(payload) - 4:
                 return "serdata size offset"
             out = raw.IoVecOut()
             ref = lib.serdata_to_ser_ref(serdata, 0, len(payload), ct.byref(out))
-            same = out.base == serdata + raw.SERDATA_HEADER and ct.string_at(out.base, len(payload)) == payload
+            same = out.base == serdata + layout.header and ct.string_at(out.base, len(payload)) == payload
             lib.serdata_to_ser_unref(ref, ct.byref(out))
             if not same:
                 return "serdata payload offset"
-            if ct.c_int64.from_address(serdata + raw.SERDATA_TIMESTAMP).value != -(2**63):
+            if ct.c_int64.from_address(serdata + layout.timestamp).value != -(2**63):
                 return "serdata timestamp offset"
         finally:
             lib.serdata_unref(serdata)

@@ -25,16 +25,16 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, Final
 
-from ropeway.networks.dds import raw
+from ropeway.networks.dds import memory, raw
 from ropeway.networks.dds.fastdds.identity import HEADER_BYTES, SampleIdentity, SampleOrigin, pack_parameter, parse
-from ropeway.networks.dds.raw import SERDATA_TIMESTAMP, DdsError, check, lib
+from ropeway.networks.dds.raw import DdsError, check, lib
 from ropeway.networks.dds.raw_endpoints import tell_padding
 
 __all__ = ["HookError", "RelatedWriter", "faults", "install", "notes", "origin_of"]
 
+_VERSION: Final = "11.0"  # whose layouts these are
 # struct ddsi_sertype
 _SERTYPE_OPS: Final = 8
 _SERTYPE_NAME: Final = 32
@@ -186,6 +186,8 @@ def install(sertype: int, type_name: str) -> None:
 
     To be called before the first reader or writer of the process. Raises ``HookError``.
     """
+    if lib.version != _VERSION:
+        raise HookError(f"it needs Cyclone DDS {_VERSION}, and this is {lib.name}")
     name = _read(_word(sertype + _SERTYPE_NAME), len(type_name) + 1)
     if name != type_name.encode() + b"\0":
         raise HookError("the name of a type is not where it should be")
@@ -257,12 +259,10 @@ def _writable(address: int, size: int) -> Iterator[None]:
 class RelatedWriter:
     """Writes samples with a related identity on a DDS writer that was just made. Raises ``HookError``, ``DdsError``."""
 
-    def __init__(self, entity: int) -> None:
+    def __init__(self, entity: int, sertype: int) -> None:
         self.entity = entity
         self.guid = raw.guid_of(entity)
-        sertype = ct.c_void_p()
-        check(lib.get_entity_sertype(entity, ct.byref(sertype)), "get_entity_sertype")
-        self._sertype = sertype.value or 0
+        self._sertype = sertype
         if _word(self._sertype + _SERTYPE_OPS) not in _hooks:
             raise HookError("a writer has a type that is not hooked")
         at = _find_writer(entity, self.guid, self._sertype)
@@ -285,7 +285,7 @@ class RelatedWriter:
             raise DdsError("serialise", raw.BAD_PARAMETER)
         tell_padding(serdata, len(payload))
         notes[serdata] = _Note(parameter=pack_parameter(parameter, related))
-        ct.c_int64.from_address(serdata + SERDATA_TIMESTAMP).value = stamp_ns
+        ct.c_int64.from_address(serdata + lib.timestamp_at).value = stamp_ns
         _u32_at(serdata + _SERDATA_STATUS).value = _WITH_LONG_STATUS
         if not self._keyhash.value:  # matches count it up and down
             self._keyhash.value = 1
@@ -302,9 +302,9 @@ def _find_writer(entity: int, guid: bytes, sertype: int) -> int:
     check(lib.entity_pin(entity, ct.byref(pinned)), "entity_pin")
     try:
         host_guid = struct.pack("=4I", *struct.unpack(">4I", guid))
-        for word in _words(pinned.value or 0):
+        for word in memory.words(pinned.value or 0, _SEARCH_BYTES):
             if word % 8 == 0 and _read(word + _WRITER_GUID, 16) == host_guid:
-                for index, pointer in enumerate(_words(word)):
+                for index, pointer in enumerate(memory.words(word, _SEARCH_BYTES)):
                     if pointer == sertype:
                         return word + 8 * index
                 break
@@ -315,20 +315,13 @@ def _find_writer(entity: int, guid: bytes, sertype: int) -> int:
 
 # Reading memory that may not be there -------------------------------------------------------------------------------
 
-_memory = -1
-
 
 def _read(address: int, size: int) -> bytes:
     """Return memory of this process, or ``b""`` if there is none at this address."""
-    global _memory
     try:
-        if _memory < 0:
-            _memory = os.open("/proc/self/mem", os.O_RDONLY | os.O_CLOEXEC)
-        return os.pread(_memory, size, address)
-    except (OSError, OverflowError):
-        if not Path("/proc/self/mem").exists():
-            raise HookError("this system has no /proc/self/mem") from None
-        return b""
+        return memory.read(address, size)
+    except OSError:
+        raise HookError("this system has no /proc/self/mem") from None
 
 
 def _word(address: int) -> int:
@@ -336,8 +329,3 @@ def _word(address: int) -> int:
     if len(data) < 8:
         raise HookError("a pointer leads nowhere")
     return int.from_bytes(data, "little")
-
-
-def _words(address: int) -> Iterator[int]:
-    data = _read(address, _SEARCH_BYTES)
-    return (word for (word,) in struct.iter_unpack("=Q", data[: len(data) & -8]))

@@ -28,8 +28,9 @@ from ropeway.networks.dds.fastdds.identity import (
 )
 from ropeway.networks.dds.fastdds.serdata_hook import RelatedWriter
 from ropeway.networks.dds.names import dds_service_topics, dds_type
-from ropeway.networks.dds.raw import INFO, SERDATA_HEADER, SampleInfo, check, lib, matched
+from ropeway.networks.dds.raw import INFO, SampleInfo, check, lib, matched
 from ropeway.networks.dds.raw_endpoints import without_padding
+from ropeway.networks.dds.selftest import choose_layout
 from ropeway.qos import QoS
 
 __all__ = ["ClientEnd", "ServiceEnd"]
@@ -96,7 +97,7 @@ class _End:
             self._reader = self._make(self._reads, self._entities, writes=False)
             self.reader_guid = raw.guid_of(self._reader)
             self._entity = self._make(self._writes, self._entities, writes=True)
-            self.writer = RelatedWriter(self._entity)
+            self.writer = RelatedWriter(self._entity, self._sertype)
             node.attach(number, self._reader, self._entity)
         except BaseException:
             self.close()
@@ -107,7 +108,9 @@ class _End:
         topic, type, mark = what
         entity, sertype = raw.create_topic(self.node.participant, topic, type)
         entities.append(entity)
+        choose_layout("dds", sertype)
         hook.install(sertype, type)
+        self._sertype = sertype
         if writes:
             with writer_qos(_WRITE_QOS, mark) as qos:
                 made = check(lib.create_writer(self.node.participant, entity, qos, None), f"create writer {topic}")
@@ -167,7 +170,7 @@ class _End:
         if size > MAX_BODY_BYTES // 2:
             self.node.count(self.number, Undelivered.BACKLOG)
             return
-        payload = without_padding(ct.string_at(serdata + SERDATA_HEADER, size))
+        payload = without_padding(ct.string_at(serdata + lib.header_at, size))
         self.on_sample(origin, origin.encoding + payload[2:])
 
     def _writer_of(self, handle: int) -> bytes:
