@@ -275,5 +275,5 @@ async def test_close(place: Place) -> None:
         assert not place.offered()
         known = place.here.topics().get("/x")
         assert known is None or not known.subscriptions
-        bridge._pass_on([sample("late")])
+        bridge.passage.pass_on([sample("late")])
         assert bridge.drops == {Drop.INACTIVE: 1}

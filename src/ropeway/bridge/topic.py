@@ -2,34 +2,20 @@
 
 The bridge keeps three things right while both networks change: the publisher on the target has the source's QoS,
 the subscription on the source exists only while somebody on the target reads (where the target can tell), and
-every message passes one visible function, ``_pass_on``.
+every message takes one way, ``Passage``.
 """
 
 from __future__ import annotations
 
-import time
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 from ropeway.bridge.upkeep import RETRY_S, Upkeep
-from ropeway.delivery.meter import Meter
-from ropeway.delivery.pipeline import Drop, Step, build
-from ropeway.graph.base import NO_HINTS, Delivery, Graph, Publisher, Sample, Subscription
+from ropeway.delivery.passage import Keep, Passage
+from ropeway.delivery.pipeline import build
+from ropeway.graph.base import NO_HINTS, Delivery, Graph, Publisher, Subscription
 from ropeway.qos import DEFAULT, QoS, common_qos
 
-__all__ = ["Keep", "TopicBridge"]
-
-
-class Keep(Protocol):
-    """Keeps the last message of a bridge over restarts."""
-
-    def put(self, sample: Sample) -> None:
-        """Keep a message that passed."""
-
-    def last(self) -> Sample | None:
-        """Return the message that passed last, with its original stamp."""
+__all__ = ["TopicBridge"]
 
 
 class TopicBridge:
@@ -59,13 +45,12 @@ class TopicBridge:
         self.source, self.target = source, target
         self.source_topic, self.target_topic, self.type = source_topic, target_topic, type
         self.delivery = delivery
-        self.meter = Meter()
-        self.drops: Counter[Drop] = Counter()
+        self.passage = Passage(build(delivery) if limit else (), keep=keep)
+        self.meter, self.drops = self.passage.meter, self.passage.drops
         self.publisher: Publisher | None = None
         self.subscription: Subscription | None = None
         self.keep = keep
         self._asked = qos
-        self._steps: list[Step] = build(delivery) if limit else []
         label = f"{source_topic} to {target.name}"
         self._upkeep = Upkeep(self._set_right, source, "publisher", source_topic, label=label, retry_s=retry_s)
 
@@ -80,7 +65,7 @@ class TopicBridge:
             await self.subscription.close()
         if self.publisher is not None:
             await self.publisher.close()
-        self.subscription = self.publisher = None
+        self.subscription = self.publisher = self.passage.sink = None
 
     @property
     def error(self) -> str:
@@ -95,25 +80,6 @@ class TopicBridge:
         if self.publisher is None:
             return "waiting"
         return "active" if self.subscription is not None else "idle"
-
-    # ── the way of a message ───────────────────────────────────────────────────────────────────────────────────
-
-    def _pass_on(self, batch: Sequence[Sample]) -> None:
-        publisher, steps, meter = self.publisher, self._steps, self.meter
-        if publisher is None:
-            self.drops[Drop.INACTIVE] += len(batch)
-            return
-        now = time.time_ns()
-        for sample in batch:
-            for step in steps:
-                if (reason := step(sample)) is not None:
-                    self.drops[reason] += 1
-                    break
-            else:
-                meter.add(sample, now)
-                if self.keep is not None:
-                    self.keep.put(sample)
-                publisher.publish(sample)
 
     # ── keeping both sides right ───────────────────────────────────────────────────────────────────────────────
 
@@ -151,6 +117,7 @@ class TopicBridge:
             self.publisher = await self.target.create_publisher(
                 self.target_topic, self.type, qos, delivery=self.delivery
             )
+            self.passage.sink = self.publisher.publish
             self.publisher.on_demand(lambda _: self._upkeep.wake())
             if old is not None:
                 await old.close()
@@ -163,7 +130,7 @@ class TopicBridge:
         wanted = readers is None or readers > 0 or qos.transient_local
         if wanted and self.subscription is None:
             self.subscription = await self.source.create_subscription(
-                self.source_topic, self.type, self._asked, self._pass_on, delivery=self.delivery
+                self.source_topic, self.type, self._asked, self.passage.pass_on, delivery=self.delivery
             )
             self.subscription.on_qos(lambda _: self._upkeep.wake())
         elif not wanted:

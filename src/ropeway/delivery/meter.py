@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from ropeway.graph.base import Sample
 
 __all__ = ["Meter"]
 
 
 class Meter:
-    """Measures rate, bandwidth and delay over the last seconds, at a cost per batch and not per message."""
+    """Measures rate, bandwidth and delay over the last seconds; a passage counts.
+
+    ``delay_ns`` adds up how long ``delayed`` messages were on their way since the last update.
+    """
 
     __slots__ = (
         "_at",
         "_bytes",
-        "_delay_n",
-        "_delay_ns",
         "_messages",
         "bytes",
+        "delay_ns",
         "delay_s",
+        "delayed",
         "messages",
         "rate_bps",
         "rate_hz",
@@ -33,15 +32,7 @@ class Meter:
         self.delay_s: float | None = None
         self._at = time.monotonic()
         self._messages = self._bytes = 0
-        self._delay_ns = self._delay_n = 0
-
-    def add(self, sample: Sample, now_ns: int) -> None:
-        """Count one message."""
-        self.messages += 1
-        self.bytes += len(sample.payload)
-        if sample.sent_ns:
-            self._delay_ns += now_ns - sample.sent_ns
-            self._delay_n += 1
+        self.delay_ns = self.delayed = 0
 
     def update(self) -> None:
         """Bring the rates up to date; call it about once a second."""
@@ -51,9 +42,9 @@ class Meter:
             return
         self.rate_hz = (self.messages - self._messages) / seconds
         self.rate_bps = 8 * (self.bytes - self._bytes) / seconds
-        if self._delay_n:
-            self.delay_s = self._delay_ns / self._delay_n / 1e9
+        if self.delayed:
+            self.delay_s = self.delay_ns / self.delayed / 1e9
         elif self.messages == self._messages:
             self.delay_s = None
         self._at, self._messages, self._bytes = now, self.messages, self.bytes
-        self._delay_ns = self._delay_n = 0
+        self.delay_ns = self.delayed = 0

@@ -1,4 +1,4 @@
-"""The steps a message passes on its way: each may drop it, with a reason, and every drop is counted."""
+"""The steps that a message takes on its way: each may drop it, with a reason, or hold it for a while."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+from ropeway.delivery.outbox import Lost
 from ropeway.graph.base import Delivery, Sample
 
-__all__ = ["Drop", "RateLimit", "Step", "build", "lifespan"]
+__all__ = ["Drop", "RateLimit", "Reason", "Step", "build", "lifespan"]
 
 
 class Drop(enum.Enum):
@@ -20,7 +21,11 @@ class Drop(enum.Enum):
     INACTIVE = "nobody asked for it"
 
 
-Step = Callable[[Sample], Drop | None]
+Reason = Drop | Lost
+"""Why a message was dropped."""
+
+Step = Callable[[Sample], Sample | Drop | Lost | None]
+"""Gives the message that goes on, or the reason for which none does; ``None`` if the step holds it."""
 
 _EARLY: Final = 0.2  # of a period: a source with jitter still reaches the rate that was asked for
 _LATE: Final = 0.5  # of a period: so much of a late message is made up for by the next
@@ -38,22 +43,22 @@ class RateLimit:
         self._clock = clock
         self._due = float("-inf")
 
-    def __call__(self, sample: Sample) -> Drop | None:
+    def __call__(self, sample: Sample) -> Sample | Drop:
         """Pass or drop one message."""
         now = self._clock()
         early = self._due - now
         if early > _EARLY * self._period:
             return Drop.RATE
         self._due = max(self._due, now - _LATE * self._period) + self._period
-        return None
+        return sample
 
 
 def lifespan(seconds: float, clock: Callable[[], int] = time.time_ns) -> Step:
     """Make a step that drops messages older than ``seconds`` since the first gateway received them."""
     limit_ns = int(seconds * 1e9)
 
-    def step(sample: Sample) -> Drop | None:
-        return Drop.EXPIRED if clock() - (sample.sent_ns or sample.stamp_ns) > limit_ns else None
+    def step(sample: Sample) -> Sample | Drop:
+        return Drop.EXPIRED if clock() - (sample.sent_ns or sample.stamp_ns) > limit_ns else sample
 
     return step
 

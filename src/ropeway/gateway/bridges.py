@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
-from ropeway.bridge.topic import Keep, TopicBridge
+from ropeway.bridge.topic import TopicBridge
+from ropeway.delivery.passage import Keep
 from ropeway.gateway.config.config import Route
 from ropeway.graph.base import Graph
 

@@ -14,10 +14,10 @@ from ropeway.graph.base import SEQ_NONE, Delivery, Sample, SampleCallback, Undel
 from ropeway.graph.history import History
 from ropeway.graph.peer_answer import Answers
 from ropeway.logs import failed
+from ropeway.networks.rosbridge.link.inbound import Inbound
 from ropeway.networks.rosbridge.protocol import codec as wire_codec
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROSBRIDGE, ROSGW
-from ropeway.networks.rosbridge.protocol.records import Arrival
 from ropeway.qos import DEFAULT, QoS
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ class RemotePublisher:
             peer.send(ops.Unadvertise(id=self.id, topic=self.topic))
 
 
-class RemoteSubscription:
+class RemoteSubscription(Inbound):
     """A topic that we read from the far graph."""
 
     def __init__(
@@ -217,21 +217,20 @@ class RemoteSubscription:
         callback: SampleCallback,
         delivery: Delivery,
     ) -> None:
-        self.topic, self.type, self.delivery = topic, type, delivery
+        self._callback = callback
+        self._translated = graph.border.touches(type)
+        super().__init__(type, None, self._translate if self._translated else callback, used="none")
+        self.topic, self.delivery = topic, delivery
         self.graph = graph
         self.number = graph.next_number()
         self.id = f"subscribe:{topic}:{self.number}"
         self.answers = Answers()
         self._asked = qos
         self._qos = qos or DEFAULT
-        self._callback = callback
         self._qos_callbacks: list[Callable[[QoS], None]] = []
         self._codec: MessageCodec | None = None
         self._plain_origin = new_origin()
         self._plain_seq = 0
-        self._peer: Peer | None = None
-        self._translated = graph.border.touches(type)
-        self.used = "none"  # the encoding of the last message, or what is asked for
         self.closed = False
 
     @property
@@ -264,6 +263,7 @@ class RemoteSubscription:
         """Ask for the topic on a new connection."""
         delivery = self.delivery
         self._peer = peer
+        peer.receivers[self.number] = self.arrived
         encoding = delivery.encoding
         extra: dict[str, Any] | None = None
         if peer.dialect is ROPEWAY:
@@ -296,27 +296,6 @@ class RemoteSubscription:
         """Let go of the connection, which is gone."""
         self._peer = None
 
-    def arrived(self, arrivals: Sequence[Arrival]) -> None:
-        """Deliver messages that came in records."""
-        peer = self._peer
-        if peer is None or self.closed:
-            return
-        now = time.time_ns()
-        offset = peer.clock_offset_ns
-        batch: list[Sample] = []
-        for arrival in arrivals:
-            payload = arrival.body
-            if arrival.encoding != wire_codec.CBOR_RAW:
-                try:
-                    payload = peer.decode(arrival, self._codec_for(arrival.encoding))
-                except (TypesError, MessageTooBig) as error:
-                    self._undecodable(error)
-                    continue
-            self.used = wire_codec.encoding_name(arrival.encoding)
-            sent = arrival.stamp_ns - offset if arrival.stamp_ns and offset is not None else 0
-            batch.append(Sample(payload, self.type, now, arrival.origin, arrival.seq, arrival.relayed, sent))
-        self._deliver(batch)
-
     def published(self, op: ops.Publish) -> None:
         """Take a message that came as a plain ``publish``."""
         peer = self._peer
@@ -331,7 +310,7 @@ class RemoteSubscription:
                 ),
             )
         except (TypesError, MessageTooBig) as error:
-            self._undecodable(error)
+            self.unreadable(error)
             return
         self.used = _encoding_of(op, self.used)
         echo = self.graph.echoes.get(self.topic)
@@ -339,7 +318,11 @@ class RemoteSubscription:
             return
         now = time.time_ns()
         self._plain_seq = max(now, self._plain_seq + 1)
-        self._deliver([Sample(payload, self.type, now, self._plain_origin, self._plain_seq)])
+        batch = [Sample(payload, self.type, now, self._plain_origin, self._plain_seq)]
+        try:
+            self._deliver(batch)
+        except Exception:  # as in ``arrived``
+            self.undelivered(batch)
 
     def learned(self, note: Mapping[str, Any]) -> None:
         """Learn the definition of the type that the far side sent."""
@@ -347,28 +330,26 @@ class RemoteSubscription:
         if isinstance(text, str):
             self.graph.teller.tell(self.type, text)
 
-    def _codec_for(self, encoding: int) -> MessageCodec | None:
-        if wire_codec.encoding_name(encoding) in ("rawzip", "zstd"):
-            return None
+    def codec(self) -> MessageCodec:
+        """See ``Inbound.codec``."""
         if self._codec is None:
             self._codec = self.graph.registry.codec(self.type)
         return self._codec
 
-    def _undecodable(self, error: Exception) -> None:
+    def unreadable(self, error: Exception) -> None:
+        """See ``Inbound.unreadable``."""
         self.graph.drops[self.topic, Undelivered.DECODE] += 1
         if self._peer is not None:
             self._peer.fault_log.note("message", self.topic, error)
 
-    def _deliver(self, batch: list[Sample]) -> None:
-        if not batch:
-            return
-        if self._translated:
-            batch = [sample.carrying(self.graph.border.incoming(self.type, sample.payload)) for sample in batch]
-        try:
-            self._callback(batch)
-        except Exception:  # a callback is somebody else's code; the connection must not suffer
-            self.graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
-            failed(log, "%s: a callback for %s failed", self.graph.name, self.topic)
+    def undelivered(self, batch: Sequence[Sample]) -> None:
+        """See ``Inbound.undelivered``."""
+        self.graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
+        failed(log, "%s: a callback for %s failed", self.graph.name, self.topic)
+
+    def _translate(self, batch: Sequence[Sample]) -> None:
+        incoming = self.graph.border.incoming
+        self._callback([sample.carrying(incoming(self.type, sample.payload)) for sample in batch])
 
     async def close(self) -> None:
         """Stop reading."""

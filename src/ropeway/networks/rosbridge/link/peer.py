@@ -113,6 +113,8 @@ class Peer:
         self.rtt_s: float | None = None
         self.clock_offset_ns: int | None = None  # the peer's clock minus ours, once it is measured
         self._offset_rtt = float("inf")
+        self.receivers: dict[int, Callable[[Sequence[Arrival]], None]] = {}
+        """Who takes what comes on a channel; the ``handler`` gets the rest."""
         self._reader = RecordReader(self.limit_bytes, self.refused, self.takes)
         self._assembler = wire_codec.JsonAssembler(limit_bytes=self.limit_bytes)
         self._defragmenter = Defragmenter(limit_bytes=self.limit_bytes)
@@ -289,29 +291,23 @@ class Peer:
         except InvalidFrame as error:
             self.fault_log.note("frame", "", error)
             return
-        if not arrivals:
-            return
-        if any(a.channel in OP_CHANNELS for a in arrivals):
-            arrivals = self._take_operations(arrivals)
-            if not arrivals:
-                return
-        first = arrivals[0].channel
-        if len(arrivals) == 1 or all(a.channel == first for a in arrivals):
-            self.handler.arrived(first, arrivals)
-            return
-        by_channel: dict[int, list[Arrival]] = {}
+        batches: dict[int, list[Arrival]] = {}
         for arrival in arrivals:
-            by_channel.setdefault(arrival.channel, []).append(arrival)
-        for channel, batch in by_channel.items():
-            self.handler.arrived(channel, batch)
+            batch = batches.get(arrival.channel)
+            if batch is None:
+                batches[arrival.channel] = [arrival]
+            else:
+                batch.append(arrival)
+        for channel, batch in batches.items():
+            if channel in OP_CHANNELS:
+                self._take_operations(batch)
+            elif (receiver := self.receivers.get(channel)) is not None:
+                receiver(batch)
+            else:
+                self.handler.arrived(channel, batch)
 
-    def _take_operations(self, arrivals: Sequence[Arrival]) -> list[Arrival]:
-        """Take the operations among what arrived; give the rest."""
-        others: list[Arrival] = []
+    def _take_operations(self, arrivals: Sequence[Arrival]) -> None:
         for arrival in arrivals:
-            if arrival.channel not in OP_CHANNELS:
-                others.append(arrival)
-                continue
             try:
                 message = cbor_loads(arrival.body)
                 if not isinstance(message, dict):
@@ -320,7 +316,6 @@ class Peer:
                 self._refuse(error)
             else:
                 self._object(message)
-        return others
 
     def _objects(self, data: bytes, *, text: bool) -> None:
         try:
@@ -400,8 +395,9 @@ class Peer:
         return wire_codec.decode_msg(encoding, arrival.body, codec, limit_bytes=self.limit_bytes)
 
     def forget_inbound(self, channel: int) -> None:
-        """Drop the unfinished message of an inbound channel."""
+        """Forget an inbound channel, with its unfinished message."""
         self._reader.forget(channel)
+        self.receivers.pop(channel, None)
 
     def takes(self, channel: int) -> bool:
         """Return whether records of a channel are expected."""

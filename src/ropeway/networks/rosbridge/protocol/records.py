@@ -50,6 +50,9 @@ class Arrival(NamedTuple):
     relayed: bool = False
 
 
+_arrival = tuple.__new__  # of a named tuple, without a call of Python per message
+
+
 class RecordWriter:
     """Builds records for one direction of a connection."""
 
@@ -172,7 +175,8 @@ class RecordReader:
                 if length > self.limit_bytes:
                     self._on_refused(channel, MessageTooBig(length, self.limit_bytes))
                 else:
-                    done.append(Arrival(channel, encoding, bytes(view[at:end]), origin, seq, stamp_ns, bool(flags & 1)))
+                    body = bytes(view[at:end])
+                    done.append(_arrival(Arrival, (channel, encoding, body, origin, seq, stamp_ns, flags & 1 != 0)))
             elif kind == MORE:
                 self._more(channel, view[at:end], done)
             elif kind == FIRST:

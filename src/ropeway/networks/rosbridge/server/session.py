@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -101,7 +100,6 @@ class Session:
         self.peer.on_invalid = self.invalid
         self.gateway = self.peer.dialect is ROPEWAY
         self.view = hub.view(connection.peer, echo=not self.gateway)
-        self.clock = time.time_ns
         self.remote: dict[str, str] = {}
         self.turns = Turns(self.peer, lambda: self.services.questions)
         self.topics = TopicOps(self, unregister_timeout_s=unregister_timeout_s, on_advertised=on_advertised)

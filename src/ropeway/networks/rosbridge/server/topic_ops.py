@@ -88,17 +88,17 @@ class TopicOps:
         for topic in self._all_inputs():
             topic.report()
         for output in self._all_outputs():
-            output.meter.update()
+            output.passage.meter.update()
 
     def status(self) -> Iterator[dict[str, Any]]:
         """Yield one row per topic."""
         for topic in self._all_inputs():
-            yield topic_status(topic.topic, "in", topic.type, topic.encoding, topic.meter, topic.lost)
+            yield topic_status(topic.topic, "in", topic.type, topic.used, topic.passage)
         for output in self._all_outputs():
             channel = output.channel
             used = channel.used if channel is not None else ""
-            drops: dict[Any, int] = {**output.drops, **(channel.queue.lost if channel is not None else {})}
-            yield topic_status(output.topic, "out", output.type, used, output.meter, drops)
+            lost = channel.queue.lost if channel is not None else {}
+            yield topic_status(output.topic, "out", output.type, used, output.passage, lost)
 
     def _all_inputs(self) -> list[TopicIn]:
         return [*self.inputs.values(), *self.input_channels.values()]
@@ -335,7 +335,9 @@ class TopicOps:
             await old.close()  # first, so that nothing comes twice; what comes meanwhile is kept, too
         else:
             output.qos = qos
-        output.subscription = await self.session.view.create_subscription(name, output.type, output.qos, output.deliver)
+        output.subscription = await self.session.view.create_subscription(
+            name, output.type, output.qos, output.passage.pass_on
+        )
         output.subscription.on_qos(output.follow)
 
     async def unsubscribe(self, op: ops.Unsubscribe) -> None:

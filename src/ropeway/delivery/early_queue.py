@@ -1,0 +1,39 @@
+"""Holds the first messages of a topic until there is somebody to give them to."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from typing import Final
+
+from ropeway.delivery.outbox import Lost
+from ropeway.delivery.pipeline import Reason
+from ropeway.graph.base import Sample
+
+__all__ = ["EARLY_BYTES", "EarlyQueue"]
+
+EARLY_BYTES: Final = 16 << 20
+"""What may wait while a publisher is being made; more than one message only."""
+
+
+class EarlyQueue:
+    """Holds messages, as a step, until ``take``; the oldest make room and are counted in ``drops``."""
+
+    def __init__(self, drops: Counter[Reason], *, limit_bytes: int = EARLY_BYTES) -> None:
+        self.bytes = 0
+        self._drops, self._limit_bytes = drops, limit_bytes
+        self._waiting: deque[Sample] = deque()
+
+    def hold(self, sample: Sample) -> None:
+        """Hold a message."""
+        self._waiting.append(sample)
+        self.bytes += len(sample.payload)
+        while self.bytes > self._limit_bytes and len(self._waiting) > 1:
+            self.bytes -= len(self._waiting.popleft().payload)
+            self._drops[Lost.OVERFLOW] += 1
+
+    def take(self) -> list[Sample]:
+        """Return what was held, oldest first, and hold nothing any more."""
+        waiting = list(self._waiting)
+        self._waiting.clear()
+        self.bytes = 0
+        return waiting

@@ -1,0 +1,95 @@
+"""The way of a message: the one place that passes the messages of a topic on.
+
+A route of the configuration, what a client of the rosbridge server publishes and what it reads: each has a passage. It
+takes what came in batches through its steps, counts it, and gives it to its sink. Nobody else meters a topic.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+from ropeway.delivery.meter import Meter
+from ropeway.delivery.pipeline import Drop, Reason, Step
+from ropeway.graph.base import Sample
+
+__all__ = ["Keep", "Passage"]
+
+
+class Keep(Protocol):
+    """Keeps the last message of a topic over restarts."""
+
+    def put(self, sample: Sample) -> None:
+        """Keep a message that passed."""
+
+    def last(self) -> Sample | None:
+        """Return the message that passed last, with its original stamp."""
+
+
+class Passage:
+    """Passes messages on through ``steps`` to ``sink``; every drop is counted with its reason in ``drops``.
+
+    Without a sink nobody asked for the topic. ``keep`` keeps the last message that passed.
+    """
+
+    __slots__ = ("drops", "keep", "meter", "sink", "steps")
+
+    def __init__(
+        self,
+        steps: Sequence[Step] = (),
+        *,
+        meter: Meter | None = None,
+        drops: Counter[Reason] | None = None,
+        keep: Keep | None = None,
+        sink: Callable[[Sample], None] | None = None,
+    ) -> None:
+        self.steps = steps
+        self.meter = Meter() if meter is None else meter
+        self.drops: Counter[Reason] = Counter() if drops is None else drops
+        self.keep = keep
+        self.sink = sink
+
+    def pass_on(self, batch: Sequence[Sample], *, held: bool = False) -> None:
+        """Pass messages on, oldest first; ``held`` ones have been through the steps, one of which held them back."""
+        if self.steps and not held:
+            batch = self._through(batch)
+        sink, meter, keep = self.sink, self.meter, self.keep
+        if sink is None:
+            self.drops[Drop.INACTIVE] += len(batch)
+            return
+        for sample in batch:
+            meter.messages += 1
+            meter.bytes += len(sample.payload)
+            if sample.sent_ns:
+                meter.delayed += 1
+                meter.delay_ns += sample.stamp_ns - sample.sent_ns
+            if keep is not None:
+                keep.put(sample)
+            sink(sample)
+
+    def _through(self, batch: Sequence[Sample]) -> list[Sample]:
+        passed = []
+        for sample in batch:
+            for step in self.steps:
+                result = step(sample)
+                if not isinstance(result, Sample):
+                    if result is not None:
+                        self.drops[result] += 1
+                    break
+                sample = result
+            else:
+                passed.append(sample)
+        return passed
+
+    def status(self, more_drops: Mapping[Any, int]) -> dict[str, Any]:
+        """Return the figures as JSON, with what was dropped elsewhere on the way."""
+        meter = self.meter
+        drops = {**self.drops, **more_drops}
+        return {
+            "messages": meter.messages,
+            "rate_hz": round(meter.rate_hz, 2),
+            "bandwidth_bps": round(meter.rate_bps),
+            "delay_ms": None if meter.delay_s is None else round(1e3 * meter.delay_s, 3),
+            "drops": {reason.value: n for reason, n in drops.items() if n},
+        }
