@@ -15,18 +15,8 @@ import grimp
 __all__ = ["STANDING", "circles", "complaints", "imports_of"]
 
 STANDING: Final[Mapping[str, str]] = {
-    "networks.dds.client": "networks.dds.graph",
-    "networks.dds.service_endpoints": "networks.dds.graph",
-    "networks.dds.publisher": "networks.dds.graph",
-    "networks.dds.service": "networks.dds.graph",
     "hub.calls": "hub.actions",
     "hub.topics": "hub.hub",
-    "networks.memory.calls": "networks.memory.graph",
-    "networks.memory.topics": "networks.memory.graph",
-    "networks.overlay.graph.calls": "networks.overlay.graph.graph",
-    "networks.overlay.graph.publisher": "networks.overlay.graph.graph",
-    "networks.overlay.graph.sender": "networks.overlay.graph.graph networks.overlay.graph.publisher",
-    "networks.overlay.graph.subscription": "networks.overlay.graph.graph",
     "networks.rosbridge.client.calls": (
         "networks.rosbridge.client.actions networks.rosbridge.client.graph networks.rosbridge.client.servers "
         "networks.rosbridge.client.services"

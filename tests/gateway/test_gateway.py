@@ -286,7 +286,7 @@ async def test_ring(world: World) -> None:
         await robot.create_subscription("/x", STRING, QoS(), inboxes[name])
     source = await world.robot("a")
     publisher = await source.create_publisher("/x", STRING)
-    await until(lambda: publisher.subscribers >= 2)
+    await until(lambda: (publisher.subscribers or 0) >= 2)
     await asyncio.sleep(0.3)
     publisher.publish(sample("round"))
     for inbox in inboxes.values():

@@ -37,6 +37,9 @@ class Network:
         others = [EndpointInfo("publisher", "/x", STRING, QoS(), gateway=g) for g in self.gateways]
         return {"/x": TopicInfo("/x", (STRING,), (ours, *others))}
 
+    def look_up(self, kind: str, name: str) -> TopicInfo | None:
+        return self.topics().get(name)
+
     async def create_subscription(self, topic: str, type: str, qos: QoS | None, callback: Any, **_: Any) -> Any:
         await asyncio.sleep(0)
         if self.broken:

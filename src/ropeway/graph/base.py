@@ -17,15 +17,12 @@ Rules that hold for every kind (``tests/contract`` checks them):
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import enum
 import functools
-import logging
 import os
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import AsyncIterator, Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final, Literal, Protocol, overload, runtime_checkable
 
 from ropeway.errors import InvalidName
@@ -45,7 +42,6 @@ from ropeway.qos import QoS
 __all__ = [
     "NO_HINTS",
     "SEQ_NONE",
-    "Changes",
     "Delivery",
     "EndpointInfo",
     "Graph",
@@ -60,10 +56,7 @@ __all__ = [
     "look_up",
     "new_origin",
     "resolve_name",
-    "types_of",
 ]
-
-log = logging.getLogger("ropeway.graph")
 
 SEQ_NONE: Final = 0
 
@@ -351,20 +344,14 @@ class Graph(Protocol):
     def nodes(self) -> dict[str, NodeInfo]:
         """Return the nodes discovered so far, by full name."""
 
+    def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
+        """Return what is known of one ``topic``, ``service`` or ``action`` now, ``None`` if it is not there."""
+
+    def types_of(self, kind: str, name: str) -> tuple[str, ...]:
+        """Return the types that one ``topic``, ``service`` or ``action`` has now; none if it is not there."""
+
     def changes(self) -> AsyncIterator[GraphEvent]:
         """Iterate over what is discovered and lost from this call on."""
-
-
-def types_of(graph: Graph, kind: str, name: str) -> tuple[str, ...]:
-    """Return the types that a ``topic``, ``service`` or ``action`` has now; empty if it is not there.
-
-    A graph that can look a name up without describing all others does so in a method of this name.
-    """
-    own: Callable[[str, str], tuple[str, ...]] | None = getattr(graph, "types_of", None)
-    if own is not None:
-        return own(kind, name)
-    known = look_up(graph, kind, name)
-    return known.types if known is not None else ()
 
 
 @overload
@@ -376,62 +363,8 @@ def look_up(graph: Graph, kind: Literal["action"], name: str) -> ActionInfo | No
 @overload
 def look_up(graph: Graph, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None: ...
 def look_up(graph: Graph, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
-    """Return what is known of one ``topic``, ``service`` or ``action`` now, ``None`` if it is not there.
-
-    A graph that can look a name up without describing all others does so in a method of this name.
-    """
-    own: Callable[[str, str], TopicInfo | ServiceInfo | ActionInfo | None] | None = getattr(graph, "look_up", None)
-    if own is not None:
-        return own(kind, name)
-    if kind == "topic":
-        return graph.topics().get(name)
-    return graph.services().get(name) if kind == "service" else graph.actions().get(name)
-
-
-@dataclass
-class Changes:
-    """Fans discovery events out to every ``changes()`` iterator; each has a bounded queue that keeps the newest.
-
-    ``emitted`` counts the events, so that what was made of an earlier state is known to be old.
-    """
-
-    limit: int = 4096
-    emitted: int = 0
-    _queues: list[tuple[deque[GraphEvent], asyncio.Event]] = field(default_factory=list)
-    closed: bool = False
-
-    def emit(self, event: GraphEvent) -> None:
-        """Give the event to all who listen."""
-        self.emitted += 1
-        for queue, wake in self._queues:
-            queue.append(event)
-            wake.set()
-
-    def close(self) -> None:
-        """End every iterator once it has given what it has."""
-        self.closed = True
-        for _, wake in self._queues:
-            wake.set()
-
-    def listen(self) -> AsyncIterator[GraphEvent]:
-        """Iterate over every event from this call on."""
-        entry = (deque[GraphEvent](maxlen=self.limit), asyncio.Event())
-        self._queues.append(entry)
-        return self._drain(entry)
-
-    async def _drain(self, entry: tuple[deque[GraphEvent], asyncio.Event]) -> AsyncIterator[GraphEvent]:
-        queue, wake = entry
-        try:
-            while True:
-                while queue:
-                    yield queue.popleft()
-                if self.closed:
-                    return
-                await wake.wait()
-                wake.clear()
-        finally:
-            with contextlib.suppress(ValueError):
-                self._queues.remove(entry)
+    """Return ``graph.look_up(kind, name)``, typed by the kind."""
+    return graph.look_up(kind, name)
 
 
 def resolve_name(name: str, namespace: str = "/") -> str:

@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections import Counter
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Container, Sequence
 from dataclasses import replace
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Final, Generic, TypeVar
 
+from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import SEQ_NONE, Sample, SampleCallback, Undelivered
-from ropeway.logs import failed
-from ropeway.qos import DEFAULT, QoS
+from ropeway.graph.host import Host
+from ropeway.graph.parts import SubscriptionBase
+from ropeway.qos import DEFAULT, QoS, common_qos
 from ropeway.tasks import Chores
 
-__all__ = ["AdoptingSubscription", "Host", "SharedReader", "settled"]
+__all__ = ["AdoptingSubscription", "Readers", "SharedReader", "settled"]
 
 log = logging.getLogger("ropeway.graph")
 
@@ -27,45 +29,101 @@ log = logging.getLogger("ropeway.graph")
 _OVERLAP_S: Final = 1.0
 _OVERLAP_TRIES: Final = 5
 _SEEN_LIMIT: Final = 1024
+# Some middlewares do not tell the depth of a publisher; what is adopted keeps at least this many.
+_MIN_ADOPTED_DEPTH: Final = 10
 _MISSING: Final = b"missing"
 
 R = TypeVar("R")
-T = TypeVar("T")
 
 
-class Host(Protocol[R]):
-    """The services of a graph for its subscriptions."""
+class Readers(ABC, Generic[R]):
+    """The readers of a graph. Volatile subscriptions of one topic, type and profile share one; others have their own.
 
-    name: str
-    drops: Counter[tuple[str, Undelivered]]
+    A network makes them in ``_make`` and deletes them in ``_delete``, and knows what is offered and matched.
+    """
 
-    def attach(self, subscription: Any, qos: QoS) -> SharedReader[R]:
+    def __init__(self, graph: Host) -> None:
+        self.name, self.drops, self.guard = graph.name, graph.drops, graph.guard
+        self._shared: dict[tuple[str, str, QoS], SharedReader[R]] = {}
+        self._subscriptions: dict[AdoptingSubscription[R], None] = {}
+
+    def begin(self, subscription: AdoptingSubscription[R]) -> None:
+        """Have a subscription read, with the profile that it should have. Raises ``GraphUnavailable``."""
+        subscription.follow(self.adopted(subscription))
+        self._subscriptions[subscription] = None
+
+    def forget(self, subscription: AdoptingSubscription[R]) -> None:
+        """Forget a subscription that was closed."""
+        self._subscriptions.pop(subscription, None)
+
+    def readopt(self, topics: Container[str]) -> None:
+        """Have the subscriptions of these topics follow what is offered now."""
+        for subscription in list(self._subscriptions):
+            if subscription.adopts and subscription.topic in topics:
+                try:
+                    subscription.follow(self.adopted(subscription))
+                except GraphUnavailable as error:
+                    log.warning("%s: %s keeps its profile: %s", self.name, subscription.topic, error)
+
+    def attach(self, subscription: AdoptingSubscription[R], qos: QoS) -> SharedReader[R]:
         """Return a reader for a subscription. Raises ``GraphUnavailable``."""
+        key = (subscription.topic, subscription.type, qos)
+        reader = None if qos.transient_local else self._shared.get(key)
+        if reader is None:
+            reader = SharedReader(self, *key)
+            reader.raw = self._make(reader)
+            if not qos.transient_local:
+                self._shared[key] = reader
+        reader.subscriptions = (*reader.subscriptions, subscription)
+        return reader
 
-    async def detach(self, subscription: Any, reader: SharedReader[R]) -> None:
+    async def detach(self, subscription: AdoptingSubscription[R], reader: SharedReader[R]) -> None:
         """Take a subscription off its reader; the last one takes the reader with it."""
+        reader.subscriptions = tuple(s for s in reader.subscriptions if s is not subscription)
+        if reader.subscriptions:
+            return
+        key = (reader.topic, reader.type, reader.qos)
+        if self._shared.get(key) is reader:
+            del self._shared[key]
+        raw, reader.raw = reader.raw, None
+        if raw is not None:
+            await self._delete(raw)
 
-    def forget(self, subscription: Any) -> None:
-        """Release what belongs to a closed subscription."""
+    def adopted(self, subscription: AdoptingSubscription[R]) -> QoS:
+        """Return the profile that a subscription should have now."""
+        asked = subscription.asked
+        if asked is not None and not subscription.adopts:
+            return asked
+        qos = common_qos(self.offered(subscription.topic, subscription.type), subscription.qos)
+        if asked is not None:
+            return settled(asked, qos)
+        if qos.history == "keep_last" and not qos.transient_local:
+            qos = replace(qos, depth=max(qos.depth, _MIN_ADOPTED_DEPTH))
+        return qos
 
-    def is_matched(self, subscription: Any, reader: SharedReader[R]) -> bool:
+    @abstractmethod
+    def offered(self, topic: str, type: str) -> list[QoS]:
+        """Return the profiles of those who publish a topic."""
+
+    @abstractmethod
+    def is_matched(self, reader: SharedReader[R]) -> bool:
         """Return whether a reader is matched with every publisher that it should read."""
 
-    def guard(self, topic: str, callback: Callable[[T], None], value: T) -> None:
-        """Run a callback that may fail."""
+    @abstractmethod
+    def _make(self, reader: SharedReader[R]) -> R: ...
+
+    @abstractmethod
+    async def _delete(self, raw: R) -> None: ...
 
 
 class SharedReader(Generic[R]):
-    """A reader and the subscriptions it serves: one for all volatile subscriptions of a topic, type and profile.
+    """A reader and the subscriptions it serves. ``raw`` is what the middleware knows it by."""
 
-    ``raw`` is what the middleware knows it by.
-    """
-
-    def __init__(self, graph: Host[R], topic: str, qos: QoS) -> None:
-        self.topic, self.qos = topic, qos
+    def __init__(self, host: Host, topic: str, type: str, qos: QoS) -> None:
+        self.topic, self.type, self.qos = topic, type, qos
         self.raw: R | None = None
         self.subscriptions: tuple[AdoptingSubscription[R], ...] = ()
-        self._graph = graph
+        self._host = host
 
     def deliver(self, batch: list[Sample]) -> None:
         """Give a batch to every subscription."""
@@ -75,7 +133,7 @@ class SharedReader(Generic[R]):
     def dropped(self, counts: list[tuple[Undelivered, int]]) -> None:
         """Count what the thread let go."""
         for reason, count in counts:
-            self._graph.drops[self.topic, reason] += count
+            self._host.drops[self.topic, reason] += count
 
 
 def settled(asked: QoS, offered: QoS) -> QoS:
@@ -87,37 +145,21 @@ def settled(asked: QoS, offered: QoS) -> QoS:
     )
 
 
-class AdoptingSubscription(Generic[R]):
-    """A topic that we read; without a profile of its own it adopts what all publishers offer, and follows their
-    changes. Without a profile of its own it adopts what all publishers offer, and follows them.
+class AdoptingSubscription(SubscriptionBase[Readers[R]], Generic[R]):
+    """One topic that we read. Without a profile of its own it adopts what all publishers offer, and follows them.
 
     A profile with ``best_available`` policies adopts these alone.
     """
 
-    def __init__(self, graph: Host[R], topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
-        self.topic, self.type = topic, type
-        self.asked = qos
+    def __init__(self, graph: Readers[R], topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
+        super().__init__(graph, topic, type, qos, callback)
         self.adopts = qos is None or "best_available" in (qos.reliability, qos.durability)
-        self.closed = False
-        self._graph = graph
         self._qos = DEFAULT if qos is None else settled(qos, DEFAULT)
-        self._callback = callback
         self._readers: list[SharedReader[R]] = []  # the last is the one in use, the others overlap with it
         self._seen: dict[int, bytes | None] = {}  # as in ``ropeway.graph.deduplication``
         self._overlap: asyncio.TimerHandle | None = None
         self._tries = 0
         self._closing = Chores()
-        self._qos_callbacks: list[Callable[[QoS], None]] = []
-
-    @property
-    def qos(self) -> QoS:
-        """The profile in use."""
-        return self._qos
-
-    def on_qos(self, callback: Callable[[QoS], None]) -> None:
-        """Call with the profile, now and when the adopted one changes."""
-        self._qos_callbacks.append(callback)
-        callback(self._qos)
 
     def follow(self, qos: QoS) -> None:
         """Read with ``qos``: a reader with it is made before the one there is goes."""
@@ -134,21 +176,12 @@ class AdoptingSubscription(Generic[R]):
             return
         self._tries = 0
         self._arm()
-        for callback in self._qos_callbacks:
-            self._graph.guard(self.topic, callback, qos)
+        self._tell_qos()
 
-    def deliver(self, batch: list[Sample]) -> None:
-        """Give a batch to the callback, on the loop."""
-        if self.closed:
-            return
-        fresh = self._fresh(batch) if self.adopts else batch
-        if not fresh:
-            return
-        try:
-            self._callback(fresh)
-        except Exception:  # a callback is somebody else's code; the others must not suffer
-            self._graph.drops[self.topic, Undelivered.CALLBACK] += len(fresh)
-            failed(log, "%s: a callback for %s failed", self._graph.name, self.topic)
+    def deliver(self, batch: Sequence[Sample]) -> None:
+        """Hand messages to the callback, those that come by two readers once."""
+        if not self.closed:
+            super().deliver(self._fresh(batch) if self.adopts else batch)
 
     async def close(self) -> None:
         """Stop reading."""
@@ -164,8 +197,8 @@ class AdoptingSubscription(Generic[R]):
             await self._graph.detach(self, reader)
         await self._closing.wait()
 
-    def _fresh(self, batch: list[Sample]) -> list[Sample]:
-        """Return ``batch`` without samples that another reader of ours has delivered, or delivers at the same time."""
+    def _fresh(self, batch: Sequence[Sample]) -> list[Sample]:
+        """``batch`` without what another reader of ours has delivered, or delivers at the same time."""
         seen = self._seen
         fresh = []
         for sample in batch:
@@ -189,7 +222,7 @@ class AdoptingSubscription(Generic[R]):
     def _end_overlap(self) -> None:
         self._overlap = None
         self._tries += 1
-        if self._tries < _OVERLAP_TRIES and not self._graph.is_matched(self, self._readers[-1]):
+        if self._tries < _OVERLAP_TRIES and not self._graph.is_matched(self._readers[-1]):
             self._arm()
             return
         old, self._readers = self._readers[:-1], self._readers[-1:]

@@ -12,7 +12,6 @@ import asyncio
 import enum
 import functools
 import logging
-from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import AsyncExitStack
 from typing import Any, Final, Protocol, TypeVar, runtime_checkable
@@ -20,7 +19,6 @@ from typing import Any, Final, Protocol, TypeVar, runtime_checkable
 from ropeway.errors import GraphUnavailable, RopewayError
 from ropeway.graph.base import (
     NO_HINTS,
-    Changes,
     Delivery,
     Graph,
     GraphEvent,
@@ -29,7 +27,6 @@ from ropeway.graph.base import (
     SampleCallback,
     Subscription,
     TopicInfo,
-    Undelivered,
     resolve_name,
 )
 from ropeway.graph.calls import (
@@ -42,6 +39,8 @@ from ropeway.graph.calls import (
     ServiceHandler,
     ServiceInfo,
 )
+from ropeway.graph.changes import Changes
+from ropeway.graph.graph_base import GraphBase
 from ropeway.group.actions import GroupActionClient
 from ropeway.group.bound import LatencyBound
 from ropeway.group.calls import GroupClient, Ways
@@ -87,7 +86,7 @@ class Connecting(Protocol):
         """Call with whether the far side is reached, now and at each change."""
 
 
-class Group:
+class Group(GraphBase):
     """Presents several graphs as one.
 
     ``members`` has them by the names that they are called by. ``policy`` says who is asked: ``one`` the member that
@@ -119,15 +118,14 @@ class Group:
                 f'policy "{policy.value}" asks several members, so a request may be carried out more than once; write '
                 '"stateless": true if that does no harm'
             )
-        self.name, self.members = name, dict(members)
+        super().__init__(name)
+        self.members = dict(members)
         self.policy, self.stateless = policy, stateless
         self.scheduler = Scheduler(list(members), bound, stateless=stateless, options=options)
-        self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self.registry = registry or TypeRegistry()
         self._clock = clock
         self._responses = {resolve_name(a): resolve_name(b) for a, b in (exchanges or {}).items()}
         self._exchanges = {response: Exchange(self.scheduler) for response in self._responses.values()}
-        self._changes = Changes()
         self._watchers: list[Supervised] = []
         self._stack = AsyncExitStack()
         self._parts: dict[Any, None] = {}
@@ -369,10 +367,6 @@ class Group:
     def nodes(self) -> dict[str, NodeInfo]:
         """Return the nodes of every member; one that is on several is told of once."""
         return {name: info for graph in self._opened.values() for name, info in graph.nodes().items()}
-
-    def changes(self) -> AsyncIterator[GraphEvent]:
-        """Return what changes on any member from now on."""
-        return self._changes.listen()
 
 
 def _types(infos: Sequence[TopicInfo | ServiceInfo | ActionInfo]) -> tuple[str, ...]:

@@ -18,7 +18,6 @@ from typing import TypeVar
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import (
     NO_HINTS,
-    Changes,
     Delivery,
     EndpointInfo,
     Graph,
@@ -26,12 +25,12 @@ from ropeway.graph.base import (
     NodeInfo,
     SampleCallback,
     TopicInfo,
-    Undelivered,
     resolve_name,
-    types_of,
 )
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.changes import Changes
 from ropeway.graph.deduplication import Seen
+from ropeway.graph.graph_base import GraphBase
 from ropeway.graph.kept import Kept
 from ropeway.hub.actions import ViewActionClient, ViewActionServer
 from ropeway.hub.calls import HubCalls, ViewClient, ViewService
@@ -107,7 +106,7 @@ class Hub:
 
     def types_of(self, kind: str, name: str) -> tuple[str, ...]:
         """Return the types that a ``topic``, ``service`` or ``action`` has now, at the views and on the graph."""
-        found = dict.fromkeys(types_of(self.graph, kind, name))
+        found = dict.fromkeys(self.graph.types_of(kind, name))
         if kind == "topic":
             found.update(dict.fromkeys(publisher.type for publisher in self.publishers.get(name, ())))
         else:
@@ -132,21 +131,25 @@ class Hub:
         return view
 
 
-class View:
+class View(GraphBase):
     """The side of one user side of a shared graph; it is a ``Graph`` itself. ``close`` takes back what this user
     created.
     """
 
     def __init__(self, hub: Hub, user: str, *, echo: bool, alone: bool) -> None:
+        super().__init__(hub.graph.name)
         self.hub = hub
         self.user = user
         self.echo, self.alone = echo, alone
         self.kind = hub.graph.kind
-        self.name = hub.graph.name
-        self.drops: Counter[tuple[str, Undelivered]] = hub.graph.drops
-        self.own_changes = Changes()
+        self.drops = hub.graph.drops
         self._closed = False
         self._parts: Kept[_Part] = Kept()
+
+    @property
+    def own_changes(self) -> Changes:
+        """Return what the other views have created and closed."""
+        return self._changes
 
     async def open(self) -> None:
         """Do nothing: the graph is already open."""
@@ -155,7 +158,7 @@ class View:
         """Close what was created through this view."""
         self._closed = True
         await self._parts.close()
-        self.own_changes.close()
+        self._changes.close()
         if self in self.hub.views:
             self.hub.views.remove(self)
 
@@ -259,16 +262,16 @@ class View:
         return out
 
     def types(self, topic: str) -> tuple[str, ...]:
-        """Return the types that one topic has now."""
-        return types_of(self.hub.graph, "topic", topic)
+        """The types that one topic has now."""
+        return self.hub.graph.types_of("topic", topic)
 
     def service_types(self, service: str) -> tuple[str, ...]:
-        """Return the types that one service has now."""
-        return types_of(self.hub.graph, "service", service)
+        """The types that one service has now."""
+        return self.hub.graph.types_of("service", service)
 
     def action_types(self, action: str) -> tuple[str, ...]:
-        """Return the types that one action has now."""
-        return types_of(self.hub.graph, "action", action)
+        """The types that one action has now."""
+        return self.hub.graph.types_of("action", action)
 
     @staticmethod
     def _seen(endpoint: EndpointInfo, mine: bool) -> EndpointInfo:

@@ -7,7 +7,7 @@ import contextlib
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from ropeway import aio
 from ropeway.errors import (
@@ -27,12 +27,9 @@ from ropeway.networks.dds.in_flight import InFlightRequests
 from ropeway.networks.dds.matching import paired
 from ropeway.networks.dds.records import MatchedEndpoint
 from ropeway.networks.dds.rpc import MAX_SEQ, RequestHeader, join, split
-from ropeway.networks.dds.service_endpoints import Ends
+from ropeway.networks.dds.service_endpoints import DdsCallHost, Ends
 from ropeway.networks.dds.vendors import speaks_header, vendor_name
 from ropeway.tasks import background, end
-
-if TYPE_CHECKING:
-    from ropeway.networks.dds.graph import DdsGraph
 
 __all__ = ["DdsClient"]
 
@@ -76,7 +73,7 @@ class DdsClient(Ends):
     mapping are called through the graph's ``helper``, where it has one.
     """
 
-    def __init__(self, graph: DdsGraph, service: str, type: str) -> None:
+    def __init__(self, graph: DdsCallHost, service: str, type: str) -> None:
         super().__init__(graph, service, type)
         self.late = 0  # answers that nobody waited for any more, or that another server gave, too
         self._seq = 0
@@ -285,7 +282,7 @@ class DdsClient(Ends):
         if self.closed:
             return
         self.closed = True
-        self._changed.set()
+        self._changed.notify()
         for call in self._calls.values():
             call.finish(GraphUnavailable(self._graph.name, f"the client of {self.service} was closed in mid-call"))
         self._window.close()

@@ -140,7 +140,7 @@ class DdsDiscovery:
         return {name: self._service_info(name, service) for name, service in sorted(self._services.items())}
 
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
-        """See ``ropeway.graph.base.look_up``."""
+        """See ``Graph.look_up``."""
         if kind == "topic":
             topic = self._topics.get(name)
             return None if topic is None or is_of_action(name) else self._topic_info(name, topic)

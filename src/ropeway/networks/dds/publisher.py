@@ -2,35 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from ropeway.errors import TypesError
 from ropeway.graph.base import Sample, Undelivered
+from ropeway.graph.host import Host
+from ropeway.graph.parts import PublisherBase
 from ropeway.networks.dds.raw_endpoints import RawWriter
 from ropeway.qos import QoS
 from ropeway.types.translation import Translate
 
-if TYPE_CHECKING:
-    from ropeway.networks.dds.graph import DdsGraph
-
-__all__ = ["DdsPublisher"]
+__all__ = ["DdsPublisher", "DdsPublisherHost"]
 
 
-class DdsPublisher:
+class DdsPublisherHost(Host, Protocol):
+    """What a publisher needs of its graph."""
+
+    async def withdraw(self, publisher: DdsPublisher, writer: RawWriter | None) -> None:
+        """Forget a publisher that was closed, and delete its writer."""
+        ...
+
+
+class DdsPublisher(PublisherBase[DdsPublisherHost]):
     """Publishes what it is given as it is, under the source timestamp ``sample.seq`` where there is one.
 
     With a lifespan the source timestamp is the time of now, because receivers count the lifespan from it.
     """
 
-    def __init__(self, graph: DdsGraph, topic: str, type: str, qos: QoS, outward: Translate | None = None) -> None:
-        self.topic, self.type, self.qos = topic, type, qos
-        self._graph = graph
+    def __init__(
+        self, graph: DdsPublisherHost, topic: str, type: str, qos: QoS, outward: Translate | None = None
+    ) -> None:
+        super().__init__(graph, topic, type, qos)
         self._outward = outward  # brings messages into the layout of another distribution
         self._keep_stamp = qos.lifespan_s is None
         self._writer: RawWriter | None = None
-        self._subscribers = 0
-        self._demand: list[Callable[[int], None]] = []
 
     def bind(self, writer: RawWriter) -> None:
         """Write through ``writer`` from now on."""
@@ -55,26 +60,9 @@ class DdsPublisher:
         """Count a message that was not sent."""
         self._graph.drops[self.topic, reason] += 1
 
-    @property
-    def subscribers(self) -> int:
-        """The number of matched readers of others; those of our own gateway do not count."""
-        return self._subscribers
-
-    def on_demand(self, callback: Callable[[int], None]) -> None:
-        """Call with the number of subscribers, now and at each change."""
-        self._demand.append(callback)
-        callback(self._subscribers)
-
-    def on_count(self, count: int) -> None:
-        """Take the number of readers from DDS."""
-        if count == self._subscribers:
-            return
-        self._subscribers = count
-        for callback in self._demand:
-            self._graph.guard(self.topic, callback, count)
-
     async def close(self) -> None:
         """Withdraw the topic."""
+        self.closed = True
         self._demand.clear()
-        self._subscribers = 0
+        self.set_subscribers(0)
         await self._graph.withdraw(self, self._writer)

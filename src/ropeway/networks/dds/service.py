@@ -7,7 +7,7 @@ import hashlib
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from ropeway import aio
 from ropeway.errors import CallError, GraphError, TypesError
@@ -18,12 +18,9 @@ from ropeway.networks.dds.answer_pacing import AnswerPacing
 from ropeway.networks.dds.matching import paired
 from ropeway.networks.dds.records import MatchedEndpoint
 from ropeway.networks.dds.rpc import RequestHeader, join, split
-from ropeway.networks.dds.service_endpoints import Ends
+from ropeway.networks.dds.service_endpoints import DdsCallHost, Ends
 from ropeway.networks.dds.vendors import speaks_header, vendor_name
 from ropeway.tasks import Chores
-
-if TYPE_CHECKING:
-    from ropeway.networks.dds.graph import DdsGraph
 
 __all__ = ["DdsService"]
 
@@ -47,7 +44,7 @@ class DdsService(Ends):
 
     serves = True
 
-    def __init__(self, graph: DdsGraph, service: str, type: str, handler: ServiceHandler) -> None:
+    def __init__(self, graph: DdsCallHost, service: str, type: str, handler: ServiceHandler) -> None:
         super().__init__(graph, service, type)
         self.ignored = 0  # requests of another mapping, which the graph's helper serves where there is one
         self._handler = handler

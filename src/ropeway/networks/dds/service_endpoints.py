@@ -5,26 +5,62 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final, Protocol
 
 from ropeway.errors import InvalidTypeName
 from ropeway.graph.base import Sample, Undelivered, resolve_name
+from ropeway.graph.host import Host
+from ropeway.graph.signal import Signal
 from ropeway.networks.dds import raw
 from ropeway.networks.dds.endpoint_qos import user_data
+from ropeway.networks.dds.layouts import Layouts
 from ropeway.networks.dds.names import dds_service_topics, dds_type
 from ropeway.networks.dds.participant import DdsParticipant
 from ropeway.networks.dds.raw_endpoints import RawReader, RawWriter
 from ropeway.networks.dds.records import MatchedEndpoint
+from ropeway.networks.dds.vendors import VendorHelper
 from ropeway.qos import QoS
+from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
 
-if TYPE_CHECKING:
-    from ropeway.networks.dds.graph import DdsGraph
-
-__all__ = ["Ends"]
+__all__ = ["DdsCallHost", "Ends"]
 
 # Volatile, as services of ROS 2 are; and nothing is replaced by something newer.
 _QOS: Final = QoS(history="keep_all")
+
+
+class DdsCallHost(Host, Protocol):
+    """What a client or a service needs of its graph."""
+
+    gateway_id: str
+    helper: VendorHelper | None
+    layouts: Layouts
+
+    @property
+    def participant(self) -> DdsParticipant:
+        """The DDS side. Raises ``GraphUnavailable`` where the graph is not open."""
+        ...
+
+    @property
+    def registry(self) -> TypeRegistry:
+        """The definitions that default responses are made with."""
+        ...
+
+    def type_hash(self, type: str) -> str:
+        """Return ``RIHS01_…``, or ``""`` where nobody knows the type."""
+        ...
+
+    def node_of(self, guid: bytes) -> str:
+        """Return the full name of the node that an endpoint belongs to, or ``""``."""
+        ...
+
+    def little_endian(self, type: str, payload: bytes) -> bytes:
+        """Return CDR in our byte order. Raises ``DecodeError``, ``UnknownType``."""
+        ...
+
+    async def remove(self, part: Ends) -> None:
+        """Forget a part that was closed, and delete its endpoints."""
+        ...
 
 
 class Ends:
@@ -35,7 +71,7 @@ class Ends:
 
     serves = False
 
-    def __init__(self, graph: DdsGraph, service: str, type: str) -> None:
+    def __init__(self, graph: DdsCallHost, service: str, type: str) -> None:
         self.service, self.type = resolve_name(service), canonical_name(type, "srv")
         if "/msg/" in self.type:
             raise InvalidTypeName(type)
@@ -47,7 +83,7 @@ class Ends:
         self._reader: RawReader
         self._readers: tuple[MatchedEndpoint, ...] = ()
         self._writers: tuple[MatchedEndpoint, ...] = ()
-        self._changed = asyncio.Event()
+        self._changed = Signal()
 
     async def join(self, participant: DdsParticipant, pair: str) -> None:
         """Make the endpoints; ``pair`` is what marks them as one pair. Raises ``DdsError``.
@@ -119,5 +155,4 @@ class Ends:
         if self.closed:
             return
         self.on_match()
-        self._changed.set()
-        self._changed = asyncio.Event()
+        self._changed.notify()

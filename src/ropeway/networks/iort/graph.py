@@ -11,22 +11,18 @@ import hashlib
 import json
 import logging
 import re
-from collections import Counter
-from collections.abc import AsyncIterator, Callable
-from typing import Any, Final
+from typing import Final
 
 from ropeway.errors import GraphUnavailable, InvalidTypeName, TypeConflict
 from ropeway.fault_log import FaultLog
 from ropeway.graph.base import (
     NO_HINTS,
-    Changes,
     Delivery,
     EndpointInfo,
     GraphEvent,
     NodeInfo,
     SampleCallback,
     TopicInfo,
-    Undelivered,
     new_origin,
     resolve_name,
 )
@@ -40,7 +36,9 @@ from ropeway.graph.calls import (
     ServiceHandler,
     ServiceInfo,
 )
+from ropeway.graph.changes import Changes
 from ropeway.graph.deduplication import Seen
+from ropeway.graph.graph_base import GraphBase
 from ropeway.networks.iort.links import Link
 from ropeway.networks.iort.maps import Maps, TopicMap, ros_name
 from ropeway.networks.iort.parts import IortPublisher, IortSubscription, NodeTopic
@@ -61,7 +59,7 @@ _HAD_LIMIT: Final = 4096
 _NO_CALLS: Final = "has topics only: IoRT nodes know neither services nor actions"
 
 
-class IortGraph:
+class IortGraph(GraphBase):
     """Topics of the robots at one server, which ``link`` reaches."""
 
     kind = "iort"
@@ -69,10 +67,10 @@ class IortGraph:
     def __init__(
         self, link: Link, *, name: str, maps: Maps | None = None, registry: TypeRegistry | None = None
     ) -> None:
-        self.name, self.link = name, link
+        super().__init__(name)
+        self.link = link
         self.maps = maps or Maps()
         self.registry = registry or TypeRegistry()
-        self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self.fault_log = FaultLog(name)
         self.origin = new_origin()
         self.loop: asyncio.AbstractEventLoop
@@ -82,7 +80,6 @@ class IortGraph:
         self._endpoints: dict[tuple[str, str, str, str], MemberEndpoint] = {}
         self._infos: dict[MemberEndpoint, EndpointInfo] = {}  # what has been made of them
         self._had: dict[tuple[str, str], Seen] = {}
-        self._changes = Changes()
         self._open = False
 
     async def open(self) -> None:
@@ -210,10 +207,6 @@ class IortGraph:
             entry[info.kind != "publisher"].append((info.topic, info.type))
         return {node: NodeInfo(node, tuple(pubs), tuple(subs)) for node, (pubs, subs) in sorted(ends.items())}
 
-    def changes(self) -> AsyncIterator[GraphEvent]:
-        """Iterate over events from now on."""
-        return self._changes.listen()
-
     def offered(self, topic: str) -> list[QoS]:
         """Return the profiles of others that publish a topic."""
         known = [self._info(e) for e in self._endpoints.values() if e.kind == "publisher"]
@@ -229,15 +222,6 @@ class IortGraph:
                 self._had.clear()
             found = self._had[system, topic] = Seen()
         return found
-
-    def guard(self, topic: str, callback: Callable[..., None], *args: Any) -> bool:
-        """Run a callback of somebody else's; a failure is logged and counted."""
-        try:
-            callback(*args)
-        except Exception:  # a callback is somebody else's code; the others must not suffer
-            log.exception("%s: a callback for %s failed", self.name, topic)
-            return False
-        return True
 
     async def forget(self, subscription: IortSubscription) -> None:
         """Release what belongs to a closed subscription."""

@@ -5,18 +5,17 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from ropeway.graph.base import Sample, SampleCallback, Undelivered
+from ropeway.graph.host import Host
+from ropeway.graph.parts import PublisherBase, SubscriptionBase
 from ropeway.networks.iort.forms import FAILURES, Form, Timed, default_form
-from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.qos import QoS, common_qos
 from ropeway.store import CDR, Entry
 from ropeway.tasks import describe
 
 if TYPE_CHECKING:
-    from collections import Counter
-
     from ropeway.fault_log import FaultLog
     from ropeway.graph.deduplication import Seen
     from ropeway.networks.iort.links import Link
@@ -31,12 +30,11 @@ ROS_ORIGIN: Final = "ros:"
 """What the origin of an entry begins with whose first publisher was one of ROS; 32 hexadecimal digits follow."""
 
 
-class IortHost(Protocol):
-    """The services of a graph for its publishers and subscriptions."""
+class IortHost(Host, Protocol):
+    """What a publisher or a subscription needs of its graph."""
 
     link: Link
     registry: TypeRegistry
-    drops: Counter[tuple[str, Undelivered]]
     fault_log: FaultLog
     loop: asyncio.AbstractEventLoop
 
@@ -57,10 +55,6 @@ class IortHost(Protocol):
         """Return what has come from a topic of a robot, which need not go back."""
         ...
 
-    def guard(self, topic: str, callback: Callable[..., None], *args: Any) -> bool:
-        """Call somebody's function, and return whether it did not fail."""
-        ...
-
     async def withdraw(self, publisher: IortPublisher) -> None:
         """Publish a topic no more."""
         ...
@@ -70,13 +64,12 @@ class IortHost(Protocol):
         ...
 
 
-class IortPublisher:
+class IortPublisher(PublisherBase[IortHost]):
     """A ROS topic published to the nodes behind it."""
 
     def __init__(self, graph: IortHost, topic: str, type: str, qos: QoS) -> None:
-        self.topic, self.type, self.qos = topic, type, qos
-        self.closed = False
-        self._graph = graph
+        super().__init__(graph, topic, type, qos)
+        self._subscribers = None  # nodes read when they like, from the store
         self.targets: list[tuple[str, str, Form, TopicMap | None]] = [
             (system, name, map.make_form(graph.registry) if map else default_form(type, graph.registry), map)
             for system, name, map in graph.resolved(topic, "out")
@@ -105,14 +98,6 @@ class IortPublisher:
             if not graph.link.publish(system, topic, data, type, stamp_ns, origin, ""):
                 graph.drops[self.topic, Undelivered.WRITE] += 1
 
-    @property
-    def subscribers(self) -> None:
-        """Unknown: nodes read when they like, from the store."""
-        return None
-
-    def on_demand(self, callback: Callable[[int], None]) -> None:
-        """Ignore the callback, which is never called; see ``subscribers``."""
-
     async def close(self) -> None:
         """Withdraw the topic; its last value stays."""
         if not self.closed:
@@ -137,32 +122,17 @@ class NodeTopic:
                 subscription.take(self, entry, form)
 
 
-class IortSubscription:
+class IortSubscription(SubscriptionBase[IortHost]):
     """A ROS topic that nodes publish."""
 
     def __init__(self, graph: IortHost, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
-        self.topic, self.type = topic, type
-        self.closed = False
-        self._graph, self._callback = graph, callback
-        self._adopt = qos is None
-        self._qos = qos or DEFAULT
+        super().__init__(graph, topic, type, qos, callback)
         self._plain: Form | None = None
-        self._on_qos: list[Callable[[QoS], None]] = []
         self._feeds: list[tuple[NodeTopic, Form | None]] = []
         self._had: dict[int, tuple[int, str]] = {}
         self._batch: list[Sample] = []
         self._scheduled = False
         self._timers: dict[int, list[asyncio.TimerHandle]] = {}
-
-    @property
-    def qos(self) -> QoS:
-        """The profile in use."""
-        return self._qos
-
-    def on_qos(self, callback: Callable[[QoS], None]) -> None:
-        """Call with the profile, now and when the adopted one changes."""
-        self._on_qos.append(callback)
-        callback(self._qos)
 
     def join(self, feed: NodeTopic, form: Form | None) -> None:
         """Read a topic of nodes; ``form`` is that of its map."""
@@ -176,13 +146,9 @@ class IortSubscription:
 
     def readopt(self) -> None:
         """Follow the publishers' profiles, where it was made to."""
-        if not self._adopt or self.closed:
+        if self.asked is not None or self.closed:
             return
-        qos = common_qos(self._graph.offered(self.topic), self._qos)
-        if qos != self._qos:
-            self._qos = qos
-            for callback in self._on_qos:
-                self._graph.guard(self.topic, callback, qos)
+        self.set_qos(common_qos(self._graph.offered(self.topic), self.qos))
         self._catch_up()
 
     def _catch_up(self) -> None:
@@ -233,15 +199,12 @@ class IortSubscription:
         self._batch.append(sample)
         if not self._scheduled:
             self._scheduled = True
-            self._graph.loop.call_soon(self._deliver)
+            self._graph.loop.call_soon(self._flush)
 
-    def _deliver(self) -> None:
+    def _flush(self) -> None:
         self._scheduled = False
         batch, self._batch = self._batch, []
-        if self.closed or not batch:
-            return
-        if not self._graph.guard(self.topic, self._callback, batch):
-            self._graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
+        self.deliver(batch)
 
     async def close(self) -> None:
         """Stop reading."""

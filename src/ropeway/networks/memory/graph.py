@@ -7,32 +7,23 @@ history and adoption are those of ROS 2.
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
-from collections.abc import AsyncIterator, Iterable, Iterator
+from collections.abc import Iterator
 from typing import Final, Generic, TypeVar
 
-from ropeway.errors import GraphUnavailable, TypeConflict
-from ropeway.graph.actions import (
-    ComposedActionClient,
-    ComposedActionServer,
-    action_of_service,
-    actions_of,
-    service_of_action,
-)
+from ropeway.errors import TypeConflict
+from ropeway.graph.actions import action_of_service, actions_of, service_of_action
 from ropeway.graph.base import (
     NO_HINTS,
-    Changes,
     Delivery,
     EndpointInfo,
     GraphEvent,
     NodeInfo,
     SampleCallback,
     TopicInfo,
-    Undelivered,
     resolve_name,
 )
-from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
-from ropeway.graph.kept import Kept
+from ropeway.graph.calls import ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.graph_base import ComposingGraph
 from ropeway.networks.memory.calls import MemoryClient, MemoryService
 from ropeway.networks.memory.topics import MemoryPublisher, MemorySubscription
 from ropeway.qos import DEFAULT, QoS
@@ -94,7 +85,7 @@ class _Network:
 _networks: dict[str, _Network] = {}
 
 
-class MemoryGraph:
+class MemoryGraph(ComposingGraph):
     """A participant of the in-process network ``network``.
 
     ``node`` is the node name it shows to others. ``registry`` knows the types of actions; left out, those of ROS 2.
@@ -105,48 +96,22 @@ class MemoryGraph:
     def __init__(
         self, network: str = "default", *, node: str = "/ropeway", registry: TypeRegistry | None = None
     ) -> None:
-        self.name = f"memory:{network}"
+        super().__init__(f"memory:{network}", registry)
         self.node = resolve_name(node)
-        self.drops: Counter[tuple[str, Undelivered]] = Counter()
-        self._network_name = network
-        self._changes = Changes()
-        self._open = False
-        self._actions: Kept[ComposedActionClient | ComposedActionServer] = Kept()
-        self._registry = registry
         self.loop: asyncio.AbstractEventLoop
+        self._network_name = network
 
     @property
     def network(self) -> _Network:
-        """The state that all participants share."""
+        """Return what all participants share."""
         return _networks.setdefault(self._network_name, _Network())
 
-    async def open(self) -> None:
-        """Join the network."""
-        if self._open:
-            return
+    async def _join(self) -> None:
         self.loop = asyncio.get_running_loop()
-        self._changes = Changes()
-        self._open = True
         self.network.graphs.append(self)
 
-    async def close(self) -> None:
-        """Leave the network with everything that was created here."""
-        if not self._open:
-            return
-        await self._actions.close()
-        network = self.network
-        tables: tuple[Iterable[_Part], ...] = (
-            network.publishers,
-            network.subscriptions,
-            network.services,
-            network.clients,
-        )
-        for table in tables:
-            for part in [part for part in table if part.graph is self]:
-                await part.close()
-        self._open = False
+    async def _leave(self) -> None:
         self.network.graphs.remove(self)
-        self._changes.close()
         if not self.network.graphs:
             _networks.pop(self._network_name, None)
 
@@ -157,8 +122,9 @@ class MemoryGraph:
         self._check(topic, type)
         publisher = MemoryPublisher(self, resolve_name(topic), type, qos or DEFAULT)
         self.network.publishers.add(publisher.topic, publisher)
+        self._parts.add(publisher)
         self._rematch(publisher.topic)
-        self.announce("publisher", publisher.topic, type, True)
+        self._tell("publisher", publisher.topic, type, True)
         return publisher
 
     async def create_subscription(
@@ -174,8 +140,9 @@ class MemoryGraph:
         self._check(topic, type)
         subscription = MemorySubscription(self, resolve_name(topic), type, qos, callback)
         self.network.subscriptions.add(subscription.topic, subscription)
+        self._parts.add(subscription)
         self._rematch(subscription.topic)
-        self.announce("subscription", subscription.topic, type, True)
+        self._tell("subscription", subscription.topic, type, True)
         return subscription
 
     async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> MemoryClient:
@@ -183,6 +150,7 @@ class MemoryGraph:
         self._check(service, type)
         client = MemoryClient(self, resolve_name(service), canonical_name(type, "srv"))
         self.network.clients.add(client.service, client)
+        self._parts.add(client)
         return client
 
     async def create_service(
@@ -192,37 +160,9 @@ class MemoryGraph:
         self._check(service, type)
         served = MemoryService(self, resolve_name(service), canonical_name(type, "srv"), handler)
         self.network.services.add(served.service, served)
-        self.announce_service(served, True)
+        self._parts.add(served)
+        self._tell_service(served, True)
         return served
-
-    async def create_action_client(
-        self, action: str, type: str, *, delivery: Delivery = NO_HINTS
-    ) -> ComposedActionClient:
-        """Use ``action`` of another participant; ``delivery`` has no meaning inside one process."""
-        self._check(action, type)
-        client = ComposedActionClient(self, action, type, self.registry)
-        await client.open()
-        self._actions.add(client)
-        client.on_closed = lambda: self._actions.discard(client)
-        return client
-
-    async def create_action_server(
-        self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
-    ) -> ComposedActionServer:
-        """Serve ``action``; ``delivery`` has no meaning inside one process."""
-        self._check(action, type)
-        server = ComposedActionServer(self, action, type, handlers, self.registry)
-        await server.open()
-        self._actions.add(server)
-        server.on_closed = lambda: self._actions.discard(server)
-        return server
-
-    @property
-    def registry(self) -> TypeRegistry:
-        """The types that actions are made of."""
-        if self._registry is None:
-            self._registry = TypeRegistry()
-        return self._registry
 
     def services(self) -> dict[str, ServiceInfo]:
         """Return every service of the network, served or called."""
@@ -238,10 +178,6 @@ class MemoryGraph:
             tuple(self._provider(part) for part in clients),
         )
 
-    def actions(self) -> dict[str, ActionInfo]:
-        """Return every action of the network, served or used."""
-        return actions_of(self.services())
-
     def topics(self) -> dict[str, TopicInfo]:
         """Return every topic of the network; those that belong to actions stand under ``actions``."""
         network = self.network
@@ -255,7 +191,7 @@ class MemoryGraph:
         return TopicInfo(name, types, publishers, subscriptions)
 
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
-        """See ``ropeway.graph.base.look_up``."""
+        """See ``Graph.look_up``."""
         if kind == "topic":
             topic = self._topic(name)
             return topic if topic.types and _ACTION_PART not in name else None
@@ -275,20 +211,45 @@ class MemoryGraph:
             out[graph.node] = NodeInfo(graph.node, pubs, subs, served, called, local=graph is self)
         return out
 
-    def changes(self) -> AsyncIterator[GraphEvent]:
-        """Iterate over events from now on."""
-        return self._changes.listen()
+    # ── for the parts ──────────────────────────────────────────────────────────────────────────────────────────
 
-    def announce(self, kind: str, name: str, type: str, discovered: bool) -> None:
-        """Tell the other participants of a change here."""
-        self._tell(kind, name, type, discovered)
-        if not discovered:
-            self._rematch(name)
+    def offered(self, topic: str, type: str) -> list[QoS]:
+        """See ``MemoryTopicHost``."""
+        return [publisher.qos for publisher in self.network.publishers.of(topic) if publisher.type == type]
 
-    def announce_service(self, service: MemoryService, discovered: bool) -> None:
-        """Tell the other participants of a service that came or goes here, and of the action it belongs to."""
+    def provider(self, service: str, type: str) -> MemoryService | None:
+        """See ``MemoryCallHost``: it is the one who has served it longest."""
+        for served in self.network.services.of(service):
+            if served.type == type and served.graph is not self:
+                return served
+        return None
+
+    def withdraw(self, part: _Part) -> None:
+        """See ``MemoryTopicHost`` and ``MemoryCallHost``."""
+        network = self.network
+        if isinstance(part, MemoryPublisher):
+            network.publishers.remove(part.topic, part)
+            self._withdrawn("publisher", part)
+        elif isinstance(part, MemorySubscription):
+            network.subscriptions.remove(part.topic, part)
+            for publisher in network.publishers.of(part.topic):
+                publisher.match(part)
+            self._withdrawn("subscription", part)
+        elif isinstance(part, MemoryService):
+            network.services.remove(part.service, part)
+            self._tell_service(part, False)
+        else:
+            network.clients.remove(part.service, part)
+        self._parts.discard(part)
+
+    def _withdrawn(self, kind: str, part: MemoryPublisher | MemorySubscription) -> None:
+        self._tell(kind, part.topic, part.type, False)
+        self._rematch(part.topic)
+
+    def _tell_service(self, service: MemoryService, discovered: bool) -> None:
+        """Tell the other participants of a service that comes or goes here, and of the action it belongs to."""
         for client in self.network.clients.of(service.service):
-            client.look()
+            client.changed.notify()
         self._tell("service", service.service, service.type, discovered)
         action = action_of_service(service.service, service.type)
         if action is not None:
@@ -311,8 +272,7 @@ class MemoryGraph:
                 publisher.match(reader)
 
     def _check(self, topic: str, type: str) -> None:
-        if not self._open:
-            raise GraphUnavailable(self.name, "is not open; call open() first")
+        self._check_open()
         if not type:
             raise TypeConflict(topic, "a type", "none")
 

@@ -5,23 +5,20 @@ from __future__ import annotations
 import contextlib
 import logging
 import secrets
-from collections import Counter
-from collections.abc import AsyncIterator
 from typing import Any, Final
 
 from ropeway.errors import ConnectFailed, GraphUnavailable, TypeConflict
 from ropeway.graph.base import (
     NO_HINTS,
-    Changes,
     Delivery,
-    GraphEvent,
     NodeInfo,
     SampleCallback,
     TopicInfo,
-    Undelivered,
     resolve_name,
 )
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.changes import Changes
+from ropeway.graph.graph_base import GraphBase
 from ropeway.networks.ros1.action_client import Ros1ActionClient
 from ropeway.networks.ros1.action_server import Ros1ActionServer
 from ropeway.networks.ros1.client import Ros1Client
@@ -46,7 +43,7 @@ _ALIVE_S: Final = 1.0
 _US: Final = (ProviderInfo(local=True),)
 
 
-class Ros1Graph:
+class Ros1Graph(GraphBase):
     """The ROS 1 network of the master at ``uri`` (``http://host:port``; left out: ``ROS_MASTER_URI``).
 
     ``name`` is the node's name; where a living node has it already, a few letters are added. ``poll_s``: how often
@@ -60,12 +57,10 @@ class Ros1Graph:
         self, uri: str = "", *, registry: TypeRegistry | None = None, name: str = "ropeway", poll_s: float = _POLL_S
     ) -> None:
         self.uri = master_uri(uri)
-        self.name = f"ros1:{self.uri}"
+        super().__init__(f"ros1:{self.uri}")
         self.registry = registry or TypeRegistry()
-        self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self._node_name = resolve_name(name, "/")
         self._poll_s = poll_s
-        self._changes = Changes()
         self._types = Ros1Types(self.registry)
         self._spelling = Ros1Spelling(self._types)
         self._node: Ros1Node | None = None
@@ -249,10 +244,6 @@ class Ros1Graph:
     def nodes(self) -> dict[str, NodeInfo]:
         """Return all nodes that have a topic or a service, as the master showed last."""
         return {} if self._keeper is None else self._keeper.picture.nodes()
-
-    def changes(self) -> AsyncIterator[GraphEvent]:
-        """Iterate over changes that the master shows, our own left out."""
-        return self._changes.listen()
 
     # ── the parameter server ───────────────────────────────────────────────────────────────────────────────────
 

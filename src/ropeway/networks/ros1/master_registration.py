@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway import aio
 from ropeway.errors import ConnectFailed, TypesError
-from ropeway.graph.base import Changes
+from ropeway.graph.changes import Changes
 from ropeway.networks.ros1.master import MasterRefused
 from ropeway.networks.ros1.reader import TopicReader
 from ropeway.networks.ros1.service import ServiceDoor

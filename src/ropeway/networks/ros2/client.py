@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from ropeway import aio
 from ropeway.errors import CallError, CallFailed, CallTimeout, GraphUnavailable, NotServed, ProviderLost
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request
+from ropeway.graph.parts import ClientBase
 from ropeway.networks.dds.in_flight import InFlightRequests
 from ropeway.networks.ros2.host import Ros2Host
 
@@ -45,22 +46,20 @@ class _Call:
             self.outcome.set_result(outcome)
 
 
-class ClientHost(Ros2Host, Protocol):
-    """The services of a graph for its clients."""
+class Ros2ClientHost(Ros2Host, Protocol):
+    """What a client needs of its graph."""
 
     async def remove(self, part: Ros2Client, raw: Any, lane: Lane) -> None:
         """Remove a closed client."""
         ...
 
 
-class Ros2Client:
+class Ros2Client(ClientBase[Ros2ClientHost]):
     """Calls ``service``: any number of calls at a time."""
 
-    def __init__(self, graph: ClientHost, service: str, type: str, raw: Any, cls: Any) -> None:
-        self.service, self.type = service, type
+    def __init__(self, graph: Ros2ClientHost, service: str, type: str, raw: Any, cls: Any) -> None:
+        super().__init__(graph, service, type)
         self.raw = raw
-        self.closed = False
-        self._graph = graph
         self._class = cls
         self._participant = graph.participant
         self._lane = self._participant.senders.lane(_CALLS_LIMIT, _WAITING_BYTES, lambda _: None)
@@ -71,7 +70,6 @@ class Ros2Client:
         self._lock = threading.Lock()
         self._waiting = 0
         self._window = InFlightRequests(deferred=service.endswith(_DEFERRED))
-        self._changed = asyncio.Event()
         self._losing: asyncio.TimerHandle | None = None
         self._served_since: float | None = None
 
@@ -93,14 +91,7 @@ class Ros2Client:
         return await self._served(self._loop.time() + timeout_s)
 
     async def _served(self, until: float) -> bool:
-        try:
-            async with aio.timeout_at(until):
-                while not self.closed and not self.available:
-                    self._changed.clear()
-                    await self._changed.wait()
-        except TimeoutError:
-            return False
-        return self._look()
+        return await super().wait_available(until - self._loop.time()) and self._look()
 
     def _look(self) -> bool:
         """See whether it is served, and since when."""
@@ -127,7 +118,7 @@ class Ros2Client:
         call = _Call(self._loop)
         self._calls[call] = None
         try:
-            outcome = await self._call(call, request, self._loop.time() + timeout_s)
+            outcome = await self._ask(call, request, self._loop.time() + timeout_s)
         except TimeoutError:
             raise CallTimeout(self.service, timeout_s) from None
         finally:
@@ -140,7 +131,7 @@ class Ros2Client:
             return outcome
         raise outcome
 
-    async def _call(self, call: _Call, request: Request, until: float) -> bytes | CallError | GraphUnavailable:
+    async def _ask(self, call: _Call, request: Request, until: float) -> bytes | CallError | GraphUnavailable:
         now = self._loop.time()
         if not await self._served(min(until, max(self._made + _DISCOVERY_S, now + _NOBODY_S))):
             self._check_open()
@@ -159,7 +150,7 @@ class Ros2Client:
     def look(self) -> None:
         """See whether the service is served."""
         if self._look():
-            self._changed.set()
+            self.changed.notify()
         elif self._calls and self._losing is None:
             self._losing = self._loop.call_later(_GRACE_S, self._lose)
 
@@ -171,10 +162,6 @@ class Ros2Client:
             sent = list(self._pending.values())
         for call in sent:
             call.finish(ProviderLost(self.service, "its server has left"))
-
-    def _check_open(self) -> None:
-        if self.closed:
-            raise GraphUnavailable(self._graph.name, f"the client of {self.service} is closed")
 
     def _on_answers(self, batch: list[tuple[_Call, bytes | CallError | GraphUnavailable]]) -> None:
         for call, outcome in batch:
@@ -195,7 +182,7 @@ class Ros2Client:
                 self._pending[call.seq] = call
             return
         except self._participant.invalid_handle:
-            failure = GraphUnavailable(self._graph.name, f"the client of {self.service} was closed in mid-call")
+            failure = self._closed_in_mid_call()
         except (RuntimeError, ValueError) as error:
             failure = CallFailed(self.service, f"the request cannot be sent: {error}")
         self._participant.spinner.push(self._on_answers, [(call, failure)])
@@ -224,10 +211,10 @@ class Ros2Client:
         if self.closed:
             return
         self.closed = True
-        self._changed.set()
+        self.changed.notify()
         if self._losing is not None:
             self._losing.cancel()
         for call in list(self._calls):
-            call.finish(GraphUnavailable(self._graph.name, f"the client of {self.service} was closed in mid-call"))
+            call.finish(self._closed_in_mid_call())
         self._window.close()
         await self._graph.remove(self, self.raw, self._lane)

@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections import Counter
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, Final, TypeVar
 
 from ropeway.errors import GraphUnavailable, InvalidName
-from ropeway.graph.actions import ComposedActionClient, ComposedActionServer, actions_of
 from ropeway.graph.base import (
     NO_HINTS,
-    Changes,
     Delivery,
-    GraphEvent,
     NodeInfo,
     SampleCallback,
     TopicInfo,
-    Undelivered,
     resolve_name,
 )
-from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.calls import ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.graph_base import ComposingGraph
 from ropeway.graph.layout_border import Border
-from ropeway.graph.qos_adoption import AdoptingSubscription, settled
+from ropeway.graph.qos_adoption import settled
 from ropeway.networks.ros2.client import Ros2Client
 from ropeway.networks.ros2.discovery import Ros2Discovery
 from ropeway.networks.ros2.environment import MAX_DOMAIN
@@ -34,7 +30,7 @@ from ropeway.networks.ros2.origins import Origins
 from ropeway.networks.ros2.participant import Ros2Participant
 from ropeway.networks.ros2.profiles import service_profile, writer_profile
 from ropeway.networks.ros2.publisher import Ros2Publisher
-from ropeway.networks.ros2.readers import Readers, Ros2Subscription
+from ropeway.networks.ros2.readers import Ros2Readers, Ros2Subscription
 from ropeway.networks.ros2.senders import Lane
 from ropeway.networks.ros2.service import Ros2Service
 from ropeway.networks.ros2.snapshot import Ros2Snapshot
@@ -52,10 +48,10 @@ _LOOK_LATER_S: Final = 1.0
 
 
 T = TypeVar("T")
-_Part = Ros2Publisher | Ros2Subscription | Ros2Client | Ros2Service | ComposedActionClient | ComposedActionServer
+_Part = Ros2Publisher | Ros2Subscription | Ros2Client | Ros2Service
 
 
-class Ros2Graph:
+class Ros2Graph(ComposingGraph):
     """The node ``namespace``/``name`` in domain ``domain``.
 
     ``gateway_id`` names the gateway that it belongs to: its processes do not hear each other. ``registry`` knows the
@@ -73,55 +69,37 @@ class Ros2Graph:
         gateway_id: str = "",
         registry: TypeRegistry | None = None,
     ) -> None:
-        self.name = f"ros2:{domain}"
+        super().__init__(f"ros2:{domain}", registry)
         if not 0 <= domain <= MAX_DOMAIN:
             raise GraphUnavailable(self.name, f"the domain must be a number from 0 to {MAX_DOMAIN}")
         if "/" in name:
             raise InvalidName(name, "a node name has no slash; give the namespace apart")
         self.domain = domain
         self.node = resolve_name(name, namespace)
-        self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self._gateway_id = gateway_id
-        self._registry = registry
-        self._changes = Changes()
         self._participant: Ros2Participant | None = None
         self._discovery: Ros2Discovery
         self._origins: Origins
-        self._readers: Readers
-        self._parts: dict[_Part, None] = {}
-        self._lock = asyncio.Lock()
+        self._readers: Ros2Readers
         self._look_at: asyncio.TimerHandle | None = None
         self._looks = 0
 
-    async def open(self) -> None:
-        """Join the domain. Raises ``GraphUnavailable`` with what to do."""
-        async with self._lock:
-            if self._participant is not None:
-                return
-            self._changes = Changes()
-            participant = Ros2Participant(self.name, self.domain, self.node, self._gateway_id)
-            self._discovery = Ros2Discovery(self.name, self._gateway_id, self._changes.emit, self._readopt)
-            await participant.open(self._on_picture)
-            self._origins = Origins(participant.rmw, self._discovery)
-            self._readers = Readers(self, participant, self._discovery, self._origins)
-            self._participant = participant
-            log.info("%s: joined as node %s over %s", self.name, self.node, participant.rmw)
+    async def _join(self) -> None:
+        participant = Ros2Participant(self.name, self.domain, self.node, self._gateway_id)
+        self._discovery = Ros2Discovery(self.name, self._gateway_id, self._changes.emit, self._readopt)
+        await participant.open(self._on_picture)
+        self._origins = Origins(participant.rmw, self._discovery)
+        self._readers = Ros2Readers(self, participant, self._discovery, self._origins)
+        self._participant = participant
+        log.info("%s: joined as node %s over %s", self.name, self.node, participant.rmw)
 
-    async def close(self) -> None:
-        """Leave the domain with everything that was created here."""
-        async with self._lock:
-            participant = self._participant
-            if participant is None:
-                return
-            for kinds in ((ComposedActionClient, ComposedActionServer), (object,)):
-                await asyncio.gather(*(part.close() for part in list(self._parts) if isinstance(part, kinds)))
-            self._parts.clear()
-            self._participant = None
-            if self._look_at is not None:
-                self._look_at.cancel()
-                self._look_at = None
+    async def _leave(self) -> None:
+        participant, self._participant = self._participant, None
+        if self._look_at is not None:
+            self._look_at.cancel()
+            self._look_at = None
+        if participant is not None:
             await participant.close()
-            self._changes.close()
 
     # Topics -----------------------------------------------------------------------------------------------------
 
@@ -156,7 +134,7 @@ class Ros2Graph:
         await loaded(message_class, type)
         self._check_open()
         subscription = Ros2Subscription(self._readers, topic, type, qos, callback)
-        subscription.follow(self._readers.adopted(subscription))
+        self._readers.begin(subscription)
         self._add(subscription)
         return subscription
 
@@ -192,26 +170,6 @@ class Ros2Graph:
         self._add(served)
         return served
 
-    async def create_action_client(
-        self, action: str, type: str, *, delivery: Delivery = NO_HINTS
-    ) -> ComposedActionClient:
-        """Use ``action``; ROS has its own way with ``delivery``."""
-        self._check_open()
-        client = ComposedActionClient(self, action, type, self.registry)
-        await client.open()
-        self._add(client)
-        return client
-
-    async def create_action_server(
-        self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
-    ) -> ComposedActionServer:
-        """Serve ``action``; ROS has its own way with ``delivery``."""
-        self._check_open()
-        server = ComposedActionServer(self, action, type, handlers, self.registry)
-        await server.open()
-        self._add(server)
-        return server
-
     @cached_property
     def border(self) -> Border:
         """The border at which messages get the layouts of the sourced ROS 2, whatever distribution they come from."""
@@ -219,7 +177,7 @@ class Ros2Graph:
 
     @property
     def registry(self) -> TypeRegistry:
-        """The types that actions are made of."""
+        """Return the types that actions are made of; unless some were given, those of the sourced ROS 2."""
         if self._registry is None:
             self._registry = TypeRegistry()
             self._registry.add_ament_prefix_path()
@@ -235,7 +193,7 @@ class Ros2Graph:
         }
         us = ProviderInfo(self.node, local=True)
         for part in self._parts:
-            if isinstance(part, Ros2Service | Ros2Client) and not part.closed:
+            if isinstance(part, Ros2Service | Ros2Client):
                 info = found.get(part.service) or ServiceInfo(part.service, ())
                 info = replace(info, types=tuple(dict.fromkeys((*info.types, part.type))))
                 if isinstance(part, Ros2Service):
@@ -244,17 +202,9 @@ class Ros2Graph:
                     found[part.service] = replace(info, clients=(*info.clients, us))
         return {name: info for name, info in sorted(found.items()) if info.servers or info.clients}
 
-    def actions(self) -> dict[str, ActionInfo]:
-        """Return every action in the domain, ours included."""
-        return actions_of(self.services())
-
     def nodes(self) -> dict[str, NodeInfo]:
         """Return every node in the domain, ours included."""
         return self._discovery.nodes() if self._participant is not None else {}
-
-    def changes(self) -> AsyncIterator[GraphEvent]:
-        """Iterate over what others do, from now on."""
-        return self._changes.listen()
 
     @property
     def settled(self) -> bool:
@@ -270,14 +220,6 @@ class Ros2Graph:
 
     # For the parts ----------------------------------------------------------------------------------------------
 
-    def guard(self, topic: str, callback: Callable[[T], None], value: T) -> None:
-        """Run a callback that may fail."""
-        try:
-            callback(value)
-        except Exception:  # a callback is somebody else's code; the others must not suffer
-            self.drops[topic, Undelivered.CALLBACK] += 1
-            log.exception("%s: a callback for %s failed", self.name, topic)
-
     def attempt(self, create: Callable[[], T]) -> T:
         """Do something with rclpy. Raises ``GraphUnavailable`` with what it says."""
         try:
@@ -289,20 +231,16 @@ class Ros2Graph:
         """Return how many readers of others are matched with a publisher."""
         return self._readers.count_others(publisher) if self._participant is not None else 0
 
-    def forget(self, subscription: Ros2Subscription) -> None:
-        """Release what belongs to a closed subscription."""
-        self._parts.pop(subscription, None)
-
     async def withdraw(self, publisher: Ros2Publisher, lane: Lane) -> None:
-        """Remove a closed publisher."""
-        self._parts.pop(publisher, None)
+        """A publisher was closed."""
+        self._parts.discard(publisher)
         if self._participant is not None:
             await lane.finish(lambda: self._destroy("publisher", publisher.raw))
             self.look_soon()
 
     async def remove(self, part: Ros2Client | Ros2Service, raw: Any, lane: Lane) -> None:
-        """Remove a closed client or service."""
-        self._parts.pop(part, None)
+        """A client or service was closed."""
+        self._parts.discard(part)
         if self._participant is not None:
             self._participant.spinner.remove(raw.handle)
             kind = "client" if isinstance(part, Ros2Client) else "service"
@@ -315,7 +253,7 @@ class Ros2Graph:
         if participant is not None and participant.node is not None:
             getattr(participant.node, f"destroy_{kind}")(raw)
 
-    # Discovery --------------------------------------------------------------------------------------------------
+    # Ros2Discovery --------------------------------------------------------------------------------------------------
 
     def _on_picture(self, picture: Ros2Snapshot) -> None:
         if self._participant is not None:
@@ -352,16 +290,10 @@ class Ros2Graph:
                 part.look()
 
     def _readopt(self, topics: set[str]) -> None:
-        for subscription in list(self._parts):
-            if isinstance(subscription, AdoptingSubscription) and subscription.adopts and subscription.topic in topics:
-                try:
-                    subscription.follow(self._readers.adopted(subscription))
-                except GraphUnavailable as error:
-                    log.warning("%s: %s keeps its profile: %s", self.name, subscription.topic, error)
+        self._readers.readopt(topics)
 
     def _add(self, part: _Part) -> None:
-        self._parts = {known: None for known in self._parts if not known.closed}
-        self._parts[part] = None
+        self._parts.add(part)
         self.look_soon()
 
     def _check_open(self) -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TYPE_CHECKING, Protocol
 
-from ropeway.graph.base import Undelivered
+from ropeway.graph.host import Host
 
 if TYPE_CHECKING:
     from ropeway.graph.layout_border import Border
@@ -14,11 +13,8 @@ if TYPE_CHECKING:
 __all__ = ["Ros2Host"]
 
 
-class Ros2Host(Protocol):
+class Ros2Host(Host, Protocol):
     """The graph, as all of its parts see it; each adds what it alone needs."""
-
-    name: str
-    drops: Counter[tuple[str, Undelivered]]
 
     @property
     def border(self) -> Border:

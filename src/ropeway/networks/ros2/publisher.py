@@ -7,9 +7,10 @@ import logging
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, Protocol
 
 from ropeway.graph.base import Sample, Undelivered
+from ropeway.graph.parts import PublisherBase
 from ropeway.networks.ros2.host import Ros2Host
 from ropeway.networks.ros2.rcl import RclError
 from ropeway.networks.ros2.senders import Lane
@@ -18,7 +19,6 @@ from ropeway.qos import QoS
 __all__ = ["Ros2Publisher"]
 
 log = logging.getLogger("ropeway.ros2")
-T = TypeVar("T")
 
 _WAITING: Final = 256  # messages, where the profile keeps fewer: what a burst may bring
 _WAITING_ALL: Final = 8192
@@ -27,15 +27,11 @@ _SHORTEST: Final = 4
 _ACKED_S: Final = 0.5  # how long what was published last may take to arrive once the topic is withdrawn
 
 
-class PublisherHost(Ros2Host, Protocol):
-    """The services of a graph for its publishers."""
+class Ros2PublisherHost(Ros2Host, Protocol):
+    """What a publisher needs of its graph."""
 
     def count_readers(self, publisher: Ros2Publisher) -> int:
         """Return how many readers of others are matched with a publisher."""
-        ...
-
-    def guard(self, topic: str, callback: Callable[[T], None], value: T) -> None:
-        """Run a callback that may fail."""
         ...
 
     async def withdraw(self, publisher: Ros2Publisher, lane: Lane) -> None:
@@ -43,22 +39,19 @@ class PublisherHost(Ros2Host, Protocol):
         ...
 
 
-class Ros2Publisher:
+class Ros2Publisher(PublisherBase[Ros2PublisherHost]):
     """Publishes what it is given as it is, in a thread, since a slow reader may hold up whoever publishes."""
 
-    def __init__(self, graph: PublisherHost, topic: str, type: str, qos: QoS, raw: Any) -> None:
-        self.topic, self.type, self.qos = topic, type, qos
+    def __init__(self, graph: Ros2PublisherHost, topic: str, type: str, qos: QoS, raw: Any) -> None:
+        super().__init__(graph, topic, type, qos)
         self.raw = raw
-        self.closed = False
-        self._graph = graph
+        self.counted = 0  # the readers of others, as they were counted last
         participant = graph.participant
         depth = _WAITING_ALL if qos.history == "keep_all" else max(_WAITING, qos.depth)
         self._lane: Lane = participant.senders.lane(depth, _WAITING_BYTES, self._on_backlog)
         self._rcl, self._invalid = participant.rcl, participant.invalid_handle
         self._spinner = participant.spinner
         self._translated = graph.border.touches(type)
-        self._subscribers = 0
-        self._demand: list[Callable[[int], None]] = []
         self._warned = False
         self._last = 0.0
 
@@ -98,29 +91,18 @@ class Ros2Publisher:
 
     @property
     def subscribers(self) -> int:
-        """The number of matched readers of others; those of our own gateway do not count."""
-        self.look()
-        return self._subscribers
-
-    @property
-    def counted(self) -> int:
-        """The readers of others, as they were counted last."""
-        return self._subscribers
+        """Return how many readers of others are matched now; those of our own gateway do not count."""
+        return 0 if self.closed else self._graph.count_readers(self)
 
     def on_demand(self, callback: Callable[[int], None]) -> None:
-        """Call with the number of subscribers, now and at each change."""
+        """See ``Publisher.on_demand``."""
         self.look()
-        self._demand.append(callback)
-        callback(self._subscribers)
+        super().on_demand(callback)
 
     def look(self) -> None:
-        """Count the readers again."""
-        count = 0 if self.closed else self._graph.count_readers(self)
-        if count == self._subscribers:
-            return
-        self._subscribers = count
-        for callback in self._demand:
-            self._graph.guard(self.topic, callback, count)
+        """Count the readers again, and tell a change."""
+        self.counted = self.subscribers
+        self.set_subscribers(self.counted)
 
     async def close(self) -> None:
         """Withdraw the topic, once what was published is out."""
@@ -128,7 +110,6 @@ class Ros2Publisher:
             return
         self.closed = True
         self._demand.clear()
-        self._subscribers = 0
         if self.qos.reliable and time.monotonic() - self._last < 2 * _ACKED_S:
             self._lane.put(self._settle)
         await self._graph.withdraw(self, self._lane)

@@ -27,8 +27,8 @@ _SHORTEST: Final = 4
 _TEXTS: Final = (("success", "message"), ("successful", "reason"))
 
 
-class ServiceHost(Ros2Host, Protocol):
-    """The services of a graph for the services that it serves."""
+class Ros2ServiceHost(Ros2Host, Protocol):
+    """What a service needs of its graph."""
 
     async def remove(self, part: Ros2Service, raw: Any, lane: Lane) -> None:
         """Remove a closed service."""
@@ -43,7 +43,7 @@ class Ros2Service:
     """
 
     def __init__(
-        self, graph: ServiceHost, service: str, type: str, handler: ServiceHandler, raw: Any, cls: Any
+        self, graph: Ros2ServiceHost, service: str, type: str, handler: ServiceHandler, raw: Any, cls: Any
     ) -> None:
         self.service, self.type = service, type
         self.raw = raw

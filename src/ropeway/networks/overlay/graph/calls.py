@@ -6,30 +6,27 @@ import asyncio
 from collections import deque
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Protocol
 
-from ropeway import aio
 from ropeway.errors import (
     CallError,
     CallFailed,
     CallTimeout,
     GoalRejected,
-    GraphUnavailable,
     NotServed,
     ProviderLost,
     SealError,
 )
-from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceHandler
+from ropeway.graph.calls import Request, ServiceHandler
 from ropeway.graph.local_calls import LEFT, InFlight, answer
+from ropeway.graph.parts import ClientBase
 from ropeway.limits import OVERLAY_REMEMBERED_BYTES
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.crypto.certificate import Certificate
+from ropeway.networks.overlay.graph.host import OverlayHost
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.networks.overlay.rpc import RemoteError, part
 from ropeway.tasks import end
-
-if TYPE_CHECKING:
-    from ropeway.networks.overlay.graph.graph import OverlayGraph
 
 __all__ = ["OverlayClient", "OverlayService"]
 
@@ -39,10 +36,25 @@ _AGAIN_S: Final = 0.02
 _NO_WAY_S: Final = 3.0  # a link that was cut may come back, or a router be replaced by another
 
 
+class OverlayCallHost(OverlayHost, Protocol):
+    """What a client or a service needs of its graph."""
+
+    lane: int
+    nobody_s: float
+
+    def remove_client(self, client: OverlayClient) -> None:
+        """Forget a client that was closed."""
+        ...
+
+    def remove_service(self, service: OverlayService) -> None:
+        """Forget a service that was closed."""
+        ...
+
+
 class OverlayService:
     """A service that we serve in the overlay. A call that comes twice is carried out once."""
 
-    def __init__(self, graph: OverlayGraph, advert: Advertisement, handler: ServiceHandler) -> None:
+    def __init__(self, graph: OverlayCallHost, advert: Advertisement, handler: ServiceHandler) -> None:
         self.service, self.type, self.endpoint = advert.name, advert.type, advert.endpoint
         self.advert = advert
         self.closed = False
@@ -108,16 +120,12 @@ def _timeout_s(request: Mapping[str, Any]) -> float:
     return min(float(value), LONGEST_S)
 
 
-class OverlayClient:
+class OverlayClient(ClientBase[OverlayCallHost]):
     """A service that we call in the overlay: of several replicas the one that has served longest."""
 
-    def __init__(self, graph: OverlayGraph, advert: Advertisement) -> None:
-        self.service, self.type, self.endpoint = advert.name, advert.type, advert.endpoint
-        self.advert = advert
-        self.closed = False
-        self._graph = graph
-        self._changed = asyncio.Event()
-        self._under_way = InFlight()
+    def __init__(self, graph: OverlayCallHost, advert: Advertisement) -> None:
+        super().__init__(graph, advert.name, advert.type)
+        self.advert, self.endpoint = advert, advert.endpoint
         self._asking: dict[asyncio.Task[Any], bytes] = {}
 
     def provider(self) -> Advertisement | None:
@@ -126,8 +134,8 @@ class OverlayClient:
         return min(found, key=lambda advert: (advert.since_ns, advert.endpoint), default=None)
 
     def rematch(self) -> None:
-        """React to changed providers: calls to one that has gone fail at once."""
-        self._changed.set()
+        """Those who serve it have changed: calls to who has gone fail at once."""
+        self.changed.notify()
         there = {advert.endpoint for advert in self._graph.node.rib.by_name(self.advert.global_name, "service")}
         for task, endpoint in list(self._asking.items()):
             if endpoint not in there:
@@ -137,24 +145,6 @@ class OverlayClient:
     def available(self) -> bool:
         """Whether a provider serves it now."""
         return not self.closed and self.provider() is not None
-
-    async def wait_available(self, timeout_s: float) -> bool:
-        """See ``Client``."""
-        try:
-            async with aio.timeout(timeout_s):
-                while not self.closed and not self.available:
-                    self._changed.clear()
-                    await self._changed.wait()
-        except TimeoutError:
-            return False
-        return self.available
-
-    async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
-        """See ``Client``."""
-        if self.closed:
-            raise GraphUnavailable(self._graph.name, f"the client of {self.service} is closed")
-        with self._under_way.call():
-            return await self._call(request, timeout_s)
 
     async def _call(self, request: Request, timeout_s: float) -> bytes:
         loop = asyncio.get_running_loop()
@@ -212,14 +202,7 @@ class OverlayClient:
             await asyncio.sleep(pause_s)
             pause_s = min(2 * pause_s, _NO_WAY_S / 8)
 
-    async def close(self) -> None:
-        """See ``Client``."""
-        if self.closed:
-            return
-        self.closed = True
-        self._changed.set()
-        why = f"the client of {self.service} was closed in mid-call"
-        await self._under_way.fail(GraphUnavailable(self._graph.name, why))
+    async def _leave(self) -> None:
         self._graph.remove_client(self)
 
 

@@ -6,30 +6,27 @@ What is published is sealed for those who may read it, whoever carries it.
 
 from __future__ import annotations
 
-import logging
+import asyncio
 import time
-from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from typing import Final, TypeVar
+from typing import Final
 
 from ropeway.errors import GraphUnavailable, SealError, TypeConflict
-from ropeway.graph.actions import ComposedActionClient, ComposedActionServer, action_of_service, actions_of
+from ropeway.graph.actions import action_of_service
 from ropeway.graph.base import (
     NO_HINTS,
-    Changes,
     Delivery,
     EndpointInfo,
     GraphEvent,
     NodeInfo,
     SampleCallback,
     TopicInfo,
-    Undelivered,
     resolve_name,
 )
-from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
-from ropeway.graph.kept import Kept
+from ropeway.graph.calls import ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.graph_base import ComposingGraph
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.graph.calls import OverlayClient, OverlayService
@@ -44,16 +41,12 @@ from ropeway.types.definition import canonical_name
 
 __all__ = ["OverlayGraph"]
 
-log = logging.getLogger("ropeway.overlay")
-
 _ACTION_PART: Final = "/_action/"
 _FOREVER_NS: Final = 365 * 86_400 * 10**9
 _TOPICS: Final = ("publisher", "subscription")
 
-T = TypeVar("T")
 
-
-class OverlayGraph:
+class OverlayGraph(ComposingGraph):
     """A participant of the overlay that ``node`` is a member of.
 
     ``metadata`` goes into every name; ``readers`` and ``callers`` are patterns of certificate names that may read and
@@ -76,12 +69,10 @@ class OverlayGraph:
         label: str = "overlay",
         node_name: str = "",
     ) -> None:
+        super().__init__(label, registry)
         self.node = node
-        self.name = label
         self.metadata = metadata or Metadata()
         self.node_name = node_name
-        self.registry = registry or TypeRegistry()
-        self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self.sender: OverlaySender
         self._patterns = {"subscribe": tuple(readers), "call": tuple(callers)}
         self._publishers: dict[bytes, OverlayPublisher] = {}
@@ -89,43 +80,24 @@ class OverlayGraph:
         self._services: dict[bytes, OverlayService] = {}
         self._clients: dict[bytes, OverlayClient] = {}
         self._matched: dict[bytes, list[OverlayPublisher | OverlaySubscription | OverlayClient]] = {}
-        self._actions: Kept[ComposedActionClient | ComposedActionServer] = Kept()
-        self._changes = Changes()
-        self._open = False
         self._stop: Callable[[], None] | None = None
 
     # ── life ───────────────────────────────────────────────────────────────────────────────────────────────────
 
-    async def open(self) -> None:
-        """Join the overlay."""
-        if self._open:
-            return
+    async def _join(self) -> None:
         await self.node.open()
         self.sender = OverlaySender(self)
-        self._changes = Changes()
         self._stop = self.node.rib.on_change(self._changed)
-        self._open = True
 
-    async def close(self) -> None:
-        """Leave it with everything that was created here."""
-        if not self._open:
-            return
-        await self._actions.close()
-        parts: Iterable[Sequence[object]] = (
-            list(self._clients.values()),
-            list(self._services.values()),
-            list(self._publishers.values()),
-            list(self._subscriptions.values()),
-        )
-        for group in parts:
-            for part in group:
-                await part.close()  # type: ignore[attr-defined]
-        self._open = False
+    async def _close_parts(self) -> None:
+        for parts in (self._clients, self._services, self._publishers, self._subscriptions):
+            await asyncio.gather(*(part.close() for part in parts.values()))
+
+    async def _leave(self) -> None:
         if self._stop is not None:
             self._stop()
         await self.sender.close()
         await self.node.close()
-        self._changes.close()
 
     @property
     def untold(self) -> str:
@@ -135,8 +107,7 @@ class OverlayGraph:
         return f"no router can be reached ({', '.join(self.node.routers) or 'none is named'})"
 
     def _check(self, name: str, type: str) -> None:
-        if not self._open:
-            raise GraphUnavailable(self.name, "is not open; call open() first")
+        self._check_open()
         if not type:
             raise TypeConflict(name, "a type", "none")
 
@@ -144,14 +115,6 @@ class OverlayGraph:
         """Return whether the owner of a certificate may read or call what is offered here."""
         listed = any(fnmatchcase(certificate.name, pattern) for pattern in self._patterns.get(verb, ("*",)))
         return listed and self.node.policy(verb, name, certificate)
-
-    def guard(self, topic: str, callback: Callable[[T], object], value: T) -> None:
-        """Call somebody else's code; its failure is logged and counted."""
-        try:
-            callback(value)
-        except Exception:  # a callback is somebody else's code; the others must not suffer
-            self.drops[topic, Undelivered.CALLBACK] += 1
-            log.exception("%s: a callback for %s failed", self.name, topic)
 
     def _advert(self, kind: str, name: str, type: str, qos: QoS | None, delivery: Delivery) -> Advertisement:
         now = time.time_ns()
@@ -283,30 +246,6 @@ class OverlayGraph:
         self.node.providers.pop(service.endpoint, None)
         self.node.withdraw(service.endpoint)
 
-    async def create_action_client(
-        self, action: str, type: str, *, delivery: Delivery = NO_HINTS
-    ) -> ComposedActionClient:
-        """Use ``action``."""
-        self._check(action, type)
-        parts = Delivery(metadata=delivery.metadata)
-        client = ComposedActionClient(self, action, type, self.registry, delivery=parts)
-        await client.open()
-        self._actions.add(client)
-        client.on_closed = lambda: self._actions.discard(client)
-        return client
-
-    async def create_action_server(
-        self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
-    ) -> ComposedActionServer:
-        """Serve ``action``."""
-        self._check(action, type)
-        parts = Delivery(metadata=delivery.metadata)
-        server = ComposedActionServer(self, action, type, handlers, self.registry, delivery=parts)
-        await server.open()
-        self._actions.add(server)
-        server.on_closed = lambda: self._actions.discard(server)
-        return server
-
     # ── what is there ──────────────────────────────────────────────────────────────────────────────────────────
 
     def _changed(self, advert: Advertisement, added: bool) -> None:
@@ -383,12 +322,8 @@ class OverlayGraph:
         gateway = self._node_of(advert.gateway)
         return ProviderInfo(gateway, "" if local else gateway.lstrip("/"), local, advert.endpoint, advert.since_ns)
 
-    def actions(self) -> dict[str, ActionInfo]:
-        """Return the actions that are offered and used now."""
-        return actions_of(self.services())
-
     def types_of(self, kind: str, name: str) -> tuple[str, ...]:
-        """See ``ropeway.graph.base.types_of``."""
+        """See ``Graph.types_of``."""
         if kind == "action":
             info = self.actions().get(name)
             return info.types if info is not None else ()
@@ -410,10 +345,6 @@ class OverlayGraph:
             local = gateway == self.node.gateway
             out[node] = NodeInfo(node, publishers, subscriptions, services, clients, local)
         return out
-
-    def changes(self) -> AsyncIterator[GraphEvent]:
-        """Iterate over events from now on."""
-        return self._changes.listen()
 
 
 def _node_name(name: str) -> str:

@@ -2,49 +2,74 @@
 
 from __future__ import annotations
 
-import logging
-import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final, Protocol
 
 from ropeway.delivery.outbox import Lost, Queue
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample, Undelivered
+from ropeway.graph.parts import PublisherBase
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.feed import data_key
-from ropeway.networks.overlay.graph.matching import matches
+from ropeway.networks.overlay.graph.host import OverlayHost
 from ropeway.networks.overlay.graph.packing import TopicPacking
 from ropeway.networks.overlay.packet_item import RELAYED, PacketItem
 from ropeway.networks.overlay.publisher_source import PublisherSource
+from ropeway.qos import unmet
 
 if TYPE_CHECKING:
     import zenoh
 
-    from ropeway.networks.overlay.graph.graph import OverlayGraph
-
-__all__ = ["OverlayPublisher"]
-
-log = logging.getLogger("ropeway.overlay")
+__all__ = ["OverlayPublisher", "OverlaySending"]
 
 _REMEMBERED: Final = 4096
 
 
-class OverlayPublisher:
+class OverlaySending(Protocol):
+    """Who sends what publishers have."""
+
+    def put(self, queue: Queue[Sample], sample: Sample) -> None:
+        """Let a message wait for its turn."""
+        ...
+
+    def aim(self, queue: Queue[Sample], gateways: frozenset[bytes]) -> None:
+        """Have what a publisher sends go to these gateways."""
+        ...
+
+    def slowest(self, queue: Queue[Sample]) -> float | None:
+        """Return the pace of the slowest path of a publisher, ``None`` where none acknowledges."""
+        ...
+
+    async def flush(self, queue: Queue[Sample]) -> None:
+        """Wait until a publisher has nothing waiting, for a little while."""
+        ...
+
+
+class OverlayPublisherHost(OverlayHost, Protocol):
+    """What a publisher needs of its graph."""
+
+    @property
+    def sender(self) -> OverlaySending:
+        """Who sends."""
+        ...
+
+    def remove_publisher(self, publisher: OverlayPublisher) -> None:
+        """Forget a publisher that was closed."""
+        ...
+
+
+class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
     """Publishes to every reader that has its key; what waits for a congested path gives way to what is fresher."""
 
-    def __init__(self, graph: OverlayGraph, advert: Advertisement, delivery: Delivery) -> None:
+    def __init__(self, graph: OverlayPublisherHost, advert: Advertisement, delivery: Delivery) -> None:
         assert advert.qos is not None
-        self.topic, self.type, self.qos = advert.name, advert.type, advert.qos
+        super().__init__(graph, advert.name, advert.type, advert.qos)
         self.advert, self.delivery = advert, delivery
         self.key = data_key(advert.global_name, advert.endpoint)
-        self.closed = False
-        self._graph = graph
-        self._seq = 0
         self._granted: set[bytes] = set()
         self._readers: dict[bytes, bytes] = {}  # endpoint: gateway
         self._had_readers = False
         self._short: zenoh.KeyExpr | None = None
-        self._demand: list[Callable[[int], None]] = []
         qos = advert.qos
         keep_all = qos.history == "keep_all"
         depth: int | None = None if keep_all else max(qos.depth, 1)
@@ -78,9 +103,7 @@ class OverlayPublisher:
             self._graph.drops[self.topic, Undelivered.CLOSED] += 1
             return
         if sample.seq == SEQ_NONE:
-            self._seq = max(time.time_ns(), self._seq + 1)
-            stamp_ns = sample.stamp_ns or self._seq
-            sample = Sample(sample.payload, self.type, stamp_ns, self.advert.endpoint, self._seq)
+            sample = self._numbered(sample, self.advert.endpoint)
         if self._readers:
             self._graph.sender.put(self.queue, sample)
         elif self.qos.transient_local or (self._had_readers and self.qos.reliable):
@@ -97,16 +120,6 @@ class OverlayPublisher:
         flags = RELAYED if sample.relayed else 0
         return self.source.add(sample.stamp_ns, sample.seq, sample.origin, flags, bytes(sample.payload))
 
-    @property
-    def subscribers(self) -> int:
-        """The number of others' subscriptions that may read it and have its key."""
-        return len(self._readers)
-
-    def on_demand(self, callback: Callable[[int], None]) -> None:
-        """Call with the number of subscribers, now and at each change."""
-        self._demand.append(callback)
-        callback(len(self._readers))
-
     def granted(self, subscriptions: Sequence[bytes]) -> None:
         """Note that these subscriptions have the key now."""
         self._granted.update(subscriptions)
@@ -117,20 +130,17 @@ class OverlayPublisher:
         found = {
             advert.endpoint: advert.gateway
             for advert in self._graph.node.rib.by_name(self.advert.global_name, "subscription")
-            if matches(self.qos, advert.qos)
+            if not unmet(self.qos, advert.qos)
         }
         if len(self._granted) > _REMEMBERED:  # those that were here and may come back
             self._granted &= found.keys()
         readers = {endpoint: gateway for endpoint, gateway in found.items() if endpoint in self._granted}
         if readers == self._readers:
             return
-        changed = len(readers) != len(self._readers)
         self._readers = readers
         self._had_readers = self._had_readers or bool(readers)
         self._graph.sender.aim(self.queue, frozenset(readers.values()))
-        if changed:
-            for callback in self._demand:
-                self._graph.guard(self.topic, callback, len(readers))
+        self.set_subscribers(len(readers))
 
     async def close(self) -> None:
         """Withdraw the topic."""

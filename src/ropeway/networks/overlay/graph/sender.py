@@ -12,19 +12,17 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Final, cast
+from typing import Final, cast
 
 from ropeway import aio
 from ropeway.delivery.outbox import LANES, Outbox, Queue
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.networks.overlay.gateway_path import Path
+from ropeway.networks.overlay.graph.host import OverlayHost
+from ropeway.networks.overlay.graph.publisher import OverlayPublisher
 from ropeway.networks.overlay.packet_item import PacketItem
 from ropeway.networks.overlay.packet_mark import Mark
-
-if TYPE_CHECKING:
-    from ropeway.networks.overlay.graph.graph import OverlayGraph
-    from ropeway.networks.overlay.graph.publisher import OverlayPublisher
 
 __all__ = ["OverlaySender"]
 
@@ -41,7 +39,7 @@ _LOOK_S: Final = 0.004  # at paths that have no room: what is late, or stalled, 
 _OVERDRAFT_BYTES: Final = 4 * 1024  # of small messages, while there is no room
 _NO_LIMIT: Final = 1 << 40
 
-Job = tuple["OverlayPublisher", list[tuple[PacketItem, bool]]]
+Job = tuple[OverlayPublisher, list[tuple[PacketItem, bool]]]
 Lot = frozenset[bytes]
 """The gateways that a message goes to."""
 
@@ -76,7 +74,7 @@ class _Group:
 class OverlaySender:
     """Takes from the outboxes what may go now, and hands it to the threads of the lanes."""
 
-    def __init__(self, graph: OverlayGraph) -> None:
+    def __init__(self, graph: OverlayHost) -> None:
         self._graph = graph
         self._receipts = graph.node.receipts
         self._groups: dict[Lot, _Group] = {}

@@ -8,8 +8,7 @@ import itertools
 import logging
 import ssl
 import time
-from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -17,16 +16,14 @@ from ropeway import aio
 from ropeway.errors import ConnectFailed, GraphUnavailable, RopewayError
 from ropeway.graph.base import (
     NO_HINTS,
-    Changes,
     Delivery,
-    GraphEvent,
     NodeInfo,
     SampleCallback,
     TopicInfo,
-    Undelivered,
     resolve_name,
 )
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
+from ropeway.graph.graph_base import GraphBase
 from ropeway.graph.layout_border import Border
 from ropeway.listener.connection import Connection, Limits
 from ropeway.listener.http import without_token
@@ -64,7 +61,7 @@ _ROSAPI_S: Final = 3.0
 _US: Final = ProviderInfo(local=True)
 
 
-class RosbridgeGraph:
+class RosbridgeGraph(GraphBase):
     """The graph behind ``url`` (``ws://`` or ``wss://``).
 
     With ``wait`` true ``open`` returns when connected, or raises ``ConnectFailed``; with false it returns at once
@@ -95,11 +92,10 @@ class RosbridgeGraph:
         network: Variant | None = None,
     ) -> None:
         self._url = url
-        self.name = shown = without_token(url)
+        super().__init__(shown := without_token(url))
         ours = registry or TypeRegistry()
         self.registry = network or ours
         self.border = Border(ours, network)
-        self.drops: Counter[tuple[str, Undelivered]] = Counter()
         self.echoes: dict[str, EchoFilter] = {}
         self.peer: Peer | None = None
         self.remote: dict[str, Any] = {}
@@ -112,7 +108,6 @@ class RosbridgeGraph:
         self._numbers = itertools.count(1)
         self._publishers: dict[int, RemotePublisher] = {}
         self._subscriptions: dict[int, RemoteSubscription] = {}
-        self._changes = Changes()
         self.calls = Calls(self)
         self.mirror = RemoteMirror(shown, self._changes, self.calls.changed)
         self._keeper = Reconnect(shown, limits or Limits(), self._connect)
@@ -393,10 +388,6 @@ class RosbridgeGraph:
     def nodes(self) -> dict[str, NodeInfo]:
         """Return what the far graph showed last; empty without ``watch`` or with the connection down."""
         return dict(self.mirror.nodes)
-
-    def changes(self) -> AsyncIterator[GraphEvent]:
-        """Iterate over changes that the far graph shows."""
-        return self._changes.listen()
 
     def _check(self) -> None:
         if not self._keeper.started or self.state is LinkState.CLOSED:

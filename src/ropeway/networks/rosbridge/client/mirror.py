@@ -6,8 +6,9 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, TypeVar
 
-from ropeway.graph.base import Changes, EndpointInfo, GraphEvent, NodeInfo, TopicInfo
+from ropeway.graph.base import EndpointInfo, GraphEvent, NodeInfo, TopicInfo
 from ropeway.graph.calls import ActionInfo, ProviderInfo, ServiceInfo
+from ropeway.graph.changes import Changes
 from ropeway.qos import DEFAULT, QoS
 
 __all__ = ["RemoteMirror", "describe"]

@@ -1,0 +1,168 @@
+"""What the parts of all graphs have in common; a network adds how its own publish, read and call.
+
+The protocols in ``ropeway.graph.base`` and ``ropeway.graph.calls`` are the contract. These classes are for those who
+implement it.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar
+
+from ropeway.errors import GraphUnavailable
+from ropeway.graph.base import Sample, SampleCallback, Undelivered
+from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request
+from ropeway.graph.host import Host
+from ropeway.graph.local_calls import InFlight
+from ropeway.graph.signal import Signal
+from ropeway.logs import failed
+from ropeway.qos import DEFAULT, QoS
+
+__all__ = ["ClientBase", "PublisherBase", "SubscriptionBase"]
+
+log = logging.getLogger("ropeway.graph")
+
+H = TypeVar("H", bound=Host)
+
+
+class PublisherBase(Generic[H]):
+    """A topic that is published: how many read it, and who wants to know.
+
+    A network calls ``set_subscribers`` when it learns the number, ``None`` where it cannot tell.
+    """
+
+    def __init__(self, graph: H, topic: str, type: str, qos: QoS) -> None:
+        self.topic, self.type, self.qos = topic, type, qos
+        self.closed = False
+        self._graph = graph
+        self._subscribers: int | None = 0
+        self._demand: list[Callable[[int], None]] = []
+        self._seq = 0
+
+    @property
+    def subscribers(self) -> int | None:
+        """See ``Publisher.subscribers``."""
+        return self._subscribers
+
+    def on_demand(self, callback: Callable[[int], None]) -> None:
+        """See ``Publisher.on_demand``."""
+        self._demand.append(callback)
+        if (count := self.subscribers) is not None:
+            callback(count)
+
+    def set_subscribers(self, count: int | None) -> None:
+        """Note how many read it, and tell a change."""
+        if count != self._subscribers:
+            self._subscribers = count
+            self._tell_demand(count or 0)
+
+    def _tell_demand(self, count: int) -> None:
+        for callback in self._demand:
+            self._graph.guard(self.topic, callback, count)
+
+    def _numbered(self, sample: Sample, origin: bytes) -> Sample:
+        """Return a sample without a number (``SEQ_NONE``) as one that ``origin`` publishes first."""
+        self._seq = max(time.time_ns(), self._seq + 1)
+        stamp_ns = sample.stamp_ns or self._seq
+        return Sample(sample.payload, self.type, stamp_ns, origin, self._seq, sent_ns=sample.sent_ns)
+
+
+class SubscriptionBase(Generic[H]):
+    """A topic that is read: its profile and who wants to know it, and the callback that gets the messages.
+
+    ``asked`` is the profile that was asked for, ``None`` where that of the publishers is adopted.
+    """
+
+    def __init__(self, graph: H, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
+        self.topic, self.type = topic, type
+        self.asked = qos
+        self.closed = False
+        self._graph = graph
+        self._qos = qos or DEFAULT
+        self._callback = callback
+        self._qos_callbacks: list[Callable[[QoS], None]] = []
+
+    @property
+    def qos(self) -> QoS:
+        """Return the profile in use."""
+        return self._qos
+
+    def on_qos(self, callback: Callable[[QoS], None]) -> None:
+        """See ``Subscription.on_qos``."""
+        self._qos_callbacks.append(callback)
+        callback(self._qos)
+
+    def set_qos(self, qos: QoS) -> None:
+        """Use another profile, and tell a change."""
+        if qos != self._qos:
+            self._qos = qos
+            self._tell_qos()
+
+    def _tell_qos(self) -> None:
+        for callback in self._qos_callbacks:
+            self._graph.guard(self.topic, callback, self._qos)
+
+    def deliver(self, batch: Sequence[Sample]) -> None:
+        """Hand messages to the callback; those that it fails on are counted, and cost nobody else anything."""
+        if self.closed or not batch:
+            return
+        try:
+            self._callback(batch)
+        except Exception:  # a callback is somebody else's code
+            self._graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
+            failed(log, "%s: a callback for %s failed", self._graph.name, self.topic)
+
+
+class ClientBase(Generic[H]):
+    """A service that is called: waiting for who serves it, and the end of all calls with ``close``.
+
+    A network says with ``available`` whether somebody serves it, notifies ``changed`` when that may have changed,
+    makes calls in ``_call`` and forgets the client in ``_leave``.
+    """
+
+    def __init__(self, graph: H, service: str, type: str) -> None:
+        self.service, self.type = service, type
+        self.closed = False
+        self.changed = Signal()
+        self._graph = graph
+        self._under_way = InFlight()
+
+    @property
+    def available(self) -> bool | None:
+        """See ``Client.available``."""
+        raise NotImplementedError
+
+    async def wait_available(self, timeout_s: float) -> bool:
+        """See ``Client.wait_available``."""
+        await self.changed.wait_for(lambda: self.closed or self.available is not False, timeout_s)
+        return self.available is not False
+
+    async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
+        """See ``Client.call``."""
+        self._check_open()
+        with self._under_way.call():
+            return await self._call(request, timeout_s)
+
+    async def _call(self, request: Request, timeout_s: float) -> bytes:
+        raise NotImplementedError
+
+    async def close(self) -> None:
+        """See ``Client.close``."""
+        if self.closed:
+            return
+        self.closed = True
+        self.changed.notify()
+        await self._under_way.fail(self._closed_in_mid_call())
+        await self._leave()
+
+    async def _leave(self) -> None:
+        """Have the graph forget the client."""
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise GraphUnavailable(self._graph.name, f"the client of {self.service} is closed")
+
+    def _closed_in_mid_call(self) -> GraphUnavailable:
+        return GraphUnavailable(self._graph.name, f"the client of {self.service} was closed in mid-call")
