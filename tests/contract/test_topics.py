@@ -122,8 +122,9 @@ async def test_adopts_later(pair: Pair) -> None:
     await inbox.wait(1)
     await until(lambda: subscription.qos.transient_local)
     assert profiles[-1].transient_local
-    await asyncio.sleep(0.1)
-    assert [pair.exactly(payload, STRING) for payload in inbox.payloads] == [text("kept")]
+    publisher.publish(sample("later"))
+    await inbox.wait(2)
+    assert [pair.exactly(payload, STRING) for payload in inbox.payloads] == [text("kept"), text("later")]
 
 
 async def test_discovery(pair: Pair) -> None:

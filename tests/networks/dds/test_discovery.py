@@ -88,6 +88,7 @@ async def test_short_life() -> None:
     t.table.close()
 
 
+@pytest.mark.jumping
 async def test_closed() -> None:
     """A closed table tells nothing more."""
     t = Table()
