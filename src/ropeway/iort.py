@@ -718,7 +718,7 @@ def _number(packet: Packet, key: str) -> int:
     """Return a whole number of up to 63 bits in the head of a packet; 0 if there is none. Raises ``NodeError``."""
     text = packet.head.get(key, "0")
     if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) < 1 << 63):
-        raise NodeError("malformed", "{}={} is no whole number of up to 63 bits".format(key, text[:40]))
+        raise NodeError("malformed", "{}={} is not a whole number of up to 63 bits".format(key, text[:40]))
     return int(text)
 
 
@@ -1023,7 +1023,7 @@ class AsyncNode:
         try:
             found: List[Dict[str, Any]] = json.loads(answer.data.decode())
         except (ValueError, RecursionError):
-            raise NodeError("malformed", "the server's list is no JSON text") from None
+            raise NodeError("malformed", "the server's list is not JSON") from None
         return found
 
     async def request(
@@ -1307,7 +1307,7 @@ class AsyncNode:
         try:
             parts = urlsplit(url)
             if parts.scheme not in ("iort", "iorts") or not parts.hostname:
-                raise NodeError("malformed", "{!r} is no address; write iort://host:7410".format(url))
+                raise NodeError("malformed", "{!r} is not an address; write iort://host:7410".format(url))
             connection = _Connection(self, url, mode, self._max_bytes + 4096)
             loop = asyncio.get_event_loop()
             await asyncio.wait_for(
@@ -1331,7 +1331,7 @@ class AsyncNode:
         try:
             answer = await connection.ask(self.system, "-", "+hello", head, timeout_s=_CONNECT_S)
             if answer.op != "+ok":
-                raise NodeError("malformed", "what answers there is no server of nodes")
+                raise NodeError("malformed", "the peer that answers there is not a server of nodes")
             now = _number(answer, "t")
             if now:
                 self._offset_ns = now - (before + time.time_ns()) // 2

@@ -146,9 +146,9 @@ def looped() -> dict[str, Any]:
     [
         ({"data": 5}, ValueMismatch, "data"),
         ({"dta": "x"}, ValueMismatch, "dta"),
-        ("hi", ValueMismatch, "str is no message; give a mapping, an object with these fields, or CDR bytes"),
-        (5, ValueMismatch, "int is no message"),
-        ([1], ValueMismatch, "list is no message"),
+        ("hi", ValueMismatch, "str is not a message; give a mapping, an object with these fields, or CDR bytes"),
+        (5, ValueMismatch, "int is not a message"),
+        ([1], ValueMismatch, "list is not a message"),
         (looped(), ValueMismatch, "contains itself"),
         (b"", DecodeError, "not with 00 01"),
         (b"\0\1\0\0\xff\xff\xff\xff", DecodeError, "std_msgs/msg/String"),

@@ -104,7 +104,7 @@ def test_publishing_once_waits_for_a_reader(background: Start, ropeway: Ropeway)
         (("topic", "list", "--graph", "ws://127.0.0.1:1"), 1, "ws://127.0.0.1:1"),
         (("topic", "hz"), 2, "Missing argument"),
         (("play", "/nothing.mcap"), 1, "/nothing.mcap: there is no such file"),
-        (("run", "/nothing.json", "--log-level", "loud"), 2, "is no log level"),
+        (("run", "/nothing.json", "--log-level", "loud"), 2, "is not a log level"),
     ],
 )
 def test_mistakes_become_sentences(

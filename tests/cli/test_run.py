@@ -40,7 +40,7 @@ def test_runs_for_a_time_and_tells_its_status(ropeway: Ropeway, config: Callable
     assert len(lines) >= 3
     assert lines[-1]["name"] == "here"
     assert lines[-1]["listen"][0]["clients"] == 0
-    assert "here stands on dds:" in result.stderr
+    assert "here is on dds:" in result.stderr
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -42,7 +42,9 @@ class MessageType:
         except RecursionError:
             raise ValueMismatch(self.name, "", "the object contains itself, or is nested too deeply") from None
         if fields is None:
-            reason = f"{type(value).__name__} is no message; give a mapping, an object with these fields, or CDR bytes"
+            reason = (
+                f"{type(value).__name__} is not a message; give a mapping, an object with these fields, or CDR bytes"
+            )
             raise ValueMismatch(self.name, "", reason)
         return self.codec.from_json(fields)
 

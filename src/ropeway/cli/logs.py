@@ -17,7 +17,7 @@ LEVELS: Final = ("debug", "info", "warning", "error")
 def set_up(level: str) -> str:
     """Send log lines of ``level`` and above to stderr; returns the level as ``logging`` spells it."""
     if level.lower() not in LEVELS:
-        fail(f"{level!r} is no log level; use one of {', '.join(LEVELS)}", 2)
+        fail(f"{level!r} is not a log level; use one of {', '.join(LEVELS)}", 2)
     handler = LimitedHandler(sys.stderr)
     handler.setFormatter(line_format())
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)

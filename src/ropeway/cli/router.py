@@ -64,7 +64,7 @@ def router_command(
     where = listen or ["tls/127.0.0.1:7447"]
     for endpoint in (*where, *(connect or ())):
         if not _ENDPOINT.fullmatch(endpoint):
-            fail(f"{endpoint!r} is no endpoint of a router; write tls/host:7447 or quic/host:7447", 2)
+            fail(f"{endpoint!r} is not the endpoint of a router; write tls/host:7447 or quic/host:7447", 2)
     if crl is not None and not crl.exists():
         fail(f"{crl} does not exist", 2)
     kept = state or identity.with_name(f"{identity.name}.crl")

@@ -48,7 +48,7 @@ def _greet(config: Config) -> None:
     listen = ", ".join(config.gateway.listen) or "nowhere"
     remotes = sum(remote.active for remote in config.remotes)
     log.info(
-        "%s stands on %s, listens at %s, and has %d route(s) to %d remote(s)",
+        "%s is on %s, listens at %s, and has %d route(s) to %d remote(s)",
         config.gateway.name,
         ", ".join(config.gateway.graphs),
         listen,

@@ -74,12 +74,12 @@ class GroupRemote(Remote):
 
     @property
     def state(self) -> str:
-        """One word; ``connected`` where a member is reached."""
+        """The state in one word; ``connected`` while a member is reached."""
         states = [link_state(link) for link in self.links.values()]
         return "connected" if "connected" in states else states[0]
 
     def status(self) -> dict[str, Any]:
-        """The group and its links, for people and programs."""
+        """Return the state of the group and its links, for people and programs."""
         return {
             "address": shown_address(self.config),
             "title": self.config.title,

@@ -111,7 +111,7 @@ def type_of(value: ParameterValue) -> ParameterType:
         if isinstance(value, list) and all(type(item) is kind for item in value):
             return array
     raise ValueMismatch(
-        "rcl_interfaces/msg/ParameterValue", "", f"{value!r} is no parameter value: lists need items of one type"
+        "rcl_interfaces/msg/ParameterValue", "", f"{value!r} is not a parameter value: lists need items of one type"
     )
 
 

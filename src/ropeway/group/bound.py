@@ -40,7 +40,7 @@ class LatencyBound:
         """Return the bound that ``limits`` names. Raises ``ValueError`` for a statistic that there is not."""
         for name in limits:
             if name not in STATISTICS and not _PERCENTILE.fullmatch(name):
-                raise ValueError(f'"{name}" is no statistic of latencies; there are {", ".join(STATISTICS)} and p99')
+                raise ValueError(f'"{name}" is not a statistic of latencies; known are {", ".join(STATISTICS)} and p99')
         return cls(tuple(limits.items()))
 
     @property

@@ -108,7 +108,7 @@ def parse_head(head: bytes) -> HttpRequest:
     first, *lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
     parts = first.split(b" ")
     if len(parts) != 3 or not _TOKEN.fullmatch(parts[0]) or not _TARGET.fullmatch(parts[1]):
-        raise InvalidFrame("the first line is no HTTP request")
+        raise InvalidFrame("the first line is not an HTTP request")
     if parts[2] not in (b"HTTP/1.1", b"HTTP/1.0"):
         raise InvalidFrame("only HTTP/1.1 and HTTP/1.0 are spoken here")
     if len(lines) > _MAX_HEADERS:
@@ -129,5 +129,5 @@ def parse_head(head: bytes) -> HttpRequest:
     try:
         urlsplit(target)
     except ValueError:
-        raise InvalidFrame("the target is no address") from None
+        raise InvalidFrame("the target is not an address") from None
     return HttpRequest(parts[0].decode("ascii"), target, parts[2].decode("ascii"), headers, head=head)

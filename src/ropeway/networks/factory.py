@@ -97,7 +97,7 @@ def make_graph(
         return _overlay(url, parts.path or parts.netloc, query, registry)
     raise GraphUnavailable(
         url,
-        "is no graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, ros1, ros1:http://host:11311, "
+        "is not a graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, ros1, ros1:http://host:11311, "
         "ws://host:9090, wss://host, iort://host:7410 or overlay:NAME.ropeway",
     )
 
@@ -170,4 +170,4 @@ def _no_more(url: str, query: dict[str, str]) -> None:
         known = {"dds": "; known are interface and distro", "overlay": "; known are router and unique"}.get(
             url.partition(":")[0], ""
         )
-        raise GraphUnavailable(url, f"{next(iter(query))!r} is no option of this kind of graph{known}")
+        raise GraphUnavailable(url, f"{next(iter(query))!r} is not an option of this kind of graph{known}")

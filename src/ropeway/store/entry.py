@@ -141,7 +141,7 @@ class Backend(Protocol):
 def whole(value: object) -> int:
     """Return a version or a stamp as it stands in a file or a database. Raises ``ValueError`` for what is none."""
     if type(value) is not int or not -_LARGEST <= value < _LARGEST:
-        raise ValueError(f"{value!r:.40} is no whole number of 64 bits")
+        raise ValueError(f"{value!r:.40} is not a whole number of 64 bits")
     return value
 
 

@@ -184,5 +184,5 @@ def _advice(error: sqlite3.DatabaseError) -> str:
     if "is locked" in text:
         return "another program holds it locked"
     if "malformed" in text or "not a database" in text:
-        return f"{text}; it is no store, or a damaged one: move it away"
+        return f"{text}; it is not a store, or a damaged one: move it away"
     return text

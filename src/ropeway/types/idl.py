@@ -225,7 +225,7 @@ class _Reader(Expressions):
         if word == "unsigned":
             kind = self.word("short or long")
             if kind not in ("short", "long"):
-                raise self.fault(f"unsigned {kind} is no type", back=1)
+                raise self.fault(f"unsigned {kind} is not a type", back=1)
             return FieldType("u" + (_SIMPLE[kind] if kind == "short" or not self.take("long") else "int64"))
         if word == "long":
             if self.token.text == "double":
@@ -269,7 +269,7 @@ class _Reader(Expressions):
         if found is None and len(parts) > 1:
             return FieldType(self.type_name(parts))
         line = self.tokens[start].line
-        raise IdlError(line, f"{'::'.join(parts)} is no type that is declared here; write PACKAGE::msg::{parts[-1]}")
+        raise IdlError(line, f"{'::'.join(parts)} is not a type declared here; write PACKAGE::msg::{parts[-1]}")
 
     def type_name(self, path: Path) -> str:
         """Return the full name of the message at ``path``."""

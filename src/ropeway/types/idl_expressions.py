@@ -161,7 +161,7 @@ class Expressions:
             path = self.scoped_name()
             found = self.look_up(path)
             if found is None or isinstance(found, FieldType):
-                raise self.fault(f"{'::'.join(path)} is no constant that is known here", back=1)
+                raise self.fault(f"{'::'.join(path)} is not a known constant", back=1)
             return found
         raise self.fault(f"expected a value, found {token.text or 'the end'!r:.40}")
 
@@ -174,7 +174,7 @@ class Expressions:
                 return float(plain)
             return self._bounded(int(plain, 8) if len(plain) > 1 and plain[0] == "0" else int(plain))
         except ValueError:
-            raise self.fault(f"{text:.40} is no number", back=1) from None
+            raise self.fault(f"{text:.40} is not a number", back=1) from None
 
     def _bounded(self, value: int) -> int:
         if abs(value) > _LARGEST:

@@ -49,7 +49,7 @@ def tokens(text: str) -> Iterator[Token]:
     while position < len(text):
         found = _TOKEN.match(text, position)
         if found is None:
-            raise IdlError(line, f"{text[position : position + 20].splitlines()[0]!r} is no IDL")
+            raise IdlError(line, f"{text[position : position + 20].splitlines()[0]!r} is not IDL")
         kind, piece = str(found.lastgroup), found[0]
         if kind == "directive":
             if not _HARMLESS.match(piece):
@@ -67,7 +67,7 @@ def _unescaped(text: str) -> str:
     def replaced(found: re.Match[str]) -> str:
         if found[1] or found[2]:
             point = int(found[1] or found[2], 16)
-            return "\ufffd" if 0xD800 <= point < 0xE000 else chr(point)  # half a surrogate pair is no text
+            return "\ufffd" if 0xD800 <= point < 0xE000 else chr(point)  # half a surrogate pair is not text
         return chr(int(found[3], 8)) if found[3] else _LETTERS.get(found[4], found[4])
 
     return _ESCAPE.sub(replaced, text)

@@ -72,7 +72,7 @@ def _lenient(data: bytes | bytearray | memoryview | str) -> Any:
         text = data if isinstance(data, str) else str(data, "utf-8")
         value = json.loads(text)
         if _HALF_PAIR.search(text) and not _is_text(value):
-            raise InvalidFrame("half a surrogate pair is no text", len(data), message=_object_in(value))
+            raise InvalidFrame("half a surrogate pair is not text", len(data), message=_object_in(value))
     except UnicodeError as error:
         raise InvalidFrame(f"not a text: {_short(error)}", len(data)) from None
     except (ValueError, RecursionError) as error:
@@ -134,7 +134,7 @@ def _short(error: Exception) -> str:
 
 
 def _refuse(*value: object) -> NoReturn:
-    raise cbor2.CBORDecodeError("dates, big numbers, references and such are no part of ROS messages")
+    raise cbor2.CBORDecodeError("dates, big numbers, references and such are not part of ROS messages")
 
 
 # Every tag that cbor2 would turn into something else than a CBORTag: costly, cyclic or without use here.

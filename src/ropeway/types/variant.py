@@ -40,7 +40,7 @@ class Variant(TypeRegistry):
         self, ours: TypeRegistry, distro: str = "", paths: Iterable[str | os.PathLike[str]] = (), *, label: str = ""
     ) -> None:
         if distro and distro not in ROS2_DISTROS:
-            raise ValueError(f"{distro!r} is no distribution of ROS 2; known are {', '.join(ROS2_DISTROS)}")
+            raise ValueError(f"{distro!r} is not a ROS 2 distribution; known are {', '.join(ROS2_DISTROS)}")
         super().__init__(distro or ours.distro, alone=True)
         self.given_distro = distro
         self.label = label or distro.title() or "the network"

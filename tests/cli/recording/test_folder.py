@@ -59,7 +59,7 @@ def test_missing_metadata(folder: Path) -> None:
     """Without metadata, or with one that is something else or cut short, all files are played, and that is told."""
     for text in ("a: 1\n", "", "a: [1, 2", "a: 'b", "!!python/object/apply:os.system ['true']", "\t", "\x00"):
         (folder / "metadata.yaml").write_text(text)
-        assert read(folder)[:2] == (4, ["metadata.yaml is none of rosbag2; all files beside it are played"])
+        assert read(folder)[:2] == (4, ["metadata.yaml is not from rosbag2; all files next to it are played"])
     (folder / "metadata.yaml").unlink()
     assert read(folder)[:2] == (4, ["it has no metadata.yaml; all files in it are played"])
 

@@ -124,14 +124,14 @@ def test_damaged_bundles(tmp_path: Path) -> None:
     odd_version = f"-----BEGIN CERTIFICATE-----\n{base64.encodebytes(der).decode()}-----END CERTIFICATE-----\n"
     cases = {
         "no such bundle": None,
-        "it is no bundle": "certainly not",
+        "it is not a bundle": "certainly not",
         "newer ropeway": json.dumps({**good, "ropeway": 2}),
         "keys join": json.dumps({k: v for k, v in good.items() if k != "key"}),
         "it is damaged": json.dumps({**good, "certificate": "x"}),
         "have a new one issued": json.dumps({**good, "name_secret": "zz"}),
         "damaged .*key": json.dumps({**good, "key": unknown_kind}),
         "damaged .*version": json.dumps({**good, "certificate": odd_version}),
-        r"it is no bundle; ": "[" * 5000,
+        r"it is not a bundle; ": "[" * 5000,
         "do not go together": json.dumps({**good, "key": other["key"]}),
     }
     for said, text in cases.items():

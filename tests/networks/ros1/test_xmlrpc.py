@@ -152,7 +152,7 @@ async def test_bad_answers(client: XmlRpcClient, answer: bytes) -> None:
     ("body", "text"),
     [
         ("<methodResponse><fault><value><int>1</int></value></fault></methodResponse>", "not XML-RPC"),
-        (dumps(Fault(1, "x"), methodresponse=True), "a fault is no call"),
+        (dumps(Fault(1, "x"), methodresponse=True), "a fault is not a call"),
         ("<methodResponse><params/></methodResponse>", "no method is named"),
         (f"<methodCall>{'<value><array><data>' * 50_000}", "stand in each other"),
         (f"<methodCall>{'<value>' * 100_000}", "stand in each other"),

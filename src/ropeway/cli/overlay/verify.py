@@ -58,9 +58,9 @@ def verify(
 
 
 def _trust(ca: Path, crl: Path | None) -> Trust:
-    with understood(str(ca), "it is no certificate of an authority"):
+    with understood(str(ca), "it is not the certificate of an authority"):
         trust = Trust(x509.load_pem_x509_certificate(read_material(ca)))
     if crl is not None:
-        with understood(str(crl), "it is no revocation list of this fleet"):
+        with understood(str(crl), "it is not a revocation list of this fleet"):
             trust.update(read_material(crl))
     return trust

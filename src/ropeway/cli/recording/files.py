@@ -51,7 +51,7 @@ def _open_file(path: Path) -> AbstractContextManager[Recording]:
         raise ValueError(f"{path.name} is a bag of ROS 1 before version 2.0; `rosbag reindex` renews it")
     if (packed := next((name for begin, name in _PACKED.items() if magic.startswith(begin)), None)) is not None:
         raise ValueError(f"{path.name} is packed with {packed}; unpack it first")
-    raise ValueError(f"{path.name} is no recording of a known kind (MCAP, rosbag2 or ROS 1 bag)")
+    raise ValueError(f"{path.name} is not a recording of a known kind (MCAP, rosbag2 or ROS 1 bag)")
 
 
 @contextmanager

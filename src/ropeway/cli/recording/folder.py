@@ -85,7 +85,7 @@ class FolderSource:
             found = None
         about = found.get("rosbag2_bagfile_information") if isinstance(found, dict) else None
         if not isinstance(about, dict):
-            self.notes.append("metadata.yaml is none of rosbag2; all files beside it are played")
+            self.notes.append("metadata.yaml is not from rosbag2; all files next to it are played")
             return {}
         return about
 
@@ -95,7 +95,9 @@ class FolderSource:
         listed = about.get("relative_file_paths")
         if not isinstance(listed, list):
             if not here:
-                raise ValueError("this directory has no metadata.yaml and no .mcap or .db3 file, so it is no recording")
+                raise ValueError(
+                    "this directory has no metadata.yaml and no .mcap or .db3 file, so it is not a recording"
+                )
             return here
         names: list[str] = []
         for name in map(str, listed):

@@ -81,7 +81,7 @@ def reason_of(error: BaseException) -> str:
     if isinstance(error, AssertionError) or not str(error):
         return f"the file is damaged ({error.__class__.__name__})"
     if isinstance(error, UnicodeDecodeError):
-        return "the file is damaged (a text in it is none)"
+        return "the file is damaged (a text in it is not valid)"
     return " ".join(str(error).split())
 
 

@@ -44,7 +44,7 @@ class SqliteSource:
         try:
             self._db.execute("PRAGMA writable_schema=ON")  # lets a file that is shorter than it says be read
             if not {"topics", "messages"} <= {row[0] for row in self._db.execute("SELECT name FROM sqlite_master")}:
-                raise ValueError("this database is no recording of rosbag2: it has no tables of topics and messages")
+                raise ValueError("this database is not a rosbag2 recording: it has no tables of topics and messages")
             self._list()
         except BaseException:
             self._db.close()

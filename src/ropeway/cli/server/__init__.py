@@ -60,7 +60,7 @@ def server_command(
         float | None, _same("Seconds after which a taken port is tried again, for ever; left out: it is an error.")
     ] = None,
     websocket_ping_interval: Annotated[float, _same("Seconds between two pings; 0: as we see fit.")] = 0.0,
-    websocket_ping_timeout: Annotated[float, _same("A client is given up after so many silent seconds.")] = 30.0,
+    websocket_ping_timeout: Annotated[float, _same("A client is disconnected after this many silent seconds.")] = 30.0,
     unregister_timeout: Annotated[float, _same("Seconds that a topic stays after its last publisher left.")] = 10.0,
     default_call_service_timeout: Annotated[float, _same("Seconds of a call that names none; 0: for ever.")] = 5.0,
     topics_glob: Annotated[str, _glob("topics, in both directions")] = "",

@@ -86,7 +86,7 @@ def _pairs(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
                 raise _wrong(argument, "a value has to follow")
             yield kind, value
         elif not _SWITCHES.fullmatch(argument):
-            raise _wrong(argument, "this is no ROS argument")
+            raise _wrong(argument, "this is not a ROS argument")
 
 
 def _remap(said: RosArgs, text: str) -> None:

@@ -47,7 +47,7 @@ def pick(registry: TypeRegistry, type: str, message: Mapping[str, Any], path: st
     for piece in filter(None, path.split(".")):
         steps = list(_STEP.finditer(piece))
         if "".join(step[0] for step in steps) != piece:
-            raise LookupError(f"{path!r} is no field path; expected names joined by dots, as in pose.position.x")
+            raise LookupError(f"{path!r} is not a field path; expected names joined by dots, as in pose.position.x")
         for name, index in (step.groups() for step in steps):
             found = _index(found, int(index), path) if index else _member(registry, found, name, path)
     return found
@@ -66,7 +66,7 @@ def _member(registry: TypeRegistry, part: Picked, name: str, path: str) -> Picke
 
 def _index(part: Picked, index: int, path: str) -> Picked:
     if part.type.kind == "scalar":
-        raise LookupError(f"{part.type.spelled()} is no array, so [{index}] (in {path!r}) is not there")
+        raise LookupError(f"{part.type.spelled()} is not an array, so [{index}] (in {path!r}) is not there")
     if index >= len(part.value):
         raise LookupError(f"[{index}] (in {path!r}) is past the end: there are {len(part.value)} elements")
     return Picked(part.value[index], FieldType(part.type.base, part.type.bound))

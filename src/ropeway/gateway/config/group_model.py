@@ -1,4 +1,4 @@
-"""What a configuration says of a remote that is a group: several addresses that offer the same."""
+"""Models a remote that is a group: several addresses that offer the same."""
 
 from __future__ import annotations
 

@@ -428,7 +428,7 @@ class ClientsConfig(Model):
     )
     params_timeout_s: float = Field(5.0, gt=0, allow_inf_nan=False, description="how long rosapi waits for a node")
     ping_interval_s: Seconds = Field(5.0, description="how often a client is pinged; gateways are every second")
-    silence_s: Seconds = Field(30.0, description="a client that was not heard of for so long is given up")
+    silence_s: Seconds = Field(30.0, description="a client that has been silent for this long is disconnected")
     cancel_goals: bool = Field(True, description="the goals of a client that leaves are cancelled; false: they go on")
     publish_clients: bool = Field(True, description="/client_count and /connected_clients are published")
     publish_rosout: bool = Field(True, description="warnings and errors of the gateway are published on /rosout")

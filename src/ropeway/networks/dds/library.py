@@ -28,7 +28,7 @@ ENVIRONMENT: Final = "ROPEWAY_DDS_LIBRARY"
 
 
 class Layout(NamedTuple):
-    """Where a serialised sample (``struct dds_serdata_default``) has what no function tells, in bytes."""
+    """Says where a serialised sample (``struct dds_serdata_default``) has what no function tells, in bytes."""
 
     version: str
     timestamp: int
@@ -64,7 +64,7 @@ _MAX_LACKING: Final = 16  # libraries that one needs and that lie beside it; Cyc
 
 
 class LibraryMissing(Exception):
-    """No library can be had; the text says why, and what to install."""
+    """Raised when no library can be used; the text says why, and what to install."""
 
 
 class Found(NamedTuple):
@@ -98,7 +98,7 @@ def find(environment: Mapping[str, str] = os.environ) -> Found:
         log.debug("Cyclone DDS: %s", path)
         return Found(dll, path, version)
     if told:
-        raise LibraryMissing(f"{ENVIRONMENT}={told} is no library that can be used: {'; '.join(refused)}")
+        raise LibraryMissing(f"{ENVIRONMENT}={told} is not a usable library: {'; '.join(refused)}")
     found = f"; {'; '.join(refused)}" if refused else ""
     raise LibraryMissing(f"no Cyclone DDS library of version {' or '.join(KNOWN)} is here{found}. {_advice()}")
 

@@ -390,7 +390,7 @@ class DdsParticipant:
             entities = parse(sample.payload)
             # A participant speaks for itself alone: the GUIDs of its entities begin like its own.
             if entities is None or entities.guid[:_GUID_PREFIX_BYTES] != sample.origin[:_GUID_PREFIX_BYTES]:
-                log.debug("%s: a message of %d bytes on %s is none", self.graph, len(sample.payload), DISCOVERY_TOPIC)
+                log.debug("%s: %d bytes on %s are not such a message", self.graph, len(sample.payload), DISCOVERY_TOPIC)
                 continue
             found.append(NodesRecord(entities.guid, entities.nodes, entities.gid_bytes, local=False))
         if found:

@@ -327,7 +327,7 @@ def load(graph: str) -> None:
         except AttributeError:
             if symbol not in stand_ins:
                 raise GraphUnavailable(
-                    graph, f"{found.path} lacks {symbol}, so it is no build that Ropeway knows; see docs/install.md"
+                    graph, f"{found.path} lacks {symbol}, so Ropeway does not know this build; see docs/install.md"
                 ) from None
             function = stand_ins[symbol]
         setattr(lib, symbol.removeprefix("dds_").removeprefix("ddsi_"), function)

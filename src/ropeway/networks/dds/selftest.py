@@ -41,7 +41,7 @@ def choose_layout(graph: str, sertype: int) -> None:
 def _unknown(graph: str, wrong: str) -> GraphUnavailable:
     return GraphUnavailable(
         graph,
-        f"{lib.name} is no build of Cyclone DDS that Ropeway knows ({wrong}); docs/install.md lists those",
+        f"{lib.name} is not a build of Cyclone DDS that Ropeway knows ({wrong}); docs/install.md lists those",
     )
 
 
@@ -66,7 +66,7 @@ def _wrong_serdata(sertype: int, layout: library.Layout) -> str:
         finally:
             lib.serdata_unref(serdata)
     if raw.make_serdata(sertype, b"\0\1") or raw.make_serdata(sertype, b"\x12\x34\0\0\0"):
-        return "what is no CDR is taken"
+        return "bytes that are not CDR are accepted"
     return ""
 
 

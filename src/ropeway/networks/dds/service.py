@@ -85,7 +85,7 @@ class DdsService(Ends):
             message = split(sample.payload)
             if message is None:
                 self._graph.drops[self.service, Undelivered.DECODE] += 1
-                log.debug("%s: %s: %d bytes are no request", self._graph.name, self.service, len(sample.payload))
+                log.debug("%s: %s: %d bytes are not a request", self._graph.name, self.service, len(sample.payload))
                 continue
             self._take(sample.origin, message.header, message.payload)
 
@@ -193,7 +193,7 @@ class DdsService(Ends):
             response = bytes(await self._handler(request))
             if len(response) >= 4:
                 return response
-            text = f"a response of {len(response)} bytes is no CDR"
+            text = f"a response of {len(response)} bytes is not CDR"
             self._graph.drops[self.service, Undelivered.ENCODE] += 1
             self._warn("answered with an empty response: %s", text)
         except CallError as error:

@@ -138,7 +138,7 @@ class JsonForm:
         try:
             value = json_loads(data)
         except InvalidFrame as error:
-            raise ConversionError(f"it is no JSON text: {error.reason}") from None
+            raise ConversionError(f"it is not JSON: {error.reason}") from None
         if self._fields:
             message: dict[str, Any] = {}
             for ros, json in self._fields:
@@ -290,7 +290,7 @@ def _decoded(data: bytes) -> str:
     try:
         return bytes(data).decode()
     except UnicodeDecodeError:
-        raise ConversionError("it is no text in UTF-8") from None
+        raise ConversionError("it is not UTF-8 text") from None
 
 
 def _number(text: str) -> float:

@@ -52,7 +52,7 @@ def verdicts(capture: str, trust: Trust) -> Iterator[Verdict]:
             except SealError as error:
                 yield Verdict(number, fault=str(error))
             except (ValueError, TypeError, KeyError, AttributeError, OverflowError, OSError, RecursionError):
-                yield Verdict(number, fault="it is no line of a capture")
+                yield Verdict(number, fault="it is not a line of a capture")
 
 
 def _judge(number: int, row: dict[str, Any], trust: Trust) -> Verdict:

@@ -192,7 +192,7 @@ class Fleet:
         routers: Sequence[str] = (),
     ) -> str:
         """Issue a bundle without a key, for a machine that made its own. Raises ``IdentityError`` for a bad request."""
-        with understood("the request", "it is no certificate signing request", "; ropeway keys request makes one"):
+        with understood("the request", "it is not a certificate signing request", "; ropeway keys request makes one"):
             request = x509.load_pem_x509_csr(csr)
             good = request.is_signature_valid
             key, name = request.public_key(), common_name(request.subject)

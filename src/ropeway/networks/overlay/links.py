@@ -126,7 +126,7 @@ class Links:
         now = asyncio.get_running_loop().time()
         if (self._mute < _MUTE and lost is None) or now - self._mended < self._mend_again_s:
             return
-        what = "Zenoh answers no more" if lost is None else f"there is no way to gateway {lost.hex()[:8]}"
+        what = "Zenoh has stopped answering" if lost is None else f"there is no way to gateway {lost.hex()[:8]}"
         log.warning("overlay: %s; links are made anew", what)
         self._mended, self._mute = now, 0
         self._mend_again_s = min(2 * self._mend_again_s, _MEND_LIMIT_S)

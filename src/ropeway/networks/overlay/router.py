@@ -54,7 +54,7 @@ class Router:
         on_change: Callable[[str], None] | None = None,
     ) -> None:
         if identity.certificate.role != "router":
-            raise IdentityError(identity.name, "it is no router; issue it with: ropeway keys issue NAME --router")
+            raise IdentityError(identity.name, "it is not a router; issue it with: ropeway keys issue NAME --router")
         self.identity = identity
         self.trust = Trust(identity.ca, identity.crl)
         self.trust.check(identity.certificate.der, role="router")

@@ -56,7 +56,7 @@ def part(request: Mapping[str, Any], key: str, kind: type[T]) -> T:
     """Return one value of a request. Raises ``SealError`` where it is of another kind."""
     value = request.get(key)
     if type(value) is not kind:
-        raise SealError(Refusal.MALFORMED, f"a request, whose {key!r} is no {kind.__name__}")
+        raise SealError(Refusal.MALFORMED, f"a request, whose {key!r} is not a {kind.__name__}")
     return value
 
 

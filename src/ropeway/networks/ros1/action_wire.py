@@ -202,7 +202,7 @@ class _Cursor:
         goal = self.id()
         code = self.take(1)[0]
         if code > Code.LOST:
-            raise DecodeError(self._type, "ROS 1", f"{code} is no status of a goal")
+            raise DecodeError(self._type, "ROS 1", f"{code} is not a status of a goal")
         return Ros1GoalStatus(goal, Code(code), self.text())
 
     def rest(self) -> bytes:

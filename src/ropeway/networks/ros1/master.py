@@ -33,7 +33,7 @@ def master_uri(text: str = "") -> str:
     except ValueError:
         host, port, parts = None, 0, urlsplit("")
     if not host or parts.scheme != "http" or parts.path not in ("", "/") or parts.query:
-        raise GraphUnavailable(f"ros1:{given}", "is no address of a ROS 1 master; write ros1:http://host:11311")
+        raise GraphUnavailable(f"ros1:{given}", "is not the address of a ROS 1 master; write ros1:http://host:11311")
     return f"http://{f'[{host}]' if ':' in host else host}:{port}"
 
 

@@ -236,7 +236,7 @@ class XmlRpcServer:
         try:
             params, method = _loads(request)
         except Fault:
-            raise _Malformed("a fault is no call") from None
+            raise _Malformed("a fault is not a call") from None
         if method is None:
             raise _Malformed("no method is named")
         try:

@@ -109,7 +109,7 @@ class Ros2Discovery:
         for gateway in picture.gateways - self._warned:
             self._warned.add(gateway)
             log.warning(
-                "%s: gateway %s stands on this network, too; rclpy cannot tell which of its messages came from here, "
+                "%s: gateway %s is on this network, too; rclpy cannot tell which of its messages came from here, "
                 "so do not forward one topic both ways through both (graphs of the kind dds can)",
                 self._graph,
                 gateway,

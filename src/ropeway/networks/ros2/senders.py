@@ -136,7 +136,7 @@ class Senders:
         if done:
             joiner.join()
         else:
-            log.warning("%s: a reader holds up what was published last; it is given up", self._name)
+            log.warning("%s: a reader blocks what was published last, which is dropped", self._name)
 
     def _main(self) -> None:
         while True:

@@ -161,7 +161,7 @@ def read_bundle(text: str, source: str) -> Mapping[str, Any]:
     except ValueError:
         found = None
     if not isinstance(found, dict) or "ropeway" not in found:
-        raise IdentityError(source, "it is no bundle; ropeway keys issue NAME writes one")
+        raise IdentityError(source, "it is not a bundle; ropeway keys issue NAME writes one")
     if found["ropeway"] != _VERSION:
         raise IdentityError(source, f"it is a bundle of version {found['ropeway']}, which needs a newer ropeway")
     return found

@@ -116,7 +116,7 @@ class OverlayService:
 def _timeout_s(request: Mapping[str, Any]) -> float:
     value = request.get("timeout")
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
-        raise SealError(Refusal.MALFORMED, "a request, whose 'timeout' is no time")
+        raise SealError(Refusal.MALFORMED, "a request, whose 'timeout' is not a time")
     return min(float(value), LONGEST_S)
 
 

@@ -267,7 +267,7 @@ class Calls:
         elif isinstance(id, str) and _OURS.fullmatch(id):  # of a client that was closed
             self.late("")
         else:
-            peer.fault_log.note("answer", name, "nobody here asked for it")
+            peer.fault_log.note("answer", name, "no request here matches it")
 
     def control(self, message: Mapping[str, Any]) -> bool:
         """Take a message between gateways about services and actions; false for others."""

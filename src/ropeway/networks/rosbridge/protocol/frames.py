@@ -37,7 +37,7 @@ def loads(
     if assembler.pending_bytes:
         raise InvalidFrame("a JSON object is cut off", len(data))
     if assembler.garbage_bytes:
-        raise InvalidFrame(f"{assembler.garbage_bytes} bytes between the JSON objects are no JSON", len(data))
+        raise InvalidFrame(f"{assembler.garbage_bytes} bytes between the JSON objects are not JSON", len(data))
     return objects
 
 
@@ -114,7 +114,7 @@ class JsonAssembler:
             try:
                 data = data.encode()
             except UnicodeError:
-                raise InvalidFrame("half a surrogate pair is no text", len(data)) from None
+                raise InvalidFrame("half a surrogate pair is not text", len(data)) from None
         if not len(data):
             raise InvalidFrame("an empty frame")
         if not text and data[0] >= 0x80 and (value := self._binary(data)) is not None:

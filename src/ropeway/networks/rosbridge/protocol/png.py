@@ -76,7 +76,7 @@ def _read(image: bytes) -> tuple[int, int, bytes]:
         if kind == b"IHDR":
             width, height, *form = _IHDR.unpack(data)
             if tuple(form) != _RGB8 or not width or not height:
-                raise _error("it is no RGB image of 8 bits")
+                raise _error("it is not an RGB image of 8 bits")
             size = width, height
         elif kind == b"IDAT":
             parts.append(data)
