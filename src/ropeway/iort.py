@@ -100,7 +100,10 @@ _SILENCE_S = 7.0
 _CONNECT_S = 3.0
 _PAUSE_S = (0.1, 2.0)
 _WAITING_LIMIT = 4096
-"""Topics whose newest value waits for a node that reads slowly. Above, the oldest goes."""
+"""Topics whose newest value waits for a peer that reads slowly. Above, the oldest goes."""
+
+_WAITING_BYTES = 16 << 20
+"""The same in bytes, all values of one connection together."""
 
 _HIGH_BYTES = 1 << 20
 
@@ -624,6 +627,42 @@ def _file_name(name: str) -> str:
     return encoded
 
 
+class _Newest:
+    """The newest thing of each topic that waits, bounded in number and in bytes; what waited for longest goes first."""
+
+    def __init__(self) -> None:
+        self._things: "OrderedDict[Tuple[str, str], Tuple[Any, int]]" = OrderedDict()
+        self.bytes = 0
+
+    def __len__(self) -> int:
+        return len(self._things)
+
+    def put(self, key: Tuple[str, str], thing: Any, size: int) -> List[Any]:
+        """Have a thing wait, of a topic of which none does; return those that gave way for it."""
+        self._things[key] = thing, size
+        self.bytes += size
+        gone = []
+        while len(self._things) > 1 and (len(self._things) > _WAITING_LIMIT or self.bytes > _WAITING_BYTES):
+            gone.append(self.next())
+        return gone
+
+    def pop(self, key: Tuple[str, str]) -> Any:
+        """Take what waits of a topic, ``None`` where nothing does."""
+        thing, size = self._things.pop(key, (None, 0))
+        self.bytes -= size
+        return thing
+
+    def next(self) -> Any:
+        """Take what has waited for longest."""
+        _, (thing, size) = self._things.popitem(last=False)
+        self.bytes -= size
+        return thing
+
+    def clear(self) -> List[Any]:
+        """Let go of all; return it."""
+        return [self.next() for _ in range(len(self._things))]
+
+
 # ── the node ───────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -792,7 +831,7 @@ class AsyncNode:
         self._mode = "local"
         self._subscriptions: List[_Subscription] = []
         self._standing: Dict[Tuple[str, str, str], Dict[str, object]] = {}  # adverts and watches, told again
-        self._waiting: "OrderedDict[Tuple[str, str], Tuple[Value, Any]]" = OrderedDict()
+        self._waiting = _Newest()  # values, each with the future of who waits for it
         self._task: Optional["asyncio.Task[None]"] = None
         self._changed: Optional[asyncio.Event] = None
         self._closed = False
@@ -847,11 +886,10 @@ class AsyncNode:
         if connection is not None:
             connection.close()
             await asyncio.wait([connection.lost], timeout=1.0)
-        for _, future in self._waiting.values():
+        for _, future in self._waiting.clear():
             if future is not None and not future.done():
                 future.set_exception(NodeError("closed", "the node was closed"))
                 future.exception()
-        self._waiting.clear()
 
     async def __aenter__(self) -> "AsyncNode":
         return await self.open(_CONNECT_S)
@@ -1086,15 +1124,13 @@ class AsyncNode:
         key = (value.system, value.topic)
         if connection.paused and not merge:
             future = asyncio.get_event_loop().create_future() if wanted else None
-            before = self._waiting.pop(key, None)
+            before = self._waiting.pop(key)
             if before is not None:
                 self.superseded += 1
                 self._copy.settle(before[0])
                 if before[1] is not None and not before[1].done():
                     before[1].set_result(Packet("00", key[0], key[1], "+superseded"))
-            self._waiting[key] = (value, future)
-            if len(self._waiting) > _WAITING_LIMIT:
-                _, (_, oldest) = self._waiting.popitem(last=False)
+            for _, oldest in self._waiting.put(key, (value, future), len(value.data)):
                 self.superseded += 1
                 if oldest is not None and not oldest.done():
                     oldest.set_exception(NodeError("busy", "the connection is too slow for so many topics"))
@@ -1144,7 +1180,7 @@ class AsyncNode:
 
     def _drain(self, connection: _Connection) -> None:
         while self._waiting and not connection.paused:
-            _, (value, future) = self._waiting.popitem(last=False)
+            value, future = self._waiting.next()
             sent = self._send(connection, value, wanted=True)
             if future is None:
                 sent.add_done_callback(lambda done, value=value: self._acknowledge(connection, value, done))
@@ -1559,7 +1595,7 @@ class _Served(asyncio.Protocol):
         self.peer, self.origin, self.kind = "", "", ""
         self.upgraded = False
         self.subscriptions: Dict[Tuple[str, str], Callable[[], Awaitable[None]]] = {}
-        self.waiting: "OrderedDict[Tuple[str, str], bytes]" = OrderedDict()  # the newest value of each topic
+        self.waiting = _Newest()  # packets with values
         self.items: Deque[Union[Packet, Fault]] = deque()
         self.busy = self.paused = False
         self.heard = False
@@ -1594,7 +1630,7 @@ class _Served(asyncio.Protocol):
     def resume_writing(self) -> None:
         self.paused = False
         while self.waiting and not self.paused:
-            self.transport.write(self.waiting.popitem(last=False)[1])
+            self.transport.write(self.waiting.next())
         self.go_on()
 
     def data_received(self, data: bytes) -> None:
@@ -1677,11 +1713,9 @@ class _Served(asyncio.Protocol):
         if not self.paused:
             self._write(raw)
             return
-        self.waiting.pop((value.system, value.topic), None)
-        self.waiting[value.system, value.topic] = raw
-        if len(self.waiting) > _WAITING_LIMIT:
-            self.waiting.popitem(last=False)
-            self.server.superseded += 1
+        key = (value.system, value.topic)
+        self.waiting.pop(key)
+        self.server.superseded += len(self.waiting.put(key, raw, len(raw)))
 
     def _write(self, raw: bytes) -> None:
         if not self.transport.is_closing():

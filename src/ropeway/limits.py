@@ -316,6 +316,10 @@ ADDRESSES: Final = 4_096
 WATCHER_UNREAD_BYTES: Final = 4 << 20
 """What a watcher of the store has not read. Above, its connection is closed."""
 
+WATCHERS_PER_ADDRESS: Final = 100
+"""Watchers of the store from one address (an IPv6 network of 64 bits counts as one) that show neither a token nor a
+certificate."""
+
 WATCHER_SILENCE_S: Final = 30.0
 """Time for which a watcher of the store may take nothing of what waits for it."""
 
@@ -326,7 +330,7 @@ NODE_PACKET_S: Final = 30.0
 """Time in which a packet of a node has to come whole."""
 
 NODE_SILENCE_S: Final = 30.0
-"""Time for which a node that speaks the upgrade may say nothing."""
+"""Time for which a node may say nothing that has said by a ping that it will. Of others TCP is asked, every 30 s."""
 
 NODE_UNREAD_BYTES: Final = 256 << 10
 """What a node has not read. Above, values wait, of each topic the newest, and nothing more is read of the node."""

@@ -20,6 +20,7 @@ from ropeway.gateway.gateway import Gateway
 from ropeway.gateway.last_value import LastValue
 from ropeway.graph.base import Sample
 from ropeway.iort import AsyncNode
+from ropeway.listener import watchers
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.networks.rosbridge.client import RosbridgeGraph
 from ropeway.qos import LATCHED, QoS
@@ -368,6 +369,29 @@ async def test_http_watchers(world: World, tmp_path: Path) -> None:
     await until(lambda: not gateway.servers[0].watchers)
     writer.close()
     other.close()
+
+
+async def test_http_watchers_of_one_address(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One address without a token cannot take all places of watchers; others still come in, and it once one has left."""
+    monkeypatch.setattr(watchers, "WATCHERS_PER_ADDRESS", 2)
+    gateway, _ = await with_nodes(world, [], store={"path": "memory:"}, insecure=True, listen=["ws://0.0.0.0:0"])
+    port = gateway.servers[0].listeners[0].port
+    came = []
+
+    async def watch(source: str) -> bytes:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=(source, 0))
+        came.append(writer)
+        writer.write(b"GET /store?watch=1 HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        return (await reader.readuntil(b"\r\n\r\n")).split()[1]
+
+    assert [await watch("127.0.0.2") for _ in range(3)] == [b"200", b"200", b"503"]
+    assert await watch("127.0.0.3") == b"200"
+    came[0].close()
+    await until(lambda: len(gateway.servers[0].watchers) == 2)
+    assert await watch("127.0.0.2") == b"200"
+    for writer in came:
+        writer.close()
+    await until(lambda: not gateway.servers[0].watchers)
 
 
 async def test_http_roles(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

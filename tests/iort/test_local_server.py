@@ -249,6 +249,39 @@ async def test_beyond_loopback() -> None:
     await server.close()
 
 
+def test_what_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of what waits for a slow peer the oldest goes where it is too much in number or in bytes, the last one never."""
+    monkeypatch.setattr(iort, "_WAITING_LIMIT", 3)
+    monkeypatch.setattr(iort, "_WAITING_BYTES", 100)
+    waiting = iort._Newest()
+    assert [waiting.put(("A", name), name, 10) for name in "abcd"] == [[], [], [], ["a"]]
+    assert waiting.put(("A", "e"), "e", 95) == ["b", "c", "d"]
+    assert waiting.put(("A", "f"), "f", 1000) == ["e"]
+    assert (len(waiting), waiting.bytes) == (1, 1000)
+    assert (waiting.pop(("A", "e")), waiting.pop(("A", "f")), waiting.bytes) == (None, "f", 0)
+    assert waiting.put(("A", "g"), "g", 5) == []
+    assert (waiting.clear(), len(waiting), waiting.bytes) == (["g"], 0, 0)
+
+
+async def test_reader_that_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large values for a node that does not read wait in bounded memory; those that gave way are counted."""
+    monkeypatch.setattr(iort, "_WAITING_BYTES", 3 << 20)
+    server = LocalServer("one", max_packet_bytes=1 << 20)
+    port = await server.listen(port=0)
+    stalled, writer = await Raw.connect(port), await Raw.connect(port)
+    assert (await stalled.ask(b"%01/A/*/+sub/n=1%")).op == "+ok"
+    block = b"x" * 500_000
+    for number in range(60):
+        assert (await writer.ask(b"%01/A/" + b"%d" % number + b"/+pub/n=1/" + block + b"%")).op == "+ok"
+    waiting = next(node.waiting for node in server.nodes if node.subscriptions)
+    assert 0 < waiting.bytes <= 3 << 20
+    assert server.superseded > 20
+    await stalled.close()
+    await writer.close()
+    await until(lambda: not server.nodes)
+    await server.close()
+
+
 async def test_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """A server is full at its limits, refuses stale values and long names, and goes on with what it has."""
     monkeypatch.setattr(iort, "_SERVED_VALUES", 2)

@@ -8,6 +8,7 @@ import os
 import tracemalloc
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
+from time import perf_counter
 from typing import Any
 
 import pytest
@@ -185,6 +186,24 @@ async def test_silent_peer(place: Place) -> None:
     await place.listen(Limits(ping_interval_s=0.02, silence_s=0.2))
     _, far = await place.client()
     assert await far.connection.wait_closed() == (1006, "nothing was heard for 0.2 s")
+
+
+async def test_our_own_pause(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time in which our own process did not run is no silence of the peer, which is given up for its own alone."""
+    ahead_s = 0.0
+    monkeypatch.setattr("ropeway.listener.connection.time.monotonic", lambda: perf_counter() + ahead_s)
+    await place.listen(Limits(ping_interval_s=0.02, silence_s=5.0))
+    client, far = await place.client()
+    pongs = place.ends[0].connection.frames_in
+    for _ in range(3):
+        ahead_s += 60.0  # the process was stopped for a minute
+        await client._frame()
+        await client._frame()
+    assert not far.connection.closed
+    assert far.connection.frames_in == pongs
+    ahead_s = 0.0
+    client.writer.transport.abort()
+    await far.connection.wait_closed()
 
 
 async def test_half_a_frame(place: Place) -> None:

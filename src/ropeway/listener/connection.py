@@ -334,8 +334,10 @@ class Connection(WSListener):
             self._transport.send_ping()
             interval = self.ping_interval_s
             assert interval is not None
+            pause_s = interval / _LOOKS_PER_PING
             for _ in range(_LOOKS_PER_PING):
-                await asyncio.sleep(interval / _LOOKS_PER_PING)
+                await asyncio.sleep(pause_s)
+                self._was_late(time.monotonic() - looked_at - pause_s)
                 received = self._received_bytes()
                 if received != self._heard_bytes:  # part of a message counts as a sign of life
                     self._heard_bytes = received
@@ -346,6 +348,12 @@ class Connection(WSListener):
                 if silence is not None and looked_at - self._last_heard > silence:
                     self.abort(f"nothing was heard for {silence:g} s")
                     return
+
+    def _was_late(self, late_s: float) -> None:
+        """Leave time out of account in which our own process did not run: the peer was not silent in it."""
+        if late_s > 0:
+            self._last_heard += late_s
+            self._taken_s += late_s
 
     def _watched(self, watch: asyncio.Task[None]) -> None:
         if not watch.cancelled() and (error := watch.exception()) is not None:

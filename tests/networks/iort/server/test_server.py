@@ -461,11 +461,17 @@ async def test_slow_loris() -> None:
 
 
 async def test_silent_node() -> None:
-    """A node of the upgrade that says nothing for long is given up."""
+    """A node that pings and then says nothing for long is given up; one that only reads is not."""
     async with serving(silence_s=0.3) as served:
-        node = await Raw.connect(served.port)
-        await node.ask(request("+hello", 1, "X"))
+        node, reader, writer = [await Raw.connect(served.port) for _ in range(3)]
+        assert (await reader.ask(request("+sub", 1, "A", "x"))).op == "+ok"
+        await node.ask(request("+ping", 1))
+        assert (await node.packet()).head["code"] == "timeout"
         assert await node.closed()
+        writer.send(b"%01/A/x/p/1%")
+        assert (await reader.packet()).data == b"1"
+        await reader.close()
+        await writer.close()
         await until(lambda: not served.server.sessions)
 
 

@@ -44,9 +44,9 @@ class IortServer:
     A node is in once it has a role: from the start, where its certificate or the default gives it one, else after a
     ``+hello`` with a token, for which it has ``login_s``. Until then it has no part in the space.
 
-    ``max_packet_bytes`` bounds one packet. A node has ``unfinished_s`` for each of its packets, and one that speaks
-    the upgrade is given up after ``silence_s`` without a word. ``render`` makes
-    text of messages of ROS, which nodes cannot read; it raises ``NodeError`` or ``TypesError`` where it cannot.
+    ``max_packet_bytes`` bounds one packet. A node has ``unfinished_s`` for each of its packets. One that pings is given
+    up after ``silence_s`` without a word; whether one is there that only reads is asked by TCP. ``render`` makes text
+    of messages of ROS, which nodes cannot read; it raises ``NodeError`` or ``TypesError`` where it cannot.
     ``kinds`` says by their identifiers which plain nodes are a ``robot`` or a ``pc``; others tell it themselves.
     """
 
@@ -251,7 +251,7 @@ class IortServer:
             if session.began is not None and now - session.began > self.unfinished_s:
                 self.counts["slow"] += 1
                 session.close("malformed", f"a packet was not complete within {self.unfinished_s:g} s")
-            elif session.upgraded and now - session.last_heard > self.silence_s:
+            elif session.pings and now - session.last_heard > self.silence_s:
                 self.counts["silent"] += 1
                 session.close("timeout", f"nothing was heard for {self.silence_s:g} s")
 

@@ -46,6 +46,7 @@ class IortSession(asyncio.Protocol):
         self.identifier = ""  # of its packets
         self.access: Access | None = None
         self.upgraded = False
+        self.pings = False  # it says now and then that it is there
         self.last_heard = time.monotonic()
         self.began: float | None = None  # when the packet that is coming in began
         self.origin = ""
@@ -488,6 +489,7 @@ class IortSession(asyncio.Protocol):
             self._work()
 
     def _ping(self, packet: Packet, number: str) -> None:
+        self.pings = True
         self._send(pack(_OURS, "-", "-", "+ok", {"n": number, "t": time.time_ns()} if number else None))
 
     def _bye(self, packet: Packet, number: str) -> None:

@@ -25,6 +25,7 @@ from ropeway.listener.listener import Listener
 from ropeway.listener.presence import Presence, ip_address
 from ropeway.listener.store_pages import StorePages
 from ropeway.listener.store_watcher import StoreWatcher
+from ropeway.listener.watchers import Watchers
 from ropeway.listener.websocket import listen
 from ropeway.networks.rosbridge.link.express import HEADER
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
@@ -106,7 +107,7 @@ class RosbridgeServer:
         )
         self._pages = Pages(reasons, self.entrance.admit_page, self._more_pages)
         self._store_pages = pages
-        self.watchers: set[StoreWatcher] = set()
+        self.watchers = Watchers()
         self.presence: Presence | None = None
         self.rosout: Rosout | None = None
         self._publish_clients, self._publish_rosout = publish_clients, publish_rosout
@@ -168,7 +169,7 @@ class RosbridgeServer:
         found = pages(request, Access(role, self.entrance.door.globs, client=request.peer, tally=self.denied))
         if not isinstance(found, StoreWatcher):
             return found
-        full = self._full(role)
+        full = self._full(role) or self.watchers.full(request)
         if full:
             return self.entrance.refuse(request, refusal(503, full, Retry_After="10"))
         found.request = request
@@ -229,7 +230,7 @@ class RosbridgeServer:
             connection = session.peer.connection
             if not stays(connection.handshake, session.access.role):
                 connection.close(1008, "what this client may do has changed; connect again")
-        for watcher in list(self.watchers):
+        for watcher in self.watchers:
             if not stays(watcher.request, watcher.access.role):
                 watcher.end()
 
@@ -332,7 +333,7 @@ class RosbridgeServer:
     async def _close_sessions(self) -> None:
         for listener in self.listeners:
             await listener.close()
-        for watcher in list(self.watchers):
+        for watcher in self.watchers:
             watcher.end()
         self.listeners.clear()
         await end(self._ticker)
