@@ -372,7 +372,7 @@ async def test_http_watchers(world: World, tmp_path: Path) -> None:
 
 
 async def test_http_watchers_of_one_address(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One address without a token cannot take all places of watchers; others still come in, and it once one has left."""
+    """One address without a token cannot take all places of watchers; others come in, and it once one has left."""
     monkeypatch.setattr(watchers, "WATCHERS_PER_ADDRESS", 2)
     gateway, _ = await with_nodes(world, [], store={"path": "memory:"}, insecure=True, listen=["ws://0.0.0.0:0"])
     port = gateway.servers[0].listeners[0].port
