@@ -34,9 +34,6 @@ STANDING: Final[Mapping[str, str]] = {
     "networks.rosbridge.server.service_ops": "networks.rosbridge.server.session",
     "networks.rosbridge.server.topic_ops": "networks.rosbridge.server.session",
     "networks.rosbridge.server.topic_channels": "networks.rosbridge.server.session",
-    "types.codec": "types.registry",
-    "types.distros": "types.registry types.variant",
-    "types.told_types": "types.registry",
 }
 """Which files still import what imports them, each name without ``ropeway.``."""
 

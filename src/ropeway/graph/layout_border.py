@@ -10,7 +10,6 @@ from typing import Protocol, runtime_checkable
 
 from ropeway.errors import DecodeError, TypesError
 from ropeway.types import TypeRegistry
-from ropeway.types.variant import Variant
 
 __all__ = ["Border", "Distributed"]
 
@@ -30,7 +29,7 @@ class Border:
     A graph without a registry of definitions passes everything as it is.
     """
 
-    def __init__(self, registry: object, network: Variant | None = None) -> None:
+    def __init__(self, registry: object, network: TypeRegistry | None = None) -> None:
         self.ours = registry if isinstance(registry, TypeRegistry) else None
         self.network = network
         self._touched: dict[str, bool] = {}
@@ -60,7 +59,7 @@ class Border:
         if ours is None or writer is ours or not self.touches(type):
             return payload
         theirs = writer or self.network
-        translate = theirs.inward(type) if isinstance(theirs, Variant) else None
+        translate = None if theirs is None else theirs.inward(type)
         if translate is not None:
             try:
                 return translate(payload)
@@ -81,7 +80,7 @@ class Border:
         if ours is None or not self.touches(type):
             return payload
         theirs = self.network or reader
-        translate = theirs.outward(type) if isinstance(theirs, Variant) else None
+        translate = None if theirs is None else theirs.outward(type)
         try:
             return ours.codec(type).fitting(payload) if translate is None else translate(payload)
         except DecodeError:

@@ -7,7 +7,7 @@ import re
 import struct
 import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Protocol
 
 import orjson
 
@@ -21,9 +21,6 @@ from ropeway.types.swap import to_little_endian
 from ropeway.types.values import Short
 from ropeway.types.writer import FAILURES, Writer, make_writer
 
-if TYPE_CHECKING:
-    from ropeway.types.registry import TypeRegistry
-
 __all__ = ["MessageCodec"]
 
 _CDR_HEADER: Final = b"\0\1\0\0"
@@ -34,6 +31,31 @@ _JSON: Final = orjson.OPT_SERIALIZE_NUMPY
 _STAMP_LITTLE: Final = struct.Struct("<iI").unpack_from
 _STAMP_BIG: Final = struct.Struct(">iI").unpack_from
 _BEYOND_ASCII: Final = re.compile(r"[^\x00-\x7f]")
+
+
+class Adapting(Protocol):
+    """Whatever recognizes messages that another distribution has written."""
+
+    def adapted(self, type: str, raw: bytes) -> bytes | None:
+        """Return the message in our layout, ``None`` where no distribution would write it."""
+        ...
+
+
+class Definitions(Protocol):
+    """A registry, as its codecs see it."""
+
+    @property
+    def others(self) -> Adapting | None:
+        """What knows the layouts of other distributions."""
+        ...
+
+    def definition(self, name: str) -> Definition:
+        """Return the definition of a message. Raises ``UnknownType``."""
+        ...
+
+    def hash(self, name: str) -> str:
+        """Return the hash of a message."""
+        ...
 
 
 class MessageCodec:
@@ -48,7 +70,7 @@ class MessageCodec:
     nothing else; its ``reason`` is the text rosbridge gives.
     """
 
-    def __init__(self, name: str, registry: TypeRegistry) -> None:
+    def __init__(self, name: str, registry: Definitions) -> None:
         self.type = name
         self._registry = registry
         self._definition: Definition = registry.definition(name)

@@ -7,8 +7,8 @@ kinds meet in a gateway, and a message that does not fit our layout is then one 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, Generic, Protocol, TypeVar
 
 from ropeway.errors import TypesError
 from ropeway.types.bundled import Bundled
@@ -17,10 +17,6 @@ from ropeway.types.definition import Definition
 from ropeway.types.interfaces import owner_of
 from ropeway.types.parser import parse_interface, parse_msg
 from ropeway.types.stores import DISTROS, store_table
-
-if TYPE_CHECKING:
-    from ropeway.types.registry import TypeRegistry
-    from ropeway.types.variant import Variant
 
 __all__ = ["CHANGED", "ROS2_DISTROS", "OtherDistros", "has_changed"]
 
@@ -51,13 +47,41 @@ def has_changed(name: str) -> bool:
     return name in CHANGED or bundle_has_changed(name)
 
 
-class OtherDistros:
-    """The definitions that other distributions have for types that ``registry`` takes from a distribution."""
+class DistroTypes(Protocol):
+    """The types of one distribution, as a registry has them."""
 
-    def __init__(self, registry: TypeRegistry) -> None:
-        self._registry = registry
-        self._variants: dict[str, Variant] = {}
-        self._hashes: dict[str, tuple[int, dict[str, Variant]]] = {}  # by type, and the state of the registry
+    changes: int
+
+    def dependencies(self, name: str) -> Sequence[str]:
+        """Return what a type is made of."""
+        ...
+
+    def is_standard(self, name: str) -> bool:
+        """Return whether a type is as some distribution defines it."""
+        ...
+
+    def hash(self, name: str) -> str:
+        """Return the hash of a type."""
+        ...
+
+    def inward(self, type: str) -> Callable[[bytes], bytes] | None:
+        """Return what turns a message of these types into ours; ``None`` where both are the same."""
+        ...
+
+
+R = TypeVar("R", bound=DistroTypes)
+
+
+class OtherDistros(Generic[R]):
+    """The definitions that other distributions have for types that ``registry`` takes from a distribution.
+
+    ``make`` returns the types of a distribution. It raises ``ValueError`` for one that is not known.
+    """
+
+    def __init__(self, registry: R, make: Callable[[R, str], R]) -> None:
+        self._registry, self._make = registry, make
+        self._variants: dict[str, R] = {}
+        self._hashes: dict[str, tuple[int, dict[str, R]]] = {}  # by type, and the state of the registry
         self._lock = threading.Lock()
 
     def have(self, definition: Definition) -> bool:
@@ -88,16 +112,14 @@ class OtherDistros:
                 continue
         return None
 
-    def variant(self, distro: str) -> Variant:
+    def variant(self, distro: str) -> R:
         """Return the types of another distribution. Raises ``ValueError`` for one that is not known."""
-        from ropeway.types.variant import Variant
-
         with self._lock:
             if distro not in self._variants:
-                self._variants[distro] = Variant(self._registry, distro)
+                self._variants[distro] = self._make(self._registry, distro)
             return self._variants[distro]
 
-    def by_hash(self, type: str, hash: str) -> TypeRegistry | None:
+    def by_hash(self, type: str, hash: str) -> R | None:
         """Return whose definition of a type has this hash: ours, a distribution's, or ``None`` for neither."""
         if hash == self._registry.hash(type):
             return self._registry

@@ -10,9 +10,9 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Collection, Container, Iterable, Mapping
+from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from ropeway.errors import InvalidDefinition, InvalidTypeName, TypeConflict, TypesError, UnknownType
 from ropeway.types.bundled import Bundled
@@ -45,9 +45,16 @@ class TypeRegistry:
     unless the registry is to be ``alone``.
     """
 
+    given_distro = ""
+    """The distribution that a network was said to be of."""
+
+    make_variant: ClassVar[Callable[[TypeRegistry, str], TypeRegistry]]
+    """Returns the types of a registry as another distribution has them; ``ropeway.types`` sets it."""
+
     def __init__(self, distro: str | None = None, *, alone: bool = False) -> None:
         self.distro = distro or NEWEST
-        self.others = None if alone else OtherDistros(self)
+        make = TypeRegistry.make_variant
+        self.others: OtherDistros[TypeRegistry] | None = None if alone else OtherDistros(self, make)
         self.changes = 0  # how often definitions were added, replaced or forgotten
         self._store = store_table(self.distro)
         self._interfaces: Mapping[str, str] = INTERFACES
@@ -62,8 +69,20 @@ class TypeRegistry:
         self._full_texts: dict[str, str] = {}
         self.faults: list[TypesError] = []  # definitions in files that cannot be used
         self._nearest = Nearest(lambda: (name for name in self.names() if name not in self.told))
-        self.told = Told()
+        self.told: Told = Told()
         self._told_codecs: dict[str, set[str]] = {}  # made of told definitions, and of which
+
+    def differs(self, type: str) -> bool:
+        """Return whether a message, service or action, or anything that it is made of, is another one than ours."""
+        return False
+
+    def inward(self, type: str) -> Callable[[bytes], bytes] | None:
+        """Return what turns a message of these types into ours; ``None`` where both are the same."""
+        return None
+
+    def outward(self, type: str) -> Callable[[bytes], bytes] | None:
+        """Return what turns one of our messages into one of these types; ``None`` where both are the same."""
+        return None
 
     def canonical(self, name: str, kind: str = "msg") -> str:
         """Return the full name ``pkg/msg/Name`` of a type.

@@ -7,8 +7,8 @@ clients the first one counts while it is connected; what the system or its files
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Final
+from collections.abc import Collection, Iterable
+from typing import TYPE_CHECKING, Final, Protocol
 
 from ropeway.errors import InvalidDefinition
 from ropeway.limits import (
@@ -25,7 +25,6 @@ from ropeway.types.definition import Definition
 
 if TYPE_CHECKING:
     from ropeway.types.layout import Plan
-    from ropeway.types.registry import TypeRegistry
 
 __all__ = ["DefinitionTeller", "Told", "check_size", "check_text"]
 
@@ -69,10 +68,28 @@ class Told:
         return alone
 
 
+class DefinitionStore(Protocol):
+    """A registry, as those who tell definitions see it."""
+
+    told: Told
+
+    def has(self, name: str) -> bool:
+        """Return whether a definition is known."""
+        ...
+
+    def add_told(self, name: str, text: str, teller: DefinitionTeller) -> None:
+        """Add a concatenated definition that a peer told."""
+        ...
+
+    def forget(self, names: Collection[str]) -> None:
+        """Forget definitions that nobody tells any more."""
+        ...
+
+
 class DefinitionTeller:
     """A peer that tells definitions. ``graph`` is true for one that a graph vouches for."""
 
-    def __init__(self, registry: TypeRegistry, *, graph: bool = False) -> None:
+    def __init__(self, registry: DefinitionStore, *, graph: bool = False) -> None:
         self.graph = graph
         self._registry = registry
         self._texts: dict[str, str] = {}

@@ -184,4 +184,6 @@ def make_network(
     """
     if paths or (distro and ours.others is None):
         return Variant(ours, distro or "", paths, label=label)
-    return ours.others.variant(distro) if distro and ours.others is not None else None
+    variant = ours.others.variant(distro) if distro and ours.others is not None else None
+    assert variant is None or isinstance(variant, Variant)
+    return variant

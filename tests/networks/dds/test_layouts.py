@@ -43,7 +43,9 @@ def sample(payload: bytes, type: str = RANGE) -> Sample:
 def humble() -> Variant:
     registry = made()
     assert registry.others is not None
-    return registry.others.variant("humble")
+    variant = registry.others.variant("humble")
+    assert isinstance(variant, Variant)
+    return variant
 
 
 def grow_old(graph: DdsGraph) -> None:

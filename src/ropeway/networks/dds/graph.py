@@ -43,7 +43,6 @@ from ropeway.networks.dds.vendors import VendorHelper
 from ropeway.qos import DEFAULT, QoS
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
-from ropeway.types.variant import Variant
 
 __all__ = ["DdsGraph"]
 
@@ -84,7 +83,7 @@ class DdsGraph(ComposingGraph):
         foreign: bool = False,
         helper: VendorHelper | None = None,
         fast: bool = True,
-        network: Variant | None = None,
+        network: TypeRegistry | None = None,
     ) -> None:
         super().__init__(f"dds:{domain}", registry if isinstance(registry, TypeRegistry) else None)
         self.layouts = Layouts(

@@ -50,7 +50,6 @@ from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import Supervised, end
 from ropeway.types import TypeRegistry
 from ropeway.types.told_types import DefinitionTeller
-from ropeway.types.variant import Variant
 
 __all__ = ["LinkState", "RosbridgeGraph"]
 
@@ -89,7 +88,7 @@ class RosbridgeGraph(GraphBase):
         ask_rosapi: bool = True,
         plain: bool = False,
         ros1: bool | None = None,
-        network: Variant | None = None,
+        network: TypeRegistry | None = None,
     ) -> None:
         self._url = url
         super().__init__(shown := without_token(url))
