@@ -148,12 +148,12 @@ def test_full_although_packets_are_lost(loss: float) -> None:
         while coming and coming[0][0] <= now_s:
             path.acknowledged([(LANE, coming.popleft()[1])], now_s)
     assert link.carried > 0.7 * rate * 10
-    assert sum(link.queues_s) / len(link.queues_s) < 0.04  # two round trips
+    assert sum(link.queues_s) / len(link.queues_s) < 0.06  # three round trips
     assert path.model.pace.bytes_per_s == pytest.approx(rate, rel=0.3)
 
 
 def test_what_is_late_has_left_the_link() -> None:
-    """While a lost packet holds up what was sent after it, as much again may be sent, and no more."""
+    """While a lost packet holds up what was sent after it, one and a half times as much may be sent, and no more."""
     path, now_s = Path(), 0.0
     for number in range(1, 200):
         path.sent(LANE, number, PART_BYTES, now_s)
@@ -161,7 +161,7 @@ def test_what_is_late_has_left_the_link() -> None:
         now_s += 0.002
     path.model.starting = False
     window, numbers, sent = path.model.window_bytes, itertools.count(200), []
-    for at_s in (now_s, now_s + 0.1, now_s + 0.2):
+    for at_s in (now_s, now_s + 0.1, now_s + 0.2, now_s + 0.3):
         sent.append(0)
         while path.room_bytes(at_s) > 0:
             path.hand(PART_BYTES)
@@ -169,5 +169,5 @@ def test_what_is_late_has_left_the_link() -> None:
             path.landed(PART_BYTES)
             sent[-1] += PART_BYTES
     assert window <= sent[0] <= window + PART_BYTES
-    assert window - PART_BYTES <= sent[1] <= window + PART_BYTES
-    assert sent[2] == 0
+    assert 1.5 * window - PART_BYTES <= sum(sent[1:]) <= 1.5 * window + PART_BYTES
+    assert sent[3] == 0

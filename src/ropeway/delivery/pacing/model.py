@@ -158,7 +158,7 @@ class LinkModel:
         least = max(_LEAST_UNSENT_BYTES, self._least_bytes)
         pace = self.wanted_bps
         if self.starting or pace is None:
-            least = max(_FIRST_UNSENT_BYTES, self.window_bytes // 4)
+            least = max(_FIRST_UNSENT_BYTES, self.window_bytes // (1 if self.near else 4))
         return least if pace is None else max(int(pace * self._unsent_s), least)
 
     @property

@@ -9,7 +9,7 @@ then they come all at once. Neither is a sign of a full link, so what is measure
 
 * of the last few round trips the **shortest** counts: the queue is what even that one waited;
 * a packet that is **late**, more so than that, has most likely left the link and waits for one before it. It is not
-  counted as under way, up to a window of such packets;
+  counted as under way, up to one and a half windows of such packets;
 * the **pace** is what arrived in a round trip over the time in which it was sent, or that in which it came, whichever
   was longer: what comes all at once was sent more slowly (the delivery rate of Cheng, Cardwell, Hassas Yeganeh and
   Jacobson).
@@ -41,6 +41,7 @@ _PART_MAX_BYTES: Final = 1 << 20
 _NO_LIMIT: Final = 1 << 40
 _SAMPLED_ROUND_TRIPS: Final = 3  # of those of so many the shortest counts
 _LATE_S: Final = 0.004  # what comes so long after it should was held up by a packet that was lost
+_MOST_LATE_WINDOWS: Final = 1.5  # more are late where the path has become slower
 _LATE_PARTS: Final = 2  # on a slow path, the time that so many parts take
 _TELLING_BYTES: Final = 8 * _SEGMENT_BYTES  # fewer, in less time, say nothing of the pace
 _TELLING_S: Final = 0.05
@@ -224,7 +225,7 @@ class Path:
         return late
 
     def _reading(self, now_s: float) -> LinkReading:
-        late = min(self._late_bytes(now_s), self.model.window_bytes)
+        late = min(self._late_bytes(now_s), int(_MOST_LATE_WINDOWS * self.model.window_bytes))
         return LinkReading(
             now_s,
             self._delivered_bytes,

@@ -13,6 +13,7 @@ from ropeway import aio
 from ropeway.errors import CallError, CallFailed, ProviderLost
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import Request
+from ropeway.networks.overlay.gateway_path import Path
 from ropeway.networks.overlay.graph import OverlayGraph
 from ropeway.networks.overlay.graph.packing import TopicPacking
 from ropeway.networks.overlay.names import Metadata
@@ -308,6 +309,28 @@ async def test_commands_first(site: Site) -> None:
     orders.publish(text("stop"))
     await command.wait(1)
     await bulk.wait(1, 50)
+
+
+async def test_commands_without_room(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small messages go while their path has no room, but no more of them than it hardly notices."""
+    near, far = await site.join(), await site.join()
+    inbox, few = Inbox(), text("stop")
+    await far.create_subscription("/cmd", STRING, QoS(history="keep_all"), inbox)
+    orders = await near.create_publisher("/cmd", STRING, QoS(history="keep_all"))
+    await until(lambda: orders.subscribers and near.node.receipts.paths)
+    orders.publish(few)
+    await inbox.wait(1)
+    with monkeypatch.context() as closed:
+        closed.setattr(Path, "room_bytes", lambda *_: -1_000_000)
+        orders.publish(few)
+        await inbox.wait(2)
+        for number in range(1000):
+            orders.publish(text(f"{number} {'x' * 1000}"))
+        await inbox.wait(3)
+        assert orders.queue.waiting
+    orders.publish(few)
+    await inbox.wait(1003)
+    assert not orders.queue.waiting
 
 
 @pytest.mark.parametrize("encoding", ["zstd", "zip", "rawzip", "none", "auto"])
