@@ -275,7 +275,7 @@ def test_default_qos(tmp_path: Path) -> None:
     ("content", "words"),
     [
         (b"", "a.x is empty"),
-        (b"hello", "no recording of a known kind"),
+        (b"hello", "not a recording of a known kind"),
         (b"\x89MCAP0\r\n", "a.x"),
         (b"#ROSBAG V2.0\n", "a.x"),
         (b"SQLite format 3\0" + bytes(100), "a.x"),

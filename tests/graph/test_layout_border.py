@@ -63,7 +63,7 @@ def test_messages_of_a_third_distribution_go_out_in_that_of_the_network() -> Non
 def test_distributions_that_are_none() -> None:
     """A distribution that nobody knows is refused with those that there are."""
     for name in ("noetic", "hubmle"):
-        with pytest.raises(GraphUnavailable, match=r"no distribution of ROS 2; known are foxy, .*lyrical"):
+        with pytest.raises(GraphUnavailable, match=r"not a ROS 2 distribution; known are foxy, .*lyrical"):
             make_graph(f"dds:0?distro={name}")
 
 

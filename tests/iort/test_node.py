@@ -487,7 +487,7 @@ async def test_a_server_that_tells_no_numbers() -> None:
         await node.subscribe("t", got.append, system="S")
         await until(lambda: got)
         assert ([value.version for value in got], node.faults) == ([7], 3)
-        with pytest.raises(NodeError, match="no JSON") as told:
+        with pytest.raises(NodeError, match="not JSON") as told:
             await node.list()
         assert told.value.code == "malformed"
     await left.wait()

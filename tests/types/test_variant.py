@@ -92,5 +92,5 @@ def test_networks_of_which_nothing_is_given() -> None:
     ours = TypeRegistry()
     assert make_network(ours, None, label="dds:0") is None
     assert make_network(ours, "humble", label="dds:0") is make_network(ours, "humble", label="dds:1")
-    with pytest.raises(ValueError, match="no distribution of ROS 2; known are foxy"):
+    with pytest.raises(ValueError, match="not a ROS 2 distribution; known are foxy"):
         make_network(ours, "noetic", label="dds:0")

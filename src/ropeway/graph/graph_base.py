@@ -1,4 +1,4 @@
-"""What all graphs have in common; a network adds how it is joined and left, and what its parts are."""
+"""Implements what all graphs share; a network adds how it is joined and left, and what its parts are."""
 
 from __future__ import annotations
 

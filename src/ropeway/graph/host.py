@@ -1,4 +1,4 @@
-"""What the parts of a graph know of it, so that no part imports the graph that makes it."""
+"""Defines what the parts of a graph know of it, so that no part imports the graph that makes it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the parts of all graphs have in common; a network adds how its own publish, read and call.
+"""Implements what the parts of all graphs share; a network adds how its own publish, read and call.
 
 The protocols in ``ropeway.graph.base`` and ``ropeway.graph.calls`` are the contract. These classes are for those who
 implement it.

@@ -146,7 +146,8 @@ def settled(asked: QoS, offered: QoS) -> QoS:
 
 
 class AdoptingSubscription(SubscriptionBase[Readers[R]], Generic[R]):
-    """One topic that we read. Without a profile of its own it adopts what all publishers offer, and follows them.
+    """A topic that we read; without a profile of its own it adopts what all publishers offer, and follows their
+    changes. Without a profile of its own it adopts what all publishers offer, and follows them.
 
     A profile with ``best_available`` policies adopts these alone.
     """
@@ -198,7 +199,7 @@ class AdoptingSubscription(SubscriptionBase[Readers[R]], Generic[R]):
         await self._closing.wait()
 
     def _fresh(self, batch: Sequence[Sample]) -> list[Sample]:
-        """``batch`` without what another reader of ours has delivered, or delivers at the same time."""
+        """Return ``batch`` without samples that another reader of ours has delivered, or delivers at the same time."""
         seen = self._seen
         fresh = []
         for sample in batch:

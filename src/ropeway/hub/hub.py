@@ -262,15 +262,15 @@ class View(GraphBase):
         return out
 
     def types(self, topic: str) -> tuple[str, ...]:
-        """The types that one topic has now."""
+        """Return the types that one topic has now."""
         return self.hub.graph.types_of("topic", topic)
 
     def service_types(self, service: str) -> tuple[str, ...]:
-        """The types that one service has now."""
+        """Return the types that one service has now."""
         return self.hub.graph.types_of("service", service)
 
     def action_types(self, action: str) -> tuple[str, ...]:
-        """The types that one action has now."""
+        """Return the types that one action has now."""
         return self.hub.graph.types_of("action", action)
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""Who watches the store now, bounded per address, so that one does not take the places of all."""
+"""Keeps the clients that watch the store now, bounded per address, so that one does not take the places of all."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class Definitions(Protocol):
 
     @property
     def others(self) -> Adapting | None:
-        """What knows the layouts of other distributions."""
+        """The layouts of other distributions."""
         ...
 
     def definition(self, name: str) -> Definition:

@@ -136,7 +136,7 @@ def test_compressed_messages(tmp_path: Path, registry: TypeRegistry) -> None:
         (b"PK\x03\x04", "packed with ZIP"),
         (b"(\xb5/\xfd", "packed with zstd"),
         (b"#ROSRECORD V1.1\n", "before version 2.0"),
-        (b"<!DOCTYPE html>", "no recording of a known kind"),
+        (b"<!DOCTYPE html>", "not a recording of a known kind"),
     ],
 )
 def test_what_is_no_recording(tmp_path: Path, begin: bytes, text: str) -> None:

@@ -64,7 +64,7 @@ def test_another_database(tmp_path: Path) -> None:
     with sqlite3.connect(tmp_path / "a.db3") as db:
         db.execute("CREATE TABLE other(id INTEGER)")
     db.close()
-    with pytest.raises(BagUnreadable, match="no recording of rosbag2"), Bag(tmp_path / "a.db3", TypeRegistry()):
+    with pytest.raises(BagUnreadable, match="not a rosbag2 recording"), Bag(tmp_path / "a.db3", TypeRegistry()):
         pass
 
 

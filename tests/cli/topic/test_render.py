@@ -78,9 +78,9 @@ def test_fields_by_path(registry: TypeRegistry) -> None:
     [
         ("pose.positon", "has no field 'positon'"),
         ("pose.covariance[36]", "past the end"),
-        ("pose[0]", "no array"),
+        ("pose[0]", "not an array"),
         ("child_frame_id.x", "has no fields"),
-        ("pose covariance", "no field path"),
+        ("pose covariance", "not a field path"),
     ],
 )
 def test_wrong_paths(registry: TypeRegistry, path: str, words: str) -> None:

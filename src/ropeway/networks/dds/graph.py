@@ -253,13 +253,13 @@ class DdsGraph(ComposingGraph):
     # For the parts ----------------------------------------------------------------------------------------------
 
     async def withdraw(self, publisher: DdsPublisher, writer: RawWriter | None) -> None:
-        """A publisher was closed."""
+        """Remove a closed publisher."""
         self._parts.discard(publisher)
         if writer is not None and self._participant is not None:
             await self._participant.delete(writer)
 
     async def remove(self, part: Ends) -> None:
-        """A client or service was closed."""
+        """Remove a closed client or service."""
         self._parts.discard(part)
         if self._participant is not None:
             await part.leave(self._participant)
@@ -269,7 +269,7 @@ class DdsGraph(ComposingGraph):
         return self._discovery.node_of(guid) if self._discovery else ""
 
     def type_hash(self, type: str) -> str:
-        """``RIHS01_…`` where the registry knows the type, or ``""``."""
+        """Return ``RIHS01_…`` if the registry knows the type, or ``""``."""
         registry = self.layouts.registry or self._types
         return registry.hash(type) if registry is not None and registry.has(type) else ""
 

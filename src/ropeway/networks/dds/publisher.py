@@ -16,7 +16,7 @@ __all__ = ["DdsPublisher", "DdsPublisherHost"]
 
 
 class DdsPublisherHost(Host, Protocol):
-    """What a publisher needs of its graph."""
+    """The services of a graph for its publishers."""
 
     async def withdraw(self, publisher: DdsPublisher, writer: RawWriter | None) -> None:
         """Forget a publisher that was closed, and delete its writer."""

@@ -25,17 +25,17 @@ class Types(Protocol):
     """The part of a type registry that is used here."""
 
     def has(self, name: str) -> bool:
-        """True where the definition is known."""
+        """Return whether the definition is known."""
 
     def hash(self, name: str) -> str:
-        """``RIHS01_…``, which ``ros2 topic info -v`` shows."""
+        """Return ``RIHS01_…``, which ``ros2 topic info -v`` shows."""
 
     def codec(self, name: str) -> Codec:
-        """What tells big-endian messages from others."""
+        """Return the codec that tells big-endian messages from others."""
 
 
 class DdsReadersHost(Host, Protocol):
-    """What the readers need of their graph."""
+    """The services of a graph for its readers."""
 
     gateway_id: str
 
@@ -45,7 +45,7 @@ class DdsReadersHost(Host, Protocol):
 
 
 class DdsReaders(Readers[RawReader]):
-    """What the subscriptions of an opened graph read with."""
+    """Holds the readers behind the subscriptions of an opened graph."""
 
     def __init__(
         self, graph: DdsReadersHost, participant: DdsParticipant, discovery: DdsDiscovery, types: Types | None

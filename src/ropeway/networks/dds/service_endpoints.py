@@ -30,7 +30,7 @@ _QOS: Final = QoS(history="keep_all")
 
 
 class DdsCallHost(Host, Protocol):
-    """What a client or a service needs of its graph."""
+    """The services of a graph for its clients and services."""
 
     gateway_id: str
     helper: VendorHelper | None

@@ -31,7 +31,7 @@ ROS_ORIGIN: Final = "ros:"
 
 
 class IortHost(Host, Protocol):
-    """What a publisher or a subscription needs of its graph."""
+    """The services of a graph for its publishers and subscriptions."""
 
     link: Link
     registry: TypeRegistry

@@ -17,7 +17,7 @@ __all__ = ["MemoryCallHost", "MemoryClient", "MemoryService"]
 
 
 class MemoryCallHost(Host, Protocol):
-    """What a service needs of its graph."""
+    """The services of a graph for the services that it serves."""
 
     node: str
 

@@ -19,7 +19,7 @@ _REPLAYED_LIMIT: Final = 65_536
 
 
 class MemoryTopicHost(Host, Protocol):
-    """What a topic needs of its graph."""
+    """The services of a graph for its topics."""
 
     node: str
     loop: asyncio.AbstractEventLoop

@@ -47,7 +47,7 @@ class _Call:
 
 
 class Ros2ClientHost(Ros2Host, Protocol):
-    """What a client needs of its graph."""
+    """The services of a graph for its clients."""
 
     async def remove(self, part: Ros2Client, raw: Any, lane: Lane) -> None:
         """Remove a closed client."""

@@ -232,14 +232,14 @@ class Ros2Graph(ComposingGraph):
         return self._readers.count_others(publisher) if self._participant is not None else 0
 
     async def withdraw(self, publisher: Ros2Publisher, lane: Lane) -> None:
-        """A publisher was closed."""
+        """Remove a closed publisher."""
         self._parts.discard(publisher)
         if self._participant is not None:
             await lane.finish(lambda: self._destroy("publisher", publisher.raw))
             self.look_soon()
 
     async def remove(self, part: Ros2Client | Ros2Service, raw: Any, lane: Lane) -> None:
-        """A client or service was closed."""
+        """Remove a closed client or service."""
         self._parts.discard(part)
         if self._participant is not None:
             self._participant.spinner.remove(raw.handle)

@@ -28,7 +28,7 @@ _ACKED_S: Final = 0.5  # how long what was published last may take to arrive onc
 
 
 class Ros2PublisherHost(Ros2Host, Protocol):
-    """What a publisher needs of its graph."""
+    """The services of a graph for its publishers."""
 
     def count_readers(self, publisher: Ros2Publisher) -> int:
         """Return how many readers of others are matched with a publisher."""

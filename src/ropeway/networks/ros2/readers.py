@@ -34,7 +34,7 @@ Ros2Subscription = AdoptingSubscription[SpinnerReader]
 
 
 class Ros2ReadersHost(Ros2Host, Protocol):
-    """What the readers need of their graph."""
+    """The services of a graph for its readers."""
 
     @property
     def registry(self) -> TypeRegistry:
@@ -51,7 +51,7 @@ class Ros2ReadersHost(Ros2Host, Protocol):
 
 
 class Ros2Readers(Readers[SpinnerReader]):
-    """What the subscriptions of an opened graph read with."""
+    """Holds the readers behind the subscriptions of an opened graph."""
 
     def __init__(
         self, graph: Ros2ReadersHost, participant: Ros2Participant, discovery: Ros2Discovery, origins: Origins

@@ -28,7 +28,7 @@ _TEXTS: Final = (("success", "message"), ("successful", "reason"))
 
 
 class Ros2ServiceHost(Ros2Host, Protocol):
-    """What a service needs of its graph."""
+    """The services of a graph for the services that it serves."""
 
     async def remove(self, part: Ros2Service, raw: Any, lane: Lane) -> None:
         """Remove a closed service."""

@@ -37,7 +37,7 @@ _NO_WAY_S: Final = 3.0  # a link that was cut may come back, or a router be repl
 
 
 class OverlayCallHost(OverlayHost, Protocol):
-    """What a client or a service needs of its graph."""
+    """The services of a graph for its clients and services."""
 
     lane: int
     nobody_s: float
@@ -134,7 +134,7 @@ class OverlayClient(ClientBase[OverlayCallHost]):
         return min(found, key=lambda advert: (advert.since_ns, advert.endpoint), default=None)
 
     def rematch(self) -> None:
-        """Those who serve it have changed: calls to who has gone fail at once."""
+        """React to changed providers: calls to one that has gone fail at once."""
         self.changed.notify()
         there = {advert.endpoint for advert in self._graph.node.rib.by_name(self.advert.global_name, "service")}
         for task, endpoint in list(self._asking.items()):

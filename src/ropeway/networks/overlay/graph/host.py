@@ -1,4 +1,4 @@
-"""What the parts of an ``overlay`` graph need of it."""
+"""Defines what the parts of an ``overlay`` graph need of it."""
 
 from __future__ import annotations
 

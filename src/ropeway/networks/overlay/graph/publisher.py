@@ -26,7 +26,7 @@ _REMEMBERED: Final = 4096
 
 
 class OverlaySending(Protocol):
-    """Who sends what publishers have."""
+    """Sends what publishers have."""
 
     def put(self, queue: Queue[Sample], sample: Sample) -> None:
         """Let a message wait for its turn."""
@@ -46,11 +46,11 @@ class OverlaySending(Protocol):
 
 
 class OverlayPublisherHost(OverlayHost, Protocol):
-    """What a publisher needs of its graph."""
+    """The services of a graph for its publishers."""
 
     @property
     def sender(self) -> OverlaySending:
-        """Who sends."""
+        """The sender of all publishers."""
         ...
 
     def remove_publisher(self, publisher: OverlayPublisher) -> None:

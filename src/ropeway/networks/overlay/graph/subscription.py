@@ -18,7 +18,7 @@ __all__ = ["OverlaySubscription"]
 
 
 class OverlaySubscriptionHost(Host, Protocol):
-    """What a subscription needs of its graph."""
+    """The services of a graph for its subscriptions."""
 
     async def remove_subscription(self, subscription: OverlaySubscription) -> None:
         """Forget a subscription that was closed."""
@@ -42,12 +42,12 @@ class OverlaySubscription(SubscriptionBase[OverlaySubscriptionHost]):
 
     @property
     def reliable(self) -> bool:
-        """True where a gap is asked for."""
+        """Whether gaps are requested again."""
         return self.asked is None or self.asked.reliable
 
     @property
     def history(self) -> bool:
-        """True where what was published before is wanted, if the publisher has it."""
+        """Whether earlier messages are wanted, if the publisher has them."""
         return self.asked is None or self.asked.transient_local
 
     def rematch(self) -> None:
