@@ -9,7 +9,9 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from ropeway.cli import app
 from ropeway.cli.session import OpenGraph
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.types import TypeRegistry
@@ -59,6 +61,23 @@ def ropeway(environment: dict[str, str]) -> Ropeway:
             env={**environment, **more},
             check=False,
         )
+
+    return run
+
+
+@pytest.fixture
+def in_process(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Ropeway:
+    """Runs the command to its end without a process of its own: for verbs that begin no logs and end by themselves."""
+    for name in os.environ.keys() - environment.keys():
+        monkeypatch.delenv(name)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        result = CliRunner().invoke(app, arguments)
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        return subprocess.CompletedProcess(arguments, result.exit_code, result.stdout, result.stderr)
 
     return run
 

@@ -45,8 +45,8 @@ class Place:
 
 
 @pytest.fixture
-def place(tmp_path: Path, ropeway: Ropeway, environment: dict[str, str]) -> Iterator[Place]:
-    place = Place(tmp_path, ropeway, {**os.environ, **environment})
+def place(tmp_path: Path, in_process: Ropeway, environment: dict[str, str]) -> Iterator[Place]:
+    place = Place(tmp_path, in_process, {**os.environ, **environment})
     fleet = place.file("acme")
     place.run("keys", "init", "acme", "--directory", fleet, "--connect", place.endpoint)
     for name, *more in (("router1", "--router"), ("robot",), ("cloud",)):

@@ -34,7 +34,7 @@ class Place:
 
 
 @pytest.fixture
-def place(tmp_path: Path, ropeway: Ropeway, environment: dict[str, str]) -> Iterator[Place]:
+def place(tmp_path: Path, in_process: Ropeway, environment: dict[str, str]) -> Iterator[Place]:
     ws, nodes = free_port(), free_port()
     store = str(tmp_path / "s.sqlite")
     config = tmp_path / "config.json"
@@ -54,7 +54,7 @@ def place(tmp_path: Path, ropeway: Ropeway, environment: dict[str, str]) -> Iter
     )
     assert process.stdout is not None
     process.stdout.readline()
-    yield Place(ropeway, ws, nodes, store)
+    yield Place(in_process, ws, nodes, store)
     process.send_signal(signal.SIGTERM)
     process.stdout.close()
     assert process.wait(PATIENCE_S) == 0
