@@ -209,6 +209,15 @@ def test_measured_elsewhere() -> None:
     assert scheduler.current == "edge2"
 
 
+def test_a_bound_on_the_spread() -> None:
+    """A bound on the standard deviation alone is looked at, too: a steady machine is preferred to one that jumps."""
+    turns = itertools.cycle([0.010, 0.030])
+    machines = {"edge1": lambda _: next(turns), "edge2": always(0.030)}
+    play = Play(machines, bound=LatencyBound.of({"stddev": 0.005}), options=Options(profile_s=0.0))
+    play.run(10)
+    assert "stddev" in str(play.scheduler.decisions[-1]) or play.scheduler.current == "edge2"
+
+
 def test_status() -> None:
     """Status is JSON with what is known of each member, and the last decisions as sentences."""
     play = Play({"edge1": always(0.010), "edge2": always(0.012)})

@@ -27,6 +27,7 @@ __all__ = ["Decision", "Options", "Phase", "Scheduler"]
 
 _LATE_IN_A_ROW: Final = 2  # requests above the limit, one after the other, that start a comparison: one may be a hiccup
 _ENOUGH: Final = 4  # times the pairs that may show one side late: to compare means, or to give a rival up
+_JUDGED_PER_WINDOW: Final = 50  # what two requests in a row do not show, shows in a window, and not sooner
 _TELLING: Final = 2  # late requests more than the rival's, of as many: one more may be chance
 _MOST_DECISIONS: Final = 256
 _MOST_PENALTY_S: Final = 300.0
@@ -84,6 +85,7 @@ class _Member:
     penalty_s: float = 0.0
     alone_until_s: float = 0.0
     lost_at_s: float = float("-inf")
+    known_s: float | None = None  # the median when it was asked last, which outlives its window
 
 
 @dataclass(slots=True, eq=False)
@@ -138,6 +140,7 @@ class Scheduler:
         self._profile_ends_s = 0.0
         self._profiled = False
         self._comparison: _Comparison | None = None
+        self._judge_at_s = float("-inf")
         self._came_from = ""  # where the last change came from, while it is on probation
 
     # ── what is ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -201,7 +204,7 @@ class Scheduler:
         member = self._members[name]
         if member.here:
             return
-        member.here, member.late = True, 0
+        member.here, member.late, member.known_s = True, 0, None
         member.window.clear()
         if not self.current:
             self._change(name, now_s, "the first that is there")
@@ -300,17 +303,22 @@ class Scheduler:
             if self._profile_ends_s <= now_s:  # nobody asked for a while
                 self._profile_ends_s = now_s + self.options.profile_s
         if not self._to_profile:
+            for member in self._members.values():
+                self._remember(member, now_s)
             best = min((m for m in self._members.values() if m.here), key=lambda m: self._rank(m, now_s), default=None)
             if best is not None and best.name != self.current:
                 self._change(best.name, now_s, f"the best of the profile ({self._numbers(best, now_s)})")
 
     def _step_steady(self, now_s: float) -> None:
         member, limit_s = self._members[self.current], self.bound.limit_s
-        if limit_s is None:
+        if not self.bound.limits:
             return
         pending_s = member.window.oldest_pending_s(now_s)
-        overdue = pending_s is not None and pending_s > limit_s
+        overdue = limit_s is not None and pending_s is not None and pending_s > limit_s
         suspicious = member.late + overdue >= _LATE_IN_A_ROW
+        if not (suspicious or self._came_from) and now_s < self._judge_at_s:
+            return
+        self._judge_at_s = now_s + self.options.window_s / _JUDGED_PER_WINDOW
         found = member.window.statistics(now_s)
         missed = self.bound.judge(found) is Standing.MISSED
         if self._came_from:
@@ -321,9 +329,11 @@ class Scheduler:
         rival = self._rival(now_s, whoever=self.stateless)
         if rival is None:
             return
+        if not self.stateless and rival.known_s is not None and rival.known_s >= found.median:
+            return  # it was no better when it was asked last
         why = (
             self.bound.missed(found)
-            or f"{member.late + overdue} requests in a row took more than {1e3 * limit_s:.0f} ms"
+            or f"{member.late + overdue} requests in a row took more than {1e3 * (limit_s or 0):.0f} ms"
         )
         if self.stateless:
             self._comparison = _Comparison(rival.name)
@@ -391,7 +401,8 @@ class Scheduler:
     def _rank(self, member: _Member, now_s: float) -> tuple[int, float, float]:
         found = member.window.statistics(now_s)
         standing = (Standing.MET, Standing.UNKNOWN, Standing.MISSED).index(self.bound.judge(found))
-        return standing, 0.0 if found is None else found.median, member.alone_until_s
+        median_s = member.known_s if found is None else found.median
+        return standing, median_s or 0.0, member.alone_until_s
 
     def _lost(self, member: _Member, now_s: float) -> None:
         forgiven = now_s - member.lost_at_s > self.options.forgive_s
@@ -400,9 +411,16 @@ class Scheduler:
 
     def _change(self, after: str, now_s: float, why: str) -> None:
         self._note(now_s, why, after)
+        if self.current:
+            self._remember(self._members[self.current], now_s)
         self.current, self._since_s = after, now_s
         if after:
             self._members[after].late = 0
+
+    def _remember(self, member: _Member, now_s: float) -> None:
+        found = member.window.statistics(now_s)
+        if found is not None:
+            member.known_s = found.median
 
     def _note(self, now_s: float, why: str, after: str | None = None) -> None:
         self.decisions.append(Decision(now_s, self.current, self.current if after is None else after, why))
