@@ -15,8 +15,6 @@ import grimp
 __all__ = ["STANDING", "circles", "complaints", "imports_of"]
 
 STANDING: Final[Mapping[str, str]] = {
-    "hub.calls": "hub.actions",
-    "hub.topics": "hub.hub",
     "networks.rosbridge.client.calls": (
         "networks.rosbridge.client.actions networks.rosbridge.client.graph networks.rosbridge.client.servers "
         "networks.rosbridge.client.services"

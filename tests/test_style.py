@@ -155,7 +155,6 @@ ALLOWED_BROAD = {
         "graph/local_calls.py:_carry_out",
         "graph/local_calls.py:answer",
         "graph/parts.py:deliver",
-        "hub/topics.py:deliver",
         "iort.py:_pushed",
         "iort.py:_set_mode",
         "logs.py:emit",

@@ -39,7 +39,7 @@ class Changes:
             wake.set()
 
     def listen(self) -> AsyncIterator[GraphEvent]:
-        """Every event from this call on."""
+        """Iterate over every event from this call on."""
         entry = (deque[GraphEvent](maxlen=self.limit), asyncio.Event())
         self._queues.append(entry)
         return self._drain(entry)

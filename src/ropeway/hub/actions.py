@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import Any, Final, Protocol
 
 from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, GraphUnavailable, NotServed
-from ropeway.graph.base import Delivery
+from ropeway.graph.base import Delivery, Graph
 from ropeway.graph.calls import (
     DEFAULT_TIMEOUT_S,
     ActionClient,
@@ -21,12 +21,9 @@ from ropeway.graph.calls import (
 )
 from ropeway.graph.local_calls import DirectGoal
 from ropeway.hub.calls import NOBODY_S, either
-from ropeway.hub.ownership import Claim
+from ropeway.hub.ownership import Claim, NameOwners
 from ropeway.logs import failed
 from ropeway.tasks import background, describe, end
-
-if TYPE_CHECKING:
-    from ropeway.hub.calls import HubCalls
 
 __all__ = ["ViewActionClient", "ViewActionServer"]
 
@@ -35,11 +32,30 @@ log = logging.getLogger("ropeway.hub")
 _GOALS: Final = 4096
 
 
+class SharedActions(Protocol):
+    """Holds what the users of one graph share of its actions; ``HubCalls`` is one."""
+
+    graph: Graph
+    actions: NameOwners[ViewActionServer]
+
+    async def acquire(self, kind: str, name: str, type: str, delivery: Delivery) -> Any:
+        """Return the shared client of an action. Raises ``CallFailed`` where there are too many."""
+        ...
+
+    async def release(self, kind: str, name: str, type: str) -> None:
+        """Let go of the shared client."""
+        ...
+
+    def check_circle(self, name: str, via: tuple[str, ...]) -> None:
+        """Raise ``CallFailed`` for a goal that has been here before."""
+        ...
+
+
 class ViewActionServer:
     """An action that a view offers."""
 
     def __init__(
-        self, calls: HubCalls, user: str, action: str, type: str, handlers: ActionHandlers, delivery: Delivery
+        self, calls: SharedActions, user: str, action: str, type: str, handlers: ActionHandlers, delivery: Delivery
     ) -> None:
         self.action, self.type, self.handlers = action, type, handlers
         self._calls, self._delivery = calls, delivery
@@ -100,7 +116,7 @@ class ViewActionServer:
 class ViewActionClient:
     """An action that a view uses: at the view that serves it, or on the graph."""
 
-    def __init__(self, calls: HubCalls, action: str, type: str) -> None:
+    def __init__(self, calls: SharedActions, action: str, type: str) -> None:
         self.action, self.type = action, type
         self.closed = False
         self._calls = calls

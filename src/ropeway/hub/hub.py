@@ -33,7 +33,8 @@ from ropeway.graph.deduplication import Seen
 from ropeway.graph.graph_base import GraphBase
 from ropeway.graph.kept import Kept
 from ropeway.hub.actions import ViewActionClient, ViewActionServer
-from ropeway.hub.calls import HubCalls, ViewClient, ViewService
+from ropeway.hub.calls import ViewClient, ViewService
+from ropeway.hub.shared_calls import HubCalls
 from ropeway.hub.topics import ViewPublisher, ViewSubscription
 from ropeway.qos import QoS
 from ropeway.tasks import Supervised, end
@@ -174,7 +175,7 @@ class View(GraphBase):
         for reader in list(self.hub.subscriptions.get(publisher.topic, ())):
             publisher.match(reader)
             reader.readopt()
-        self.hub.announce(self, "publisher", publisher.topic, type, True)
+        self.announce("publisher", publisher.topic, type, True)
         await publisher.standby.look()
         return publisher
 
@@ -197,7 +198,7 @@ class View(GraphBase):
         for publisher in list(self.hub.publishers.get(subscription.topic, ())):
             publisher.match(subscription)
         subscription.readopt()
-        self.hub.announce(self, "subscription", subscription.topic, type, True)
+        self.announce("subscription", subscription.topic, type, True)
         return subscription
 
     async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> ViewClient:
@@ -216,8 +217,8 @@ class View(GraphBase):
         made = ViewService(self.hub.calls, self.user, resolve_name(service), type, handler, delivery)
         await self.hub.calls.services.add(made.entry)
         self._parts.add(made)
-        self.hub.announce(self, "service", made.service, type, True)
-        made.on_closed = lambda: self.hub.announce(self, "service", made.service, type, False)
+        self.announce("service", made.service, type, True)
+        made.on_closed = lambda: self.announce("service", made.service, type, False)
         return made
 
     async def create_action_client(self, action: str, type: str, *, delivery: Delivery = NO_HINTS) -> ViewActionClient:
@@ -236,9 +237,13 @@ class View(GraphBase):
         made = ViewActionServer(self.hub.calls, self.user, resolve_name(action), type, handlers, delivery)
         await self.hub.calls.actions.add(made.entry)
         self._parts.add(made)
-        self.hub.announce(self, "action", made.action, type, True)
-        made.on_closed = lambda: self.hub.announce(self, "action", made.action, type, False)
+        self.announce("action", made.action, type, True)
+        made.on_closed = lambda: self.announce("action", made.action, type, False)
         return made
+
+    def announce(self, kind: str, name: str, type: str, discovered: bool) -> None:
+        """Tell the other views what this one created or closed."""
+        self.hub.announce(self, kind, name, type, discovered)
 
     def _check(self) -> None:
         if self._closed:

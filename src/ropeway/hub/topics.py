@@ -2,40 +2,70 @@
 
 from __future__ import annotations
 
-import logging
-import time
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from collections import Counter
+from collections.abc import Sequence
+from typing import Protocol
 
 from ropeway.graph.base import (
     SEQ_NONE,
+    Graph,
     Publisher,
     Sample,
     SampleCallback,
     Subscription,
-    Undelivered,
     look_up,
     new_origin,
 )
 from ropeway.graph.deduplication import Seen
 from ropeway.graph.history import History
+from ropeway.graph.host import Host
+from ropeway.graph.parts import PublisherBase, SubscriptionBase
 from ropeway.hub.redundancy import Standby
-from ropeway.logs import failed
-from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.qos import QoS, common_qos
 
-if TYPE_CHECKING:
-    from ropeway.hub.hub import View
-
-__all__ = ["ViewPublisher", "ViewSubscription"]
-
-log = logging.getLogger("ropeway.hub")
+__all__ = ["SharedTopics", "TopicUser", "ViewPublisher", "ViewSubscription"]
 
 
-class ViewPublisher:
+class SharedTopics(Protocol):
+    """Holds what the users of one graph share of its topics; ``Hub`` is one."""
+
+    graph: Graph
+    gateway_id: str
+    publishers: dict[str, list[ViewPublisher]]
+    subscriptions: dict[str, list[ViewSubscription]]
+    duplicates: Counter[str]
+    retired: dict[str, Seen]
+
+    def seen(self, topic: str) -> tuple[Seen, Seen]:
+        """Return the identifiers of samples that came from the network, and of those that were published to it."""
+        ...
+
+    def forget(self, topic: str) -> None:
+        """Forget a topic that nobody uses any more."""
+        ...
+
+
+class TopicUser(Host, Protocol):
+    """Uses a graph that it shares with others; ``View`` is one."""
+
+    echo: bool
+    alone: bool
+
+    @property
+    def hub(self) -> SharedTopics:
+        """Return what the users share."""
+        ...
+
+    def announce(self, kind: str, name: str, type: str, discovered: bool) -> None:
+        """Tell the other users what this one created or closed."""
+        ...
+
+
+class ViewPublisher(PublisherBase[TopicUser]):
     """A topic published through a view."""
 
-    def __init__(self, view: View, inner: Publisher) -> None:
-        self.topic, self.type, self.qos = inner.topic, inner.type, inner.qos
+    def __init__(self, view: TopicUser, inner: Publisher) -> None:
+        super().__init__(view, inner.topic, inner.type, inner.qos)
         self.view = view
         self._inner = inner
         self._received, self._published = view.hub.seen(self.topic)
@@ -44,15 +74,10 @@ class ViewPublisher:
             hub.graph, hub.gateway_id, self.topic, self.type, self._received, self._published, alone=view.alone
         )
         self._gid = new_origin()
-        self._seq = 0
         self._history = History(self.qos)
         self.given = Seen() if self.qos.transient_local else None
         self._readers: list[ViewSubscription] = []
-        self._demand: list[Callable[[int], None]] = []
-        self.closed = False
-        inner_demand = getattr(inner, "on_demand", None)
-        if inner_demand is not None:
-            inner.on_demand(lambda _: self._tell())
+        inner.on_demand(lambda _: self._tell())
 
     @property
     def inner(self) -> Publisher:
@@ -62,9 +87,7 @@ class ViewPublisher:
     def publish(self, sample: Sample) -> None:
         """Send to the network and to the other views."""
         if sample.seq == SEQ_NONE:
-            self._seq = max(time.time_ns(), self._seq + 1)
-            stamp_ns = sample.stamp_ns or self._seq
-            sample = Sample(sample.payload, self.type, stamp_ns, self._gid, self._seq, sent_ns=sample.sent_ns)
+            sample = self._numbered(sample, self._gid)
         if (self._published.has(sample) or self._received.has(sample)) and not self._takes_over(sample):
             self.view.hub.duplicates[self.topic] += 1
             return
@@ -118,13 +141,6 @@ class ViewPublisher:
             return None if not self._readers else len(self._readers)
         return network + len(self._readers)
 
-    def on_demand(self, callback: Callable[[int], None]) -> None:
-        """Call with the number of readers, now and at each change."""
-        self._demand.append(callback)
-        count = self.subscribers
-        if count is not None:
-            callback(count)
-
     def match(self, reader: ViewSubscription) -> None:
         """Join a subscription of another view, or part from it."""
         fits = (
@@ -144,10 +160,8 @@ class ViewPublisher:
         self._tell()
 
     def _tell(self) -> None:
-        count = self.subscribers
-        if count is not None:
-            for callback in self._demand:
-                callback(count)
+        if (count := self.subscribers) is not None:
+            self._tell_demand(count)
 
     async def close(self) -> None:
         """Withdraw the topic."""
@@ -160,7 +174,7 @@ class ViewPublisher:
         for reader in list(self._readers):
             self.match(reader)
             reader.readopt()
-        self.view.hub.announce(self.view, "publisher", self.topic, self.type, False)
+        self.view.announce("publisher", self.topic, self.type, False)
         if self.given is not None:
             self.view.hub.retired.setdefault(self.topic, Seen()).update(self.given)
         self.view.hub.forget(self.topic)
@@ -168,33 +182,19 @@ class ViewPublisher:
         await self._inner.close()
 
 
-class ViewSubscription:
+class ViewSubscription(SubscriptionBase[TopicUser]):
     """A topic read through a view."""
 
-    def __init__(self, view: View, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
-        self.topic, self.type, self.view = topic, type, view
-        self._asked = qos
-        self._callback = callback
+    def __init__(self, view: TopicUser, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
+        super().__init__(view, topic, type, qos, callback)
+        self.view = view
         self._received, self._published = view.hub.seen(topic)
         self._inner: Subscription | None = None
-        self._qos = qos or DEFAULT
-        self._qos_callbacks: list[Callable[[QoS], None]] = []
-        self.closed = False
 
     @property
     def wants_history(self) -> bool:
         """Whether the reader asked for latched messages, or for whatever fits."""
-        return self._asked is None or self._asked.transient_local
-
-    @property
-    def qos(self) -> QoS:
-        """The profile in use."""
-        return self._qos
-
-    def on_qos(self, callback: Callable[[QoS], None]) -> None:
-        """Call with the profile, now and when the adopted one changes."""
-        self._qos_callbacks.append(callback)
-        callback(self._qos)
+        return self.asked is None or self.asked.transient_local
 
     @property
     def inner(self) -> Subscription | None:
@@ -208,18 +208,14 @@ class ViewSubscription:
 
     def readopt(self) -> None:
         """Adopt what the network's and the other views' publishers offer."""
-        if self._asked is not None or self._inner is None or self.closed:
+        if self.asked is not None or self._inner is None or self.closed:
             return
         hub = self.view.hub
         offered = [p.qos for p in hub.publishers.get(self.topic, ()) if p.view is not self.view or self.view.echo]
         topic = look_up(hub.graph, "topic", self.topic)
         if topic is None or any(not p.local for p in topic.publishers) or not offered:
             offered.append(self._inner.qos)
-        qos = common_qos(offered)
-        if qos != self._qos:
-            self._qos = qos
-            for callback in self._qos_callbacks:
-                callback(qos)
+        self.set_qos(common_qos(offered))
 
     def arrived(self, batch: Sequence[Sample]) -> None:
         """Deliver messages from the network, and remember them, should a link bring them back."""
@@ -232,16 +228,6 @@ class ViewSubscription:
                 fresh.append(sample)
         self.deliver(fresh)
 
-    def deliver(self, batch: Sequence[Sample]) -> None:
-        """Hand messages to the callback; a failure is counted and logged."""
-        if self.closed or not batch:
-            return
-        try:
-            self._callback(batch)
-        except Exception:  # a callback is somebody else's code; the others must not suffer
-            self.view.drops[self.topic, Undelivered.CALLBACK] += len(batch)
-            failed(log, "%s: a callback for %s failed", self.view.name, self.topic)
-
     async def close(self) -> None:
         """Stop reading."""
         if self.closed:
@@ -252,7 +238,7 @@ class ViewSubscription:
             listed.remove(self)
         for publisher in self.view.hub.publishers.get(self.topic, ()):
             publisher.match(self)
-        self.view.hub.announce(self.view, "subscription", self.topic, self.type, False)
+        self.view.announce("subscription", self.topic, self.type, False)
         self.view.hub.forget(self.topic)
         if self._inner is not None:
             await self._inner.close()
