@@ -2096,7 +2096,7 @@ def _main(arguments: List[str]) -> int:
         nargs="?",
         const="127.0.0.1:{}".format(DEFAULT_PORT),
         metavar="HOST:PORT",
-        help="be the server of this network (default %(const)s; 0.0.0.0:7410 for others, with --token)",
+        help="act as the server of this network (default %(const)s; 0.0.0.0:7410 for others, with --token)",
     )
     parser.add_argument("--cloud", help="with --serve: the server that gets what is kept here, and may be away")
     parser.add_argument("--called", help="with --serve: its name (default: that of this machine)")
@@ -2104,7 +2104,7 @@ def _main(arguments: List[str]) -> int:
     parser.add_argument("--announce", action="store_true", help="with --serve: let nodes on this network find it")
     parser.add_argument("--discovery-port", type=int, default=DISCOVERY_PORT, help="UDP port (default %(default)s)")
     parser.add_argument("--offline-depth", type=int, default=1, help="values of a topic that the cloud gets later")
-    parser.add_argument("--insecure", action="store_true", help="with --serve: no token, for everybody")
+    parser.add_argument("--insecure", action="store_true", help="with --serve: let everybody in without a token")
     told = parser.parse_args(arguments)
     if told.serve is not None:
         try:

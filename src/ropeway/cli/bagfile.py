@@ -122,7 +122,7 @@ class Bag:
             yield Record(time_ns, topic, payload)
         expected = sum(topic.count for topic in set(chosen.values()))
         if found < expected:
-            log.warning("%s: of %d messages that it tells of, only %d are there", self.path, expected, found)
+            log.warning("%s: it lists %d messages, but only %d are there", self.path, expected, found)
 
     def _raw(self, ids: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
         try:

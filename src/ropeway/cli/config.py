@@ -74,7 +74,7 @@ def _warned(hints: list[tuple[str, str]]) -> dict[str, list[dict[str, str]]]:
 
 @app.command()
 def schema(
-    as_json: Annotated[bool, typer.Option("--json", help="On one line; the schema is JSON anyhow.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="On one line; the schema is JSON in any case.")] = False,
 ) -> None:
     """Print the JSON Schema of configurations, for editors."""
     from ropeway.gateway.config.config import Config

@@ -30,12 +30,12 @@ def play_command(
     loop: Annotated[bool, typer.Option("--loop", "-l", help="Start again at the end.")] = False,
     topics: Annotated[
         list[str] | None,
-        typer.Option("--topics", help="Only this topic; may be given several times.", show_default=False),
+        typer.Option("--topics", help="Only this topic; may be repeated.", show_default=False),
     ] = None,
     restamp: Annotated[
         bool, typer.Option("--restamp", help="Put the time of sending into headers, so that delays can be measured.")
     ] = False,
-    for_s: Annotated[float, typer.Option("--for", min=0.0, help="End after so many seconds; 0: at its end.")] = 0.0,
+    for_s: Annotated[float, typer.Option("--for", min=0.0, help="End after this many seconds; 0: at its end.")] = 0.0,
     wait: Annotated[
         float, typer.Option("--wait", min=0.0, help="Seconds at most to wait until somebody reads each topic.")
     ] = 1.0,

@@ -41,17 +41,19 @@ def router_command(
     ],
     listen: Annotated[
         list[str] | None,
-        typer.Option("--listen", "-l", help="Where: tls/0.0.0.0:7447, quic/[::]:7447; may be given again."),
+        typer.Option("--listen", "-l", help="Where: tls/0.0.0.0:7447, quic/[::]:7447; may be repeated."),
     ] = None,
     connect: Annotated[
-        list[str] | None, typer.Option("--connect", "-c", help="Another router to mesh with; may be given again.")
+        list[str] | None, typer.Option("--connect", "-c", help="Another router to mesh with; may be repeated.")
     ] = None,
     crl: Annotated[
         Path | None, typer.Option("--crl", help="A revocation list (crl.pem of the fleet), read again as it changes.")
     ] = None,
     state: Annotated[
         Path | None,
-        typer.Option("--state", help="Where the newest list is kept; left out, beside the bundle.", show_default=False),
+        typer.Option(
+            "--state", help="Where the newest list is kept; by default, next to the bundle.", show_default=False
+        ),
     ] = None,
     log_level: Annotated[str, typer.Option("--log-level", help=f"{', '.join(LEVELS)}.")] = "info",
     as_json: JsonOption = False,

@@ -23,7 +23,7 @@ log = logging.getLogger("ropeway")
 @app.command("run")
 def run_command(
     config: Annotated[Path, typer.Argument(help="A configuration, JSON or YAML.", show_default=False)],
-    for_s: Annotated[float, typer.Option("--for", min=0.0, help="End after so many seconds; 0: never.")] = 0.0,
+    for_s: Annotated[float, typer.Option("--for", min=0.0, help="End after this many seconds; 0: never.")] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the status as JSON, one line per --period.")] = False,
     period: Annotated[float, typer.Option("--period", min=0.05, help="Seconds between two lines of --json.")] = 1.0,
     log_level: Annotated[str, typer.Option("--log-level", help=f"{', '.join(LEVELS)}.")] = "info",

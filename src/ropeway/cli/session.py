@@ -65,7 +65,8 @@ GraphOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, one value per line.")]
 SpinOption = Annotated[
-    float, typer.Option("--spin-time", min=0.0, help="Seconds at most to wait for discovery; less where all is found.")
+    float,
+    typer.Option("--spin-time", min=0.0, help="Seconds to wait for discovery at most; less once everything is found."),
 ]
 TypesOption = Annotated[
     list[Path] | None,

@@ -37,6 +37,6 @@ def read_credentials(remote: RemoteConfig, index: int) -> Credentials:
     token = None if remote.token is None else read_secret(remote.token, f"{path}.token")
     if token is not None and not secure and not all(map(is_loopback, remote.addresses)):
         shown = without_token(remote.address)
-        log.warning("%s: the token travels in clear; %s:// would hide it", shown, f"{shown.partition(':')[0]}s")
+        log.warning("%s: the token is sent unencrypted; %s:// would encrypt it", shown, f"{shown.partition(':')[0]}s")
     context = client_context(remote.tls, f"{path}.tls") if secure else None
     return Credentials(context, token, trusted_files(remote.tls))

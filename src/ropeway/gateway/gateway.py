@@ -154,7 +154,7 @@ class Gateway:
                 address = url + settings.clients.path.removesuffix("/")
                 await server.listen(address, ssl_context=secure, reuse_port=self._reuse_port)
                 if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
-                    log.warning("%s: tokens travel in clear here; wss:// would hide them", url)
+                    log.warning("%s: tokens are sent unencrypted here; wss:// would encrypt them", url)
         await self._bring_up_nodes(stack)
         await self._bring_up_remotes(stack, limits)
         stack.push_async_callback(Supervised(self._update_meters, "gateway meters").start().close)
@@ -178,7 +178,7 @@ class Gateway:
                 if loop.time() >= deadline:
                     raise
                 if not waits:
-                    log.warning("%s; it is waited for, %g s at most", error, _MASTER_S)
+                    log.warning("%s; waiting for it, %g s at most", error, _MASTER_S)
                     waits = True
             await asyncio.sleep(_MASTER_PAUSE_S)
 
@@ -210,7 +210,7 @@ class Gateway:
         for url in urls:
             await self.nodes.listen(url, ssl_context=self._tls if is_secure(url) else None)
             if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
-                log.warning("%s: tokens travel in clear here; iorts:// would hide them", url)
+                log.warning("%s: tokens are sent unencrypted here; iorts:// would encrypt them", url)
 
     async def _bring_up_remotes(self, stack: AsyncExitStack, limits: Limits) -> None:
         routes: dict[int, list[Route]] = {}

@@ -146,7 +146,7 @@ class Group(GraphBase):
         for name, error in failed.items():
             if not isinstance(error, RopewayError):
                 raise error
-            log.warning("%s: member %s cannot be had: %s", self.name, name, error)
+            log.warning("%s: member %s cannot be reached: %s", self.name, name, error)
         if len(failed) == len(names):
             raise GraphUnavailable(self.name, "; ".join(map(describe, failed.values())))
         self._open = True

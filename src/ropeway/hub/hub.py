@@ -79,7 +79,7 @@ class Hub:
             try:
                 await self._look_at(event.kind, event.name)
             except Exception:  # of one name: the others are looked at all the same
-                log.exception("%s: who else has the %s %s is not known", self.graph.name, event.kind, event.name)
+                log.exception("%s: cannot tell who else has the %s %s", self.graph.name, event.kind, event.name)
 
     async def _look_at(self, kind: str, name: str) -> None:
         if kind == "publisher":

@@ -125,7 +125,7 @@ class MongoBackend:
             try:
                 return ChangeStream(self._client, self._database)
             except OperationFailure as error:
-                log.info("%s has no change streams (%s); all is read each %g s", self.url, error.code, POLL_S)
+                log.info("%s has no change streams (%s); everything is read every %g s", self.url, error.code, POLL_S)
                 self._streams = False
         return None
 

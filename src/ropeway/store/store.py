@@ -398,7 +398,7 @@ class Store:
                     if key in bad:
                         sink.kept([token], StoreUnavailable(self.backend.url, bad[key]))
             except Exception:  # of one node; the others are told as ever
-                log.exception("a publisher could not be told of what is kept")
+                log.exception("a publisher could not be told what was kept")
 
     async def _sweep(self) -> None:
         most = self.limits.max_age_s

@@ -73,7 +73,7 @@ async def test_a_master_describes_nothing(ros1: OpenGraph, capsys: pytest.Captur
     """ROS 1 has no descriptions, and that is said."""
     with pytest.raises(typer.Exit):
         await parameters_of(ros1, "/robot", 5.0).describe(["speed"])
-    assert "a master of ROS 1 keeps no descriptions of parameters" in capsys.readouterr().err
+    assert "the ROS 1 master keeps no descriptions of parameters" in capsys.readouterr().err
 
 
 async def test_a_node_is_asked_through_its_services(pair: tuple[OpenGraph, OpenGraph]) -> None:

@@ -166,7 +166,7 @@ async def test_who_is_revoked_is_told(place: Place, caplog: pytest.LogCaptureFix
     await until(lambda: bob.node.trouble)
     assert "was revoked" in bob.node.status()["trouble"]
     assert "keys issue" in bob.node.status()["trouble"]
-    assert sum("our own certificate is good no longer" in message for message in caplog.messages) == 1
+    assert sum("our own certificate is no longer valid" in message for message in caplog.messages) == 1
     again = OverlayGraph(OverlayNode(bob.node.identity, routers=[place.endpoint], listen=()))
     await again.open()
     place.stack.push_async_callback(again.close)

@@ -29,7 +29,7 @@ def demo(
     keyboard: Annotated[
         bool, typer.Option("--keyboard", help="Drive with the arrow keys or WASD; q ends.", show_default=False)
     ] = False,
-    ros1: Annotated[bool, typer.Option("--ros1/--no-ros1", help="With the robot of ROS 1.")] = True,
+    ros1: Annotated[bool, typer.Option("--ros1/--no-ros1", help="Include the ROS 1 robot.")] = True,
     domain: Annotated[int, typer.Option("--domain", min=0, max=232, help="The DDS domain of the ROS 2 robot.")] = 73,
     as_json: Annotated[bool, typer.Option("--json", help="Print only the summary, as JSON.")] = False,
 ) -> None:
@@ -40,7 +40,7 @@ def demo(
 
     missing = ros1_missing() if ros1 else ""
     if missing:
-        complain(f"ropeway: the robot of ROS 1 is left out: {missing}")
+        complain(f"ropeway: the ROS 1 robot is left out: {missing}")
     say = (lambda text: None) if as_json else complain
     with tempfile.TemporaryDirectory(prefix="ropeway-demo-") as directory:
         tracks = run(drive(Path(directory), domain, with_ros1=ros1 and not missing, keyboard=keyboard, say=say))

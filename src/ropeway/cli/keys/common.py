@@ -29,7 +29,7 @@ __all__ = [
 
 FleetOption = Annotated[
     Path | None,
-    typer.Option("--fleet", help="The directory of the fleet; left out, the one here.", show_default=False),
+    typer.Option("--fleet", help="The directory of the fleet; by default, the one here.", show_default=False),
 ]
 RouterOption = Annotated[
     bool, typer.Option("--router", help="Issue it to a router, which carries everything and reads nothing.")
@@ -38,13 +38,13 @@ DaysOption = Annotated[float, typer.Option("--days", min=0.0001, help="How long 
 ConnectOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--connect", help="A router, as in tls/router.example:7447; left out, those of the fleet.", show_default=False
+        "--connect", help="A router, as in tls/router.example:7447; by default, those of the fleet.", show_default=False
     ),
 ]
 _NAMES = "a pattern of topics, as in '/camera/*'"
 MayPublish = Annotated[
     list[str] | None,
-    typer.Option("--may-publish", help=f"May publish {_NAMES}; may be given again.", show_default=False),
+    typer.Option("--may-publish", help=f"May publish {_NAMES}; may be repeated.", show_default=False),
 ]
 MaySubscribe = Annotated[
     list[str] | None, typer.Option("--may-subscribe", help=f"May read {_NAMES}.", show_default=False)

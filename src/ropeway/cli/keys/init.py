@@ -21,9 +21,12 @@ app = typer.Typer(add_completion=False)
 def init(
     fleet: Annotated[str, typer.Argument(help="Its name.", show_default=False)],
     directory: Annotated[
-        Path | None, typer.Option("--directory", help="Where; left out, a directory of that name.", show_default=False)
+        Path | None,
+        typer.Option("--directory", help="The directory; by default, one of that name.", show_default=False),
     ] = None,
-    algorithm: Annotated[str, typer.Option("--algorithm", help=f"Of all keys: {' or '.join(ALGORITHMS)}.")] = "ed25519",
+    algorithm: Annotated[
+        str, typer.Option("--algorithm", help=f"The algorithm of all keys: {' or '.join(ALGORITHMS)}.")
+    ] = "ed25519",
     connect: ConnectOption = None,
     as_json: JsonOption = False,
 ) -> None:

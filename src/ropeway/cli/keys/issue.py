@@ -43,7 +43,7 @@ def issue(
     days: DaysOption = 365.0,
     connect: ConnectOption = None,
     output: Annotated[
-        Path | None, typer.Option("--output", help="The file; left out, NAME.ropeway.", show_default=False)
+        Path | None, typer.Option("--output", help="The file; by default, NAME.ropeway.", show_default=False)
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

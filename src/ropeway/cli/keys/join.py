@@ -24,7 +24,7 @@ def join(
     signed: Annotated[Path, typer.Argument(help="NAME.signed, as keys sign made it.", show_default=False)],
     key: Annotated[Path, typer.Argument(help="NAME.key, as keys request made it.", show_default=False)],
     output: Annotated[
-        Path | None, typer.Option("--output", help="The file; left out, NAME.ropeway.", show_default=False)
+        Path | None, typer.Option("--output", help="The file; by default, NAME.ropeway.", show_default=False)
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

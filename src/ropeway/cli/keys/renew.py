@@ -37,7 +37,7 @@ def renew(
         fail("say where the new bundle goes: --output FILE, or --replace FILE", 2)
     made = open_fleet(fleet)
     if replace is None and path.exists():
-        raise IdentityError(str(path), "it exists already and is never overwritten; use --replace if that is meant")
+        raise IdentityError(str(path), "it exists already and is never overwritten; use --replace if that is intended")
     identity = made.renew(name, days=days)
     write_private(path, identity.to_text(), replace=replace is not None)
     if as_json:

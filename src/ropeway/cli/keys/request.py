@@ -21,7 +21,9 @@ app = typer.Typer(add_completion=False)
 @app.command()
 def request(
     name: Annotated[str, typer.Argument(help="The name of this machine in the fleet.", show_default=False)],
-    algorithm: Annotated[str, typer.Option("--algorithm", help=f"Of the key: {' or '.join(ALGORITHMS)}.")] = "ed25519",
+    algorithm: Annotated[
+        str, typer.Option("--algorithm", help=f"The algorithm of the key: {' or '.join(ALGORITHMS)}.")
+    ] = "ed25519",
     as_json: JsonOption = False,
 ) -> None:
     """Make NAME.key, which stays here, and NAME.csr, to be signed where the fleet is (keys sign)."""

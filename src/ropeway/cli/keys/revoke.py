@@ -24,7 +24,7 @@ def revoke(
     fleet: FleetOption = None,
     push: Annotated[
         Path | None,
-        typer.Option("--push", help="A bundle to tell the running overlay with.", show_default=False),
+        typer.Option("--push", help="A bundle with which to tell the running overlay.", show_default=False),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

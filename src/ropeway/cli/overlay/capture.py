@@ -69,6 +69,6 @@ def capture(
 
     lines = run(listen())
     if not lines:
-        fail(f"no packet of {name} passed within {timeout:g} s: is it published, and read by somebody?")
+        fail(f"no packet of {name} passed within {timeout:g} s: is it published, and does anybody subscribe to it?")
     output.write_text("\n".join(lines) + "\n")
     answer(f"{output}: {len(lines)} packet(s); whoever has ca.pem of the fleet can check them with: overlay verify")

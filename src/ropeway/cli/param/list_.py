@@ -104,4 +104,4 @@ def list_command(
     for one, why in silent.items():
         complain(f"ropeway: the parameters of {one} could not be listed: {why}")
     if silent and not listed:
-        fail("no node told its parameters; wait longer with --timeout")
+        fail("no node listed its parameters; wait longer with --timeout")

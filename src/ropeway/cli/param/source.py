@@ -109,7 +109,7 @@ class AtMaster:
 
     async def describe(self, names: Sequence[str]) -> dict[str, ParameterDescription | None]:
         """End the verb: ROS 1 has no such thing."""
-        fail(f"a master of ROS 1 keeps no descriptions of parameters; see `ropeway param get` for {', '.join(names)}")
+        fail(f"the ROS 1 master keeps no descriptions of parameters; see `ropeway param get` for {', '.join(names)}")
 
     async def dump(self) -> dict[str, Any]:
         """See ``Parameters``; namespaces are dicts, as ``rosparam dump`` prints them."""

@@ -107,7 +107,7 @@ def server_command(
     types: Annotated[
         list[Path] | None, typer.Option("--types", help="More definitions: a file or a directory.", show_default=False)
     ] = None,
-    for_s: Annotated[float, typer.Option("--for", min=0.0, help="End after so many seconds; 0: never.")] = 0.0,
+    for_s: Annotated[float, typer.Option("--for", min=0.0, help="End after this many seconds; 0: never.")] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the status as JSON, one line per --period.")] = False,
     period: Annotated[float, typer.Option("--period", min=0.05, help="Seconds between two lines of --json.")] = 1.0,
     log_level: Annotated[str, typer.Option("--log-level", help=f"{', '.join(LEVELS)}.")] = "info",
@@ -192,8 +192,8 @@ def _config(given: dict[str, Any]) -> Config:
     known = isinstance(auth, dict) and (auth.get("tokens") or auth.get("certificates"))
     if not (is_loopback(url) or known or cafile or given["insecure"]):
         fail(
-            f"{url} lets every machine that reaches it in without authentication; name a token with --token-file or "
-            "--auth, or say --insecure (in a launch file: insecure:=true) if that is meant",
+            f"{url} lets in every machine that can reach it, without authentication; set a token with --token-file or "
+            "--auth, or say --insecure (in a launch file: insecure:=true) if that is intended",
             2,
         )
     tls = {"certificate": certfile, "key": keyfile, **({"ca": cafile} if cafile else {})} if certfile else None

@@ -82,7 +82,7 @@ def call_command(
     graph: GraphOption = "",
     stdin: Annotated[bool, typer.Option("--stdin", help="Read the values from standard input.")] = False,
     rate: Annotated[
-        float | None, typer.Option("--rate", "-r", min=1e-6, help="Call so often per second.", show_default=False)
+        float | None, typer.Option("--rate", "-r", min=1e-6, help="Calls per second.", show_default=False)
     ] = None,
     timeout: Annotated[float, typer.Option("--timeout", min=0.001, help="Seconds to wait for a response.")] = 5.0,
     types: TypesOption = None,

@@ -46,7 +46,7 @@ def info_text(info: ServiceInfo, *, verbose: bool = False) -> str:
 def info(
     service: ServiceArgument,
     graph: GraphOption = "",
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Name who serves and calls it.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="List its servers and clients.")] = False,
     spin_time: SpinOption = 2.0,
     as_json: JsonOption = False,
 ) -> None:

@@ -21,8 +21,8 @@ app = typer.Typer(add_completion=False)
 def get(
     name: Annotated[str, typer.Argument(help="SYSTEM/TOPIC, or the name of a ROS topic.", show_default=False)],
     at: AtOption = "http://127.0.0.1:9090",
-    history: Annotated[bool, typer.Option("--history", help="The values before it, too, newest first.")] = False,
-    raw: Annotated[bool, typer.Option("--raw", help="The bytes as they are, without a line end.")] = False,
+    history: Annotated[bool, typer.Option("--history", help="Also the values before it, newest first.")] = False,
+    raw: Annotated[bool, typer.Option("--raw", help="The raw bytes, without a newline.")] = False,
     token: TokenOption = "",
     ca: CaOption = "",
     as_json: JsonOption = False,

@@ -38,7 +38,7 @@ AtOption = Annotated[
     ),
 ]
 TokenOption = Annotated[
-    str, typer.Option("--token", envvar="ROPEWAY_TOKEN", help="Shown to the gateway.", show_default=False)
+    str, typer.Option("--token", envvar="ROPEWAY_TOKEN", help="The token to show to the gateway.", show_default=False)
 ]
 CaOption = Annotated[
     str, typer.Option("--ca", help="File of the authorities to trust, for https and iorts.", show_default=False)

@@ -19,7 +19,7 @@ app = typer.Typer(add_completion=False)
 def watch(
     pattern: Annotated[str, typer.Argument(help="SYSTEM or SYSTEM/TOPIC; * stands for anything.")] = "*/*",
     at: AtOption = "http://127.0.0.1:9090",
-    count: Annotated[int, typer.Option("--count", "-n", min=0, help="End after so many values; 0: never.")] = 0,
+    count: Annotated[int, typer.Option("--count", "-n", min=0, help="End after this many values; 0: never.")] = 0,
     token: TokenOption = "",
     ca: CaOption = "",
     as_json: JsonOption = False,

@@ -135,13 +135,13 @@ def echo_command(
     type: TypeArgument = "",
     graph: GraphOption = "",
     once: Annotated[bool, typer.Option("--once", help="Print the first message and end.")] = False,
-    timeout: Annotated[float, typer.Option("--timeout", min=0.0, help="End after so many seconds; 0: never.")] = 0.0,
+    timeout: Annotated[float, typer.Option("--timeout", min=0.0, help="End after this many seconds; 0: never.")] = 0.0,
     field: Annotated[str, typer.Option("--field", help="Only a part, such as pose.position or ranges[0].")] = "",
     csv: Annotated[bool, typer.Option("--csv", help="All values on one line, separated by commas.")] = False,
     raw: Annotated[bool, typer.Option("--raw", help="The CDR bytes.")] = False,
     full_length: Annotated[bool, typer.Option("--full-length", "-f", help="Do not cut arrays and strings.")] = False,
     truncate_length: Annotated[
-        int, typer.Option("--truncate-length", "-l", min=0, help="Where arrays and strings are cut.")
+        int, typer.Option("--truncate-length", "-l", min=0, help="The length at which arrays and strings are cut.")
     ] = 128,
     no_arr: Annotated[bool, typer.Option("--no-arr", help="Only say how long arrays are.")] = False,
     no_str: Annotated[bool, typer.Option("--no-str", help="Only say how long strings are.")] = False,

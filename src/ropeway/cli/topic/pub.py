@@ -131,19 +131,21 @@ def pub(
     rate: Annotated[float, typer.Option("--rate", "-r", min=1e-6, help="Messages per second.")] = 1.0,
     print_every: Annotated[int, typer.Option("--print", "-p", min=0, help="Print every N-th message; 0: none.")] = 1,
     once: Annotated[bool, typer.Option("--once", "-1", help="Publish one message and end.")] = False,
-    times: Annotated[int, typer.Option("--times", "-t", min=0, help="Publish so often and end; 0: for ever.")] = 0,
+    times: Annotated[
+        int, typer.Option("--times", "-t", min=0, help="Publish this many times and end; 0: forever.")
+    ] = 0,
     wait: Annotated[
         int | None,
         typer.Option(
             "--wait-matching-subscriptions",
             "-w",
             min=0,
-            help="Wait for so many subscribers; 1 with --once and --times, 0 without.",
+            help="Wait for this many subscribers; 1 with --once and --times, 0 without.",
             show_default=False,
         ),
     ] = None,
     max_wait: Annotated[
-        float, typer.Option("--max-wait-time-secs", min=0.0, help="Wait no longer than that; 0: for ever.")
+        float, typer.Option("--max-wait-time-secs", min=0.0, help="Seconds to wait at most; 0: forever.")
     ] = 0.0,
     keep_alive: Annotated[float, typer.Option("--keep-alive", min=0.0, help="Seconds to stay after the last.")] = 0.1,
     qos_profile: QosProfile = "",

@@ -20,7 +20,7 @@ from ropeway.qos import QoS
 __all__ = ["TopicArgument", "TypeArgument", "WindowOption", "meter", "meter_main", "resolve_type"]
 
 TopicArgument = Annotated[str, typer.Argument(help="The topic, such as /chatter.", show_default=False)]
-TypeArgument = Annotated[str, typer.Argument(help="Its type, where it is not discovered.", show_default=False)]
+TypeArgument = Annotated[str, typer.Argument(help="Its type, if it is not discovered.", show_default=False)]
 WindowOption = Annotated[int, typer.Option("--window", "-w", min=1, help="How many of the newest messages count.")]
 
 

@@ -131,7 +131,7 @@ class TokenItem(Model):
     hash: Annotated[str, AfterValidator(_hash)] | None = Field(
         None, description="or its hash: sha256:<hex of the token's>, or sha256:<salt>:<hex of salt and token>"
     )
-    role: str = Field(ALL, description="one of auth.roles; left out: all")
+    role: str = Field(ALL, description="one of auth.roles; default: all")
 
     @model_validator(mode="after")
     def _one(self) -> TokenItem:
@@ -146,7 +146,7 @@ class CertificateItem(Model):
     common_name: Pattern | None = Field(None, description="pattern for the CN of the subject")
     san: Pattern | None = Field(None, description="pattern for any alternative name: host, address, URI, mail")
     fingerprint: Annotated[str, AfterValidator(_fingerprint)] | None = Field(None, description="its SHA-256, in hex")
-    role: str = Field(ALL, description="one of auth.roles; left out: all")
+    role: str = Field(ALL, description="one of auth.roles; default: all")
 
     @model_validator(mode="after")
     def _some(self) -> CertificateItem:
@@ -182,8 +182,8 @@ class RoleConfig(Patterns):
     """The rights of a role's clients; whatever is not listed is not allowed."""
 
     deny: Patterns = Field(Patterns.model_validate({}), description="exceptions from the patterns beside it")
-    messages_per_s: Rate | None = Field(None, description="how much a client may send; left out: no limit")
-    bytes_per_s: Rate | None = Field(None, description="how much a client may send; left out: no limit")
+    messages_per_s: Rate | None = Field(None, description="how much a client may send; default: no limit")
+    bytes_per_s: Rate | None = Field(None, description="how much a client may send; default: no limit")
     max_message_bytes: int | None = Field(None, ge=1024, description="a longer message closes its connection")
     max_clients: int | None = Field(None, ge=0, description="how many clients may have the role at a time")
 
@@ -197,12 +197,12 @@ class AuthConfig(Model):
     certificates: Many[CertificateItem] = Field((), description="certificates of clients; needs tls.ca")
     roles: dict[str, RoleConfig] = Field({}, description="what each may do, by name")
     default_role: str | None = Field(
-        None, description="of who has no token and no certificate; left out: nobody without may connect"
+        None, description="the role of clients without token and certificate; default: they may not connect"
     )
     origins: Many[Pattern] | None = Field(
         None,
         description="web pages whose scripts may connect, such as https://*.example.com, null for files that are "
-        "opened in a browser, or * for all; left out: pages of the same machine as the browser, or as the gateway",
+        "opened in a browser, or * for all; default: pages of the same machine as the browser, or as the gateway",
     )
     hosts: Many[Pattern] = Field(
         (),

@@ -38,7 +38,7 @@ class GraphConfig(Model):
     address: Annotated[str, AfterValidator(parse_graph)] = Field(description="as gateway.graphs lists them")
     distro: Distro | None = Field(
         None,
-        description="dds: the distribution of ROS 2 whose layouts of types the network has; left out: it is found out",
+        description="dds: the distribution of ROS 2 whose layouts of types the network has; default: detected",
     )
     types: Many[ExistingPath] = Field(
         (), description="dds: files and directories with definitions that count on this network alone"

@@ -117,7 +117,7 @@ class AnycastConfig(Model):
     latency_bound: _Bound = Field(
         LatencyBound(),
         description="upper bounds in seconds on max, mean, median, min, stddev or percentiles (p99) of the latency; "
-        "left out: the first member that is there is used",
+        "default: the first member that is there is used",
     )
     latency_window_s: float = Field(
         WINDOW_S, gt=0, le=3600, allow_inf_nan=False, description="how far back latencies are looked at"

@@ -113,10 +113,10 @@ class MapItem(Model):
     topic: str = Field(min_length=1, description="the topic, or a pattern")
     type: Annotated[str, AfterValidator(_type)] = Field("std_msgs/msg/String", description="the type in ROS")
     form: Annotated[str, _one_of(("", *FORMS)), WithJsonSchema({"enum": ["", *FORMS]})] = Field(
-        "", description=f"how it is written: {', '.join(FORMS)}; left out: text for a String, else json"
+        "", description=f"how it is written: {', '.join(FORMS)}; default: text for a String, else json"
     )
     name: Annotated[str, AfterValidator(_name)] | None = Field(
-        None, description="the name in ROS; left out: /SYSTEM/TOPIC"
+        None, description="the name in ROS; default: /SYSTEM/TOPIC"
     )
     direction: Annotated[str, _one_of(DIRECTIONS), WithJsonSchema({"enum": list(DIRECTIONS)})] = Field(
         "both", description="in: nodes publish; out: ROS does"
@@ -129,13 +129,13 @@ class MapItem(Model):
         None, description="codes: each with the fields it stands for"
     )
     send: Annotated[Many[str], BeforeValidator(_send)] | None = Field(
-        None, description="codes: those that are sent; left out: all"
+        None, description="codes: those that are sent; default: all"
     )
     deadband: Positive | None = Field(None, description="codes: values this close to zero are zero")
-    field: str | None = Field(None, description="angle: path of the rate; left out: angular.z")
-    rate_rad_s: Positive | None = Field(None, description="angle: how fast to turn (rad/s); left out: 0.5")
-    hold_s: Positive | None = Field(None, description="angle: how long a rate holds (s) without another; left out: 1")
-    step_deg: Positive | None = Field(None, description="angle: the smallest angle sent (degrees); left out: 5")
+    field: str | None = Field(None, description="angle: path of the rate; default: angular.z")
+    rate_rad_s: Positive | None = Field(None, description="angle: how fast to turn (rad/s); default: 0.5")
+    hold_s: Positive | None = Field(None, description="angle: how long a rate holds (s) without another; default: 1")
+    step_deg: Positive | None = Field(None, description="angle: the smallest angle sent (degrees); default: 5")
 
     @model_validator(mode="after")
     def _fits(self) -> MapItem:
@@ -207,7 +207,7 @@ class StoreConfig(Model):
 
     path: str | None = Field(
         None,
-        description="an SQLite file, or a directory (with a slash at its end) for JSON files; left out: "
+        description="an SQLite file, or a directory (with a slash at its end) for JSON files; default: "
         "~/.local/state/ropeway/NAME.sqlite; memory: keeps nothing",
     )
     mongodb: str | None = Field(
@@ -216,7 +216,7 @@ class StoreConfig(Model):
     max_value_bytes: int = Field(_MIB, ge=1, description="a bigger value is refused")
     max_values: int = Field(100_000, ge=1, description="how many topics have a value")
     max_bytes: int = Field(1 << 30, ge=1, description="of all values together")
-    max_age_s: Positive | None = Field(None, description="older values (s) are forgotten; left out: never")
+    max_age_s: Positive | None = Field(None, description="older values (s) are forgotten; default: never")
     history: int = Field(0, ge=0, le=10_000, description="how many values before the last are kept of each topic")
 
     def limits(self) -> StoreLimits:

@@ -258,16 +258,16 @@ class TopicItem(BridgedName):
         validation_alias=AliasChoices("type", "messageType"),
         description="its type: pkg/msg/Name, pkg/Name or pkg.msg.Name",
     )
-    rate_hz: Seconds | None = Field(None, description="at most so many messages per second; left out: no limit")
-    lifespan_s: Seconds | None = Field(None, description="older messages (seconds) are not sent; left out: no limit")
+    rate_hz: Seconds | None = Field(None, description="at most this many messages per second; default: no limit")
+    lifespan_s: Seconds | None = Field(None, description="older messages (seconds) are not sent; default: no limit")
     weight: float = Field(
         1.0, ge=0.1, le=100, description="share of the link in bytes, beside other topics of the same priority"
     )
-    depth: int | None = Field(None, ge=1, description="how many messages may wait; left out: as the publisher's QoS")
+    depth: int | None = Field(None, ge=1, description="how many messages may wait; default: as the publisher's QoS")
     store: bool = Field(
         False, description="true keeps the last message: late joiners get it, and it can be read from the store"
     )
-    qos: Profile = Field(None, description="QoS on the local graph; left out: the publishers' own is adopted")
+    qos: Profile = Field(None, description="QoS on the local graph; default: the publishers' own is adopted")
 
     def delivery(self) -> Delivery:
         """Return how the far side should treat this route."""
@@ -289,7 +289,7 @@ class RenamedTopicItem(TopicItem):
 class ServiceItem(BridgedName):
     """A service to expose or to reserve."""
 
-    timeout_s: Seconds | None = Field(None, description="how long a call may take (seconds); left out: 60")
+    timeout_s: Seconds | None = Field(None, description="how long a call may take (seconds); default: 60")
 
     name: Name = Field(
         validation_alias=AliasChoices("name", "service"),
@@ -305,7 +305,7 @@ class ActionItem(BridgedName):
     """An action to expose or to reserve."""
 
     timeout_s: Seconds | None = Field(
-        None, description="a goal that takes longer (seconds) is cancelled and aborted; left out: no limit"
+        None, description="a goal that takes longer (seconds) is cancelled and aborted; default: no limit"
     )
 
     name: Name = Field(
@@ -337,7 +337,7 @@ class ListenTls(Model):
         None, description="with ca: list of the certificates that their authorities revoked, PEM"
     )
     client_certificates: Literal["required", "optional"] = Field(
-        "required", description="with ca: whether a client without a certificate may come in by a token"
+        "required", description="with ca: whether a client without a certificate may connect with a token"
     )
 
 
@@ -352,32 +352,32 @@ class RemoteConfig(Model):
     title: str = Field("", description="for people")
     active: Switch = Field(True, description="false: parsed and checked, but not started")
     graph: Annotated[str, AfterValidator(parse_graph)] | None = Field(
-        None, description="which of gateway.graphs; left out: the first"
+        None, description="which of gateway.graphs; default: the first"
     )
     ros: Literal[1, 2] | None = Field(
-        None, description="ws, wss: which ROS a rosbridge server there belongs to; left out: it is found out"
+        None, description="ws, wss: which ROS a rosbridge server there belongs to; default: detected"
     )
     distro: Distro | None = Field(
         None,
-        description="ws, wss: the distribution of ROS 2 whose layouts of types are used there; left out: that of here. "
+        description="ws, wss: the distribution of ROS 2 whose layouts of types are used there; default: the local one. "
         "Gateways need none",
     )
     types: Many[ExistingPath] = Field(
         (), description="ws, wss: files and directories with definitions that count for this remote alone"
     )
-    local_namespace: Namespace = Field("/", description="stands before every local name")
-    remote_namespace: Namespace = Field("/", description="stands before every remote name")
+    local_namespace: Namespace = Field("/", description="put before every local name")
+    remote_namespace: Namespace = Field("/", description="put before every remote name")
     tls: RemoteTls | None = None
     unique: str | None = Field(
         None, description="overlay: makes other global names of the same names, for a deployment that stands apart"
     )
     readers: Many[str] | None = Field(
-        None, description="overlay: patterns of the members that may read what is published; left out: all"
+        None, description="overlay: patterns of the members that may read what is published; default: all"
     )
     callers: Many[str] | None = Field(
-        None, description="overlay: patterns of the members that may call what is exposed; left out: all"
+        None, description="overlay: patterns of the members that may call what is exposed; default: all"
     )
-    maps: MapList = Field((), description="iort: how topics of nodes are topics of ROS, as in gateway.iort.maps")
+    maps: MapList = Field((), description="iort: how topics of nodes map to ROS topics, as in gateway.iort.maps")
     automatic: AutomaticConfig | None = Field(
         None, description="overlay: topics are offered and fetched as the local graph needs"
     )
@@ -424,7 +424,7 @@ class ClientsConfig(Model):
         10.0, ge=0, allow_inf_nan=False, description="how long a topic stays advertised after its last client"
     )
     call_timeout_s: float = Field(
-        5.0, ge=0, allow_inf_nan=False, description="of a service call that names none; 0: as long as may be"
+        5.0, ge=0, allow_inf_nan=False, description="for service calls that give no timeout; 0: no limit"
     )
     params_timeout_s: float = Field(5.0, gt=0, allow_inf_nan=False, description="how long rosapi waits for a node")
     ping_interval_s: Seconds = Field(5.0, description="how often a client is pinged; gateways are every second")
@@ -438,7 +438,7 @@ class GatewayConfig(Model):
     """The gateway itself."""
 
     name: Annotated[str, AfterValidator(_node_part)] = Field(
-        default_factory=_hostname, description="how others see it; left out: from the host name"
+        default_factory=_hostname, description="the name that others see; default: from the host name"
     )
     networks: Annotated[Many[GraphItem], AfterValidator(_not_empty)] = Field(
         default_factory=_default_graphs,

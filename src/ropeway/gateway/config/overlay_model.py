@@ -19,7 +19,7 @@ OVERLAY: Final = "overlay"
 METADATA: Final = ("author", "maintainer", "description", "unique", "node")
 """What an item may have that goes into its global name beside its name and type."""
 
-METADATUM: Final = "overlay: goes into the global name; left out: that of gateway.overlay, or of the remote"
+METADATUM: Final = "overlay: goes into the global name; default: that of gateway.overlay, or of the remote"
 """What each of them is for."""
 
 _ENDPOINT: Final = re.compile(r"(tls|quic)/(\[[0-9a-fA-F:]+\]|[A-Za-z0-9._-]+):\d{1,5}")
@@ -46,7 +46,7 @@ class OverlayConfig(Model):
     """Membership of the overlay."""
 
     identity: ExistingPath = Field(description="its bundle, as ropeway keys issue writes it")
-    routers: Many[Endpoint] | None = Field(None, description="where to connect; left out: the routers of the bundle")
+    routers: Many[Endpoint] | None = Field(None, description="where to connect; default: the routers of the bundle")
     listen: Many[Endpoint] = Field(
         ("tls/0.0.0.0:0",),
         description="where other members may link directly, with certificates both ways; [] for nowhere",
@@ -54,11 +54,13 @@ class OverlayConfig(Model):
     author: str = Field("", description="metadata that goes into every global name: all who share a name agree on it")
     maintainer: str = Field("", description="likewise")
     description: str = Field("", description="likewise")
-    node: str = Field("", description="likewise: the name of the node that has them; left out: it goes into no name")
+    node: str = Field("", description="likewise: the name of the node that has them; default: it goes into no name")
 
 
 class AutomaticConfig(Model):
     """Topics that are offered or fetched as the local graph needs (FogROS2-SGC thesis, 3.6)."""
 
-    allow: Many[Pattern] = Field((), description="patterns of topic names that may be shared; none: nothing is")
-    deny: Many[Pattern] = Field((), description="patterns of those that may not, though allowed")
+    allow: Many[Pattern] = Field(
+        (), description="patterns of topic names that may be shared; without any, nothing is shared"
+    )
+    deny: Many[Pattern] = Field((), description="patterns of topic names that are not shared, even if allowed")

@@ -126,7 +126,9 @@ class ComposedActionServer:
                 async with aio.timeout(_CLOSE_S):
                     await self._all_answered.wait()
             except TimeoutError:
-                log.warning("%s: %d results could not be given before the server closed", self.action, self._waiting)
+                log.warning(
+                    "%s: %d results could not be delivered before the server closed", self.action, self._waiting
+                )
         for service in reversed(self._services):
             await service.close()
         for publisher in (self._feedback, self._status):

@@ -209,7 +209,7 @@ class Pump:
             try:
                 handler()
             except Exception:  # of one endpoint; the others are read as ever
-                log.exception("%s: taking what waited failed", self._name)
+                log.exception("%s: delivering what waited failed", self._name)
         if self._backlog:
             self._starved = True
             if self.room:
@@ -259,7 +259,7 @@ class Pump:
             try:
                 function(batch)
             except Exception:  # of one taker; the others get what is theirs
-                log.exception("%s: taking in %d items failed", self._name, len(batch))
+                log.exception("%s: delivering %d items failed", self._name, len(batch))
         self._drained_samples += samples
         self._drained_bytes += size
         if self._starved and not self._stopping:

@@ -193,7 +193,7 @@ class PublisherStream:
                 self._feed.refused(self.certificate.name, error)
                 break
             except RopewayError as error:
-                log.debug("overlay: what is missing of %s cannot be had: %s", self.advert.name, error)
+                log.debug("overlay: missing messages of %s cannot be recovered: %s", self.advert.name, error)
                 if not last:
                     await asyncio.sleep(_AGAIN_S)
         if self.readers.get(reader) is follower:

@@ -89,6 +89,6 @@ def one_by_one(take: Callable[[T], None]) -> Callable[[list[T]], None]:
             try:
                 take(item)
             except Exception:  # of one note or request
-                log.exception("overlay: something that came could not be taken in")
+                log.exception("overlay: received data could not be delivered")
 
     return deliver

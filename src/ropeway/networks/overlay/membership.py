@@ -345,7 +345,7 @@ class Membership:
                         answers, notes = read_told(await self._ask_list(gateway, _ASK_S))
                     version = await self._take_list(gateway, known, answers, notes or self._fleet_notes)
                 except CallError as error:  # it is not there, or does not answer us
-                    log.debug("overlay: gateway %s tells no list: %s", gateway.hex()[:8], error)
+                    log.debug("overlay: gateway %s sends no list: %s", gateway.hex()[:8], error)
                     version = None
                 except SealError as error:
                     self._refused(known.name or f"gateway {gateway.hex()[:8]}", error)

@@ -203,7 +203,7 @@ class OverlayNode:
         try:
             answers = await self.fabric.ask(CRL_KEY, b"", 2.0, limit_bytes=_CRLS * OVERLAY_CRL_BYTES)
         except RopewayError as error:
-            log.debug("overlay: nobody told which certificates are revoked: %s", error)
+            log.debug("overlay: no member told which certificates are revoked: %s", error)
             return 0
         if not self.links.heard(len(answers)):
             self._ask_crl.set()
@@ -226,7 +226,7 @@ class OverlayNode:
         except SealError as error:
             if not self.trouble:
                 self.trouble = f"{error}; others refuse us: have a new one issued with: ropeway keys issue"
-                log.error("overlay: our own certificate is good no longer: %s", self.trouble)
+                log.error("overlay: our own certificate is no longer valid: %s", self.trouble)
         else:
             self.trouble = ""
 

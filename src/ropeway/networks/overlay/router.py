@@ -149,7 +149,7 @@ class Router:
             for raw in await fabric.ask(CRL_KEY, b"", _ASK_S):
                 self._take(raw)
         except RopewayError as error:
-            log.debug("router: nobody told which certificates are revoked: %s", error)
+            log.debug("router: no other router told which certificates are revoked: %s", error)
 
     # ── revocation ─────────────────────────────────────────────────────────────────────────────────────────────
 

@@ -101,7 +101,7 @@ class MasterRegistration:
                     log.warning("%s: the master does not answer, waiting for it: %s", self.node.graph, error)
                 self.up = False
             except Exception:  # whatever a master answers, it is asked again
-                log.exception("%s: the state of the master could not be made use of", self.node.graph)
+                log.exception("%s: the state of the master could not be used", self.node.graph)
 
     async def _look(self) -> None:
         if self._rename:
@@ -123,7 +123,7 @@ class MasterRegistration:
         if reason.startswith("[") and not reason.startswith(f"[{node.name}]"):
             return  # that was our name before
         if "new node registered" not in reason:
-            log.warning("%s: a request to shut down is not followed: %s", node.graph, reason)
+            log.warning("%s: a request to shut down is ignored: %s", node.graph, reason)
             return
         log.warning("%s: another node is called %s now; we take a new name", node.graph, node.name)
         self._rename = True
@@ -199,7 +199,7 @@ class MasterRegistration:
             else:
                 await node.master.register_service(part.name, node.service_api, node.uri)
         except (ConnectFailed, MasterRefused) as error:
-            log.info("%s: a registration failed, it is tried again: %s", node.graph, error)
+            log.info("%s: a registration failed and is tried again: %s", node.graph, error)
             return
         part.registered = True
         self._wake.set()

@@ -200,7 +200,7 @@ class Spinner:
             try:
                 function(batch)
             except Exception:  # of one taker; the others get what is theirs
-                log.exception("%s: taking in %d items failed", self._name, len(batch))
+                log.exception("%s: delivering %d items failed", self._name, len(batch))
         self._drained_samples += samples
         self._drained_bytes += size
         if self._starved and not self._stopping:

@@ -156,7 +156,7 @@ class RosbridgeServer:
                 await rosout.open()
                 self.rosout = rosout
         except RopewayError as error:
-            log.warning("%s does not take what the server tells about itself: %s", self.hub.graph.name, error)
+            log.warning("%s does not accept what the server says about itself: %s", self.hub.graph.name, error)
 
     def _more_pages(self, request: HttpRequest) -> Response | asyncio.Protocol | None:
         """Serve pages beyond the server's own: the values of the store, to clients that may read them."""
