@@ -35,6 +35,7 @@ from tests.support.websocket import Client
 _domains = itertools.cycle(range(100, 110))
 _numbers = itertools.count()
 HZ = 50.0
+DEPTH = 5000  # as much as comes in all the time of a test, in which a busy machine may hold anybody up
 
 
 def settings(graph: str, **more: Any) -> dict[str, Any]:
@@ -57,7 +58,7 @@ class Cloud:
         server = RosbridgeServer(Hub(graphs[0]), TypeRegistry())
         stack.push_async_callback(server.close)
         self.url = f"ws://127.0.0.1:{(await server.listen('ws://127.0.0.1:0')).port}"
-        await graphs[1].create_subscription(topic, STRING, QoS(depth=100), self._hear)
+        await graphs[1].create_subscription(topic, STRING, QoS(depth=DEPTH), self._hear)
 
     def _hear(self, batch: Any) -> None:
         for sample in batch:
@@ -69,7 +70,7 @@ async def talker(stack: AsyncExitStack, domain: int, topic: str) -> None:
     graph = DdsGraph(domain, name="talker", interface="lo")
     await graph.open()
     stack.push_async_callback(graph.close)
-    publisher = await graph.create_publisher(topic, STRING, QoS(depth=100))
+    publisher = await graph.create_publisher(topic, STRING, QoS(depth=DEPTH))
 
     async def talk() -> None:
         began, number = time.monotonic(), 0

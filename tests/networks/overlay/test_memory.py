@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import tracemalloc
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from functools import partial
 
 import pytest
@@ -45,7 +45,15 @@ async def put_until(graph: OverlayGraph, key: str, make: Callable[[], bytes], co
             await asyncio.sleep(0.05)
 
 
-async def test_a_packet_of_bombs(pair: tuple[OverlayGraph, OverlayGraph]) -> None:
+@pytest.fixture
+def traced() -> Iterator[None]:
+    """Count memory while the graphs live, whose threads may crash Python if that ends before them."""
+    tracemalloc.start()
+    yield
+    tracemalloc.stop()
+
+
+async def test_a_packet_of_bombs(traced: None, pair: tuple[OverlayGraph, OverlayGraph]) -> None:
     """A packet of a few kilobytes that would be gigabytes costs its reader a message, is refused, and others follow."""
     near, far = pair
     inbox = Inbox()
@@ -53,15 +61,11 @@ async def test_a_packet_of_bombs(pair: tuple[OverlayGraph, OverlayGraph]) -> Non
     publisher = await near.create_publisher("/x", STRING)
     await until(lambda: publisher.subscribers)
     items = [PacketItem(n, 0, 1, b"o" * 16, 0, ZSTD, bomb(1024 * MIB)) for n in range(1, 5)]
-    tracemalloc.start()
-    try:
-        before = tracemalloc.get_traced_memory()[0]
-        tracemalloc.reset_peak()
-        make = partial(publisher.source.seal, items)
-        await put_until(near, publisher.key, make, lambda: Refusal.TOO_BIG in refusals(far))
-        assert tracemalloc.get_traced_memory()[1] - before < 8 * MIB
-    finally:
-        tracemalloc.stop()
+    before = tracemalloc.get_traced_memory()[0]
+    tracemalloc.reset_peak()
+    make = partial(publisher.source.seal, items)
+    await put_until(near, publisher.key, make, lambda: Refusal.TOO_BIG in refusals(far))
+    assert tracemalloc.get_traced_memory()[1] - before < 8 * MIB
     publisher.publish(text("good"))
     await inbox.wait(1, 30)
 

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import gc
+import socket
+from collections import Counter
 from collections.abc import AsyncIterator
+from urllib.parse import urlsplit
 
 import pytest
 
 from ropeway.errors import GraphUnavailable
 from ropeway.networks.ros1.master import master_uri
-from ropeway.networks.ros1.node import is_loopback, our_host
+from ropeway.networks.ros1.node import Ros1Node, is_loopback, our_host
 from ropeway.networks.ros1.xmlrpc import XmlRpcClient
+from ropeway.types import TypeRegistry
+from ropeway.types.ros1_types import Ros1Types
 
 from .conftest import Join
 
@@ -87,3 +95,21 @@ async def test_shutdown(join: Join, client: XmlRpcClient) -> None:
     publisher = await graph.create_publisher("/chatter", "std_msgs/msg/String")
     assert not publisher.closed
     assert graph.node == "/near"
+
+
+@pytest.mark.parametrize("turns", range(5))
+async def test_who_comes_at_the_end(turns: int, recwarn: pytest.WarningsRecorder) -> None:
+    """Whoever connects while a node leaves finds the connection closed, and nothing of it is left open."""
+    node = Ros1Node("ros1:here", "/near", "http://127.0.0.1:9", Ros1Types(TypeRegistry()), Counter())
+    await node.open()
+    ports = (node.port, urlsplit(node.uri).port or 0)
+    peers = [socket.create_connection(("127.0.0.1", port)) for port in ports for _ in range(5)]
+    for _ in range(turns):  # they wait, are being accepted, or are there
+        await asyncio.sleep(0)
+    await node.close()
+    for peer in peers:
+        with peer, contextlib.suppress(ConnectionError):
+            peer.settimeout(0)
+            assert peer.recv(1) == b""
+    gc.collect()
+    assert [str(warning.message) for warning in recwarn] == []

@@ -15,7 +15,7 @@ from ropeway.graph.base import Undelivered, new_origin
 from ropeway.limits import ROS1_NEWCOMERS
 from ropeway.networks.ros1.master import Master
 from ropeway.networks.ros1.tcpros import TcprosConnection
-from ropeway.networks.ros1.xmlrpc import XmlRpcClient, XmlRpcServer, split_uri
+from ropeway.networks.ros1.xmlrpc import XmlRpcClient, XmlRpcServer, split_uri, stop_listening
 from ropeway.types.ros1_types import Ros1Types
 
 __all__ = ["FirstSeenPublisher", "Ros1Node", "Target", "TopicFollower", "is_loopback", "our_host"]
@@ -105,9 +105,9 @@ class Ros1Node:
 
     async def close(self) -> None:
         """Listen no more, and close what is still connected."""
-        if self._tcp is not None:
-            self._tcp.close()
-            self._tcp = None
+        server, self._tcp = self._tcp, None
+        if server is not None:
+            await stop_listening(server)
         for connection in list(self._newcomers):
             connection.abort("the node has left")
         await self._server.close()

@@ -19,7 +19,7 @@ from ropeway.errors import ConnectFailed
 from ropeway.limits import NESTED_CONTAINERS, ROS1_CALLERS
 from ropeway.tasks import describe, end
 
-__all__ = ["Fault", "XmlRpcClient", "XmlRpcServer", "close_streams", "split_uri"]
+__all__ = ["Fault", "XmlRpcClient", "XmlRpcServer", "close_streams", "split_uri", "stop_listening"]
 
 log = logging.getLogger("ropeway.ros1")
 
@@ -31,6 +31,7 @@ Fault = xmlrpc.client.Fault
 
 _CALL_S: Final = 5.0
 _CLOSE_S: Final = 1.0
+_ACCEPT_TURNS: Final = 4  # of the loop: a connection is accepted, made, told of, and closed if it is not wanted
 _IDLE_S: Final = 60.0  # a connection without a request for so long is closed
 _ANSWER_LIMIT_BYTES: Final = 64 << 20  # a parameter may hold a robot's whole description
 _REQUEST_LIMIT_BYTES: Final = 1 << 20  # what nodes are told fits in a few hundred bytes
@@ -53,6 +54,16 @@ class _Malformed(Exception):
 
 
 Stream = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+async def stop_listening(server: asyncio.Server) -> None:
+    """Listen no more. Whoever is being accepted is told of first: asyncio leaves those open whose server is closed."""
+    loop = asyncio.get_running_loop()
+    for listening in server.sockets:
+        loop.remove_reader(listening)
+    for _ in range(_ACCEPT_TURNS):
+        await asyncio.sleep(0)
+    server.close()
 
 
 async def close_streams(writers: Sequence[asyncio.StreamWriter]) -> None:
@@ -170,9 +181,9 @@ class XmlRpcServer:
 
     async def close(self) -> None:
         """Answer no more."""
-        if self._server is not None:
-            self._server.close()
-            self._server = None
+        server, self._server = self._server, None
+        if server is not None:
+            await stop_listening(server)
         writers = list(self._tasks.values())
         await end(*self._tasks)
         await close_streams(writers)
