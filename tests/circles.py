@@ -22,16 +22,6 @@ STANDING: Final[Mapping[str, str]] = {
     "networks.rosbridge.client.parts": "networks.rosbridge.client.graph",
     "networks.rosbridge.client.refusals": "networks.rosbridge.client.calls",
     "networks.rosbridge.client.ros1_spelling": "networks.rosbridge.client.graph",
-    "networks.rosbridge.link.calls": "networks.rosbridge.link.sender",
-    "networks.rosbridge.link.channel": "networks.rosbridge.link.express networks.rosbridge.link.sender",
-    "networks.rosbridge.link.express": "networks.rosbridge.link.channel networks.rosbridge.link.peer",
-    "networks.rosbridge.server.action_offers": "networks.rosbridge.server.session",
-    "networks.rosbridge.server.action_ops": "networks.rosbridge.server.session",
-    "networks.rosbridge.server.bodies": "networks.rosbridge.server.session",
-    "networks.iort.server.session": "networks.iort.server.server",
-    "networks.rosbridge.server.service_ops": "networks.rosbridge.server.session",
-    "networks.rosbridge.server.topic_ops": "networks.rosbridge.server.session",
-    "networks.rosbridge.server.topic_channels": "networks.rosbridge.server.session",
 }
 """Which files still import what imports them, each name without ``ropeway.``."""
 

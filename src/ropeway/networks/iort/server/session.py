@@ -6,10 +6,10 @@ import asyncio
 import json
 import logging
 import time
-from collections import deque
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Coroutine
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import Any, Final, Protocol, cast
 
 from ropeway.delivery.pacing.flow import Flow
 from ropeway.errors import AccessDenied, StoreUnavailable, TypesError, ValueRefused
@@ -18,11 +18,8 @@ from ropeway.limits import HTTP_HEAD_BYTES, NODE_UNREAD_BYTES, WRONG_TOKENS_PER_
 from ropeway.listener.authorization import Access
 from ropeway.listener.lobby import Visit
 from ropeway.networks.iort.server.pushes import Pushes
-from ropeway.networks.iort.space import MemberEndpoint, is_pattern
+from ropeway.networks.iort.space import MemberEndpoint, Space, is_pattern
 from ropeway.store import Entry, as_json
-
-if TYPE_CHECKING:
-    from ropeway.networks.iort.server.server import IortServer
 
 __all__ = ["IortSession"]
 
@@ -32,10 +29,41 @@ _OURS: Final = "00"  # the identifier of the server
 _IDENTIFIER_CHARACTERS: Final = 40  # of one that is shown in the status
 
 
+class NodesHost(Protocol):
+    """Gives a session the part of its server that it may use; ``IortServer`` does so."""
+
+    space: Space
+    max_packet_bytes: int
+    kinds: dict[str, str]
+    counts: Counter[str]
+    render: Callable[[Entry], bytes]
+
+    def welcome(self, session: IortSession, transport: asyncio.Transport) -> None:
+        """Take a node that connected."""
+
+    def heard(self, session: IortSession) -> bool:
+        """Let a node in of which the first has come; return whether it may stay."""
+
+    def hello(self, session: IortSession, name: str, token: str | None) -> str:
+        """Admit a node that says who it is, and return what it should know. Raises ``NodeError``."""
+
+    def too_late(self, session: IortSession) -> None:
+        """Give up a node that did not say who it is."""
+
+    def browser_came(self, session: IortSession) -> None:
+        """Send a browser away."""
+
+    def gone(self, session: IortSession) -> None:
+        """Forget a node, which is gone."""
+
+    def spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        """Start a task that ends with the server."""
+
+
 class IortSession(asyncio.Protocol):
     """The connection of one node, which is a member of the space. It is a member of the space."""
 
-    def __init__(self, server: IortServer, visit: Visit) -> None:
+    def __init__(self, server: NodesHost, visit: Visit) -> None:
         self.server, self.space = server, server.space
         self._visit = visit
         self._login: asyncio.TimerHandle | None = None

@@ -18,13 +18,12 @@ import orjson
 
 from ropeway.delivery.outbox import LANES, SMALL_BYTES, Lost, Queue
 from ropeway.errors import MessageTooBig, OutboxFull, RopewayError
-from ropeway.networks.rosbridge.link.channel import Stream
+from ropeway.networks.rosbridge.link.channel import Stream, StreamSender
 from ropeway.networks.rosbridge.protocol import codec as wire_codec
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.types.cbor import dumps as cbor_dumps
 
 if TYPE_CHECKING:
-    from ropeway.networks.rosbridge.link.sender import LinkSender
     from ropeway.networks.rosbridge.protocol.dialect import Dialect
     from ropeway.types import MessageCodec
 
@@ -86,7 +85,7 @@ class _Operations(Stream[_Operation]):
 
     __slots__ = ()
 
-    def __init__(self, sender: LinkSender, number: int, lane: int, gone: Callable[[_Operation], None]) -> None:
+    def __init__(self, sender: StreamSender, number: int, lane: int, gone: Callable[[_Operation], None]) -> None:
         queue: Queue[_Operation] = Queue("calls", priority=lane, depth=None, limit_bytes=1 << 62)
         super().__init__(sender, number, "(calls)", queue, "cbor" if sender.records else "none")
         queue.ready_bytes = SMALL_BYTES  # larger ones may have to be encoded
@@ -131,7 +130,7 @@ class OpSender:
     (``None`` where it has not said); both are set once it has said hello.
     """
 
-    def __init__(self, sender: LinkSender) -> None:
+    def __init__(self, sender: StreamSender) -> None:
         self._sender = sender
         self.records = False
         self.limit_bytes: int | None = None

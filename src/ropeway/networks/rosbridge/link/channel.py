@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 
 from ropeway.delivery.compression import filters
 from ropeway.delivery.encoding_choice import SMALLEST_PACKED_BYTES, EncodingChooser
-from ropeway.delivery.outbox import SMALL_BYTES, Lost, Message, Queue
+from ropeway.delivery.outbox import SMALL_BYTES, Lost, Message, Outbox, Queue
 from ropeway.networks.rosbridge.protocol import codec as wire_codec
 
 if TYPE_CHECKING:
-    from ropeway.networks.rosbridge.link.express import Express
-    from ropeway.networks.rosbridge.link.sender import LinkSender
+    from ropeway.fault_log import FaultLog
+    from ropeway.listener.connection import Connection
+    from ropeway.networks.rosbridge.protocol.dialect import Dialect
     from ropeway.types import MessageCodec
 
-__all__ = ["EXPRESS_BYTES", "Channel", "Outgoing", "Stream"]
+__all__ = ["EXPRESS_BYTES", "Channel", "Outgoing", "Placing", "Stream", "StreamSender"]
 
 EXPRESS_BYTES: Final = 4 * 1024
 """The largest message that takes the second connection."""
@@ -39,6 +40,46 @@ class Outgoing(Protocol):
         """See ``Sample.cached``."""
 
 
+class StreamSender(Protocol):
+    """Sends the streams of one connection; ``LinkSender`` does so."""
+
+    connection: Connection
+    fault_log: FaultLog
+    dialect: Dialect
+    outbox: Outbox[Any]
+    channels: dict[int, Stream[Any]]
+
+    @property
+    def records(self) -> bool:
+        """Whether the peer takes records."""
+        ...
+
+    @property
+    def second(self) -> bool:
+        """Whether it sends on a second connection."""
+        ...
+
+    def put(self, queue: Queue[Any], item: Message, *, at_once: bool = False) -> None:
+        """Let a message wait for its turn."""
+        ...
+
+    def drop(self, stream: Stream[Any]) -> None:
+        """Forget a stream; what waits of it is lost."""
+        ...
+
+    def wake(self) -> None:
+        """See that what waits is sent in this turn of the event loop."""
+        ...
+
+
+class Placing(Protocol):
+    """Chooses between two connections; ``Express`` does so."""
+
+    def place(self, channel: Channel) -> None:
+        """Have a topic take the connection for messages such as the one that is about to wait."""
+        ...
+
+
 M = TypeVar("M", bound=Message)
 
 
@@ -51,7 +92,7 @@ class Stream(Generic[M]):
 
     __slots__ = ("closed", "gone", "number", "queue", "ready", "sender", "sent", "sent_bytes", "topic", "used")
 
-    def __init__(self, sender: LinkSender, number: int, topic: str, queue: Queue[M], used: str) -> None:
+    def __init__(self, sender: StreamSender, number: int, topic: str, queue: Queue[M], used: str) -> None:
         self.sender, self.number, self.topic = sender, number, topic
         self.queue = queue
         self.queue.key = self
@@ -107,7 +148,7 @@ class Channel(Stream[Outgoing]):
 
     def __init__(
         self,
-        sender: LinkSender,
+        sender: StreamSender,
         number: int,
         topic: str,
         type: str,
@@ -128,7 +169,7 @@ class Channel(Stream[Outgoing]):
         if used == "cbor-raw":
             queue.ready_bytes = SMALL_BYTES if self.chooser is None else SMALLEST_PACKED_BYTES - 1
         self.fragment_size: int | None = None  # characters; longer texts go in fragments
-        self.express: Express | None = None  # where there may be a second connection
+        self.express: Placing | None = None  # where there may be a second connection
         self.large = False  # a message was too large for it
 
     def put(self, sample: Outgoing) -> None:

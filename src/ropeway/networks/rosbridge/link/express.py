@@ -20,16 +20,16 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from ropeway.networks.rosbridge.link.sender import LinkSender, RecordSender
+from ropeway.errors import WireError
+from ropeway.networks.rosbridge.link.channel import Channel, Outgoing, Stream, StreamSender
+from ropeway.networks.rosbridge.link.sender import RecordSender
 from ropeway.networks.rosbridge.protocol.records import RecordReader
 
 if TYPE_CHECKING:
     from ropeway.fault_log import FaultLog
     from ropeway.listener.connection import Connection
-    from ropeway.networks.rosbridge.link.channel import Channel, Outgoing, Stream
-    from ropeway.networks.rosbridge.link.peer import Peer
     from ropeway.networks.rosbridge.protocol.dialect import Dialect
 
 __all__ = ["HEADER", "Express"]
@@ -51,10 +51,43 @@ class _ExpressSender(RecordSender):
         self.recent = deque(maxlen=_REMEMBERED)
 
 
+class ExpressPeer(Protocol):
+    """Gives a second connection the part of its peer that it may use."""
+
+    dialect: Dialect
+    fault_log: FaultLog
+
+    @property
+    def sender(self) -> StreamSender:
+        """Return the sender of the first connection."""
+        ...
+
+    @property
+    def limit_bytes(self) -> int:
+        """Return how large a message may be."""
+        ...
+
+    def refused(self, error: WireError) -> None:
+        """Count a record that is refused."""
+        ...
+
+    def takes(self, channel: int) -> bool:
+        """Return whether somebody reads a channel."""
+        ...
+
+    def take_text(self, text: bytes) -> None:
+        """Take a text that came."""
+        ...
+
+    def take_records(self, reader: RecordReader, data: bytes) -> None:
+        """Take records that came."""
+        ...
+
+
 class Express:
     """The second connection of one peer, if there is one, and which topics take it."""
 
-    def __init__(self, peer: Peer) -> None:
+    def __init__(self, peer: ExpressPeer) -> None:
         self._peer = peer
         self.offered = ""
         """The secret that the peer's ``hello`` named."""
@@ -127,7 +160,7 @@ class Express:
         self._pass(key)
         return True
 
-    def _move(self, channel: Channel, to: LinkSender) -> None:
+    def _move(self, channel: Channel, to: StreamSender) -> None:
         queue, old = channel.queue, channel.sender
         back = queue.held and self._call_off(channel)
         if queue.under_way and not back:

@@ -17,7 +17,7 @@ from ropeway.tasks import end
 
 if TYPE_CHECKING:
     from ropeway.hub.actions import ViewActionServer
-    from ropeway.networks.rosbridge.server.session import Session
+    from ropeway.networks.rosbridge.server.host import SessionHost
 
 __all__ = ["OfferedAction", "TakenGoal"]
 
@@ -25,7 +25,7 @@ __all__ = ["OfferedAction", "TakenGoal"]
 class OfferedAction:
     """An action that the client serves; ``action`` is its name as the client gave it, ``name`` that on the graph."""
 
-    def __init__(self, session: Session, op: ops.AdvertiseAction, name: str, type: str) -> None:
+    def __init__(self, session: SessionHost, op: ops.AdvertiseAction, name: str, type: str) -> None:
         self.session, self.action, self.name, self.type = session, op.action, name, type
         self.pending: dict[str, TakenGoal] = {}
         self.count = 0

@@ -37,7 +37,7 @@ from ropeway.tasks import Chores, end
 
 if TYPE_CHECKING:
     from ropeway.hub.actions import ViewActionClient
-    from ropeway.networks.rosbridge.server.session import Session
+    from ropeway.networks.rosbridge.server.host import SessionHost
 
 __all__ = ["ActionOps"]
 
@@ -49,7 +49,7 @@ _LEAVE_S: Final = 2.0  # how long the goals of a client that left may take to be
 class ActionOps:
     """The goals and the actions of one client."""
 
-    def __init__(self, session: Session, *, cancel_goals: bool = True) -> None:
+    def __init__(self, session: SessionHost, *, cancel_goals: bool = True) -> None:
         self.session = session
         self._cancel_goals = cancel_goals
         self.goals: set[SentGoal] = set()

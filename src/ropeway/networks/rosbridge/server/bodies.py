@@ -13,13 +13,13 @@ from ropeway.types.definition import short_name
 
 if TYPE_CHECKING:
     from ropeway.networks.rosbridge.protocol import ops
-    from ropeway.networks.rosbridge.server.session import Session
+    from ropeway.networks.rosbridge.server.host import SessionHost
     from ropeway.types import MessageCodec
 
 __all__ = ["answer_encoding", "codec_of", "decode_args", "decode_body", "failure_note", "passage", "text_of", "type_of"]
 
 
-def type_of(session: Session, name: str, kind: str) -> str:
+def type_of(session: SessionHost, name: str, kind: str) -> str:
     """Return the full name of the type of ``kind`` (msg, srv, action) that a client named.
 
     Raises ``InvalidTypeName``.
@@ -34,7 +34,7 @@ def type_of(session: Session, name: str, kind: str) -> str:
     return registry.canonical(name, kind)
 
 
-def codec_of(session: Session, type: str) -> MessageCodec | None:
+def codec_of(session: SessionHost, type: str) -> MessageCodec | None:
     """Return the codec of a type; ``None`` if a gateway can do without. Raises ``TypesError``."""
     try:
         return session.codec(type)
@@ -44,7 +44,7 @@ def codec_of(session: Session, type: str) -> MessageCodec | None:
         raise
 
 
-def decode_body(session: Session, value: Any, compression: str | None, type: str) -> bytes:
+def decode_body(session: SessionHost, value: Any, compression: str | None, type: str) -> bytes:
     """Decode ``args`` or ``values`` that a client sent to CDR. Raises ``TypesError`` or ``MessageTooBig``.
 
     What says nothing (left out, ``null``, an empty text) is a message of default values, as rosbridge has it.
@@ -65,7 +65,7 @@ def decode_body(session: Session, value: Any, compression: str | None, type: str
     return wire_codec.decode_value(value, compression, codec, limit_bytes=limit_bytes)
 
 
-def decode_args(session: Session, value: Any, compression: str | None, type: str) -> bytes:
+def decode_args(session: SessionHost, value: Any, compression: str | None, type: str) -> bytes:
     """Decode the ``args`` of a request to CDR. Raises ``TypesError`` or ``MessageTooBig``.
 
     What is neither an object nor a list asks for nothing in particular, as rosbridge has it.
@@ -75,7 +75,7 @@ def decode_args(session: Session, value: Any, compression: str | None, type: str
     return decode_body(session, value, compression, type)
 
 
-def answer_encoding(session: Session, op: ops.CallService | ops.SendActionGoal) -> str:
+def answer_encoding(session: SessionHost, op: ops.CallService | ops.SendActionGoal) -> str:
     """Return the encoding that a client asked for its answers to be in."""
     if session.gateway:
         return str((op.ropeway or {}).get("encoding") or "auto")
@@ -87,12 +87,12 @@ def text_of(error: Exception) -> str:
     return error.reason if isinstance(error, ValueMismatch) else str(error)
 
 
-def failure_note(session: Session, error: Exception) -> dict[str, Any] | None:
+def failure_note(session: SessionHost, error: Exception) -> dict[str, Any] | None:
     """Return what a gateway is told besides the text."""
     return {"error": failure(error)[0]} if session.gateway else None
 
 
-def passage(session: Session, note: Mapping[str, Any] | None) -> dict[str, Any]:
+def passage(session: SessionHost, note: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the ``id``, ``via`` and ``caller`` of a request of a gateway; for other clients only the caller."""
     peer = session.peer.connection.peer
     if not session.gateway:

@@ -42,7 +42,7 @@ from ropeway.tasks import end
 
 if TYPE_CHECKING:
     from ropeway.hub.calls import ViewClient, ViewService
-    from ropeway.networks.rosbridge.server.session import Session
+    from ropeway.networks.rosbridge.server.host import SessionHost
 
 __all__ = ["ServiceOps", "tell_state"]
 
@@ -55,7 +55,7 @@ _CLIENTS_LIMIT: Final = 32  # services that one client calls again soon
 class ServiceOps:
     """The calls and the services of one client."""
 
-    def __init__(self, session: Session, *, call_timeout_s: float) -> None:
+    def __init__(self, session: SessionHost, *, call_timeout_s: float) -> None:
         self.session = session
         self.call_timeout_s = call_timeout_s
         self.called = 0
@@ -311,7 +311,7 @@ class ServiceOps:
 class OfferedService:
     """A service that the client serves; ``service`` is its name as the client gave it, ``name`` that on the graph."""
 
-    def __init__(self, session: Session, op: ops.AdvertiseService, name: str, type: str) -> None:
+    def __init__(self, session: SessionHost, op: ops.AdvertiseService, name: str, type: str) -> None:
         self.session, self.service, self.name, self.type = session, op.service, name, type
         self.pending: dict[str, asyncio.Future[bytes]] = {}
         self.count = 0
@@ -410,13 +410,13 @@ class OfferedService:
             await self._inner.close()
 
 
-def codec_fields(session: Session, type: str) -> bool:
+def codec_fields(session: SessionHost, type: str) -> bool:
     """Return whether the response of a service has fields."""
     codec = codec_of(session, type + "_Response")
     return codec is None or bool(codec.fields)
 
 
-def tell_state(session: Session, kind: str, name: str, before: str, taken_by: str) -> None:
+def tell_state(session: SessionHost, kind: str, name: str, before: str, taken_by: str) -> None:
     """Say that somebody else serves a name of the client, or that the client does now."""
     if taken_by:
         session.complain(

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from ropeway import aio
 from ropeway.errors import AccessDenied, CallTimeout, InvalidOperation, RopewayError, TypesError, WireError
@@ -19,11 +19,12 @@ from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
 from ropeway.networks.rosbridge.protocol.records import Arrival
 from ropeway.networks.rosbridge.server.action_ops import ActionOps
 from ropeway.networks.rosbridge.server.graph_watch import Watch
+from ropeway.networks.rosbridge.server.host import RosapiAnswers
 from ropeway.networks.rosbridge.server.names import Names
 from ropeway.networks.rosbridge.server.service_ops import ServiceOps
 from ropeway.networks.rosbridge.server.topic_channels import TopicIn, TopicOut
-from ropeway.networks.rosbridge.server.topic_ops import Retire, TopicOps
-from ropeway.networks.rosbridge.server.turns import Turns
+from ropeway.networks.rosbridge.server.topic_ops import TopicOps
+from ropeway.networks.rosbridge.server.turns import Retire, Turns
 from ropeway.types.told_types import DefinitionTeller
 
 if TYPE_CHECKING:
@@ -46,16 +47,6 @@ _RATED: Final[Mapping[type, tuple[str, str]]] = {
     ops.SendActionGoal: ("send_action_goal", "action"),
     ops.AdvertiseAction: ("advertise_action", "action"),
 }
-
-
-class RosapiAnswers(Protocol):
-    """Answers the services of rosapi; see ``ropeway.networks.rosbridge.rosapi``."""
-
-    def serves(self, name: str) -> bool:
-        """Return whether it answers the service ``name``."""
-
-    def question(self, name: str, args: Any) -> Callable[[], Any]:
-        """Return what finds the ``values`` of the response, as JSON has them. Raises ``RopewayError``."""
 
 
 class Session:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ropeway.graph.base import Subscription
     from ropeway.hub.topics import ViewPublisher
     from ropeway.networks.rosbridge.link.peer import Channel
-    from ropeway.networks.rosbridge.server.session import Session
+    from ropeway.networks.rosbridge.server.host import SessionHost
     from ropeway.types import MessageCodec
 
 __all__ = ["REGISTRATION_BYTES", "TopicIn", "TopicOut", "topic_status"]
@@ -54,7 +54,7 @@ class TopicIn(Inbound):
     again, while here the client's operation makes it, and is answered if that fails.
     """
 
-    def __init__(self, session: Session, topic: str, type: str, compression: str | None) -> None:
+    def __init__(self, session: SessionHost, topic: str, type: str, compression: str | None) -> None:
         self.passage = Passage()
         super().__init__(type, session.peer, self.passage.pass_on, used=compression or "none")
         self.session, self.topic, self.compression = session, topic, compression
@@ -152,7 +152,7 @@ class TopicOut:
     once if it cannot be.
     """
 
-    def __init__(self, session: Session, topic: str, type: str, number: int) -> None:
+    def __init__(self, session: SessionHost, topic: str, type: str, number: int) -> None:
         self.session, self.topic, self.type, self.number = session, topic, type, number
         self.requests: dict[str, ops.Subscribe] = {}
         self.qos: QoS | None = None  # as the client asked for

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import GraphError, InvalidOperation, RopewayError, TypeConflict, TypesError
@@ -15,13 +15,14 @@ from ropeway.networks.rosbridge.protocol.dialect import ROSGW
 from ropeway.networks.rosbridge.protocol.records import Arrival
 from ropeway.networks.rosbridge.server.bodies import type_of
 from ropeway.networks.rosbridge.server.topic_channels import REGISTRATION_BYTES, TopicIn, TopicOut, topic_status
+from ropeway.networks.rosbridge.server.turns import Retire
 from ropeway.qos import QoS
 from ropeway.tasks import Supervised, end
 
 if TYPE_CHECKING:
-    from ropeway.networks.rosbridge.server.session import Session
+    from ropeway.networks.rosbridge.server.host import SessionHost
 
-__all__ = ["Retire", "TopicOps", "TopicTypeConflict", "UnknownTopicError"]
+__all__ = ["TopicOps", "TopicTypeConflict", "UnknownTopicError"]
 
 _SHALLOW_SAMPLES: Final = 100
 _NO_ID: Final = "\0none"
@@ -37,7 +38,7 @@ class TopicOps:
     """
 
     def __init__(
-        self, session: Session, *, unregister_timeout_s: float, on_advertised: Callable[[str], Awaitable[None]]
+        self, session: SessionHost, *, unregister_timeout_s: float, on_advertised: Callable[[str], Awaitable[None]]
     ) -> None:
         self.session = session
         self.inputs: dict[str, TopicIn] = {}
@@ -453,14 +454,6 @@ class TopicTypeConflict(TypeConflict):
             f"Tried to register topic {self.name} with type {self.offered}"
             f" but it is already established with type {self.known}"
         )
-
-
-@dataclass(frozen=True, slots=True)
-class Retire:
-    """The time that a withdrawn topic was kept for its client is over."""
-
-    topic: str
-    op: str = "unadvertise"
 
 
 def _add(ids: set[str], id: object) -> None:

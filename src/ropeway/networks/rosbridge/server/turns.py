@@ -10,6 +10,7 @@ import asyncio
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from ropeway.limits import UNREAD_S, WAITING_ANSWERS, WAITING_OPERATIONS, WAITING_OPERATIONS_BYTES
@@ -17,11 +18,18 @@ from ropeway.limits import UNREAD_S, WAITING_ANSWERS, WAITING_OPERATIONS, WAITIN
 if TYPE_CHECKING:
     from ropeway.networks.rosbridge.link.peer import Peer
     from ropeway.networks.rosbridge.protocol import ops
-    from ropeway.networks.rosbridge.server.topic_ops import Retire
 
-__all__ = ["Turns"]
+__all__ = ["Retire", "Turns"]
 
 _RESUME_AT: Final = 32  # operations that still wait when the socket is read again
+
+
+@dataclass(frozen=True, slots=True)
+class Retire:
+    """The time that a withdrawn topic was kept for its client is over."""
+
+    topic: str
+    op: str = "unadvertise"
 
 
 class Turns:

@@ -1,0 +1,82 @@
+"""Say what the topics, services and actions of a session may know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractAsyncContextManager, AbstractContextManager
+from typing import TYPE_CHECKING, Any, Protocol
+
+from ropeway.networks.rosbridge.protocol import ops
+
+if TYPE_CHECKING:
+    from ropeway.hub.hub import View
+    from ropeway.listener.authorization import Access
+    from ropeway.networks.rosbridge.link.peer import Peer
+    from ropeway.networks.rosbridge.server.names import Names
+    from ropeway.networks.rosbridge.server.turns import Turns
+    from ropeway.types import MessageCodec, TypeRegistry
+
+__all__ = ["RosapiAnswers", "SessionHost"]
+
+
+class RosapiAnswers(Protocol):
+    """Answers the services of rosapi; see ``ropeway.networks.rosbridge.rosapi``."""
+
+    def serves(self, name: str) -> bool:
+        """Return whether it answers the service ``name``."""
+
+    def question(self, name: str, args: Any) -> Callable[[], Any]:
+        """Return what finds the ``values`` of the response, as JSON has them. Raises ``RopewayError``."""
+
+
+class SessionHost(Protocol):
+    """Serves one client; ``Session`` does so."""
+
+    registry: TypeRegistry
+    gateway_id: str
+    access: Access
+    rosapi: RosapiAnswers | None
+    names: Names
+    peer: Peer
+    gateway: bool
+    view: View
+    remote: dict[str, str]
+    turns: Turns
+
+    @property
+    def gone(self) -> bool:
+        """Whether the client has left, so that nothing new begins."""
+        ...
+
+    @property
+    def is_ros1(self) -> bool:
+        """Whether the client gets messages as ROS 1 writes them."""
+        ...
+
+    def holding(self, size: int) -> AbstractContextManager[None]:
+        """Count a request of the client that is under way."""
+        ...
+
+    def searching(self, name: str, timeout_s: float) -> AbstractAsyncContextManager[None]:
+        """Count a search for a name that nobody is known to serve. Raises ``CallTimeout``."""
+        ...
+
+    def complain(self, kind: str, name: str, error: object, id: object = ops.ABSENT) -> None:
+        """Count and log something that the client did wrong, and tell it, if it wants to know."""
+        ...
+
+    def inform(self, text: str, id: object = ops.ABSENT) -> None:
+        """Log something that the client may want to know, and tell it, if it does."""
+        ...
+
+    def codec(self, type: str) -> MessageCodec:
+        """Return the codec of messages for this client. Raises ``TypesError``."""
+        ...
+
+    def knows(self, type: str) -> bool:
+        """Return whether messages of the type can be decoded."""
+        ...
+
+    def learn(self, type: str, extra: Mapping[str, Any] | None) -> None:
+        """Take the definition of a type that a gateway sent along. Raises ``RopewayError`` for one that is no good."""
+        ...
