@@ -65,11 +65,11 @@ $(VENV)/runtime.stamp: pyproject.toml | $(BIN)/python
 	@touch $@
 
 $(VENV)/demo.stamp: $(VENV)/runtime.stamp
-	@$(PIP) install --quiet --editable ".[demo]"
+	@$(PIP) install --quiet --editable ".[all]"
 	@touch $@
 
 $(VENV)/dev.stamp: pyproject.toml | $(BIN)/python
 	@echo "Installing Ropeway and its tools into $(VENV)"
 	@$(PIP) install --quiet --upgrade "pip>=25.1"  # the first that knows dependency groups
-	@$(PIP) install --quiet --editable . --group dev
+	@$(PIP) install --quiet --editable ".[all]" --group dev
 	@touch $@ $(VENV)/runtime.stamp

@@ -36,6 +36,7 @@
     │   ├── StoreUnavailable      a database or a file that cannot be read or written now
     │   └── ValueRefused          a value that is not kept: too big, too many, or older than what is there
     ├── WaitTimeout               what a program waits for has not come in time; also a TimeoutError
+    ├── MissingExtra              a part of the package that is not installed
     ├── AccessDenied              a role, a glob or a limit of the server does not allow it
     └── BagUnreadable             a recording that is missing, damaged or of an unknown kind
 
@@ -70,6 +71,7 @@ __all__ = [
     "InvalidTypeName",
     "LinkError",
     "MessageTooBig",
+    "MissingExtra",
     "NotServed",
     "OutboxFull",
     "OverlayError",
@@ -204,6 +206,14 @@ class MessageTooBig(WireError):
     def __init__(self, size_bytes: int, limit_bytes: int) -> None:
         self.size_bytes, self.limit_bytes = size_bytes, limit_bytes
         super().__init__(f"a message of {size_bytes} bytes is above the limit of {limit_bytes} bytes")
+
+
+class MissingExtra(RopewayError):
+    """A part of the package that only some users need, and that is not installed."""
+
+    def __init__(self, extra: str, purpose: str) -> None:
+        self.extra, self.purpose = extra, purpose
+        super().__init__(f"{purpose} needs more than is installed: pip install 'ropeway[{extra}]'")
 
 
 class GraphError(RopewayError):

@@ -10,6 +10,8 @@ import typer
 import typer.core
 import typer.main
 
+from ropeway.extras import needing
+
 __all__ = ["lazy_group"]
 
 
@@ -25,7 +27,8 @@ def lazy_group(verbs: Mapping[str, str]) -> type[typer.core.TyperGroup]:
                 return None
             known = self.commands.get(cmd_name)
             if known is None:
-                module = importlib.import_module(verbs[cmd_name])
+                with needing(f"ropeway {ctx.command_path.partition(' ')[2]} {cmd_name}".replace("  ", " ")):
+                    module = importlib.import_module(verbs[cmd_name])
                 known = self.commands[cmd_name] = typer.main.get_command(module.app)
                 _plain_flags(known, ctx)
             return known

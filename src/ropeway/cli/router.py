@@ -17,6 +17,7 @@ from ropeway.cli.logs import LEVELS, set_up
 from ropeway.cli.loop import run
 from ropeway.cli.notify import Notifier, notifying
 from ropeway.cli.session import JsonOption
+from ropeway.extras import require
 from ropeway.networks.overlay.crypto.identity import Identity
 
 __all__ = ["app"]
@@ -70,6 +71,7 @@ def router_command(
     if crl is not None and not crl.exists():
         fail(f"{crl} does not exist", 2)
     kept = state or identity.with_name(f"{identity.name}.crl")
+    require("overlay", "a router of the overlay")
     run(_serve(Identity.load(identity), kept, where, connect or [], crl, as_json))
 
 

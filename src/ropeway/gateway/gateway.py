@@ -11,6 +11,7 @@ from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import GraphUnavailable
+from ropeway.extras import require
 from ropeway.gateway.auth import make_door
 from ropeway.gateway.automatic import Automatic
 from ropeway.gateway.bridges import make_bridge
@@ -299,6 +300,7 @@ class Gateway:
         )
 
     def _overlay_graph(self, config: RemoteConfig) -> OverlayGraph:
+        require("overlay", "the overlay")
         from ropeway.networks.overlay.crypto.identity import Identity
         from ropeway.networks.overlay.graph import OverlayGraph  # loads Zenoh, which others do not need
         from ropeway.networks.overlay.names import Metadata

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl, urlsplit
 
 from ropeway.errors import GraphUnavailable
+from ropeway.extras import require
 from ropeway.listener.http import without_token
 
 if TYPE_CHECKING:
@@ -127,6 +128,7 @@ def _iort(url: str, query: dict[str, str], name: str, registry: TypeRegistry | N
 
 def _overlay(url: str, bundle: str, query: dict[str, str], registry: TypeRegistry | None) -> Graph:
     """Make the graph of the overlay for the owner of a bundle; ``?router=`` and ``?unique=`` stand behind it."""
+    require("overlay", "the overlay")
     from ropeway.networks.overlay.crypto.identity import Identity
     from ropeway.networks.overlay.graph import OverlayGraph  # loads Zenoh
     from ropeway.networks.overlay.names import Metadata

@@ -12,6 +12,7 @@ from typing import Any, Final
 from urllib.parse import quote, unquote, urlsplit
 
 from ropeway.errors import StoreUnavailable
+from ropeway.extras import require
 from ropeway.iort import latest_version
 from ropeway.store.entry import FOREIGN, Change, Entry, Key
 from ropeway.store.mongo_stream import ChangeStream
@@ -41,6 +42,7 @@ class MongoBackend:
     """
 
     def __init__(self, url: str) -> None:
+        require("mongo", "a store in MongoDB")
         parts = urlsplit(url)
         self.url = parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()  # no password in a log
         self._url = url

@@ -9,13 +9,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.cli.bagfile import Bag, BagTopic
-from ropeway.cli.player import play
+from ropeway.extras import require
 from ropeway.graph.base import SEQ_NONE, Graph, Sample, new_origin
 from ropeway.qos import DEFAULT, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
+
+if TYPE_CHECKING:
+    from ropeway.cli.bagfile import BagTopic
 
 __all__ = ["DemoTopic", "recorded_parts", "synthetic_parts"]
 
@@ -85,6 +87,9 @@ def recorded_parts(registry: TypeRegistry, path: Path) -> list[DemoTopic]:
 
     What the recording lacks is made up. Raises ``BagUnreadable``.
     """
+    require("bags", "ropeway demo --bag")
+    from ropeway.cli.bagfile import Bag
+
     with Bag(path, registry) as bag:
         topics = [topic for topic in bag.topics if not topic.problem and topic.count]
     cameras = sorted(
@@ -106,6 +111,9 @@ def recorded_parts(registry: TypeRegistry, path: Path) -> list[DemoTopic]:
 
 
 def _recorded(registry: TypeRegistry, path: Path, topic: BagTopic, side: str, prefix: str = "") -> DemoTopic:
+    from ropeway.cli.bagfile import Bag
+    from ropeway.cli.player import play
+
     async def send(graph: Graph, told: Callable[[int], None]) -> None:
         with Bag(path, registry) as bag:
             await play(

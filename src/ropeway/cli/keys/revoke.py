@@ -11,6 +11,7 @@ from ropeway.cli.console import answer, print_json
 from ropeway.cli.keys.common import FleetOption, open_fleet
 from ropeway.cli.loop import run
 from ropeway.cli.session import JsonOption
+from ropeway.extras import require
 from ropeway.networks.overlay.crypto.identity import Identity
 
 __all__ = ["app"]
@@ -40,6 +41,7 @@ def revoke(
     serials = [] if again else made.revoke(name)
     told = None
     if identity is not None:
+        require("overlay", "--push")
         from ropeway.networks.overlay.router import push_crl  # loads Zenoh
 
         told = run(push_crl(identity, made.crl_der()))

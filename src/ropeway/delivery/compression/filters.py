@@ -25,9 +25,7 @@ from __future__ import annotations
 import struct
 from typing import Final
 
-import zstandard
-
-from ropeway.delivery.compression import planes
+from ropeway.delivery.compression import planes, zstd
 from ropeway.delivery.compression.arrays import BYTES, MAX_STEP, NUMBERS, RECORDS, Array, Data, find
 from ropeway.delivery.compression.planes import CONSTANT, GREEN, MIN_WIDTH, UPPER, contexts
 from ropeway.errors import DecodeError, MessageTooBig
@@ -137,15 +135,15 @@ class _Cursor:
 def _decompress(frame: Data, size: int | None, limit_bytes: int) -> bytes:
     """Decompress a frame, which must hold ``size`` bytes (``None``: at most ``limit_bytes``)."""
     try:
-        stated = zstandard.frame_content_size(frame)
-        if stated < 0:
+        stated = zstd.content_size(frame)
+        if stated is None:
             raise _error("a frame does not state its size")
         if size is not None and stated != size:
             raise _error(f"a plane has {stated} bytes, not {size}")
         if stated > limit_bytes:
             raise MessageTooBig(stated, limit_bytes)
-        return contexts.decompressor.decompress(frame, allow_extra_data=False)
-    except zstandard.ZstdError as error:
+        return zstd.decompress(frame, stated)
+    except zstd.ZstdError as error:
         raise _error(str(error)) from error
 
 

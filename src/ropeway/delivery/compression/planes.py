@@ -12,9 +12,10 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-import zstandard
 
+from ropeway.delivery.compression import zstd
 from ropeway.delivery.compression.arrays import BYTES, NUMBERS, Array, Data
+from ropeway.delivery.compression.zstd import Parameter, Strategy
 from ropeway.errors import DecodeError
 
 __all__ = ["CONSTANT", "GREEN", "MIN_WIDTH", "UPPER", "EncodedArray", "contexts", "decode", "encode"]
@@ -45,21 +46,20 @@ class _Contexts(threading.local):
     """Holds what is costly to make and serves one thread at a time: compression contexts and working memory."""
 
     def __init__(self) -> None:
-        self.plain = zstandard.ZstdCompressor(level=1)
+        self.plain = zstd.Compressor(level=1)
         # Differences repeat by chance only: a tiny match table leaves nearly all to the entropy coder, which on
         # the recordings gives both a better ratio and more speed than level 1.
-        self.plane = zstandard.ZstdCompressor(
-            compression_params=zstandard.ZstdCompressionParameters(
-                window_log=18,
-                hash_log=6,
-                chain_log=6,
-                search_log=1,
-                min_match=7,
-                target_length=0,
-                strategy=zstandard.STRATEGY_FAST,
-            )
+        self.plane = zstd.Compressor(
+            options={
+                Parameter.window_log: 18,
+                Parameter.hash_log: 6,
+                Parameter.chain_log: 6,
+                Parameter.search_log: 1,
+                Parameter.min_match: 7,
+                Parameter.target_length: 0,
+                Parameter.strategy: Strategy.fast,
+            }
         )
-        self.decompressor = zstandard.ZstdDecompressor()
         self._memory: dict[str, _U8] = {}
 
     def array(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:

@@ -1,0 +1,40 @@
+"""ropeway.extras: what only some users need says so where it is not installed."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from ropeway import extras
+from ropeway.errors import MissingExtra
+from ropeway.extras import EXTRAS, needing, require
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_extras_are_those_of_the_package() -> None:
+    """Every extra that an error names is one of the package, and the other way round."""
+    table = (ROOT / "pyproject.toml").read_text().partition("[project.optional-dependencies]")[2].partition("\n[")[0]
+    assert set(re.findall(r"^(\w+) =", table, re.MULTILINE)) == {*EXTRAS, "all"}
+    (everything,) = re.findall(r"ropeway\[([\w,]+)\]", table)
+    assert everything.split(",") == sorted(EXTRAS)
+
+
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_what_is_missing_is_one_sentence(extra: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What needs an extra that is not installed says which, and how to install it."""
+    require(extra, "this test")
+    monkeypatch.setattr(extras, "find_spec", lambda _: None)
+    with pytest.raises(MissingExtra, match=re.escape(f"pip install 'ropeway[{extra}]'")) as caught:
+        require(extra, "this test")
+    assert (caught.value.extra, caught.value.purpose) == (extra, "this test")
+
+
+def test_an_import_that_fails() -> None:
+    """An import that fails for the lack of an extra names it; any other failure stays what it is."""
+    with pytest.raises(MissingExtra, match=r"^a test needs .* 'ropeway\[overlay\]'$"), needing("a test"):
+        raise ModuleNotFoundError("No module named 'zenoh.handlers'", name="zenoh.handlers")
+    with pytest.raises(ModuleNotFoundError), needing("a test"):
+        raise ModuleNotFoundError("No module named 'numby'", name="numby")
