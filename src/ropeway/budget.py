@@ -1,8 +1,8 @@
-"""The memory that peers make us hold: counted per connection and for the whole process, and bounded in both.
+"""Bounds the memory that peers make us hold, per connection and for the whole process.
 
-Whatever keeps bytes for a connection (unfinished messages, queues, answers that are not read, definitions) enters
-itself in the connection's ``Account`` with a function that returns how many it keeps. Nothing is counted on the way of
-a message; the sums are taken when so much was received that they may have changed, and about once a second.
+Everything that keeps bytes for a connection (unfinished messages, queues, answers not read yet, definitions) registers
+with the connection's ``Account`` a function that returns how many it keeps. Nothing is counted on the way of a message;
+the sums are taken once enough was received to change them, and about once a second.
 """
 
 from __future__ import annotations

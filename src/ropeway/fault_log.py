@@ -1,4 +1,4 @@
-"""Bad input: counted always, logged once per kind and minute, never in the way of anybody else."""
+"""Counts bad input, and logs it once per kind and minute, so that it never gets in anybody else's way."""
 
 from __future__ import annotations
 

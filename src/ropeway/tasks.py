@@ -1,4 +1,4 @@
-"""Background tasks: none dies unseen, and each is ended rightly, also when whoever ends it is being ended."""
+"""Runs background tasks: none dies unnoticed, and each is ended properly, even if its owner is cancelled meanwhile."""
 
 from __future__ import annotations
 

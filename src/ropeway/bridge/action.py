@@ -1,4 +1,4 @@
-"""Joins one action on two graphs: goals that come on the target are carried out by who serves it on the source."""
+"""Joins an action on two graphs: its provider on the source carries out the goals that arrive on the target."""
 
 from __future__ import annotations
 

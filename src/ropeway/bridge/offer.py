@@ -1,8 +1,8 @@
 """Offers on one graph what is served on another, while it is served there.
 
-What services and actions share: the name appears on the second graph when a provider is there on the first, and goes
-with it, so that those who wait for a service wait rightly. Where the first graph cannot tell who serves what, the
-name is offered while the graph is there.
+Services and actions share this: the name appears on the second graph when the first has a provider, and is withdrawn
+with it, so that clients that wait for a service see its true state. If the first graph cannot tell who serves what, the
+name is offered while the graph is up.
 """
 
 from __future__ import annotations

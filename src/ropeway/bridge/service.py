@@ -1,4 +1,4 @@
-"""Joins one service on two graphs: calls that come on the target are answered by who serves it on the source."""
+"""Joins a service on two graphs: its provider on the source answers the calls that arrive on the target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keeps a bridge right while both networks change; whatever fails is shown and tried again."""
+"""Maintains a bridge while both networks change; a failure is shown in its state and retried."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""The way of a message: the one place that passes the messages of a topic on.
+"""Passes on the messages of a topic: the one place that does.
 
-A route of the configuration, what a client of the rosbridge server publishes and what it reads: each has a passage. It
-takes what came in batches through its steps, counts it, and gives it to its sink. Nobody else meters a topic.
+A route of the configuration has a passage, and so has each topic that a client of the rosbridge server publishes or
+reads. A passage takes messages in batches through its steps, counts them, and gives them to its sink. Nothing else meters
+a topic.
 """
 
 from __future__ import annotations

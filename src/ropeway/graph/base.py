@@ -1,7 +1,7 @@
 """The one idea: everything that has topics, services and actions is a ``Graph``.
 
-A ROS 2 network, a remote rosbridge server, a fleet of robots that never heard of ROS: each is a ``Graph``, and a
-bridge joins one name on two of them. This module holds what all kinds share: the ``Sample`` that travels, the
+A ROS 2 network, a remote rosbridge server, a fleet of robots that do not use ROS: each is a ``Graph``, and a bridge
+joins one name on two of them. This module holds what all kinds share: the ``Sample`` that travels, the
 protocol of a graph and its parts, and the events of discovery.
 
 Rules that hold for every kind (``tests/contract`` checks them):
@@ -11,7 +11,7 @@ Rules that hold for every kind (``tests/contract`` checks them):
 * callbacks run on the event loop of ``open()`` and get batches, oldest first; a graph with threads hands over in
   batches; a callback that raises is logged and counted, and costs nobody else a message;
 * ``publish`` never blocks and never awaits; what cannot be sent is dropped by the freshness rules and counted;
-* what a graph publishes itself it does not deliver to its own subscriptions;
+* a graph does not deliver its own messages to its own subscriptions;
 * ``close`` of any part is idempotent.
 """
 

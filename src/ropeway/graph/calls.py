@@ -1,4 +1,4 @@
-"""Services and actions: what a ``Graph`` gives to those who call, and what it asks of those who serve.
+"""Services and actions: what a ``Graph`` offers to callers, and what it expects of providers.
 
 Rules that hold for every kind (``tests/contract`` checks them):
 
@@ -8,7 +8,7 @@ Rules that hold for every kind (``tests/contract`` checks them):
   time is over, ``CallTimeout``;
 * a provider or a link that vanishes fails its calls at once (``ProviderLost``) and aborts its goals;
 * a handler runs as a task of its own, so that a slow one delays nobody; one that raises fails this call only;
-* who stops waiting (timeout, cancelled task, ``close``) is forgotten: a late answer is dropped and counted.
+* a caller that stops waiting (timeout, cancelled task, ``close``) is forgotten: a late answer is dropped and counted.
 """
 
 from __future__ import annotations

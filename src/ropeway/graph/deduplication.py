@@ -1,9 +1,8 @@
-"""Loops and duplicates: a sample is known by its origin and sequence number.
+"""Recognises duplicates: a sample is identified by its origin and sequence number.
 
-Gateways may stand in a ring, side by side on one network, or forward a topic both ways. Whatever passes into a
-graph a second time is dropped. A network such as DDS carries no origin through; what was read from another
-gateway's publisher there (``relayed``) keeps only its sequence number, the first publisher's time stamp in
-nanoseconds, which is then enough.
+Gateways may form a ring, stand side by side on one network, or forward a topic in both directions. A sample that enters
+a graph a second time is dropped. A network such as DDS carries no origin; a sample read from another gateway's publisher
+there (``relayed``) keeps only its sequence number, the first publisher's time stamp in nanoseconds, which is enough.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The border of a network whose types may have other layouts than ours: another distribution, or other versions.
 
-On our side every message has our layout. What comes in is brought into it, what goes out gets the layout of those who
-read it; fields are carried over by name.
+On our side every message has our layout. Incoming messages are converted to it, and outgoing ones to the layout of
+their readers; fields are matched by name.
 """
 
 from __future__ import annotations

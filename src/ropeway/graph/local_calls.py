@@ -1,4 +1,4 @@
-"""Calls and goals that stay inside this process: a handler is run for a caller, within a time, exactly once."""
+"""Runs calls and goals inside this process: a handler runs once for each caller, within a time limit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Services of several users of one graph: who serves a name serves it to the network and to all views."""
+"""Shares the services of one graph between its users: a provider serves the network and all views."""
 
 from __future__ import annotations
 

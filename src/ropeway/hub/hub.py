@@ -1,9 +1,9 @@
 """Shares one graph between several users: each hears the others and the network, none hears itself.
 
-A graph does not deliver to its own subscriptions what it publishes itself. A gateway, though, has many users of one
-graph: the bridges of every remote and the session of every client. Each gets a ``View``. What one view publishes
-goes out to the network and, inside the process, to the subscriptions of all other views, with latched messages for
-those who come late. That is how two robots that dial in to one gateway hear each other.
+A graph does not deliver its own messages to its own subscriptions. A gateway, though, has many users of one graph: the
+bridges of every remote and the session of every client. Each gets a ``View``. A view's messages go out to the network
+and, inside the process, to the subscriptions of all other views; late joiners get latched messages. That is how two
+robots that dial in to one gateway hear each other.
 """
 
 from __future__ import annotations

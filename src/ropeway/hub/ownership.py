@@ -1,9 +1,9 @@
 """Decides who serves a service or an action that several want to serve: one name, one provider.
 
-The first who offers a name holds it. Others wait, are told who holds it, and the next takes over when the holder
-leaves. A provider on the network that was there before counts as well, so that two gateways that reserve the same
-service on one network do not both answer; two that begin at the same time see each other a moment later, and the
-younger (by the time in its announcement, then by its id) gives way.
+The first claim to a name holds it. Other claims wait and are told who holds it; the next one takes over when the holder
+leaves. An earlier provider on the network takes precedence as well, so that two gateways that reserve the same service
+on one network do not both answer; two that begin at the same time discover each other a moment later, and the younger
+(by the time in its announcement, then by its id) gives way.
 """
 
 from __future__ import annotations

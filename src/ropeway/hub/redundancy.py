@@ -1,13 +1,13 @@
-"""A topic that we publish on a network where others publish it too.
+"""Publishes a topic on a network where others publish it, too.
 
-Whoever the others are, this gateway then reads the topic as well, so that a message that left the network here and
-comes back in a ring of gateways is known. Are they another gateway's, one of the two speaks and the other stands by:
-the one with the smaller id publishes at once, the other waits 100 ms for each message to appear and publishes those
-that do not. So parallel links give every message once, and one of them may fail without a gap. Where hardly anything
-appears, the two bring different messages under one name (transforms of two robots), and both publish at once.
+Whoever the others are, this gateway then also reads the topic, so that it recognises a message that left the network
+here and comes back in a ring of gateways. If another gateway publishes it, one of the two is active and the other is on
+standby: the one with the smaller id publishes at once, the other waits 100 ms for each message to appear and publishes
+those that do not. So parallel links deliver every message once, and one of them may fail without a gap. If hardly any of
+the messages appear, the two bring different ones under one name (transforms of two robots), and both publish at once.
 
-A message that two gateways passed on before may have come round a ring faster than this network brought it to us: it
-waits, too, for 30 ms.
+A message that two gateways passed on before may have come round a ring faster than over this network: it waits, too,
+for 30 ms.
 """
 
 from __future__ import annotations

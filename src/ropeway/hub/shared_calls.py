@@ -1,4 +1,4 @@
-"""Hold what the users of one graph share for services and actions: clients of the graph, and calls that run once."""
+"""Holds what the users of one graph share for services and actions: clients of the graph, and calls that run once."""
 
 from __future__ import annotations
 

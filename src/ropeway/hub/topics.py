@@ -1,4 +1,4 @@
-"""Topics of several users of one graph: what a view publishes reaches the network and the other views."""
+"""Shares the topics of one graph between its users: a view's messages reach the network and the other views."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The door of the server: who a client is, by token or certificate, and whether it may come in at all."""
+"""Authenticates clients, by token or certificate, and decides whether they may come in at all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The entrance that all listeners of a gateway share: who comes in as what, and what others are told."""
+"""The entrance that all listeners of a gateway share: admits clients in their role, and answers all others."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Keeps a store and a database elsewhere alike: what is later in one comes into the other.
+"""Synchronises a store with a database elsewhere: the later value of either is copied to the other.
 
-Values are kept in the store first, and are brought over as soon as and whenever the mirror answers. What others write
-there (other servers, or programs that know nothing of versions) is followed, and a value that nobody asked for before
-is looked up there.
+Values are kept in the store first, and copied whenever the database answers. Changes that others make there (other
+servers, or programs that know nothing of versions) are followed, and a value that is not in the store is looked up there.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The last-value store: what every topic said last, in memory to read and on a disk to keep.
+"""The last-value store: the last value of every topic, in memory to read and on disk to keep.
 
-A value is readable at once and *kept* once the backend has written it; who asks for it is told then. Values that come
-while the backend writes go into one group with the next write, so that thousands a second cost a few writes. A
-backend that fails is tried again with what it missed, while values go on being served from memory.
+A value is readable at once and *kept* once the backend has written it; a writer that asked is told then. Values that
+arrive while the backend writes are grouped into the next write, so that thousands a second cost a few writes. A backend
+that fails is tried again with what it missed, while values are still served from memory.
 
 With a ``mirror`` (a database elsewhere) values are kept in the backend here first, and are brought over as soon as
 and whenever the mirror answers; what others wrote there meanwhile is merged by version.

@@ -1,4 +1,4 @@
-"""Fills in the time where a peer leaves it to the server: headers without stamp, and the Time ``"now"``."""
+"""Fills in the time if a peer leaves it to the server: headers without stamp, and the Time ``"now"``."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Definitions that peers tell: bounded, believed as far as who tells them, and forgotten with the last who told them.
+"""Keeps definitions that peers tell: bounded, trusted as far as the peer, and forgotten with the last peer that told them.
 
-A definition from a graph (a publisher, a remote that was configured) takes the place of one that clients told. Between
-clients the first one counts while it is connected; what the system or its files define is never touched.
+A definition from a graph (a publisher, a configured remote) replaces one that clients told. Between clients the first
+one counts while it is connected; definitions of the system or its files are never touched.
 """
 
 from __future__ import annotations

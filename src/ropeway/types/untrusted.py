@@ -1,4 +1,4 @@
-"""Reads JSON and CBOR of strangers within bounds of memory and time; the only error it raises is ``InvalidFrame``."""
+"""Reads untrusted JSON and CBOR within bounds of memory and time; the only error it raises is ``InvalidFrame``."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
 """Decides whether a queue on a link is ours or that of others, and what we keep beside connections that fill the link.
 
-A window that yields to every queue ends with nothing beside TCP connections that take only a lost packet for a full
-link. So a long queue is put to the test: with half of our window, one of ours becomes shorter. One that does not is
-part of the path, for now: others made it, or the path became longer; we go on at the pace that we had, and give up no
-more than half of it. A queue that just stays, longer than we want it, is asked the other way round: one of ours becomes
-longer as we send a little more, and as long as it does not, we take more of the link, step by step.
+A window that yields to every queue ends with nothing beside TCP connections that only take a lost packet for a full
+link. So a long queue is put to the test: if it is ours, it becomes shorter with half of our window. A queue that does
+not is part of the path, for now: others made it, or the path became longer; we go on at the pace that we had, and give up
+no more than half of it. A queue that just stays longer than we want is tested the other way round: if it is ours, it
+becomes longer as we send a little more; as long as it does not, we take more of the link, step by step.
 
-There is no input or output here: ``advise`` is called once what arrives was sent after the last change of the window.
+Sans-I/O: ``advise`` is called once data that was sent after the last change of the window arrives.
 """
 
 from __future__ import annotations

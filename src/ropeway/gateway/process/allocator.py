@@ -1,4 +1,4 @@
-"""Memory for messages of hundreds of kilobytes, thirty times a second."""
+"""Tunes the allocator for messages of hundreds of kilobytes, thirty times a second."""
 
 from __future__ import annotations
 

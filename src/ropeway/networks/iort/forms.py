@@ -1,7 +1,7 @@
-"""Between the text of robots and the messages of ROS: the forms that a map may name.
+"""Converts between the text of robots and ROS messages: the forms that a map may name.
 
-A form makes of one text the messages to publish (several where a command ends by itself, each with a delay), and of one
-message the text to publish, or none where it says nothing new.
+A form turns a text into the messages to publish (several if a command ends by itself, each with a delay), and a message
+into the text to publish, or into nothing if it says nothing new.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The ``iort`` graph: systems and topics of robots of any make appear as ``/SYSTEM/TOPIC``.
 
-Values are text on one side and CDR on the other; ``maps`` says how they are converted. What stands in no map is a
-``std_msgs/msg/String`` where nodes publish it, and JSON where a graph does.
+Values are text on one side and CDR on the other; ``maps`` says how they are converted. A topic without a map is a
+``std_msgs/msg/String`` if nodes publish it, and JSON if a graph does.
 """
 
 from __future__ import annotations

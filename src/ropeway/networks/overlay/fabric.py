@@ -1,7 +1,7 @@
 """The data plane as the rest of the overlay sees it: one Zenoh session, on the event loop.
 
-Zenoh calls back in threads of its own. What comes is handed to the loop in batches; what goes out goes through one
-thread per lane, because a congested link blocks who writes to it, and only those of its own lane.
+Zenoh calls back in threads of its own. Incoming data is handed to the loop in batches; outgoing data goes through one
+thread per lane, because a congested link blocks the thread that writes to it, so that only its own lane waits.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The reading side of one global name: what its publishers put is opened once and given to every reader here.
+"""The reading side of one global name: each message of its publishers is opened once and given to every reader here.
 
 Packets are opened in Zenoh's own thread, so that a link is read no faster than its data can be checked. A packet whose
 key is not here yet waits, within bounds, while the key is asked for.

@@ -1,4 +1,4 @@
-"""The links of one gateway: kept shut for who was revoked, made anew where Zenoh fails, and if there are none, why."""
+"""Maintains the links of one gateway: closed for revoked members, made anew if Zenoh fails; says why if there are none."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
 """Tracks who is in the overlay and what each advertises: every gateway keeps a copy of everybody's list.
 
-A gateway shows a liveliness token, and each second puts a signed heartbeat with the version of its list. A change is
-put as a delta; who finds a version that it does not have asks for the whole list. Nothing is believed that is not
-signed by a certificate of the fleet; a gateway that was not heard of for ``LEASE_S`` is gone, whatever a router says.
+A gateway declares a liveliness token, and each second puts a signed heartbeat with the version of its list. A change is
+put as a delta; a gateway that misses a version asks for the whole list. Only what a certificate of the fleet has signed
+is believed; a gateway that has been silent for the lease time ``LEASE_S`` is gone, whatever a router says.
 
-Once a member was revoked, a gateway tells its list only over sealed channels, to members in good standing, and with it
-the key of its notes (see ``ropeway.networks.overlay.announcement``).
+Once a member was revoked, a gateway sends its list, and the key of its notes, only over sealed channels to members in
+good standing (see ``ropeway.networks.overlay.announcement``).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Marks a packet of data with its number, for acknowledgements, and with its place if it is one of several parts.
 
-It travels as an attachment, which members that know nothing of it ignore; parts are sent to those alone that do. It is
-not sealed: what a router could change in it, it could as well delay or drop. The packet that the parts make up is.
+The mark travels as an attachment, which older members ignore; parts are sent only to members that know marks. It is not
+sealed: instead of changing it, a router could as well delay or drop the packet. The packet that the parts make up is sealed.
 """
 
 from __future__ import annotations

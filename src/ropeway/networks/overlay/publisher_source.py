@@ -1,4 +1,4 @@
-"""The sending side of one publisher: it numbers messages, seals them, keeps the last ones and hands out its keys."""
+"""The sending side of one publisher: numbers messages, seals them, keeps the last ones and hands out its keys."""
 
 from __future__ import annotations
 

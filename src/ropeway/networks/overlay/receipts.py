@@ -1,13 +1,13 @@
-"""Receipts: each gateway tells those that it reads from how far their packets have come.
+"""Receipts: each gateway acknowledges to those that it reads from how far their packets have come.
 
-Who reads makes a key and gives it to the gateway that it reads from, over their sealed channel; a receipt is sealed
+The reader makes a key and gives it to the gateway that it reads from, over their sealed channel; a receipt is sealed
 with it::
 
     16 bytes that name the key | counter u64 | ciphertext, tag
 
-Inside stands the newest number of each lane that something came in (``mark``). A receipt that is lost
-is made good by the next one, one that comes twice changes nothing. A gateway that does not know of receipts refuses the
-key and gets none; to one that gave no key, data is sent without a window.
+It contains the newest number of each lane on which something arrived (``packet_mark``). The next receipt makes up for a
+lost one, and a duplicate changes nothing. A gateway that does not know of receipts refuses the key and gets none; to a
+reader that gave no key, data is sent without a window.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Keeps what the master knows of us and what we know of the master up to date.
 
-The master is asked for its state again and again. What we have registered and it does not know (it was restarted,
-or was away when we registered) is registered again; what has changed is told; types of new services are asked for.
+The master is polled for its state. Parts of ours that it does not know (it was restarted, or was away when we
+registered) are registered again; changes are reported; the types of new services are looked up.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Threads that publish and answer, because the middleware may make whoever does wait for a slow reader.
+"""Threads that publish and answer, because the middleware may block a writer until a slow reader catches up.
 
 Each publisher, client and service has a ``Lane``: what it sends goes out in order. A few threads serve all lanes, so
 that one slow reader delays its own topic only.

@@ -1,4 +1,4 @@
-"""The thread that takes pictures of the network, whenever something on it changes."""
+"""The thread that takes snapshots of the network, whenever something on it changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sealing, end to end: only who was given the key reads a message, and only its publisher can have made it.
+"""Seals messages end to end: only holders of the key can read a message, and only its publisher can have made it.
 
 After FogROS2-SGC (thesis, 3.3: AES, SHA-256, RSASSA-PSS), and beyond it: AES-256-GCM under a key per publisher and
 epoch, then a signature over the SHA-256 of what was encrypted, so that a member who may read cannot forge. A packet

@@ -1,6 +1,6 @@
 """Describes calls and goals on a link: who and which they are, and why one failed.
 
-Both roles use it. Everybody gets a text that says what went wrong; Ropeway gateways get a word besides.
+Both roles use these notes. Every peer gets a text that says what went wrong; Ropeway gateways also get a code word.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The calls and goals on one link: who waits for what, and whose turn it is when something comes."""
+"""The calls and goals on one link: who waits for which answer, and who gets what arrives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The client role: one connection to a rosbridge server or gateway, kept up, with everything on it restored."""
+"""The client role: a connection to a rosbridge server or gateway that reconnects and restores everything on it."""
 
 from __future__ import annotations
 

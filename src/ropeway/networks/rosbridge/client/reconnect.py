@@ -1,4 +1,4 @@
-"""Keeps a link up: one connection after the other, soon after a cut, lazily where nobody answers for long."""
+"""Keeps a link up: reconnects soon after a cut, and less and less often while nobody answers."""
 
 from __future__ import annotations
 

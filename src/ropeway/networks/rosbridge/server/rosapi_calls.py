@@ -1,7 +1,7 @@
 """The calls of rosapi that one client has made and that are not answered yet.
 
-What rosapi tells is often a hundred times as long as the question. So calls are answered in their order, the next one
-once the client has read so much that little waits for it; until then a call is only its question.
+An answer of rosapi is often a hundred times as long as its request. So calls are answered in order, the next one once
+the client has read nearly everything that waits for it; until then only the request is kept.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Queues a client's operations until their turn, and decides whether its socket is read meanwhile.
 
-What a client asks for is kept until it is carried out, and so is what it is told until it has read it. Where either is
-much, its socket is not read: the operating system's window then holds the client back, and nobody else.
+A client's operations are kept until they are carried out, and its answers until it has read them. When either pile up,
+its socket is not read: the operating system's window then holds the client back, and nobody else.
 """
 
 from __future__ import annotations
