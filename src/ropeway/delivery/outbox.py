@@ -1,7 +1,8 @@
 """Holds what waits to be sent on one link: priority lanes, and in each the freshest message of every topic.
 
-A topic with ``keep_last`` may have ``depth`` messages waiting, and no more than 64 KiB unless it is a single one:
-only the newest frame of a camera waits, but all of a transform tree. The oldest message is displaced, and counted. A topic with ``keep_all`` waits in a first-in first-out queue that is bounded in bytes.
+A topic with ``keep_last`` may have ``depth`` messages waiting, and no more than 64 KiB unless it is a single one: only
+the newest frame of a camera waits, but all of a transform tree. The oldest message is displaced, and counted. A topic
+with ``keep_all`` waits in a first-in first-out queue that is bounded in bytes.
 
 Which message to send is decided when the link can take it, never before. The topics of a lane share the link by
 bytes, not by messages (start-time fair queueing; Goyal, Vin and Cheng, 1996): each has a virtual time, the bytes that

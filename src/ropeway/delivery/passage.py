@@ -1,8 +1,8 @@
 """Passes on the messages of a topic: the one place that does.
 
 A route of the configuration has a passage, and so has each topic that a client of the rosbridge server publishes or
-reads. A passage takes messages in batches through its steps, counts them, and gives them to its sink. Nothing else meters
-a topic.
+reads. A passage takes messages in batches through its steps, counts them, and gives them to its sink. Nothing else
+meters a topic.
 """
 
 from __future__ import annotations

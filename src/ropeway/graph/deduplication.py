@@ -1,8 +1,9 @@
 """Recognises duplicates: a sample is identified by its origin and sequence number.
 
 Gateways may form a ring, stand side by side on one network, or forward a topic in both directions. A sample that enters
-a graph a second time is dropped. A network such as DDS carries no origin; a sample read from another gateway's publisher
-there (``relayed``) keeps only its sequence number, the first publisher's time stamp in nanoseconds, which is enough.
+a graph a second time is dropped. A network such as DDS carries no origin; a sample read from another gateway's
+publisher there (``relayed``) keeps only its sequence number, the first publisher's time stamp in nanoseconds, which is
+enough.
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@
 Whoever the others are, this gateway then also reads the topic, so that it recognises a message that left the network
 here and comes back in a ring of gateways. If another gateway publishes it, one of the two is active and the other is on
 standby: the one with the smaller id publishes at once, the other waits 100 ms for each message to appear and publishes
-those that do not. So parallel links deliver every message once, and one of them may fail without a gap. If hardly any of
-the messages appear, the two bring different ones under one name (transforms of two robots), and both publish at once.
+those that do not. So parallel links deliver every message once, and one of them may fail without a gap. If hardly any
+of the messages appear, the two bring different ones under one name (transforms of two robots), and both publish at
+once.
 
 A message that two gateways passed on before may have come round a ring faster than over this network: it waits, too,
 for 30 ms.

@@ -1,7 +1,8 @@
 """Synchronises a store with a database elsewhere: the later value of either is copied to the other.
 
 Values are kept in the store first, and copied whenever the database answers. Changes that others make there (other
-servers, or programs that know nothing of versions) are followed, and a value that is not in the store is looked up there.
+servers, or programs that know nothing of versions) are followed, and a value that is not in the store is looked up
+there.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Keeps definitions that peers tell: bounded, trusted as far as the peer, and forgotten with the last peer that told them.
+"""Keeps definitions that peers tell: bounded, trusted as far as the peer, and forgotten with the last peer that told
+them.
 
 A definition from a graph (a publisher, a configured remote) replaces one that clients told. Between clients the first
 one counts while it is connected; definitions of the system or its files are never touched.

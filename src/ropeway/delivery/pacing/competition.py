@@ -2,8 +2,8 @@
 
 A window that yields to every queue ends with nothing beside TCP connections that only take a lost packet for a full
 link. So a long queue is put to the test: if it is ours, it becomes shorter with half of our window. A queue that does
-not is part of the path, for now: others made it, or the path became longer; we go on at the pace that we had, and give up
-no more than half of it. A queue that just stays longer than we want is tested the other way round: if it is ours, it
+not is part of the path, for now: others made it, or the path became longer; we go on at the pace that we had, and give
+up no more than half of it. A queue that just stays longer than we want is tested the other way round: if it is ours, it
 becomes longer as we send a little more; as long as it does not, we take more of the link, step by step.
 
 Sans-I/O: ``advise`` is called once data that was sent after the last change of the window arrives.

@@ -1,9 +1,9 @@
 """Notes that members send each other through routers: signed by the sender, readable by members only.
 
-A note is CBOR, bound to its sender and its kind, signed with the gateway's own key and then encrypted. A router sees its
-size and its sender's random id. As long as nobody was revoked, all members derive the key from the fleet's name secret.
-From the first revocation on, each gateway has a key of its own, which it gives to members in good standing when they ask,
-and replaces with every further revocation: a revoked member cannot read later notes. Such a note begins with
+A note is CBOR, bound to its sender and its kind, signed with the gateway's own key and then encrypted. A router sees
+its size and its sender's random id. As long as nobody was revoked, all members derive the key from the fleet's name
+secret. From the first revocation on, each gateway has a key of its own, which it gives to members in good standing when
+they ask, and replaces with every further revocation: a revoked member cannot read later notes. Such a note begins with
 ``rw-note2`` and the 8 bytes that name its key.
 """
 

@@ -1,8 +1,8 @@
 """Decides how much may be in flight to one gateway that acknowledges what it gets. Sans-I/O.
 
-Data handed to Zenoh waits in Zenoh's queues, the kernel's and those of the routers between, where it goes stale. So each
-packet has a number, the far gateway acknowledges the newest number that it received, and a model of the link derives from
-that how much may be in flight.
+Data handed to Zenoh waits in Zenoh's queues, the kernel's and those of the routers between, where it goes stale. So
+each packet has a number, the far gateway acknowledges the newest number that it received, and a model of the link
+derives from that how much may be in flight.
 
 Packets come in order. One that the link loses holds up all that were sent after it, for a round trip and more, and
 then they come all at once. Neither is a sign of a full link, so what is measured has to bear it:

@@ -1,4 +1,6 @@
-"""Maintains the links of one gateway: closed for revoked members, made anew if Zenoh fails; says why if there are none."""
+"""Maintains the links of one gateway: closed for revoked members, made anew if Zenoh fails; says why if there are
+none.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Marks a packet of data with its number, for acknowledgements, and with its place if it is one of several parts.
 
 The mark travels as an attachment, which older members ignore; parts are sent only to members that know marks. It is not
-sealed: instead of changing it, a router could as well delay or drop the packet. The packet that the parts make up is sealed.
+sealed: instead of changing it, a router could as well delay or drop the packet. The packet that the parts make up is
+sealed.
 """
 
 from __future__ import annotations

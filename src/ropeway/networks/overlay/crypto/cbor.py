@@ -1,7 +1,7 @@
 """Reads CBOR from other members, but only of the plain kind that gateways make, and small enough to hold.
 
-A list of a million empty lists has a million bytes, and takes a hundred million once it is decoded. So items are counted
-first, before anything is decoded; texts and bytes are stepped over, however long they are.
+A list of a million empty lists has a million bytes, and takes a hundred million once it is decoded. So items are
+counted first, before anything is decoded; texts and bytes are stepped over, however long they are.
 """
 
 from __future__ import annotations

@@ -7,8 +7,9 @@ credentials. A topic goes by the second connection while its messages are small,
 large one. Before a topic changes its connection, everything that it sent on the old one has arrived: a ``ping`` goes
 after it, and nothing of the topic is sent until the ``pong`` is there. So the order within a topic holds.
 
-The second connection is an improvement on which nothing depends: if it cannot be opened, or is lost, everything continues
-on the first. The last messages are then sent again, since nobody knows whether they arrived; receivers drop duplicates.
+The second connection is an improvement on which nothing depends: if it cannot be opened, or is lost, everything
+continues on the first. The last messages are then sent again, since nobody knows whether they arrived; receivers drop
+duplicates.
 """
 
 from __future__ import annotations
