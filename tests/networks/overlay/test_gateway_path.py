@@ -6,6 +6,7 @@ import heapq
 import itertools
 import random
 from collections import deque
+from collections.abc import Iterator
 
 import pytest
 
@@ -152,22 +153,42 @@ def test_full_although_packets_are_lost(loss: float) -> None:
     assert path.model.pace.bytes_per_s == pytest.approx(rate, rel=0.3)
 
 
-def test_what_is_late_has_left_the_link() -> None:
-    """While a lost packet holds up what was sent after it, one and a half times as much may be sent, and no more."""
+def steady() -> tuple[Path, float]:
+    """Return a path on which packets came regularly for a while, and the time."""
     path, now_s = Path(), 0.0
     for number in range(1, 200):
         path.sent(LANE, number, PART_BYTES, now_s)
         path.acknowledged([(LANE, number)], now_s + 0.02)
         now_s += 0.002
     path.model.starting = False
-    window, numbers, sent = path.model.window_bytes, itertools.count(200), []
-    for at_s in (now_s, now_s + 0.1, now_s + 0.2, now_s + 0.3):
-        sent.append(0)
-        while path.room_bytes(at_s) > 0:
-            path.hand(PART_BYTES)
-            path.sent(LANE, next(numbers), PART_BYTES, at_s)
-            path.landed(PART_BYTES)
-            sent[-1] += PART_BYTES
-    assert window <= sent[0] <= window + PART_BYTES
-    assert 1.5 * window - PART_BYTES <= sum(sent[1:]) <= 1.5 * window + PART_BYTES
-    assert sent[3] == 0
+    path.model.pace.carried(2_000_000, 1.0)
+    return path, now_s
+
+
+def fill(path: Path, now_s: float, numbers: Iterator[int]) -> int:
+    """Send all that a path has room for at a time; return how much that was."""
+    sent = 0
+    while path.room_bytes(now_s) > 0:
+        path.hand(PART_BYTES)
+        path.sent(LANE, next(numbers), PART_BYTES, now_s)
+        path.landed(PART_BYTES)
+        sent += PART_BYTES
+    return sent
+
+
+def test_what_is_late_has_left_the_link() -> None:
+    """While a lost packet holds up what was sent after it, one and a half times as much may be sent, and no more."""
+    (path, now_s), numbers = steady(), itertools.count(200)
+    window = path.model.window_bytes
+    sent = sum(fill(path, now_s + 0.002 * i, numbers) for i in range(200))
+    assert 2.5 * window - PART_BYTES <= sent <= 2.5 * window + 2 * PART_BYTES
+
+
+def test_spread_over_time() -> None:
+    """Of what there is room for at once, a little goes at once and the rest while the path carries it away."""
+    (path, now_s), numbers = steady(), itertools.count(200)
+    pace = path.model.pace.bytes_per_s
+    assert pace is not None
+    first, second = fill(path, now_s, numbers), fill(path, now_s + 0.004, numbers)
+    assert first <= max(0.005 * pace, 2 * path.part_bytes) + PART_BYTES < path.model.window_bytes
+    assert 0 < second <= 1.25 * 0.004 * pace + PART_BYTES

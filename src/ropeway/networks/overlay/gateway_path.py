@@ -13,6 +13,8 @@ then they come all at once. Neither is a sign of a full link, so what is measure
 * the **pace** is what arrived in a round trip over the time in which it was sent, or that in which it came, whichever
   was longer: what comes all at once was sent more slowly (the delivery rate of Cheng, Cardwell, Hassas Yeganeh and
   Jacobson).
+
+What receipts that come all at once make room for is spread over time, so that commands wait behind little of it.
 """
 
 from __future__ import annotations
@@ -40,6 +42,9 @@ _PART_MIN_BYTES: Final = 4 * 1024
 _PART_MAX_BYTES: Final = 1 << 20
 _NO_LIMIT: Final = 1 << 40
 _SAMPLED_ROUND_TRIPS: Final = 3  # of those of so many the shortest counts
+_SPREAD_GAIN: Final = 1.25  # times the pace, so that a path that became faster shows
+_SPREAD_S: Final = 0.005  # so much goes at once
+_SPREAD_PARTS: Final = 2  # and at least so many parts
 _LATE_S: Final = 0.004  # what comes so long after it should was held up by a packet that was lost
 _MOST_LATE_WINDOWS: Final = 1.5  # more are late where the path has become slower
 _LATE_PARTS: Final = 2  # on a slow path, the time that so many parts take
@@ -102,6 +107,8 @@ class Path:
         self._shortest = ShortestRoundTrip()
         self._heard_s = 0.0
         self._came = (0.0, 0.0)  # when a packet came last, or the first one left, and when that was sent
+        self._spread_bytes = 0.0  # what may go at once …
+        self._spread_s = 0.0  # … as of then
         self._round_bytes = 0  # what had come when the round trip began
 
     # ── what goes out ──────────────────────────────────────────────────────────────────────────────────────────
@@ -109,6 +116,7 @@ class Path:
     def hand(self, size_bytes: int) -> None:
         """Note what is on its way to a lane's thread."""
         self._pending_bytes += size_bytes
+        self._spread_bytes -= size_bytes
         self.model.handed(size_bytes)
 
     def landed(self, size_bytes: int) -> None:
@@ -136,7 +144,20 @@ class Path:
         if model.room_bytes <= 0:
             model.observe(self._reading(now_s))
         fast = self._fast_bps
-        return model.room_bytes if fast is None else max(model.room_bytes, int(_FAST_S * fast) - self.in_flight_bytes)
+        if fast is not None:
+            return max(model.room_bytes, int(_FAST_S * fast) - self.in_flight_bytes)
+        return min(model.room_bytes, self._at_once_bytes(now_s))
+
+    def _at_once_bytes(self, now_s: float) -> int:
+        """Return how much may go at once: a little more than the path has carried away since something went last."""
+        pace, base_s, model = self.model.pace.bytes_per_s, self.model.base_rtt_s, self.model
+        passed_s, self._spread_s = now_s - self._spread_s, now_s
+        if pace is None or base_s is None or base_s < _FAST_ROUND_TRIP_S or model.starting:
+            self._spread_bytes = 0.0
+            return _NO_LIMIT
+        most = max(_SPREAD_S * pace, _SPREAD_PARTS * self.part_bytes)
+        self._spread_bytes = min(self._spread_bytes + _SPREAD_GAIN * pace * passed_s, most)
+        return int(self._spread_bytes)
 
     @property
     def _fast_bps(self) -> float | None:
