@@ -69,12 +69,12 @@ class Budget:
 class Account:
     """The bytes held for one connection, as of the last check."""
 
-    __slots__ = ("_budget", "_holders", "_looked_at_bytes", "_open", "end", "held_bytes")
+    __slots__ = ("_budget", "_holders", "_open", "end", "held_bytes", "look_at_bytes")
 
     def __init__(self, budget: Budget, end: Callable[[str], None]) -> None:
         self._budget, self.end = budget, end
         self._holders: dict[str, Callable[[], int]] = {}
-        self._looked_at_bytes = 0
+        self.look_at_bytes = _LOOK_BYTES  # received; with less, ``received`` need not be called
         self._open = True
         self.held_bytes = 0
 
@@ -86,8 +86,8 @@ class Account:
         """Check again if enough was received since the last check to matter; ``total_bytes`` counts all that
         ever was.
         """
-        if total_bytes - self._looked_at_bytes >= _LOOK_BYTES:
-            self._looked_at_bytes = total_bytes
+        if total_bytes >= self.look_at_bytes:
+            self.look_at_bytes = total_bytes + _LOOK_BYTES
             self.look()
 
     def look(self) -> None:

@@ -10,12 +10,12 @@ from tests.support.ports import free_port
 
 _SAMPLES: Final = 10
 _MOST: Final = {
-    "publish: DDS reader to socket": 32,
-    "publish: socket to DDS writer": 26,
-    "subscribe: DDS reader to socket": 30,
-    "subscribe: socket to DDS writer": 27,
-    "reserve-service: there and back": 429,
-    "expose-service: there and back": 387,
+    "publish: DDS reader to socket": 20,
+    "publish: socket to DDS writer": 10,
+    "subscribe: DDS reader to socket": 19,
+    "subscribe: socket to DDS writer": 10,
+    "reserve-service: there and back": 403,
+    "expose-service: there and back": 363,
 }
 
 

@@ -35,7 +35,7 @@ def test_is_bounded() -> None:
         seen.add(sample(b"a", i))
     assert seen.has(sample(b"a", 100_000 - 4000))
     assert not seen.has(sample(b"a", 50_000))
-    assert len(seen._newer) + len(seen._older) <= 2 * 4096
+    assert len(seen) <= 2 * 4096
 
 
 def test_takes_in_another() -> None:
@@ -44,7 +44,7 @@ def test_takes_in_another() -> None:
     seen.add(sample(b"a", 1))
     for i in range(2, 6000):
         other.add(sample(b"b", i))
-    seen.update(other)
+    seen.take_in(other)
     assert seen.has(sample(b"b", 5999))
     assert seen.has(sample(b"b", 2000))
-    assert len(seen._newer) + len(seen._older) <= 2 * 4096
+    assert len(seen) <= 2 * 4096

@@ -8,47 +8,47 @@ enough.
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import Final
 
 from ropeway.graph.base import Sample
 
-__all__ = ["Seen"]
+__all__ = ["KEPT_SAMPLES", "Seen"]
 
-_KEEP: Final = 4096  # per topic: 4 s of a 1 kHz sensor, far more than two paths differ
+KEPT_SAMPLES: Final = 4096
+"""How many are remembered of a topic at least, and twice as many at most: 4 s of a 1 kHz sensor, far more than two
+paths differ."""
+
+_MISSING: Final = b"missing"
 
 
-class Seen:
-    """The samples of one topic that a graph has had."""
+class Seen(dict[int, "bytes | None"]):
+    """The samples of one topic that a graph has had: the origin by number, ``None`` for relayed ones.
 
-    __slots__ = ("_newer", "_older")
+    On the way of a message the table itself is used; ``trim`` keeps it small.
+    """
 
-    def __init__(self) -> None:
-        self._newer: dict[int, bytes | None] = {}
-        self._older: dict[int, bytes | None] = {}
+    __slots__ = ()
 
     def add(self, sample: Sample) -> None:
         """Remember a sample."""
-        if len(self._newer) >= _KEEP:
-            self._older, self._newer = self._newer, {}
-        self._newer[sample.seq] = None if sample.relayed else sample.origin
+        self[sample.seq] = None if sample.relayed else sample.origin
+        if len(self) > 2 * KEPT_SAMPLES:
+            self.trim()
 
-    def update(self, other: Seen) -> None:
+    def take_in(self, other: Seen) -> None:
         """Remember the samples of another, too."""
-        for known in (other._older, other._newer):
-            if len(self._newer) + len(known) > _KEEP:
-                self._older, self._newer = self._newer, {}
-            self._newer.update(known)
+        self.update(other)
+        if len(self) > 2 * KEPT_SAMPLES:
+            self.trim()
+
+    def trim(self, keep: int = KEPT_SAMPLES) -> None:
+        """Forget all but the last samples."""
+        for seq in list(islice(self, max(len(self) - keep, 0))):
+            del self[seq]
 
     def has(self, sample: Sample) -> bool:
         """Return whether this sample is a duplicate."""
-        seq = sample.seq
-        known = self._newer.get(seq, _MISSING)
-        if known is _MISSING:
-            known = self._older.get(seq, _MISSING)
-            if known is _MISSING:
-                return False
+        known = self.get(sample.seq, _MISSING)
         # one stamp, two origins: two publishers in the same nanosecond, unless one of the two lost its origin
-        return known is None or sample.relayed or known == sample.origin
-
-
-_MISSING: Final = b"missing"
+        return known is not _MISSING and (known is None or sample.relayed or known == sample.origin)

@@ -111,8 +111,11 @@ class SubscriptionBase(Generic[H]):
         try:
             self._callback(batch)
         except Exception:  # a callback is somebody else's code
-            self._graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
-            failed(log, "%s: a callback for %s failed", self._graph.name, self.topic)
+            self._callback_failed(batch)
+
+    def _callback_failed(self, batch: Sequence[Sample]) -> None:
+        self._graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
+        failed(log, "%s: a callback for %s failed", self._graph.name, self.topic)
 
 
 class ClientBase(Generic[H]):

@@ -16,6 +16,7 @@ from typing import Final, Generic, TypeVar
 
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import SEQ_NONE, Sample, SampleCallback, Undelivered
+from ropeway.graph.deduplication import Seen
 from ropeway.graph.host import Host
 from ropeway.graph.parts import SubscriptionBase
 from ropeway.qos import DEFAULT, QoS, common_qos
@@ -31,7 +32,6 @@ _OVERLAP_TRIES: Final = 5
 _SEEN_LIMIT: Final = 1024
 # Some middlewares do not tell the depth of a publisher; what is adopted keeps at least this many.
 _MIN_ADOPTED_DEPTH: Final = 10
-_MISSING: Final = b"missing"
 
 R = TypeVar("R")
 
@@ -157,7 +157,8 @@ class AdoptingSubscription(SubscriptionBase[Readers[R]], Generic[R]):
         self.adopts = qos is None or "best_available" in (qos.reliability, qos.durability)
         self._qos = DEFAULT if qos is None else settled(qos, DEFAULT)
         self._readers: list[SharedReader[R]] = []  # the last is the one in use, the others overlap with it
-        self._seen: dict[int, bytes | None] = {}  # as in ``ropeway.graph.deduplication``
+        self._seen = Seen()
+        self._seen_limit = _SEEN_LIMIT
         self._overlap: asyncio.TimerHandle | None = None
         self._tries = 0
         self._closing = Chores()
@@ -167,6 +168,7 @@ class AdoptingSubscription(SubscriptionBase[Readers[R]], Generic[R]):
         if self.closed or (self._readers and qos == self._qos):
             return
         self._qos = qos
+        self._seen_limit = max(_SEEN_LIMIT, 2 * qos.depth)
         known = next((reader for reader in self._readers if reader.qos == qos), None)
         if known is not None:  # the profile changed back before the overlap was over
             self._readers.remove(known)
@@ -181,8 +183,26 @@ class AdoptingSubscription(SubscriptionBase[Readers[R]], Generic[R]):
 
     def deliver(self, batch: Sequence[Sample]) -> None:
         """Hand messages to the callback, those that come by two readers once."""
-        if not self.closed:
-            super().deliver(self._fresh(batch) if self.adopts else batch)
+        if self.closed:
+            return
+        fresh = batch
+        if self.adopts:  # what another reader of ours has delivered, or delivers at the same time, is left out
+            seen, fresh = self._seen, []
+            for sample in batch:
+                seq = sample.seq
+                if seq != SEQ_NONE:
+                    if seq in seen and seen.has(sample):
+                        continue
+                    seen[seq] = None if sample.relayed else sample.origin
+                fresh.append(sample)
+            if len(seen) > 2 * self._seen_limit:
+                seen.trim(self._seen_limit)
+            if not fresh:
+                return
+        try:
+            self._callback(fresh)
+        except Exception:  # as in ``SubscriptionBase``
+            self._callback_failed(fresh)
 
     async def close(self) -> None:
         """Stop reading."""
@@ -197,23 +217,6 @@ class AdoptingSubscription(SubscriptionBase[Readers[R]], Generic[R]):
         for reader in readers:
             await self._graph.detach(self, reader)
         await self._closing.wait()
-
-    def _fresh(self, batch: Sequence[Sample]) -> list[Sample]:
-        """Return ``batch`` without samples that another reader of ours has delivered, or delivers at the same time."""
-        seen = self._seen
-        fresh = []
-        for sample in batch:
-            if sample.seq != SEQ_NONE:
-                known = seen.get(sample.seq, _MISSING)
-                if known is not _MISSING and (known is None or sample.relayed or known == sample.origin):
-                    continue
-                seen[sample.seq] = None if sample.relayed else sample.origin
-            fresh.append(sample)
-        excess = len(seen) - max(_SEEN_LIMIT, 2 * self._qos.depth)
-        if excess > 0:
-            for key in [k for k, _ in zip(seen, range(excess), strict=False)]:
-                del seen[key]
-        return fresh
 
     def _arm(self) -> None:
         if self._overlap is not None:

@@ -54,7 +54,7 @@ class Standby:
         self._graph, self._gateway_id = graph, gateway_id
         self._topic, self._type = topic, type
         self._received, self._published = received, published
-        self._second = False  # a gateway with a smaller id publishes the topic, too
+        self.second = False  # a gateway with a smaller id publishes the topic, too
         self._share = 1.0  # of our messages that it brings as well
         self._monitor: Subscription | None = None
         self._held: list[tuple[float, Sample, Callable[[Sample], None]]] = []  # few, and mostly none
@@ -66,7 +66,7 @@ class Standby:
     @property
     def defers(self) -> bool:
         """Whether another gateway is active and mostly publishes what we would publish."""
-        return self._second and self._share > _RARELY
+        return self.second and self._share > _RARELY
 
     @property
     def listens(self) -> bool:
@@ -89,8 +89,8 @@ class Standby:
                 await monitor.close()
             # who cannot hear the others would publish everything once more, and late
             second = self._monitor is not None and any(other < self._gateway_id for other in others if other)
-            if second != self._second:
-                self._second, self._share = second, 1.0
+            if second != self.second:
+                self.second, self._share = second, 1.0
                 if not second:
                     self._release_all()  # before anything newer is published
                 log.info(
@@ -103,7 +103,7 @@ class Standby:
     def _heard(self, batch: Sequence[Sample]) -> None:
         for sample in batch:
             self._received.add(sample)
-            if self._second and sample.relayed and not self.defers and self._published.has(sample):
+            if self.second and sample.relayed and not self.defers and self._published.has(sample):
                 self._share = 1.0
 
     def hold(self, sample: Sample, publish: Callable[[Sample], None]) -> None:
@@ -125,7 +125,7 @@ class Standby:
             appeared = self._release()
             if not come_round:
                 self._share += _WEIGHT * (appeared - self._share)
-        if self._second and not self.defers:
+        if self.second and not self.defers:
             self._release_all()
         if self._held:
             self._timer = loop.call_at(self._held[0][0], self._due)

@@ -16,7 +16,7 @@ from ropeway.graph.base import (
     look_up,
     new_origin,
 )
-from ropeway.graph.deduplication import Seen
+from ropeway.graph.deduplication import KEPT_SAMPLES, Seen
 from ropeway.graph.history import History
 from ropeway.graph.host import Host
 from ropeway.graph.parts import PublisherBase, SubscriptionBase
@@ -67,7 +67,8 @@ class ViewPublisher(PublisherBase[TopicUser]):
     def __init__(self, view: TopicUser, inner: Publisher) -> None:
         super().__init__(view, inner.topic, inner.type, inner.qos)
         self.view = view
-        self._inner = inner
+        self._inner, self._send = inner, inner.publish
+        self._latched = inner.qos.transient_local
         self._received, self._published = view.hub.seen(self.topic)
         hub = view.hub
         self.standby = Standby(
@@ -88,21 +89,31 @@ class ViewPublisher(PublisherBase[TopicUser]):
         """Send to the network and to the other views."""
         if sample.seq == SEQ_NONE:
             sample = self._numbered(sample, self._gid)
-        if (self._published.has(sample) or self._received.has(sample)) and not self._takes_over(sample):
+        published, received, seq = self._published, self._received, sample.seq
+        if (
+            (seq in published or seq in received)
+            and (published.has(sample) or received.has(sample))
+            and not self._takes_over(sample)
+        ):
             self.view.hub.duplicates[self.topic] += 1
             return
-        self._published.add(sample)
+        published[seq] = None if sample.relayed else sample.origin
+        if len(published) > 2 * KEPT_SAMPLES:
+            published.trim()
         if self.given is not None:
             self.given.add(sample)
         if self.closed:
             return
-        if sample.relayed and self.standby.listens:  # in a ring it may be from here, and we hear it in a moment
-            self.standby.hold(sample, self._give)
-        elif self.standby.defers:
-            self.standby.hold(sample, self._inner.publish)
+        standby = self.standby
+        if sample.relayed and standby.listens:  # in a ring it may be from here, and we hear it in a moment
+            standby.hold(sample, self._give)
+        elif standby.second and standby.defers:
+            standby.hold(sample, self._inner.publish)
             self._share(sample)
         else:
-            self._give(sample)
+            self._send(sample)
+            if self._latched or self._readers:
+                self._share(sample)
 
     def _give(self, sample: Sample) -> None:
         self._inner.publish(sample)
@@ -176,7 +187,7 @@ class ViewPublisher(PublisherBase[TopicUser]):
             reader.readopt()
         self.view.announce("publisher", self.topic, self.type, False)
         if self.given is not None:
-            self.view.hub.retired.setdefault(self.topic, Seen()).update(self.given)
+            self.view.hub.retired.setdefault(self.topic, Seen()).take_in(self.given)
         self.view.hub.forget(self.topic)
         await self.standby.close()
         await self._inner.close()
@@ -219,14 +230,22 @@ class ViewSubscription(SubscriptionBase[TopicUser]):
 
     def arrived(self, batch: Sequence[Sample]) -> None:
         """Deliver messages from the network, and remember them, should a link bring them back."""
+        received, published = self._received, self._published
         fresh: list[Sample] = []
         for sample in batch:
-            self._received.add(sample)
-            if sample.relayed and self._published.has(sample):
+            received[sample.seq] = None if sample.relayed else sample.origin
+            if sample.relayed and published.has(sample):
                 self.view.hub.duplicates[self.topic] += 1  # another gateway here published what we did
             else:
                 fresh.append(sample)
-        self.deliver(fresh)
+        if len(received) > 2 * KEPT_SAMPLES:
+            received.trim()
+        if self.closed or not fresh:
+            return
+        try:
+            self._callback(fresh)
+        except Exception:  # as in ``SubscriptionBase``
+            self._callback_failed(fresh)
 
     async def close(self) -> None:
         """Stop reading."""

@@ -220,7 +220,8 @@ class Connection(WSListener):
                     self.on_binary(frame.get_payload_as_memoryview())
                 else:
                     self.on_text(frame.get_payload_as_bytes())
-                self.account.received(self.bytes_in)
+                if self.bytes_in >= self.account.look_at_bytes:
+                    self.account.received(self.bytes_in)
             else:
                 self._unfinished = bytearray(frame.get_payload_as_memoryview())
                 self._unfinished_text = kind == WSMsgType.TEXT

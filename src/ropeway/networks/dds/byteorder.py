@@ -40,11 +40,11 @@ class ByteOrder:
     def __init__(self, topic: str, make: Callable[[], Codec]) -> None:
         self._topic = topic
         self._make = make
-        self._big: dict[bytes, bool] = {}
+        self.big: dict[bytes, bool] = {}  # by writer, as far as it is known
 
     def native(self, writer: bytes, payload: bytes) -> bytes | None:
         """Return ``payload`` in the byte order that its header claims; ``None`` if a big-endian one cannot be read."""
-        big = self._big.get(writer)
+        big = self.big.get(writer)
         if big is None:
             big = self._examine(writer, payload)
         if not big:
@@ -67,7 +67,7 @@ class ByteOrder:
                 log.warning("%s: writer %s is on a big-endian machine", self._topic, writer.hex())
         except TypesError:
             pass  # neither order, or no definition: whoever decodes it says so
-        if len(self._big) >= _MAX_WRITERS:
-            self._big.clear()
-        self._big[writer] = big
+        if len(self.big) >= _MAX_WRITERS:
+            self.big.clear()
+        self.big[writer] = big
         return big

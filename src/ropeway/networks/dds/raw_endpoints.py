@@ -37,7 +37,7 @@ _PENDING_LIMIT_BYTES: Final = 256 << 20
 _COURIER_BYTES: Final = 1 << 20  # about a millisecond on the network
 _MAX_STAMP: Final = 2**31 * 10**9 - 1  # what a source timestamp on the wire can hold for every vendor
 
-_string_at, _byref = ct.string_at, ct.byref
+_byref = ct.byref
 _u8_at = ct.c_uint8.from_address
 _u32_at = ct.c_uint32.from_address
 _i64_at = ct.c_int64.from_address
@@ -118,48 +118,37 @@ class RawReader:
         self.key = 0
 
     def on_data(self) -> None:
-        """Take what is there, and hand over what there is room for."""
+        """Take what is there, hand over what there is room for, and trim what stays."""
         if self.closed:
             return
-        taken = self._taken
+        taken, unref = self._taken, lib.serdata_unref
         count = lib.takecdr(self.entity, taken.refs, _BATCH, taken.infos, ANY_STATE)
-        if count <= 0:
+        if count < 0:
             check(count, "takecdr")
-            return
-        stamp = self._clock()
-        identities, unref, size_at = self._identities, lib.serdata_unref, lib.size_at
         pending = self._pending
         if pending is None:
             pending = self._pending = deque()
-        everyone = self._all_gateways
-        size = 0
-        for serdata, (_, valid, source_stamp, _, handle) in zip(
-            taken.refs[:count], INFO.iter_unpack(taken.raw[: count * INFO.size]), strict=True
-        ):
-            if valid:
-                identity = identities.get(handle) or self._participant.identify(self.entity, handle)
-                if (identity.wanted or everyone) and not identity.helper:
-                    length = _u32_at(serdata + size_at).value + _HEADER_BYTES
-                    size += length
-                    pending.append((serdata, length, stamp, source_stamp, identity))
-                    continue
-            unref(serdata)
-        self._pending_bytes += size
-        self.flush()
-
-    def flush(self) -> None:
-        """Hand over as much as there is room for, and trim what stays."""
-        pending = self._pending
-        if not pending:
-            return
+        if count > 0:
+            stamp, identities, everyone, size_at = self._clock(), self._identities, self._all_gateways, lib.size_at
+            for serdata, (_, valid, source_stamp, _, handle) in zip(
+                taken.refs[:count], INFO.iter_unpack(taken.raw[: count * INFO.size]), strict=True
+            ):
+                if valid:
+                    identity = identities.get(handle) or self._participant.identify(self.entity, handle)
+                    if (identity.wanted or everyone) and not identity.helper:
+                        length = _u32_at(serdata + size_at).value + _HEADER_BYTES
+                        self._pending_bytes += length
+                        pending.append((serdata, length, stamp, source_stamp, identity))
+                        continue
+                unref(serdata)
         samples, size = self._pump.space()
         batch: list[Sample] = []
         handed = 0
-        type, order, unref, header_at = self.type, self._order, lib.serdata_unref, lib.header_at
+        type, order, header_at = self.type, self._order, lib.header_at
         while pending and samples > 0 and size > 0:
             serdata, length, stamp, source_stamp, identity = pending.popleft()
             if length < _COPY_WITHOUT_GIL_BYTES:
-                payload = _string_at(serdata + header_at, length)
+                payload = _new_bytes(serdata + header_at, length)
             else:
                 payload = _new_bytes(None, length)
                 lib.serdata_to_ser(serdata, 0, length, _address_of(payload))
@@ -169,7 +158,7 @@ class RawReader:
             handed += length
             size -= length
             samples -= 1
-            if order is not None:
+            if order is not None and order.big.get(identity.guid) is not False:
                 native = order.native(identity.guid, payload)
                 if native is None:
                     self._drops[Undelivered.DECODE] += 1
@@ -185,7 +174,7 @@ class RawReader:
             self._drops.clear()
         if pending:
             self._trim(pending)
-            self._pump.again(self.flush)
+            self._pump.again(self.on_data)
 
     def discard(self) -> None:
         """Let go of what waits; in the pump's thread."""
@@ -242,32 +231,57 @@ class RawWriter:
         """Whether the writer thread still holds samples of this writer."""
         return self._in_count != self._out_count
 
-    def write(self, payload: bytes, source_stamp_ns: int = 0) -> None:
-        """Send CDR bytes with their header.
+    def write(self, payload: bytes, source_stamp_ns: int = 0, *, in_turn: bool = True) -> Undelivered | None:
+        """Send CDR bytes with their header; return why they were not sent.
 
-        ``source_stamp_ns`` is sent as the source timestamp; 0 sends the time of now.
+        ``source_stamp_ns`` is sent as the source timestamp; 0 sends the time of now. Without ``in_turn`` they go before
+        what waits for the courier, ``refused`` is not told, and nothing is flushed.
         """
-        if self.closed:
-            self._refused(Undelivered.CLOSED)
-            return
+        length = len(payload)
+        if in_turn and (self.closed or length >= _COURIER_BYTES or self._in_count != self._out_count):
+            self._later(bytes(payload), source_stamp_ns)
+            return None
         if payload.__class__ is not bytes:
             payload = bytes(payload)
-        if len(payload) >= _COURIER_BYTES or self._in_count != self._out_count:
+        vector = self._vector
+        vector.base, vector.len = payload, length
+        if length < _COPY_WITHOUT_GIL_BYTES:
+            serdata = lib.serdata_from_ser_iov(self._sertype, SERDATA_DATA, 1, _byref(vector), length)
+        else:
+            serdata = lib.serdata_from_ser_iov_nogil(self._sertype, SERDATA_DATA, 1, _byref(vector), length)
+            vector.base = None  # what was big is not kept until the next write
+        if serdata:
+            padding = -length & 3  # as ``tell_padding`` tells it
+            _u8_at(serdata + lib.header_at + _OPTIONS_AT).value = padding
+            ct.memset(serdata + lib.header_at + length, 0, padding)
+            if 0 < source_stamp_ns <= _MAX_STAMP:
+                _i64_at(serdata + lib.timestamp_at).value = source_stamp_ns
+                code = lib.forwardcdr(self.entity, serdata)  # either takes the reference over
+            else:
+                code = lib.writecdr(self.entity, serdata)
+            reason = None if code >= 0 else Undelivered.WRITE
+        else:
+            reason = Undelivered.ENCODE
+        if in_turn:
+            if reason is not None:
+                self._refused(reason)
+            elif not self._unflushed:
+                self._unflushed = True
+                self._loop.call_soon(self._flush)
+        return reason
+
+    def _later(self, payload: bytes, source_stamp_ns: int) -> None:
+        if self.closed:
+            self._refused(Undelivered.CLOSED)
+        else:
             self._enqueue(payload, source_stamp_ns)
-            return
-        reason = self._send(payload, source_stamp_ns)
-        if reason is not None:
-            self._refused(reason)
-        elif not self._unflushed:
-            self._unflushed = True
-            self._loop.call_soon(self._flush)
 
     async def send(self, payload: bytes) -> Undelivered | None:
         """Send like ``write``, and tell what became of it: ``None``, or why it was not sent."""
         if self.closed:
             return Undelivered.CLOSED
         if len(payload) < _COURIER_BYTES and self._in_count == self._out_count:
-            reason = self._send(payload, 0)
+            reason = self.write(payload, in_turn=False)
             if reason is None and not self._unflushed:  # the first goes at once, others of this turn go together
                 self._unflushed = True
                 lib.write_flush(self.entity)
@@ -280,7 +294,7 @@ class RawWriter:
         self._in_bytes += len(payload)
 
         def errand() -> None:
-            reason = self._send(payload, 0)
+            reason = self.write(payload, in_turn=False)
             lib.write_flush(self.entity)
             self._out_bytes += len(payload)
             self._out_count += 1
@@ -294,24 +308,6 @@ class RawWriter:
         self._unflushed = False
         if not self.closed:
             lib.write_flush(self.entity)  # what shares a datagram that is not full
-
-    def _send(self, payload: bytes, source_stamp_ns: int) -> Undelivered | None:
-        length = len(payload)
-        vector = self._vector
-        vector.base, vector.len = payload, length
-        make = lib.serdata_from_ser_iov if length < _COPY_WITHOUT_GIL_BYTES else lib.serdata_from_ser_iov_nogil
-        serdata = make(self._sertype, SERDATA_DATA, 1, _byref(vector), length)
-        if length >= _COPY_WITHOUT_GIL_BYTES:
-            vector.base = None  # what was big is not kept until the next write
-        if not serdata:
-            return Undelivered.ENCODE
-        tell_padding(serdata, length)
-        if 0 < source_stamp_ns <= _MAX_STAMP:
-            _i64_at(serdata + lib.timestamp_at).value = source_stamp_ns
-            code = lib.forwardcdr(self.entity, serdata)  # either takes the reference over
-        else:
-            code = lib.writecdr(self.entity, serdata)
-        return None if code >= 0 else Undelivered.WRITE
 
     def _enqueue(self, payload: bytes, source_stamp_ns: int) -> None:
         waiting = self._waiting
@@ -342,7 +338,7 @@ class RawWriter:
             payload, source_stamp_ns = waiting.popleft()
         except IndexError:  # a newer one took its place
             return
-        reason = self._send(payload, source_stamp_ns)
+        reason = self.write(payload, source_stamp_ns, in_turn=False)
         lib.write_flush(self.entity)
         self._out_bytes += len(payload)
         self._out_count += 1

@@ -168,26 +168,22 @@ class Pump:
         handlers, waitset, wait = self._handlers, self._waitset, lib.waitset_wait
         self._run_calls()  # after a failure: what was asked for meanwhile
         while not self._stopping:
-            count = check(wait(waitset, triggers, _MAX_TRIGGERS, INFINITY), "waitset_wait")
+            count = wait(waitset, triggers, _MAX_TRIGGERS, INFINITY)
+            if count < 0:
+                check(count, "waitset_wait")
             for key in triggers[: min(count, _MAX_TRIGGERS)]:
                 if key == _GUARD_KEY:
                     self._on_guard()
-                elif key in handlers:
-                    self._handle(key)
+                elif (found := handlers.get(key)) is not None:
+                    handler, entity = found
+                    try:
+                        handler()
+                    except Exception:  # of one endpoint; the others are read as ever, and it is not read again
+                        log.exception("%s: reading from DDS failed; this endpoint is dead", self._name)
+                        handlers.pop(key, None)
+                        lib.waitset_detach(waitset, entity)
             if self._backlog:
                 self._catch_up()
-
-    def _handle(self, key: int) -> None:
-        """Run one handler; one that fails is not run again, and costs the others nothing."""
-        handler, entity = self._handlers.get(key, (None, 0))
-        if handler is None:
-            return
-        try:
-            handler()
-        except Exception:  # of one endpoint; the others are read as ever
-            log.exception("%s: reading from DDS failed; this endpoint is dead", self._name)
-            self._handlers.pop(key, None)
-            lib.waitset_detach(self._waitset, entity)
 
     def _on_guard(self) -> None:
         was_set = ct.c_bool()

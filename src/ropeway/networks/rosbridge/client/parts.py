@@ -69,6 +69,7 @@ class RemotePublisher:
         self._count: int | None = 0  # None: connected to a server that cannot tell
         self._demand: list[Callable[[int], None]] = []
         self._history = History(qos)
+        self._latched = qos.transient_local
         self._translated = graph.border.touches(type)
         self.closed = False
 
@@ -86,7 +87,7 @@ class RemotePublisher:
             except TypesError:
                 self.graph.drops[self.topic, Undelivered.ENCODE] += 1
                 return
-        if self.qos.transient_local:
+        if self._latched:
             self._history.add(sample)
             if self.channel is None:
                 return  # sent when the link is back

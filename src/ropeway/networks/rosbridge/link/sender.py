@@ -91,7 +91,7 @@ class LinkSender:
         outbox.put(queue, item)
         if free and not self._scheduled:
             self._scheduled = True
-            self._loop.call_soon(self._turn)
+            self._loop.call_soon(self.pump, True)
             if at_once:
                 self.pump()
 
@@ -105,14 +105,12 @@ class LinkSender:
         """See that what waits is sent in this turn of the event loop."""
         if not self._scheduled and self.flow.free:
             self._scheduled = True
-            self._loop.call_soon(self._turn)
+            self._loop.call_soon(self.pump, True)
 
-    def _turn(self) -> None:
-        self._scheduled = False
-        self.pump()
-
-    def pump(self) -> None:
+    def pump(self, scheduled: bool = False) -> None:
         """Send while the link takes it. A call from inside goes on where it is."""
+        if scheduled:
+            self._scheduled = False
         if not self._pumping:
             self._pumping = True
             try:
@@ -256,37 +254,31 @@ class RecordSender(LinkSender):
                 return
 
     def _send_next(self) -> bool:
+        """Send small messages that go as they are, in one frame; if none is next, a part of a large one."""
+        outbox, recent, write = self.outbox, self.recent, self._writer.message
         out: list[bytes] = []
         if not self._parts:
-            self._gather_ready(out)
+            room = _PART_MIN_BYTES if outbox.messages == 1 else self._part_bytes()
+            now_ns = time.time_ns()
+            while outbox.messages and (taken := outbox.take_ready(room, HEADER_BYTES, now_ns)) is not None:
+                queue, item = taken
+                stream: Stream[Any] = queue.key
+                if recent is not None:
+                    recent.append((stream, item))
+                body = item.payload
+                write(out, stream.number, stream.ready, body, item.origin, item.seq, item.stamp_ns, item.relayed)
+                size = len(body)
+                room -= size + HEADER_BYTES
+                stream.sent += 1
+                stream.sent_bytes += size
+                if stream.gone is not None:
+                    stream.gone(item)
         if not out:
             self._gather(out)
             if not out:
                 return False
         self.connection.send_binary(b"".join(out))
-        return bool(self.outbox.messages or self._parts)
-
-    def _gather_ready(self, out: list[bytes]) -> None:
-        """Gather small messages that go as they are, for one frame."""
-        outbox, recent, write = self.outbox, self.recent, self._writer.message
-        room = _PART_MIN_BYTES if outbox.messages == 1 else self._part_bytes()
-        now_ns = time.time_ns()
-        while outbox.messages:
-            taken = outbox.take_ready(room, HEADER_BYTES, now_ns)
-            if taken is None:
-                return
-            queue, item = taken
-            stream: Stream[Any] = queue.key
-            if recent is not None:
-                recent.append((stream, item))
-            body = item.payload
-            write(out, stream.number, stream.ready, body, item.origin, item.seq, item.stamp_ns, item.relayed)
-            size = len(body)
-            room -= size + HEADER_BYTES
-            stream.sent += 1
-            stream.sent_bytes += size
-            if stream.gone is not None:
-                stream.gone(item)
+        return bool(outbox.messages or self._parts)
 
     def _gather(self, out: list[bytes]) -> None:
         """Gather one frame: whole messages, or a part of one."""
