@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ropeway.limits import QOS_DEPTH_SAMPLES
-from ropeway.qos import DEFAULT, LATCHED, PROFILES, SENSOR_DATA, QoS, common_qos, unmet
+from ropeway.qos import DEFAULT, LATCHED, PROFILES, SENSOR_DATA, QoS, adopted, common_qos, unmet
 
 
 def test_nothing_offered() -> None:
@@ -59,3 +59,23 @@ def test_unmet_policies() -> None:
     assert unmet(SENSOR_DATA, PROFILES["best_available"]) == ()
     assert unmet(QoS(deadline_s=2.0), QoS(deadline_s=1.0)) == unmet(DEFAULT, QoS(deadline_s=1.0)) == ("deadline",)
     assert unmet(QoS(deadline_s=1.0), QoS(deadline_s=2.0)) == ()
+
+
+def test_what_is_offered_satisfies_what_is_asked_for() -> None:
+    """An offer satisfies a request that is no stronger in any policy, and any request for whatever there is."""
+    best_effort = QoS(reliability="best_effort")
+    assert QoS().satisfies(best_effort)
+    assert not best_effort.satisfies(QoS())
+    assert not QoS().satisfies(QoS(durability="transient_local"))
+    assert best_effort.satisfies(None)
+    assert best_effort.satisfies(PROFILES["best_available"])
+
+
+def test_adopts_what_was_not_asked_for() -> None:
+    """Without a request all of what is offered is adopted, with best available policies these alone."""
+    offers = [QoS(reliability="best_effort", depth=3), QoS(durability="transient_local", depth=7)]
+    assert adopted(None, offers) == common_qos(offers)
+    assert adopted(None, [], LATCHED) == LATCHED
+    assert adopted(LATCHED, offers) == LATCHED
+    asked = QoS(reliability="best_available", depth=4)
+    assert adopted(asked, offers) == QoS(reliability="best_effort", depth=4)

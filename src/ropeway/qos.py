@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from ropeway.limits import QOS_DEPTH_SAMPLES
 
-__all__ = ["DEFAULT", "LATCHED", "PROFILES", "SENSOR_DATA", "QoS", "common_qos", "unmet"]
+__all__ = ["DEFAULT", "LATCHED", "PROFILES", "SENSOR_DATA", "QoS", "adopted", "common_qos", "settled", "unmet"]
 
 _CHOICES: Final = {
     "history": ("keep_last", "keep_all"),
@@ -59,6 +59,15 @@ class QoS:
     def latched(self) -> bool:
         """Whether late joiners get earlier messages however late they are."""
         return self.transient_local and self.lifespan_s is None
+
+    @property
+    def adopts(self) -> bool:
+        """Whether a policy asks for the best there is."""
+        return "best_available" in (self.reliability, self.durability)
+
+    def satisfies(self, ask: QoS | None) -> bool:
+        """Return whether a reader that asks for ``ask``, ``None`` for anything, matches a writer that offers this."""
+        return not unmet(self, ask)
 
     @classmethod
     def parse(cls, value: Mapping[str, Any], base: QoS | None = None) -> QoS:
@@ -176,3 +185,23 @@ def common_qos(offered: Iterable[QoS], fallback: QoS = DEFAULT) -> QoS:
         depth=sum(depths) if transient_local else max(depths),
         lifespan_s=max(lifespans) if expires else None,
     )
+
+
+def settled(asked: QoS, offered: QoS) -> QoS:
+    """Return ``asked`` with every ``best_available`` policy replaced by that of ``offered``."""
+    return replace(
+        asked,
+        reliability=offered.reliability if asked.reliability == "best_available" else asked.reliability,
+        durability=offered.durability if asked.durability == "best_available" else asked.durability,
+    )
+
+
+def adopted(asked: QoS | None, offered: Iterable[QoS], current: QoS = DEFAULT) -> QoS:
+    """Return the profile of a reader that asks for ``asked``, where writers offer these.
+
+    ``None`` adopts what all of them satisfy, a profile with ``best_available`` policies these alone; ``current`` stays
+    where nothing is offered.
+    """
+    if asked is None:
+        return common_qos(offered, current)
+    return settled(asked, common_qos(offered, current)) if asked.adopts else asked

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Generic, TypeVar
 
 from ropeway.errors import GraphUnavailable
@@ -18,7 +18,7 @@ from ropeway.graph.host import Host
 from ropeway.graph.local_calls import InFlight
 from ropeway.graph.signal import Signal
 from ropeway.logs import failed
-from ropeway.qos import DEFAULT, QoS
+from ropeway.qos import DEFAULT, QoS, adopted
 
 __all__ = ["ClientBase", "PublisherBase", "SubscriptionBase"]
 
@@ -99,6 +99,10 @@ class SubscriptionBase(Generic[H]):
         if qos != self._qos:
             self._qos = qos
             self._tell_qos()
+
+    def adopt(self, offered: Iterable[QoS]) -> None:
+        """Use the profile that fits what writers offer, as far as none was asked for."""
+        self.set_qos(adopted(self.asked, offered, self._qos))
 
     def _tell_qos(self) -> None:
         for callback in self._qos_callbacks:

@@ -19,10 +19,10 @@ from ropeway.graph.base import SEQ_NONE, Sample, SampleCallback, Undelivered
 from ropeway.graph.deduplication import Seen
 from ropeway.graph.host import Host
 from ropeway.graph.parts import SubscriptionBase
-from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.qos import DEFAULT, QoS, adopted, settled
 from ropeway.tasks import Chores
 
-__all__ = ["AdoptingSubscription", "Readers", "SharedReader", "settled"]
+__all__ = ["AdoptingSubscription", "Readers", "SharedReader"]
 
 log = logging.getLogger("ropeway.graph")
 
@@ -92,11 +92,9 @@ class Readers(ABC, Generic[R]):
     def adopted(self, subscription: AdoptingSubscription[R]) -> QoS:
         """Return the profile that a subscription should have now."""
         asked = subscription.asked
-        if asked is not None and not subscription.adopts:
-            return asked
-        qos = common_qos(self.offered(subscription.topic, subscription.type), subscription.qos)
+        qos = adopted(asked, self.offered(subscription.topic, subscription.type), subscription.qos)
         if asked is not None:
-            return settled(asked, qos)
+            return qos
         if qos.history == "keep_last" and not qos.transient_local:
             qos = replace(qos, depth=max(qos.depth, _MIN_ADOPTED_DEPTH))
         return qos
@@ -136,15 +134,6 @@ class SharedReader(Generic[R]):
             self._host.drops[self.topic, reason] += count
 
 
-def settled(asked: QoS, offered: QoS) -> QoS:
-    """Return ``asked`` with every ``best_available`` policy replaced by that of ``offered``."""
-    return replace(
-        asked,
-        reliability=offered.reliability if asked.reliability == "best_available" else asked.reliability,
-        durability=offered.durability if asked.durability == "best_available" else asked.durability,
-    )
-
-
 class AdoptingSubscription(SubscriptionBase[Readers[R]], Generic[R]):
     """A topic that we read; without a profile of its own it adopts what all publishers offer, and follows their
     changes. Without a profile of its own it adopts what all publishers offer, and follows them.
@@ -154,7 +143,7 @@ class AdoptingSubscription(SubscriptionBase[Readers[R]], Generic[R]):
 
     def __init__(self, graph: Readers[R], topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
         super().__init__(graph, topic, type, qos, callback)
-        self.adopts = qos is None or "best_available" in (qos.reliability, qos.durability)
+        self.adopts = qos is None or qos.adopts
         self._qos = DEFAULT if qos is None else settled(qos, DEFAULT)
         self._readers: list[SharedReader[R]] = []  # the last is the one in use, the others overlap with it
         self._seen = Seen()

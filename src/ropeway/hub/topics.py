@@ -21,7 +21,7 @@ from ropeway.graph.history import History
 from ropeway.graph.host import Host
 from ropeway.graph.parts import PublisherBase, SubscriptionBase
 from ropeway.hub.redundancy import Standby
-from ropeway.qos import QoS, common_qos
+from ropeway.qos import QoS
 
 __all__ = ["SharedTopics", "TopicUser", "ViewPublisher", "ViewSubscription"]
 
@@ -226,7 +226,7 @@ class ViewSubscription(SubscriptionBase[TopicUser]):
         topic = look_up(hub.graph, "topic", self.topic)
         if topic is None or any(not p.local for p in topic.publishers) or not offered:
             offered.append(self._inner.qos)
-        self.set_qos(common_qos(offered))
+        self.adopt(offered)
 
     def arrived(self, batch: Sequence[Sample]) -> None:
         """Deliver messages from the network, and remember them, should a link bring them back."""

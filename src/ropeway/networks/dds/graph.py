@@ -22,7 +22,6 @@ from ropeway.graph.base import (
 from ropeway.graph.calls import ActionInfo, ServiceHandler, ServiceInfo
 from ropeway.graph.graph_base import ComposingGraph
 from ropeway.graph.layout_border import Border
-from ropeway.graph.qos_adoption import settled
 from ropeway.networks.dds.client import DdsClient
 from ropeway.networks.dds.discovery import DdsDiscovery
 from ropeway.networks.dds.domain import MAX_DOMAIN
@@ -40,7 +39,7 @@ from ropeway.networks.dds.records import Discovered
 from ropeway.networks.dds.service import DdsService
 from ropeway.networks.dds.service_endpoints import Ends
 from ropeway.networks.dds.vendors import VendorHelper
-from ropeway.qos import DEFAULT, QoS
+from ropeway.qos import DEFAULT, QoS, settled
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
 

@@ -11,7 +11,7 @@ from ropeway.graph.base import Sample, SampleCallback, Undelivered
 from ropeway.graph.host import Host
 from ropeway.graph.parts import PublisherBase, SubscriptionBase
 from ropeway.networks.iort.forms import FAILURES, Form, Timed, default_form
-from ropeway.qos import QoS, common_qos
+from ropeway.qos import QoS
 from ropeway.store import CDR, Entry
 from ropeway.tasks import describe
 
@@ -148,7 +148,7 @@ class IortSubscription(SubscriptionBase[IortHost]):
         """Follow the publishers' profiles, where it was made to."""
         if self.asked is not None or self.closed:
             return
-        self.set_qos(common_qos(self._graph.offered(self.topic), self.qos))
+        self.adopt(self._graph.offered(self.topic))
         self._catch_up()
 
     def _catch_up(self) -> None:

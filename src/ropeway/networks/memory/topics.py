@@ -10,7 +10,7 @@ from ropeway.graph.base import SEQ_NONE, Sample, SampleCallback, Undelivered, ne
 from ropeway.graph.history import History
 from ropeway.graph.host import Host
 from ropeway.graph.parts import PublisherBase, SubscriptionBase
-from ropeway.qos import QoS, common_qos, unmet
+from ropeway.qos import QoS
 
 __all__ = ["MemoryPublisher", "MemorySubscription", "MemoryTopicHost"]
 
@@ -61,7 +61,7 @@ class MemoryPublisher(PublisherBase[MemoryTopicHost]):
             reader.topic == self.topic
             and reader.type == self.type
             and reader.graph is not self.graph
-            and not unmet(self.qos, reader.qos)
+            and self.qos.satisfies(reader.qos)
         )
 
     def match(self, reader: MemorySubscription) -> None:
@@ -104,8 +104,7 @@ class MemorySubscription(SubscriptionBase[MemoryTopicHost]):
 
     def readopt(self) -> None:
         """Follow the publishers' profiles, where the subscription was made to."""
-        if self.asked is None:
-            self.set_qos(common_qos(self.graph.offered(self.topic, self.type), self.qos))
+        self.adopt(self.graph.offered(self.topic, self.type))
 
     def put_once(self, sample: Sample) -> None:
         """Queue a message of a publisher's history, unless this subscription had it already."""

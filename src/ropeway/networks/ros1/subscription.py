@@ -9,7 +9,7 @@ from collections.abc import Callable
 from ropeway.graph.base import SampleCallback, Undelivered
 from ropeway.logs import failed
 from ropeway.networks.ros1.reader import Batch, TopicReader
-from ropeway.qos import DEFAULT, LATCHED, QoS, common_qos
+from ropeway.qos import DEFAULT, LATCHED, QoS, adopted
 
 __all__ = ["Ros1Subscription"]
 
@@ -23,7 +23,7 @@ class Ros1Subscription:
         self.topic, self.type = reader.topic, reader.type
         self.closed = False
         self._reader = reader
-        self._adopt = qos is None
+        self._asked = qos
         self._qos = qos or DEFAULT
         self._callback = callback
         self._qos_callbacks: list[Callable[[QoS], None]] = []
@@ -46,9 +46,9 @@ class Ros1Subscription:
     def links_changed(self) -> None:
         """Adopt what the publishers that are connected offer."""
         links = self._reader.links
-        if not self._adopt or not links:
+        if not links:
             return
-        qos = common_qos(LATCHED if link.latched else DEFAULT for link in links)
+        qos = adopted(self._asked, (LATCHED if link.latched else DEFAULT for link in links), self._qos)
         if qos != self._qos:
             self._qos = qos
             for callback in self._qos_callbacks:

@@ -21,7 +21,6 @@ from ropeway.graph.base import (
 from ropeway.graph.calls import ProviderInfo, ServiceHandler, ServiceInfo
 from ropeway.graph.graph_base import ComposingGraph
 from ropeway.graph.layout_border import Border
-from ropeway.graph.qos_adoption import settled
 from ropeway.networks.ros2.client import Ros2Client
 from ropeway.networks.ros2.discovery import Ros2Discovery
 from ropeway.networks.ros2.environment import MAX_DOMAIN
@@ -34,7 +33,7 @@ from ropeway.networks.ros2.readers import Ros2Readers, Ros2Subscription
 from ropeway.networks.ros2.senders import Lane
 from ropeway.networks.ros2.service import Ros2Service
 from ropeway.networks.ros2.snapshot import Ros2Snapshot
-from ropeway.qos import DEFAULT, QoS
+from ropeway.qos import DEFAULT, QoS, settled
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
 

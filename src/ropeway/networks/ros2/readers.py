@@ -104,11 +104,11 @@ class Ros2Readers(Readers[SpinnerReader]):
         except RuntimeError:  # it was destroyed, or the middleware has failed
             return 0
         here = sum(
-            reader.topic == topic and reader.type == type and _fits(reader.qos, offer)
+            reader.topic == topic and reader.type == type and offer.satisfies(reader.qos)
             for reader in self._readers.values()
         )
         beside = sum(
-            not end.local and self._discovery.is_own(end) and _fits(end.qos, offer)
+            not end.local and self._discovery.is_own(end) and offer.satisfies(end.qos)
             for end in self._discovery.subscriptions(topic, type)
         )
         return max(matched - here - beside, 0)
@@ -126,10 +126,6 @@ class Ros2Readers(Readers[SpinnerReader]):
             self.drops[topic, Undelivered.DECODE] += 1
             log.debug("%s: %s: a message cannot be read: %s", self.name, topic, error)
             return None
-
-
-def _fits(ask: QoS, offer: QoS) -> bool:
-    return (offer.reliable or not ask.reliable) and (offer.transient_local or not ask.transient_local)
 
 
 def _never(_: object) -> None:

@@ -15,7 +15,6 @@ from ropeway.networks.overlay.graph.host import OverlayHost
 from ropeway.networks.overlay.graph.packing import TopicPacking
 from ropeway.networks.overlay.packet_item import RELAYED, PacketItem
 from ropeway.networks.overlay.publisher_source import PublisherSource
-from ropeway.qos import unmet
 
 if TYPE_CHECKING:
     import zenoh
@@ -130,7 +129,7 @@ class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
         found = {
             advert.endpoint: advert.gateway
             for advert in self._graph.node.rib.by_name(self.advert.global_name, "subscription")
-            if not unmet(self.qos, advert.qos)
+            if self.qos.satisfies(advert.qos)
         }
         if len(self._granted) > _REMEMBERED:  # those that were here and may come back
             self._granted &= found.keys()

@@ -12,7 +12,7 @@ from ropeway.graph.parts import SubscriptionBase
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.feed import Feed, PublisherStream
 from ropeway.networks.overlay.packet_item import RELAYED, PacketItem
-from ropeway.qos import DEFAULT, QoS, common_qos, unmet
+from ropeway.qos import DEFAULT, QoS
 
 __all__ = ["OverlaySubscription"]
 
@@ -54,13 +54,12 @@ class OverlaySubscription(SubscriptionBase[OverlaySubscriptionHost]):
         """Join the publishers that suit, leave the others."""
         offered: list[QoS] = []
         for stream in self.feed.streams.values():
-            if stream.advert.qos is None or not unmet(stream.advert.qos, self.asked):
+            if stream.advert.qos is None or stream.advert.qos.satisfies(self.asked):
                 stream.join(self)
                 offered.append(stream.advert.qos or DEFAULT)
             else:
                 stream.leave(self)
-        if self.asked is None:
-            self.set_qos(common_qos(offered, self.qos))
+        self.adopt(offered)
 
     def received(self, stream: PublisherStream, items: Sequence[PacketItem]) -> None:
         """Deliver messages, in order."""
