@@ -8,19 +8,15 @@ from __future__ import annotations
 
 import asyncio
 import sys
+from collections.abc import Callable
 from typing import Any
 
 if sys.version_info >= (3, 11):
     from asyncio import Runner, TaskGroup, timeout, timeout_at
     from builtins import BaseExceptionGroup, ExceptionGroup
 
-    def cancelling(task: asyncio.Task[Any]) -> int:
-        """Return how many cancellations of the task were asked for and not taken back."""
-        return task.cancelling()
-
-    def uncancel(task: asyncio.Task[Any]) -> int:
-        """Take back one request to cancel the task, and return how many are left."""
-        return task.uncancel()
+    cancelling: Callable[[asyncio.Task[Any]], int] = asyncio.Task.cancelling
+    uncancel: Callable[[asyncio.Task[Any]], int] = asyncio.Task.uncancel
 else:
     from exceptiongroup import BaseExceptionGroup, ExceptionGroup
 

@@ -219,7 +219,7 @@ class Chores:
 
     def start(self, work: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
         """Begin one."""
-        task = background(work, name)
+        task = asyncio.get_running_loop().create_task(work, name=name)
         self._tasks.add(task)
         task.add_done_callback(self._done)
         return task
@@ -244,7 +244,9 @@ class Chores:
 
     def _done(self, task: asyncio.Task[Any]) -> None:
         self._tasks.discard(task)
-        self.failures += task in _told
+        if not task.cancelled() and task.exception() is not None:
+            self.failures += 1
+            tell_failure(task)
 
 
 async def end(*tasks: asyncio.Task[Any] | Supervised | None) -> None:

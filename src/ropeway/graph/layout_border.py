@@ -56,7 +56,10 @@ class Border:
         What fits no layout is returned as it is.
         """
         ours = self.ours
-        if ours is None or writer is ours or not self.touches(type):
+        if ours is None or writer is ours:
+            return payload
+        untouched = self._touched.get(type) is False and self._state == ours.changes
+        if untouched or not self.touches(type):
             return payload
         theirs = writer or self.network
         translate = None if theirs is None else theirs.inward(type)
@@ -77,7 +80,10 @@ class Border:
         returned as it is. Raises ``ValueMismatch`` for values that the other layout cannot hold.
         """
         ours = self.ours
-        if ours is None or not self.touches(type):
+        if ours is None:
+            return payload
+        untouched = self._touched.get(type) is False and self._state == ours.changes
+        if untouched or not self.touches(type):
             return payload
         theirs = self.network or reader
         translate = None if theirs is None else theirs.outward(type)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
 from typing import Final
 
 from ropeway import aio
@@ -21,6 +20,24 @@ log = logging.getLogger("ropeway.graph")
 LEFT: Final = "who offered it has withdrawn it"
 
 
+class _Block(Interruptible):
+    """A call among those that are under way."""
+
+    __slots__ = ("_blocks", "_ended")
+
+    def __init__(self, blocks: set[Interruptible], ended: asyncio.Event) -> None:
+        super().__init__()
+        self._blocks, self._ended = blocks, ended
+        blocks.add(self)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            super().__exit__(kind)
+        finally:
+            self._blocks.discard(self)
+            self._ended.set()
+
+
 class InFlight:
     """Calls under way, of a client or at a provider; ``fail`` ends them all, whoever waits for them."""
 
@@ -34,17 +51,9 @@ class InFlight:
         """Whether a call is under way."""
         return bool(self._blocks)
 
-    @contextlib.contextmanager
-    def call(self) -> Iterator[None]:
+    def call(self) -> Interruptible:
         """Return a block in which a call runs."""
-        block = Interruptible()
-        self._blocks.add(block)
-        try:
-            with block:
-                yield
-        finally:
-            self._blocks.discard(block)
-            self._ended.set()
+        return _Block(self._blocks, self._ended)
 
     async def fail(self, error: RopewayError) -> None:
         """End all calls with ``error``, and wait until they have ended."""

@@ -86,7 +86,10 @@ class NameOwners(Generic[P]):
 
     def holder(self, name: str) -> Claim[P] | None:
         """Return the claim that serves ``name`` in this process."""
-        return next((entry for entry in self._entries.get(name, ()) if entry.serving), None)
+        for entry in self._entries.get(name, ()):
+            if entry.serving:
+                return entry
+        return None
 
     def changed(self) -> asyncio.Future[None]:
         """Return what is done at the next change; all who wait share it."""

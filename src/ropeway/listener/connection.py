@@ -89,6 +89,7 @@ class Connection(WSListener):
         self._heard_bytes = 0
         self._watch: asyncio.Task[None] | None = None
         self._close_code, self._close_reason = 1006, "the connection was lost"
+        self.closed = False  # nothing can be sent or received any more
         self._closed = asyncio.Event()
         self._closing: asyncio.TimerHandle | None = None
 
@@ -136,18 +137,18 @@ class Connection(WSListener):
 
     def pause_reading(self) -> None:
         """Take no more from the peer for now; the operating system's window then holds it back."""
-        if self._transport is not None and not self._closed.is_set():
+        if self._transport is not None and not self.closed:
             self._transport.underlying_transport.pause_reading()
 
     def resume_reading(self) -> None:
         """Take from the peer again."""
-        if self._transport is not None and not self._closed.is_set():
+        if self._transport is not None and not self.closed:
             self._transport.underlying_transport.resume_reading()
 
     def close(self, code: int = 1000, reason: str = "") -> None:
         """Start the closing handshake; the transport goes within a second whatever the peer does."""
         transport = self._transport
-        if transport is None or self._closing is not None or self._closed.is_set():
+        if transport is None or self._closing is not None or self.closed:
             return
         self._close_code, self._close_reason = code, reason
         self.flow.close()
@@ -169,11 +170,6 @@ class Connection(WSListener):
         """Wait for the end; gives the close code and the reason."""
         await self._closed.wait()
         return self._close_code, self._close_reason
-
-    @property
-    def closed(self) -> bool:
-        """Whether nothing can be sent or received any more."""
-        return self._closed.is_set()
 
     # ── picows callbacks ───────────────────────────────────────────────────────────────────────────────────────
 
@@ -283,7 +279,8 @@ class Connection(WSListener):
             self._watch.cancel()
         self.account.close()
         self._unfinished = self._transport = None  # with all that the transport holds: no cycle keeps it
-        if not self._closed.is_set():
+        if not self.closed:
+            self.closed = True
             self._closed.set()
             self.on_closed(self._close_code, self._close_reason)
 
@@ -303,7 +300,7 @@ class Connection(WSListener):
 
     def look(self) -> None:
         """See whether the connection still does what it should; called about once a second."""
-        if self._closing is not None or self._closed.is_set():
+        if self._closing is not None or self.closed:
             return
         self.on_look()
         self._look_at_unread()
@@ -331,7 +328,7 @@ class Connection(WSListener):
 
     async def _watch_peer(self) -> None:
         looked_at = time.monotonic()
-        while self._transport is not None and not self._closed.is_set():
+        while self._transport is not None and not self.closed:
             self._transport.send_ping()
             interval = self.ping_interval_s
             assert interval is not None

@@ -166,7 +166,7 @@ class DdsDiscovery:
         first, second = found.publishers.values(), found.subscriptions.values()
         if kind == "service":
             first, second = second, first
-        return tuple(dict.fromkeys(endpoint.name.type for endpoint in (*first, *second)))
+        return tuple(dict.fromkeys([endpoint.name.type for endpoint in (*first, *second)]))
 
     def actions(self) -> dict[str, ActionInfo]:
         """Return every action: its servers and clients, and who else publishes or reads feedback."""

@@ -23,6 +23,7 @@ _LITTLE: Final = struct.Struct("<Qq")
 _BIG: Final = struct.Struct(">Qq")
 _LITTLE_CDR: Final = b"\0\1"
 _BIG_CDR: Final = b"\0\0"
+_new: Final = tuple.__new__  # of named tuples, without a call of Python
 
 
 class RequestHeader(NamedTuple):
@@ -53,13 +54,13 @@ def split(message: bytes) -> RpcMessage | None:
         return None
     order = message[:2]
     if order == _LITTLE_CDR:
-        header = RequestHeader._make(_LITTLE.unpack_from(message, _CDR))
+        header = _new(RequestHeader, _LITTLE.unpack_from(message, _CDR))
         if not 0 < header.seq <= MAX_SEQ:
-            swapped = RequestHeader._make(_BIG.unpack_from(message, _CDR))
+            swapped = _new(RequestHeader, _BIG.unpack_from(message, _CDR))
             if 0 < swapped.seq <= MAX_SEQ:
                 header, order = swapped, _BIG_CDR
     elif order == _BIG_CDR:
-        header = RequestHeader._make(_BIG.unpack_from(message, _CDR))
+        header = _new(RequestHeader, _BIG.unpack_from(message, _CDR))
     else:
         return None
-    return RpcMessage(header, b"".join((order, message[2:_CDR], message[_BODY:])))
+    return _new(RpcMessage, (header, b"".join((order, message[2:_CDR], message[_BODY:]))))

@@ -64,7 +64,7 @@ def read_note(note: Mapping[str, Any] | None) -> CallNote:
     except ValueError:
         id = b""
     via = note.get("via")
-    via = tuple(v[:_NAME_LIMIT] for v in via if isinstance(v, str)) if isinstance(via, (list, tuple)) else ()
+    via = tuple([v[:_NAME_LIMIT] for v in via if isinstance(v, str)]) if isinstance(via, (list, tuple)) else ()
     caller, encoding = note.get("caller"), note.get("encoding")
     return CallNote(
         id if len(id) == 16 else new_id(),

@@ -143,7 +143,10 @@ class OpSender:
     @property
     def waiting_bytes(self) -> int:
         """The bytes that wait for the link."""
-        return sum(channel.queue.bytes for channel in self._channels.values())
+        waiting = 0
+        for channel in self._channels.values():
+            waiting += channel.queue.bytes
+        return waiting
 
     async def room(self) -> None:
         """Wait until no more than ``ROOM_BYTES`` wait for the link."""
@@ -187,13 +190,14 @@ class OpSender:
         if payload is not None and waiting and waiting + len(data) > WAITING_LIMIT_BYTES:
             raise OutboxFull(self._sender.connection.peer, waiting, WAITING_LIMIT_BYTES)
         id = message.get("id", ops.ABSENT)
-        key = repr(id) if ops.present(id) else ""
-        lane = self._lane(key, priority, len(data))
+        key = "" if id is ops.ABSENT or id is None else repr(id)
+        lane, count = self._waiting.get(key) or (self._lane(priority, len(data)), 0)  # behind the others of its id
         if key:
-            self._waiting[key] = (lane, self._waiting.get(key, (lane, 0))[1] + 1)
+            self._waiting[key] = (lane, count + 1)
         self.count += 1
         text = write is _write_json
-        self._channel(lane).put(_Operation(data, make, key, fragment_size, on_unsent, text=text))
+        channel = self._channels.get(lane) or self._open(lane)
+        channel.put(_Operation(data, make, key, fragment_size, on_unsent, text=text))
 
     def _encoding(self, encoding: str, size: int) -> str:
         if encoding != "auto":
@@ -202,22 +206,17 @@ class OpSender:
         slow = size >= _PACK_BYTES and pace is not None and size / pace > _PACK_S
         return "zstd" if slow else "cbor-raw"
 
-    def _lane(self, key: str, priority: int | None, size: int) -> int:
-        """Return the lane of an operation, which waits behind the others of its id."""
-        waiting = self._waiting.get(key)
-        if waiting is not None:
-            return waiting[0]
+    @staticmethod
+    def _lane(priority: int | None, size: int) -> int:
         if priority is None:
             return _URGENT_LANE if size <= _BULK_BYTES else _BULK_LANE
         return min(max(priority, 0), LANES - 1)
 
-    def _channel(self, lane: int) -> _Operations:
-        channel = self._channels.get(lane)
-        if channel is None:
-            sender = self._sender
-            number = OP_CHANNELS[lane] if sender.records else -1 - lane  # nobody else's, in either case
-            channel = self._channels[lane] = _Operations(sender, number, lane, self._done)
-            sender.add(channel)
+    def _open(self, lane: int) -> _Operations:
+        sender = self._sender
+        number = OP_CHANNELS[lane] if sender.records else -1 - lane  # nobody else's, in either case
+        channel = self._channels[lane] = _Operations(sender, number, lane, self._done)
+        sender.add(channel)
         return channel
 
     def _done(self, op: _Operation) -> None:
@@ -268,5 +267,6 @@ def _write_cbor(
         return cbor_dumps({**message, field: orjson.loads(wire_codec.encode_msg("none", payload, codec))})
     if encoding == "cbor":
         return cbor_dumps({**message, field: wire_codec.encode_value(payload, codec, "cbor")})
-    body = wire_codec.encode_msg(encoding, payload, codec)
-    return wire_codec.cbor_with_bytes({k: v for k, v in message.items() if k != field}, field, body)
+    body = payload if encoding == "cbor-raw" else wire_codec.encode_msg(encoding, payload, codec)
+    message.pop(field, None)
+    return wire_codec.cbor_with_bytes(message, field, body)

@@ -11,6 +11,7 @@ import asyncio
 import enum
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 from ropeway.delivery.compression import filters
@@ -120,7 +121,8 @@ class Peer:
         self._defragmenter = Defragmenter(limit_bytes=self.limit_bytes)
         self._packing: Wrapping | None = None  # of the operations that are being taken
         connection.on_text = self.take_text
-        connection.on_binary = self._on_binary
+        gateway = self.dialect is ROPEWAY
+        connection.on_binary = partial(self.take_records, self._reader) if gateway else self._on_binary
         connection.on_writable = self.sender.pump
         connection.on_closed = self._on_closed
         connection.on_look = self._expire
@@ -144,7 +146,7 @@ class Peer:
         if not connection.writable and connection.unsent_bytes > UNREAD_ANSWERS_BYTES:
             connection.close(1008, "answers are not read")
             return
-        message = op if isinstance(op, Mapping) else op.to_dict()
+        message = op.to_dict() if isinstance(op, ops.Operation) else op
         connection.send_text(ops.dumps(message))
 
     def hello(self, gateway: str, name: str, *, express: bool = False) -> None:
@@ -181,7 +183,7 @@ class Peer:
         """
         if self.connection.closed:
             return
-        message = dict(op) if isinstance(op, Mapping) else op.to_dict()
+        message = op.to_dict() if isinstance(op, ops.Operation) else dict(op)
         sender = self._ops
         if self.dialect is ROPEWAY and not sender.records:  # a gateway that reads calls as text only
             if payload is not None:
@@ -279,10 +281,7 @@ class Peer:
             self._packing = around
 
     def _on_binary(self, data: bytes | memoryview) -> None:
-        if self.dialect is not ROPEWAY:
-            self._objects(bytes(data), text=False)
-            return
-        self.take_records(self._reader, data)
+        self._objects(bytes(data), text=False)
 
     def take_records(self, reader: RecordReader, data: bytes | memoryview) -> None:
         """Take a frame of records; each connection has its reader."""

@@ -257,6 +257,8 @@ class RecordSender(LinkSender):
         """Send small messages that go as they are, in one frame; if none is next, a part of a large one."""
         outbox, recent, write = self.outbox, self.recent, self._writer.message
         out: list[bytes] = []
+        if not outbox.messages and not self._parts:
+            return False
         if not self._parts:
             room = _PART_MIN_BYTES if outbox.messages == 1 else self._part_bytes()
             now_ns = time.time_ns()

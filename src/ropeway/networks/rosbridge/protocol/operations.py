@@ -58,7 +58,7 @@ class Operation:
         cls = type(self)
         rosgw = cls.ROSGW_KEYS and getattr(self, "compression", None) is not None
         out: dict[str, Any] = {"op": cls.op}
-        defaults = _defaults(cls)
+        defaults = _DEFAULTS.get(cls) or _defaults(cls)
         for key in (*(cls.ROSGW_KEYS if rosgw else cls.KEYS), "ropeway"):
             default = defaults[key]
             value = getattr(self, key)
@@ -68,11 +68,8 @@ class Operation:
 
 
 def _defaults(cls: type[Operation]) -> dict[str, Any]:
-    known = _DEFAULTS.get(cls)
-    if known is None:
-        known = {field.name: field.default for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
-        _DEFAULTS[cls] = known
-    return known
+    found = _DEFAULTS[cls] = {field.name: field.default for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    return found
 
 
 _DEFAULTS: Final[dict[type[Operation], dict[str, Any]]] = {}
