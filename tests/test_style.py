@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import SLOWEST
+
 TESTS = Path(__file__).parent
 SOURCES = TESTS.parent / "src" / "ropeway"
 
@@ -254,6 +256,11 @@ def _catches_everything(node: ast.AST) -> bool:
     return not again and any(
         isinstance(kind, ast.Name) and kind.id in ("Exception", "BaseException") for kind in caught
     )
+
+
+def test_the_longest_files_are_there() -> None:
+    """What is begun first is named as it is called."""
+    assert [name for name in SLOWEST if not (TESTS / name).is_file()] == []
 
 
 def test_no_bare_except() -> None:

@@ -318,7 +318,7 @@ def test_damaged_files_never_break_the_reader(
 
 
 @pytest.mark.data
-@pytest.mark.skipif(not RECORDINGS.exists(), reason="the recorded data is not here")
+@pytest.mark.skipif(not RECORDINGS.exists(), reason="needs recorded sensor data: name its directory in ROPEWAY_DATA")
 @pytest.mark.parametrize(
     ("name", "count"),
     [

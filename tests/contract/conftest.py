@@ -63,7 +63,7 @@ class Abilities:
     its goal goes on (else the request counts as agreed to). ``pad_alike``: bytes that mean nothing arrive as they were
     (else there may be some more at the end, and others between the fields). ``calls``: there are services and actions.
     ``shows_qos``: discovery tells the profile
-    of a publisher (else a subscription learns it once it is connected).
+    of a publisher (else a subscription learns it once it is connected). ``demand``: a publisher learns of its readers.
     """
 
     errors: bool = True
@@ -72,12 +72,13 @@ class Abilities:
     pad_alike: bool = True
     calls: bool = True
     shows_qos: bool = True
+    demand: bool = True
 
 
 ABILITIES = {
     "dds": Abilities(errors=False),
-    "iort": Abilities(pad_alike=False, calls=False),
-    "iort-local": Abilities(pad_alike=False, calls=False),
+    "iort": Abilities(pad_alike=False, calls=False, demand=False),
+    "iort-local": Abilities(pad_alike=False, calls=False, demand=False),
     "ros1": Abilities(shows_qos=False),
     "ros2": Abilities(errors=False, pad_alike=False),
 }

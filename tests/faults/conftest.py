@@ -29,7 +29,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     able = shutil.which("ip") is not None and os.geteuid() == 0 and _allowed()
     for item in items:
         if Path(__file__).parent in item.path.parents and item.get_closest_marker("netns") and not able:
-            item.add_marker(pytest.mark.skip(reason="needs root and network namespaces"))
+            item.add_marker(pytest.mark.skip(reason="needs root and network namespaces: run as root, with iproute2"))
 
 
 def _allowed() -> bool:

@@ -18,7 +18,7 @@ from tests.support.inbox import Inbox
 from tests.support.messages import STRING, joined, sample, text
 from tests.support.until import PATIENCE_S, until
 
-pytestmark = pytest.mark.skipif(not HAS_ROSPY, reason="Debian's python3-rospy is not installed")
+pytestmark = pytest.mark.skipif(not HAS_ROSPY, reason="needs rospy, which .ci/run installs on Debian")
 
 ECHO = """
 import rospy

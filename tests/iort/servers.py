@@ -153,4 +153,4 @@ def old_python() -> str:
     for path in found:
         if path and subprocess.run([path, "-V"], capture_output=True, check=False).returncode == 0:
             return path
-    pytest.skip("no Python 3.8")
+    pytest.skip("needs Python 3.8: pyenv install 3.8")

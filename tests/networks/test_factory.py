@@ -65,7 +65,7 @@ def test_refused(url: str) -> None:
         make_graph(url)
 
 
-@pytest.mark.skipif(SOURCED, reason="ROS 2 is sourced")
+@pytest.mark.skipif(SOURCED, reason="says what is told where no ROS 2 is sourced")
 async def test_needs_ros() -> None:
     """A ``ros2`` graph that cannot be opened says what to source."""
     with pytest.raises(GraphUnavailable, match=r"setup\.bash before starting ropeway"):

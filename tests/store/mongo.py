@@ -76,7 +76,7 @@ def mongo_database(directory: Path) -> Iterator[str]:
         yield f"{given.rstrip('/')}/ropeway_{uuid.uuid4().hex[:12]}"
         return
     if MongoServer.program() is None:
-        pytest.skip("no MONGODB_URL, mongod or ferretdb")
+        pytest.skip("needs MONGODB_URL, mongod, or the ferretdb that .ci/run builds with Go")
     server = MongoServer(directory / "mongo")
     server.start()
     try:

@@ -242,7 +242,7 @@ async def test_mirror(flaky: Flaky) -> None:
 async def test_real_mirror(tmp_path: Path) -> None:
     """A server starts and serves without its MongoDB, catches up when it returns, and loses nothing when it dies."""
     if MongoServer.program() is None:
-        pytest.skip("no mongod or ferretdb")
+        pytest.skip("needs mongod, or the ferretdb that .ci/run builds with Go")
     server = MongoServer(tmp_path / "mongo")
     store = Store(make_backend(str(tmp_path / "s.sqlite")), mirror=make_mirror(server.url))
     await store.open()
@@ -329,7 +329,7 @@ async def test_looks_further(flaky: Flaky) -> None:
 async def test_documents_of_others(tmp_path: Path) -> None:
     """Documents that a program inserts, changes and deletes in MongoDB are served so, and nodes write over them."""
     if MongoServer.program() is None:
-        pytest.skip("no mongod or ferretdb")
+        pytest.skip("needs mongod, or the ferretdb that .ci/run builds with Go")
     server = MongoServer(tmp_path / "mongo")
     await asyncio.to_thread(server.start)
     client: pymongo.MongoClient[dict[str, Any]] = pymongo.MongoClient(server.url)

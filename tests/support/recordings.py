@@ -17,5 +17,5 @@ def recording(name: str = "dev.mcap") -> Path:
     """Return the path of a recording, or skip the test where it is not there."""
     path = RECORDINGS / name
     if not path.exists():
-        pytest.skip("no recorded sensor data; set ROPEWAY_DATA")
+        pytest.skip("needs recorded sensor data: name its directory in ROPEWAY_DATA")
     return path

@@ -33,13 +33,12 @@ def test_changed_types_are_all() -> None:
     assert changed - {"rmw_dds_common/msg/Gid"} == CHANGED
 
 
-@pytest.mark.parametrize("distro", ROS2)
-@pytest.mark.parametrize("name", sorted(CHANGED))
+@pytest.mark.parametrize(
+    ("name", "distro"), [(name, distro) for name in sorted(CHANGED) for distro in ROS2 if name in store_table(distro)]
+)
 def test_messages_of_other_distributions_are_understood(name: str, distro: str) -> None:
     """A message of any distribution is read, however it is read, with all fields that both have."""
     there = TypeRegistry(distro, alone=True)
-    if not there.has(name):
-        pytest.skip(f"{distro} has no {name}")
     for seed in range(5):
         message = random_message(there, name, random.Random(seed), finite=True)
         raw = there.codec(name).encode(message)

@@ -57,7 +57,7 @@ def types() -> Ros1Types:
     return Ros1Types(TypeRegistry())
 
 
-@pytest.mark.skipif(not HAS_ROSPY, reason="Debian's message packages are not installed")
+@pytest.mark.skipif(not HAS_ROSPY, reason="needs ROS 1's message packages, which .ci/run installs on Debian")
 def test_sums_of_debian(types: Ros1Types) -> None:
     """The sums of all messages and services that Debian has are those that ROS 1 computed."""
     listed = subprocess.run([PYTHON, "-c", LIST, *PACKAGES], capture_output=True, text=True, timeout=60, check=True)
@@ -88,7 +88,7 @@ def test_known_sums(types: Ros1Types, name: str, md5: str) -> None:
     assert types.message(name).md5 == md5
 
 
-@pytest.mark.skipif(not HAS_ROSPY, reason="Debian's genpy is not installed")
+@pytest.mark.skipif(not HAS_ROSPY, reason="needs ROS 1's genpy, which .ci/run installs on Debian")
 @pytest.mark.parametrize(
     "name", ["sensor_msgs/CameraInfo", "visualization_msgs/Marker", "nav_msgs/Odometry", "a/Thing"]
 )

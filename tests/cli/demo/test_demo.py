@@ -157,7 +157,7 @@ def test_free_ports_are_free() -> None:
 
 
 @pytest.mark.data
-@pytest.mark.skipif(not RECORDINGS.exists(), reason="the recorded data is not here")
+@pytest.mark.skipif(not RECORDINGS.exists(), reason="needs recorded sensor data: name its directory in ROPEWAY_DATA")
 def test_parts_of_a_recording() -> None:
     """The cameras and the odometry of a recording are used, and the rest is made up."""
     parts = recorded_parts(TypeRegistry(), RECORDINGS / "dev.mcap")

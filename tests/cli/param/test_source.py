@@ -22,7 +22,7 @@ from tests.networks.ros1.network import HAS_MASTER, RosMaster
 async def ros1(tmp_path: Path, registry: TypeRegistry) -> AsyncIterator[OpenGraph]:
     """A session on a master that keeps some parameters."""
     if not HAS_MASTER:
-        pytest.skip("Debian's python3-rosmaster is not installed")
+        pytest.skip("needs rosmaster, which .ci/run installs on Debian")
     master = RosMaster(tmp_path)
     master.start()
     with ServerProxy(master.uri) as proxy:

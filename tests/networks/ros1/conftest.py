@@ -20,7 +20,7 @@ Join = Callable[..., Awaitable[Ros1Graph]]
 def master(tmp_path: Path) -> Iterator[RosMaster]:
     """A running master."""
     if not HAS_MASTER:
-        pytest.skip("Debian's python3-rosmaster is not installed")
+        pytest.skip("needs rosmaster, which .ci/run installs on Debian")
     made = RosMaster(tmp_path)
     made.start()
     yield made

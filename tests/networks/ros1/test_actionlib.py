@@ -15,7 +15,7 @@ from tests.support.until import PATIENCE_S, until
 from .conftest import Join
 from .network import HAS_ROSPY, RosMaster, rospy
 
-pytestmark = pytest.mark.skipif(not HAS_ROSPY, reason="Debian's python3-actionlib is not installed")
+pytestmark = pytest.mark.skipif(not HAS_ROSPY, reason="needs ROS 1's actionlib, which .ci/run installs on Debian")
 
 TEST = "actionlib/action/Test"
 

@@ -23,9 +23,9 @@ SOURCE = Path(__file__).with_name("peer.cpp")
 def program(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The compiled peer."""
     if shutil.which("g++") is None or shutil.which("pkg-config") is None:
-        pytest.skip("there is no C++ compiler")
+        pytest.skip("needs a C++ compiler, which .ci/run installs on Debian")
     if not Path("/usr/include/std_srvs/SetBool.h").exists():
-        pytest.skip("Debian's libroscpp-dev, libstd-msgs-dev and libstd-srvs-dev are not installed")
+        pytest.skip("needs libroscpp-dev, libstd-msgs-dev and libstd-srvs-dev, which .ci/run installs on Debian")
     flags = subprocess.run(
         ["pkg-config", "--cflags", "--libs", "roscpp"], capture_output=True, text=True, timeout=PATIENCE_S, check=True
     )

@@ -17,7 +17,7 @@ from .conftest import Join
 from .messages import STRING, Box, sample, text
 from .network import HAS_ROSPY, RosMaster, rospy, running
 
-pytestmark = pytest.mark.skipif(not HAS_ROSPY, reason="Debian's python3-rospy is not installed")
+pytestmark = pytest.mark.skipif(not HAS_ROSPY, reason="needs rospy, which .ci/run installs on Debian")
 
 PUBLISH = """
 import rospy, sys

@@ -18,7 +18,7 @@ from tests.support.inbox import Inbox
 from tests.support.place import Place
 
 if CHROMIUM is None:
-    pytest.skip("needs Chromium", allow_module_level=True)
+    pytest.skip("needs Chromium, which .ci/run installs on Debian", allow_module_level=True)
 
 STRING = "std_msgs/msg/String"
 STRANGER = "evil.example"

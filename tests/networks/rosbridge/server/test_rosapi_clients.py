@@ -92,7 +92,7 @@ async def test_roslibjs(place: Place, library: str) -> None:
         assert what == "Parameter what not found"
 
 
-@pytest.mark.skipif(importlib.util.find_spec("roslibpy") is None, reason="needs roslibpy")
+@pytest.mark.skipif(importlib.util.find_spec("roslibpy") is None, reason="needs roslibpy, which make test installs")
 @pytest.mark.parametrize("transport", ["twisted", "asyncio"])
 async def test_roslibpy(place: Place, transport: str) -> None:
     """Every method of roslibpy that asks rosapi gets what it asks for, also the time, by its names in ROS 1."""

@@ -31,7 +31,7 @@ from tests.support.until import PATIENCE_S, until
 PROGRAM = Path(__file__).parents[3] / "js" / "client.mjs"
 NODE = shutil.which("node")
 if NODE is None:
-    pytest.skip("needs node", allow_module_level=True)
+    pytest.skip("needs Node.js, which .ci/run installs on Debian", allow_module_level=True)
 if not (PROGRAM.parent / "node_modules").is_dir():
     pytest.skip("needs roslibjs: npm ci --prefix tests/js", allow_module_level=True)
 

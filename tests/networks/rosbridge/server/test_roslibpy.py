@@ -27,7 +27,7 @@ from tests.support.services import ADD, add, addends, total
 from tests.support.until import PATIENCE_S, until
 
 if importlib.util.find_spec("roslibpy") is None:
-    pytest.skip("needs roslibpy", allow_module_level=True)
+    pytest.skip("needs roslibpy, which make test installs", allow_module_level=True)
 
 PROGRAM = Path(__file__).with_name("roslibpy_client.py")
 STRING, IMAGE, IMU = "std_msgs/msg/String", "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu"
