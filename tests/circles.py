@@ -1,29 +1,17 @@
 """Looks for files that import each other in a circle: ``python -m tests.circles``, as ``make lint`` does.
 
-Imports for type checkers count, and those in functions: who wants to understand a file needs the others. What still
-stands is in ``STANDING``; the list may only become shorter.
+Imports for type checkers count, and those in functions: who wants to understand a file needs the others. What a file
+needs of one that imports it, it says in a protocol.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping
-from typing import Final
 
 import grimp
 
-__all__ = ["STANDING", "circles", "complaints", "imports_of"]
-
-STANDING: Final[Mapping[str, str]] = {
-    "networks.rosbridge.client.calls": (
-        "networks.rosbridge.client.actions networks.rosbridge.client.graph networks.rosbridge.client.servers "
-        "networks.rosbridge.client.services"
-    ),
-    "networks.rosbridge.client.parts": "networks.rosbridge.client.graph",
-    "networks.rosbridge.client.refusals": "networks.rosbridge.client.calls",
-    "networks.rosbridge.client.ros1_spelling": "networks.rosbridge.client.graph",
-}
-"""Which files still import what imports them, each name without ``ropeway.``."""
+__all__ = ["circles", "imports_of"]
 
 
 def circles(imports: Mapping[str, Iterable[str]]) -> list[list[str]]:
@@ -48,19 +36,6 @@ def _reached(imports: Mapping[str, Iterable[str]], start: str) -> set[str]:
     return found
 
 
-def complaints(imports: Mapping[str, set[str]], standing: Mapping[str, str]) -> list[str]:
-    """Return what is wrong: circles beyond those that stand, and names on the list that are not needed any more."""
-    known = {name: set(targets.split()) for name, targets in standing.items()}
-    left = {name: targets - known.get(name, set()) for name, targets in imports.items()}
-    told = [f"these files import each other in a circle: {', '.join(circle)}" for circle in circles(left)]
-    standing_circles = [set(circle) for circle in circles(imports)]
-    for name, targets in known.items():
-        for target in sorted(targets):
-            if target not in imports.get(name, ()) or not any({name, target} <= each for each in standing_circles):
-                told.append(f"{name} and {target} are in no circle any more: shorten STANDING in tests/circles.py")
-    return told
-
-
 def imports_of(package: str) -> dict[str, set[str]]:
     """Return which file of a package imports which; what the package itself exports is imported at its first use."""
     graph = grimp.build_graph(package, cache_dir=None)
@@ -74,8 +49,10 @@ def imports_of(package: str) -> dict[str, set[str]]:
 
 def main() -> int:
     """Print what is wrong, and return whether something is."""
-    told = complaints(imports_of("ropeway"), STANDING)
-    print("\n".join(told) or "no new circles of imports", file=sys.stderr if told else sys.stdout)
+    told = [
+        f"these files import each other in a circle: {', '.join(circle)}" for circle in circles(imports_of("ropeway"))
+    ]
+    print("\n".join(told) or "no circles of imports", file=sys.stderr if told else sys.stdout)
     return bool(told)
 
 

@@ -12,15 +12,13 @@ from ropeway import aio
 from ropeway.errors import GraphUnavailable, InvalidName, RopewayError, UnknownType
 from ropeway.graph.base import NO_HINTS, Delivery, Undelivered
 from ropeway.networks.rosbridge.client.call_notes import read_note
+from ropeway.networks.rosbridge.client.other_holder import OtherHolder
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.codec import decode_value
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
 
 if TYPE_CHECKING:
-    from ropeway.networks.rosbridge.client.actions import RemoteActionClient, RemoteGoal
-    from ropeway.networks.rosbridge.client.graph import RosbridgeGraph
-    from ropeway.networks.rosbridge.client.servers import RemoteActionServer
-    from ropeway.networks.rosbridge.client.services import RemoteClient, RemoteService
+    from ropeway.networks.rosbridge.client.host import LinkGraph
     from ropeway.networks.rosbridge.link.peer import Peer
     from ropeway.types import MessageCodec
 
@@ -41,17 +39,84 @@ class RemoteCaller(Protocol):
     def available(self) -> bool | None:
         """See ``Client``."""
 
+    async def close(self) -> None:
+        """Call no more."""
+
+
+class RemoteProvider(Protocol):
+    """Serves a service or an action over a link."""
+
+    name: str
+    type: str
+    held: OtherHolder
+
+    def connected(self, peer: Peer) -> None:
+        """Announce it on a new connection. Raises ``UnknownType`` if the peer needs the definition."""
+        ...
+
+    def disconnected(self) -> None:
+        """Note that the connection is gone."""
+        ...
+
+    async def close(self) -> None:
+        """Serve no more."""
+        ...
+
+
+class ServiceProvider(RemoteProvider, Protocol):
+    """Serves a service over a link."""
+
+    def called(self, op: ops.CallService, peer: Peer) -> None:
+        """Take a call."""
+        ...
+
+
+class ActionProvider(RemoteProvider, Protocol):
+    """Serves an action over a link."""
+
+    def asked(self, op: ops.SendActionGoal, peer: Peer) -> None:
+        """Take a goal."""
+        ...
+
+    def cancel_asked(self, op: ops.CancelActionGoal, peer: Peer) -> None:
+        """Take a request to cancel a goal."""
+        ...
+
+
+class GoalUnderWay(Protocol):
+    """A goal that was sent over a link."""
+
+    def accept(self) -> None:
+        """Note that the far side accepts the goal."""
+        ...
+
+    def fed(self, op: ops.ActionFeedback) -> None:
+        """Deliver a feedback."""
+        ...
+
+    def ended(self, op: ops.ActionResult) -> None:
+        """Take the result."""
+        ...
+
+    def cancel_answered(self, agreed: bool) -> None:
+        """Note whether the far side accepts the cancellation."""
+        ...
+
+    def lost(self, reason: str) -> None:
+        """Fail or abort the goal: the link has gone."""
+        ...
+
 
 class Calls:
     """Manages the services and actions of a ``RosbridgeGraph``. It outlives connections."""
 
-    def __init__(self, graph: RosbridgeGraph) -> None:
+    def __init__(self, graph: LinkGraph) -> None:
         self.graph = graph
         self.pending: dict[str, asyncio.Future[ops.ServiceResponse]] = {}
-        self.goals: dict[str, RemoteGoal] = {}
-        self.services: dict[str, RemoteService] = {}
-        self.servers: dict[str, RemoteActionServer] = {}
-        self.clients: dict[RemoteClient | RemoteActionClient, None] = {}
+        self.goals: dict[str, GoalUnderWay] = {}
+        self.services: dict[str, ServiceProvider] = {}
+        self.servers: dict[str, ActionProvider] = {}
+        self.clients: dict[RemoteCaller, None] = {}
         self.peer: Peer | None = None  # once it can be called
         self._numbers = itertools.count(1)
         self._changed = asyncio.Event()
@@ -174,7 +239,7 @@ class Calls:
         """Count an answer for which nobody waits."""
         self.graph.drops[name, Undelivered.LATE] += 1
 
-    def add(self, part: RemoteService | RemoteActionServer, table: dict[str, Any]) -> None:
+    def add(self, part: RemoteProvider, table: dict[str, Any]) -> None:
         """Keep a provider, and offer it. Raises ``InvalidName`` for a second one, and what the peer cannot take."""
         if part.name in table:
             raise InvalidName(part.name, f"it is served on {self.graph.name} by this program already")
@@ -186,7 +251,7 @@ class Calls:
                 del table[part.name]
                 raise
 
-    def providers(self) -> list[RemoteService | RemoteActionServer]:
+    def providers(self) -> list[RemoteProvider]:
         """Return what is served over this link."""
         return [*self.services.values(), *self.servers.values()]
 

@@ -30,8 +30,9 @@ from ropeway.listener.http import without_token
 from ropeway.listener.websocket import connect
 from ropeway.networks.rosbridge.client.actions import RemoteActionClient
 from ropeway.networks.rosbridge.client.calls import Calls
+from ropeway.networks.rosbridge.client.echoes import EchoFilter
 from ropeway.networks.rosbridge.client.mirror import RemoteMirror
-from ropeway.networks.rosbridge.client.parts import EchoFilter, RemotePublisher, RemoteSubscription
+from ropeway.networks.rosbridge.client.parts import RemotePublisher, RemoteSubscription
 from ropeway.networks.rosbridge.client.plain_servers import PlainServer
 from ropeway.networks.rosbridge.client.reconnect import LinkState, Reconnect
 from ropeway.networks.rosbridge.client.refusals import answer_invalid
@@ -403,11 +404,11 @@ class RosbridgeGraph(GraphBase):
             if number and number not in self._publishers and number not in self._subscriptions:
                 return number
 
-    def forget(self, part: RemotePublisher | RemoteSubscription) -> None:
-        """Remove a closed part."""
-        table: dict[int, Any] = self._publishers if isinstance(part, RemotePublisher) else self._subscriptions
-        table.pop(part.number, None)
-        self._note_echo(part.topic)
+    def forget(self, number: int, topic: str) -> None:
+        """See ``LinkGraph.forget``."""
+        self._publishers.pop(number, None)
+        self._subscriptions.pop(number, None)
+        self._note_echo(topic)
 
     def _note_echo(self, topic: str) -> None:
         published = any(p.topic == topic for p in self._publishers.values())
@@ -457,7 +458,7 @@ class RosbridgeGraph(GraphBase):
             return
         elif op == "demand" and publisher is not None and isinstance(message.get("count"), int):
             publisher.answers.tell("")
-            publisher.demand(message["count"])
+            publisher.set_subscribers(message["count"])
         elif op == "adopted" and subscription is not None:
             subscription.answers.tell("")
             if isinstance(message.get("qos"), Mapping):

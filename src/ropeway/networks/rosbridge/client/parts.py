@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from ropeway.delivery.outbox import Lost
 from ropeway.errors import MessageTooBig, TypesError
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample, SampleCallback, Undelivered, new_origin
 from ropeway.graph.history import History
+from ropeway.graph.parts import PublisherBase
 from ropeway.graph.peer_answer import Answers
 from ropeway.logs import failed
+from ropeway.networks.rosbridge.client.host import LinkGraph
 from ropeway.networks.rosbridge.link.inbound import Inbound
 from ropeway.networks.rosbridge.protocol import codec as wire_codec
 from ropeway.networks.rosbridge.protocol import ops
@@ -21,42 +23,20 @@ from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROSBRIDGE, ROSG
 from ropeway.qos import DEFAULT, QoS
 
 if TYPE_CHECKING:
-    from ropeway.networks.rosbridge.client.graph import RosbridgeGraph
     from ropeway.networks.rosbridge.link.peer import Channel, Peer
     from ropeway.types import MessageCodec
 
-__all__ = ["EchoFilter", "RemotePublisher", "RemoteSubscription"]
+__all__ = ["RemotePublisher", "RemoteSubscription"]
 
 log = logging.getLogger("ropeway.rosbridge")
 
-_ECHOES: Final = 256
 
-
-class EchoFilter:
-    """Recognises what a plain rosbridge server sends back of what we published to it."""
-
-    def __init__(self) -> None:
-        self._sent: deque[int] = deque(maxlen=_ECHOES)
-
-    def sent(self, payload: bytes) -> None:
-        """Remember a message that went out."""
-        self._sent.append(hash(payload))
-
-    def echoes(self, payload: bytes) -> bool:
-        """Return true, once, for a message that went out before."""
-        key = hash(payload)
-        if key in self._sent:
-            self._sent.remove(key)
-            return True
-        return False
-
-
-class RemotePublisher:
+class RemotePublisher(PublisherBase[LinkGraph]):
     """A topic that we publish on the far graph."""
 
-    def __init__(self, graph: RosbridgeGraph, topic: str, type: str, qos: QoS, delivery: Delivery) -> None:
-        self.topic, self.type, self.qos, self.delivery = topic, type, qos, delivery
-        self.graph = graph
+    def __init__(self, graph: LinkGraph, topic: str, type: str, qos: QoS, delivery: Delivery) -> None:
+        super().__init__(graph, topic, type, qos)
+        self.graph, self.delivery = graph, delivery
         self.number = graph.next_number()
         self.id = f"advertise:{topic}:{self.number}"
         self.channel: Channel | None = None
@@ -65,9 +45,6 @@ class RemotePublisher:
         self.answers = Answers()
         self.remote_delay_s: float | None = None  # from this gateway's reception to the far one's
         self._gid = new_origin()
-        self._seq = 0
-        self._count: int | None = 0  # None: connected to a server that cannot tell
-        self._demand: list[Callable[[int], None]] = []
         self._history = History(qos)
         self._latched = qos.transient_local
         self._translated = graph.border.touches(type)
@@ -79,8 +56,7 @@ class RemotePublisher:
             self.graph.drops[self.topic, Undelivered.CLOSED] += 1
             return
         if sample.seq == SEQ_NONE:
-            self._seq = max(time.time_ns(), self._seq + 1)
-            sample = Sample(sample.payload, self.type, sample.stamp_ns or self._seq, self._gid, self._seq)
+            sample = self._numbered(sample, self._gid)
         if self._translated:
             try:
                 sample = sample.carrying(self.graph.border.outgoing(self.type, sample.payload))
@@ -94,17 +70,12 @@ class RemotePublisher:
         elif self.channel is None:
             self.lost[Lost.UNSENT] += 1
             return
-        elif self._count == 0:
+        elif self._subscribers == 0:
             return  # nobody reads it there
         echo = self.graph.echoes.get(self.topic)
         if echo is not None:
             echo.sent(sample.payload)
         self.channel.put(sample)
-
-    @property
-    def subscribers(self) -> int | None:
-        """Readers on the far graph, where it can tell."""
-        return self._count
 
     @property
     def refused(self) -> str:
@@ -114,20 +85,6 @@ class RemotePublisher:
     def on_answer(self, callback: Callable[[str], None]) -> None:
         """See ``Answering.on_answer``."""
         self.answers.on_answer(callback)
-
-    def on_demand(self, callback: Callable[[int], None]) -> None:
-        """Call with the number of readers on the far graph, now and at each change."""
-        self._demand.append(callback)
-        if self._count is not None:
-            callback(self._count)
-
-    def demand(self, count: int | None) -> None:
-        """Take the number of far readers, or ``None`` if it is no longer known."""
-        if count == self._count:
-            return
-        self._count = count
-        for callback in self._demand:
-            callback(count or 0)
 
     def connected(self, peer: Peer) -> None:
         """Announce the topic on a new connection."""
@@ -139,7 +96,7 @@ class RemotePublisher:
             if self.graph.spelling.is_ros1:
                 encoding = "none"
         extra: dict[str, Any] | None = None
-        self.demand(None if plain else 0)  # a gateway tells at once how many read
+        self.set_subscribers(None if plain else 0)  # a gateway tells at once how many read
         if not plain:
             extra = {"channel": self.number, **self.graph.type_note(self.type)}
         self.channel = peer.open_channel(
@@ -178,7 +135,14 @@ class RemotePublisher:
         """Let go of the connection, which is gone."""
         self._collect()
         self.channel = None
-        self.demand(0)
+        self.set_subscribers(0)
+
+    def announce_anew(self, peer: Peer) -> None:
+        """Announce the topic once more: its type has another name there."""
+        if self.channel is not None:
+            self.channel.close()
+        self.disconnected()
+        self.connected(peer)
 
     def statistics(self) -> tuple[int, int]:
         """Return the messages and bytes sent, over all connections."""
@@ -195,7 +159,7 @@ class RemotePublisher:
         if self.closed:
             return
         self.closed = True
-        self.graph.forget(self)
+        self.graph.forget(self.number, self.topic)
         if self.channel is not None:
             peer = self.graph.peer
             assert peer is not None
@@ -211,7 +175,7 @@ class RemoteSubscription(Inbound):
 
     def __init__(
         self,
-        graph: RosbridgeGraph,
+        graph: LinkGraph,
         topic: str,
         type: str,
         qos: QoS | None,
@@ -226,7 +190,7 @@ class RemoteSubscription(Inbound):
         self.number = graph.next_number()
         self.id = f"subscribe:{topic}:{self.number}"
         self.answers = Answers()
-        self._asked = qos
+        self.asked = qos
         self._qos = qos or DEFAULT
         self._qos_callbacks: list[Callable[[QoS], None]] = []
         self._codec: MessageCodec | None = None
@@ -255,10 +219,10 @@ class RemoteSubscription(Inbound):
 
     def adopted(self, qos: QoS) -> None:
         """Take the profile that the far graph uses."""
-        if self._asked is None and qos != self._qos:
+        if self.asked is None and qos != self._qos:
             self._qos = qos
             for callback in self._qos_callbacks:
-                callback(qos)
+                self.graph.guard(self.topic, callback, qos)
 
     def connected(self, peer: Peer) -> None:
         """Ask for the topic on a new connection."""
@@ -288,10 +252,15 @@ class RemoteSubscription(Inbound):
                 throttle_rate=round(1000 / delivery.rate_hz) if delivery.rate_hz and extra is None else 0,
                 queue_length=depth if depth is not None and extra is None and delivery.rate_hz else 0,
                 compression=encoding,
-                qos=self._asked.to_json() if self._asked is not None else None,
+                qos=self.asked.to_json() if self.asked is not None else None,
                 ropeway=extra,
             )
         )
+
+    def announce_anew(self, peer: Peer) -> None:
+        """Ask for the topic once more: its type has another name there."""
+        self.disconnected()
+        self.connected(peer)
 
     def disconnected(self) -> None:
         """Let go of the connection, which is gone."""
@@ -357,7 +326,7 @@ class RemoteSubscription(Inbound):
         if self.closed:
             return
         self.closed = True
-        self.graph.forget(self)
+        self.graph.forget(self.number, self.topic)
         if self._peer is not None:
             self._peer.forget_inbound(self.number)
             self._peer.send(ops.Unsubscribe(id=self.id, topic=self.topic))

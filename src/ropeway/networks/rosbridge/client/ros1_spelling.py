@@ -4,24 +4,69 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ropeway.errors import GraphUnavailable, TypesError
-from ropeway.networks.rosbridge.client.parts import RemotePublisher
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
 from ropeway.types.ros1_spelling import Ros1Spelling
 from ropeway.types.ros1_types import Ros1Types
 
 if TYPE_CHECKING:
-    from ropeway.networks.rosbridge.client.graph import RosbridgeGraph
+    from ropeway.networks.rosbridge.client.plain_servers import PlainServer
     from ropeway.networks.rosbridge.link.peer import Peer
-    from ropeway.types import MessageCodec
+    from ropeway.types import MessageCodec, TypeRegistry
 
 __all__ = ["Spelling"]
 
 log = logging.getLogger("ropeway.rosbridge")
+
+
+class AnnouncedTopic(Protocol):
+    """A topic that is announced to a server."""
+
+    def announce_anew(self, peer: Peer) -> None:
+        """Announce it once more: its type has another name there."""
+        ...
+
+
+class AnnouncedProvider(Protocol):
+    """A service or an action that is announced to a server."""
+
+    def connected(self, peer: Peer) -> None:
+        """Announce it."""
+        ...
+
+
+class SpellingCalls(Protocol):
+    """Calls services of the server, and knows what is served to it."""
+
+    async def plain(self, service: str, args: Mapping[str, Any], timeout_s: float = 5.0) -> Mapping[str, Any]:
+        """Call a service by JSON. Raises ``GraphUnavailable``."""
+        ...
+
+    def providers(self) -> Sequence[AnnouncedProvider]:
+        """Return what is served."""
+        ...
+
+
+class SpellingHost(Protocol):
+    """Gives the spelling the part of the graph that it may use."""
+
+    name: str
+    peer: Peer | None
+    registry: TypeRegistry
+    plain_server: PlainServer
+
+    @property
+    def calls(self) -> SpellingCalls:
+        """Return the calls on the link."""
+        ...
+
+    def parts(self) -> Sequence[AnnouncedTopic]:
+        """Return the topics that are announced."""
+        ...
 
 
 class Spelling:
@@ -32,7 +77,7 @@ class Spelling:
     ROS 2's spelling always.
     """
 
-    def __init__(self, graph: RosbridgeGraph, ros1: bool | None) -> None:
+    def __init__(self, graph: SpellingHost, ros1: bool | None) -> None:
         self._graph = graph
         self._ros1 = ros1
 
@@ -96,9 +141,6 @@ class Spelling:
         self._ros1 = True
         log.info("%s: this is a rosbridge server of ROS 1", self._graph.name)
         for part in self._graph.parts():
-            if isinstance(part, RemotePublisher) and part.channel is not None:
-                part.channel.close()
-            part.disconnected()
-            part.connected(peer)
+            part.announce_anew(peer)
         for provider in self._graph.calls.providers():
             provider.connected(peer)

@@ -13,7 +13,8 @@ from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, ServerGoal
 from ropeway.logs import failed
 from ropeway.networks.rosbridge.client.call_notes import failure, read_note
 from ropeway.networks.rosbridge.client.calls import announced, answer_encoding, lane, travelling
-from ropeway.networks.rosbridge.client.services import CALLS_LIMIT, OtherHolder
+from ropeway.networks.rosbridge.client.other_holder import OtherHolder
+from ropeway.networks.rosbridge.client.services import CALLS_LIMIT
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROSGW
 from ropeway.tasks import Chores

@@ -26,6 +26,7 @@ from ropeway.graph.local_calls import InFlight
 from ropeway.logs import failed
 from ropeway.networks.rosbridge.client.call_notes import call_note, failure, read_note, received
 from ropeway.networks.rosbridge.client.calls import announced, answer_encoding, lane, travelling
+from ropeway.networks.rosbridge.client.other_holder import OtherHolder
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROSGW
 from ropeway.tasks import Chores
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from ropeway.networks.rosbridge.client.calls import Calls
     from ropeway.networks.rosbridge.link.peer import Peer
 
-__all__ = ["CALLS_LIMIT", "OtherHolder", "RemoteClient", "RemoteService"]
+__all__ = ["CALLS_LIMIT", "RemoteClient", "RemoteService"]
 
 log = logging.getLogger("ropeway.rosbridge")
 
@@ -44,31 +45,6 @@ CALLS_LIMIT: Final = 4096
 _REMEMBERED: Final = 1024  # calls that were answered, so that the same call does not run twice
 _EARLIER_S: Final = 0.25
 _REMEMBERED_BYTES: Final = 1 << 16  # longer answers are not kept
-
-
-class OtherHolder:
-    """Tracks who else holds a name that we offer, as the far gateway reports."""
-
-    def __init__(self, graph: str, kind: str, name: str) -> None:
-        self.by = ""
-        self._graph, self._kind, self._name = graph, kind, name
-        self._callbacks: list[Callable[[str], None]] = []
-        self._said = ""
-
-    def on_state(self, callback: Callable[[str], None]) -> None:
-        """Call with who or what stands in the way, ``""`` for nobody, now and at each change."""
-        self._callbacks.append(callback)
-        callback(self.by)
-
-    def tell(self, by: str) -> None:
-        """Note that the far gateway refused the name, or (``""``) has granted it."""
-        if by and by != self._said:
-            log.info("%s: %s %s was refused: %s", self._graph, self._kind, self._name, by)
-            self._said = by
-        if by != self.by:
-            self.by = by
-            for callback in self._callbacks:
-                callback(by)
 
 
 class RemoteClient:

@@ -1,0 +1,50 @@
+"""Say what the parts of a ``rosbridge`` graph may know of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+from ropeway.graph.host import Host
+
+if TYPE_CHECKING:
+    from ropeway.graph.layout_border import Border
+    from ropeway.networks.rosbridge.client.echoes import EchoFilter
+    from ropeway.networks.rosbridge.client.mirror import Mirror
+    from ropeway.networks.rosbridge.client.plain_servers import PlainServer
+    from ropeway.networks.rosbridge.client.ros1_spelling import Spelling
+    from ropeway.networks.rosbridge.link.peer import Peer
+    from ropeway.types import TypeRegistry
+    from ropeway.types.told_types import DefinitionTeller
+
+__all__ = ["LinkGraph"]
+
+
+class LinkGraph(Host, Protocol):
+    """The graph behind a link, as all of its parts see it."""
+
+    peer: Peer | None
+    registry: TypeRegistry
+    border: Border
+    gateway_id: str
+    echoes: dict[str, EchoFilter]
+    mirror: Mirror
+    plain_server: PlainServer
+    spelling: Spelling
+    teller: DefinitionTeller
+
+    @property
+    def last_error(self) -> str:
+        """Return why the last try to connect failed, ``""`` while connected."""
+        ...
+
+    def next_number(self) -> int:
+        """Return a channel number that is free."""
+        ...
+
+    def forget(self, number: int, topic: str) -> None:
+        """Remove a topic that was closed."""
+        ...
+
+    def type_note(self, type: str) -> dict[str, Any]:
+        """Return what a gateway should know of a type: its hash, and once per connection its definition."""
+        ...
