@@ -14,9 +14,9 @@ from typing import Any, Final
 __all__ = ["ACCOUNT_BYTES", "PROCESS_BYTES", "Account", "Budget"]
 
 ACCOUNT_BYTES: Final = 128 << 20
-"""What one connection may have us hold: twice the largest message, for it comes in while another waits to go out."""
+"""The memory held for one connection at most: twice the largest message, as one arrives while another waits."""
 PROCESS_BYTES: Final = 512 << 20
-"""What all connections of a process may have us hold: a small robot has 2 to 4 GiB, which others need as well."""
+"""The memory held for all connections at most: a small robot has 2 to 4 GiB, which others need as well."""
 
 _LOOK_BYTES: Final = 256 << 10  # received; less cannot change much
 

@@ -32,8 +32,8 @@ escaped: ``~0`` is a tilde, ``~1`` a slash, ``~2`` a percent sign, ``~3`` a comm
     %01/SYSTEM/TOPIC/+sub/n=4,last=1%       every later value comes as +val without n; patterns are allowed
     %01/SYSTEM/TOPIC/+unsub/n=5%            also +adv, +unadv, +watch, +list, +del, +ping
 
-Every request with a number ``n`` is answered exactly once, by an answer with that number: ``+ok``, ``+val``, or ``+err``
-with a ``code`` and a text. ``t`` is in nanoseconds since 1970, ``v`` grows with every value of a topic.
+Every request with a number ``n`` is answered exactly once, by an answer with that number: ``+ok``, ``+val``, or
+``+err`` with a ``code`` and a text. ``t`` is in nanoseconds since 1970, ``v`` grows with every value of a topic.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ HEAD_VALUES = 64
 """Values in the head of a packet. The longest has nine."""
 
 KINDS = ("robot", "pc")
-"""What a node may say it is: the paper's Robot Node or PC Node."""
+"""The kinds that a node may name: the paper's Robot Node or PC Node."""
 
 _VERSION_AHEAD_US = 86_400 * 1_000_000
 _SANE_CLOCK_US = 1_767_225_600 * 1_000_000  # the year 2026: a clock before that was never set
@@ -483,7 +483,7 @@ class Value:
 
 
 Content = Union[str, bytes, int, float, Iterable[float], Mapping[str, Any]]
-"""What may be published: text, bytes, a number, numbers (joined with commas), or an object (as JSON)."""
+"""The values that can be published: text, bytes, a number, numbers (joined with commas), or an object (as JSON)."""
 
 
 def text_of(content: Content) -> bytes:

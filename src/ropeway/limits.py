@@ -24,7 +24,7 @@ PATTERN_CHARACTERS: Final = 256
 """A pattern for names: as long as a name."""
 
 SHOWN_TEXT_CHARACTERS: Final = 500
-"""What a peer says went wrong, as far as it is logged or passed on."""
+"""The part of a peer's error text that is logged or passed on."""
 
 PARAMETER_TEXT_CHARACTERS: Final = 1_024
 """A text of a client that is read as YAML, as the value of a parameter. A longer one stands for itself."""
@@ -140,10 +140,10 @@ NESTED_CONTAINERS: Final = 128
 """Lists and objects within each other in JSON and CBOR. ROS messages have about ten."""
 
 UNPACKED_BYTES: Final = 13 << 20
-"""What the values of any CBOR or JSON may take in memory."""
+"""The memory that the values of any CBOR or JSON may take."""
 
 UNPACKED_PER_BYTE: Final = 14
-"""What the values of long CBOR or JSON may take in memory for each of its bytes. Points take 12, poses with their
+"""The memory that the values of long CBOR or JSON may take for each of its bytes. Points take 12, poses with their
 headers 13; what takes more (a megabyte of small maps of whole numbers) goes as ``cbor-raw`` or in several messages."""
 
 UNFINISHED_MESSAGES: Final = 64
@@ -168,7 +168,7 @@ UNREAD_S: Final = 10.0
 """How long a peer may read nothing while more than `UNREAD_STATUS_BYTES` wait for it; then its connection is closed."""
 
 UNREAD_STATUS_BYTES: Final = 1 << 20
-"""What a peer has not read, above which it is sent no more notices and no more feedback."""
+"""The bytes that a peer has not read, above which it is sent no more notices and no more feedback."""
 
 # ── ROS 1 ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -187,7 +187,7 @@ OVERLAY_MESSAGE_BYTES: Final = 64 << 20
 """One message of the overlay, unpacked, where no configuration says otherwise (``gateway.max_message_bytes``)."""
 
 OVERLAY_BATCH_BYTES: Final = 1 << 20
-"""What the other messages of a packet may have beside the largest, all unpacked. Senders put 64 KiB in one."""
+"""The size of all other messages of a packet beside the largest, unpacked. Senders put 64 KiB in one."""
 
 OVERLAY_MESSAGES_PER_PACKET: Final = 4_096
 """Messages in one packet. Senders put 256 in one."""
@@ -314,7 +314,7 @@ ADDRESSES: Final = 4_096
 # ── Readers of the store, and IoRT nodes ───────────────────────────────────────────────────────────────────────────
 
 WATCHER_UNREAD_BYTES: Final = 4 << 20
-"""What a watcher of the store has not read. Above, its connection is closed."""
+"""The bytes that a watcher of the store has not read. Above, its connection is closed."""
 
 WATCHERS_PER_ADDRESS: Final = 100
 """Watchers of the store from one address (an IPv6 network of 64 bits counts as one) that show neither a token nor a
@@ -333,7 +333,7 @@ NODE_SILENCE_S: Final = 30.0
 """Time for which a node may say nothing that has said by a ping that it will. Of others TCP is asked, every 30 s."""
 
 NODE_UNREAD_BYTES: Final = 256 << 10
-"""What a node has not read. Above, values wait, of each topic the newest, and nothing more is read of the node."""
+"""The bytes that a node has not read. Above, values wait, the newest of each topic, and no more is read from it."""
 
 NODE_WAITING_BYTES: Final = 16 << 20
 """Values that wait for one node. Above, those of other topics go."""

@@ -12,7 +12,7 @@ from ropeway.graph.base import Sample
 __all__ = ["EARLY_BYTES", "EarlyQueue"]
 
 EARLY_BYTES: Final = 16 << 20
-"""What may wait while a publisher is being made; more than one message only."""
+"""The bytes that may wait while a publisher is being made; a single message may be larger."""
 
 
 class EarlyQueue:

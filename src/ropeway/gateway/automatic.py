@@ -28,7 +28,7 @@ log = logging.getLogger("ropeway.gateway")
 
 _SETTLE_S: Final = 0.2  # nodes come with all their topics at once
 _NEVER: Final = ("/rosout", "/parameter_events", "/client_count", "/connected_clients")
-"""What every ROS network has of its own; allowed only by its full name."""
+"""Topics that every ROS network has of its own; allowed only by their full names."""
 
 
 def _others(endpoints: Iterable[EndpointInfo]) -> bool:

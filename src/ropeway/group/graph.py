@@ -64,7 +64,7 @@ HEDGE_PERCENT: Final = 95.0
 
 HEDGE_SLACK: Final = 0.1
 HEDGE_LEAST_SLACK_S: Final = 0.001
-"""What is added to that, as a share and at least: machines that are steady would else be hedged by chance."""
+"""The least slack added to that: steady machines would otherwise be hedged by chance."""
 
 HEDGE_S: Final = 0.1
 """When the second is asked while nothing is known of the first, and no bound says what is late."""

@@ -1,1 +1,1 @@
-"""Lets several users of one graph hear each other: views, who owns a name, active and standby publishers."""
+"""Lets several users of one graph hear each other: views, ownership of names, active and standby publishers."""

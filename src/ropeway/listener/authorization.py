@@ -35,7 +35,7 @@ VERBS: Final = (
     "send_action_goal",
     "advertise_action",
 )
-"""What a client may want to do with a topic, a service or an action."""
+"""The things that a client may want to do with a topic, a service or an action."""
 
 _QUIET_S: Final = 60.0
 _KNOWN_LIMIT: Final = 1024  # decisions that are remembered per client

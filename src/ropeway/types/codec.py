@@ -88,7 +88,7 @@ class MessageCodec:
         self._ros1: tuple[Reader, Writer] | None = None
 
     variant = "ros2"
-    """Whose spelling the JSON and CBOR have; encodings of one message are kept by it."""
+    """The spelling of the JSON and CBOR; encodings of one message are cached by it."""
 
     @property
     def hash(self) -> str:

@@ -59,7 +59,7 @@ _WRITTEN: Final = RANGES | {"byte": (-128, 255)}  # a byte is signed in ROS 1, u
 LARGEST_ARRAY: Final = 1 << 27
 
 PARTS: Final = {"msg": ("",), "srv": ("_Request", "_Response"), "action": ("_Goal", "_Result", "_Feedback")}
-"""What the written parts of each kind of interface add to its name."""
+"""The suffixes that the written parts of each kind of interface add to its name."""
 
 
 def parse_msg(name: str, text: str, *, siblings: Collection[str] = ()) -> Definition:

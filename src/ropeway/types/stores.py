@@ -16,7 +16,7 @@ from typing import Final
 __all__ = ["DISTROS", "NEWEST", "Block", "read_blocks", "store_table"]
 
 NEWEST: Final = "kilted"
-"""What a registry has by default: all of Jazzy in the same layouts, and more. Lyrical has dropped some."""
+"""The default distribution of a registry: all of Jazzy in the same layouts, and more. Lyrical has dropped some."""
 
 DISTROS: Final = ("noetic", "foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
 """The distributions a registry can be named after, from the oldest to the newest."""

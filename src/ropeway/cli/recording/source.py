@@ -39,7 +39,7 @@ DAMAGED: Final = (
     yaml.YAMLError,
     zstandard.ZstdError,
 )
-"""What the readers raise for a damaged file: they check little, so a wrong length shows as any of these."""
+"""The errors that readers raise for a damaged file: they check little, so a wrong length shows as any of these."""
 
 DEFINITIONS: Final = ("ros2msg", "ros2idl", "ros1msg")
 """The formats of definitions that are read."""

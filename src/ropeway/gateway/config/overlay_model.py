@@ -17,10 +17,10 @@ OVERLAY: Final = "overlay"
 """The address of everybody in the overlay."""
 
 METADATA: Final = ("author", "maintainer", "description", "unique", "node")
-"""What an item may have that goes into its global name beside its name and type."""
+"""The metadata of an item that goes into its global name besides its name and type."""
 
 METADATUM: Final = "overlay: goes into the global name; default: that of gateway.overlay, or of the remote"
-"""What each of them is for."""
+"""The description of each of them."""
 
 _ENDPOINT: Final = re.compile(r"(tls|quic)/(\[[0-9a-fA-F:]+\]|[A-Za-z0-9._-]+):\d{1,5}")
 

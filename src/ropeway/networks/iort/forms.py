@@ -335,4 +335,4 @@ def _set(message: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 
 FAILURES: Final = (TypesError, KeyError, TypeError, ValueError, OverflowError)
-"""What a form may raise on values of others."""
+"""The errors that a form may raise on values of others."""

@@ -27,7 +27,7 @@ __all__ = ["ROS_ORIGIN", "IortPublisher", "IortSubscription", "NodeTopic"]
 _NANOSECONDS: Final = 1 << 59  # a number above is a time stamp, not a count
 
 ROS_ORIGIN: Final = "ros:"
-"""What the origin of an entry begins with whose first publisher was one of ROS; 32 hexadecimal digits follow."""
+"""The prefix of the origin of entries that ROS published first; 32 hexadecimal digits follow."""
 
 
 class IortHost(Host, Protocol):

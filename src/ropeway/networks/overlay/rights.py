@@ -55,4 +55,4 @@ class Rights:
 
 
 EVERYTHING: Final = Rights(("*",), ("*",), ("*",), ("*",))
-"""What a member may do to whom nothing in particular was given."""
+"""The rights of a member without explicit rights."""

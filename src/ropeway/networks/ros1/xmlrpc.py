@@ -27,7 +27,7 @@ Handler = Callable[[str, tuple[Any, ...]], Awaitable[Any]]
 """Answers a method and its parameters; a ``Fault`` it raises goes to the caller."""
 
 Fault = xmlrpc.client.Fault
-"""What a server answers instead of a value: ``faultCode`` and ``faultString``."""
+"""A server's answer instead of a value: ``faultCode`` and ``faultString``."""
 
 _CALL_S: Final = 5.0
 _CLOSE_S: Final = 1.0

@@ -77,7 +77,7 @@ class HookError(Exception):
 
 
 faults: Counter[str] = Counter()
-"""What went wrong on behalf of the library, and how often."""
+"""Counts what went wrong in calls from the library."""
 
 
 class _Note:

@@ -33,10 +33,10 @@ OP_CHANNELS: Final = range(65536 - LANES, 65536)
 """The channels of operations, the most urgent first; topics have smaller numbers."""
 
 WAITING_LIMIT_BYTES: Final = 64 << 20
-"""What may wait for one link; as much as the largest message."""
+"""The bytes that may wait for one link; as much as the largest message."""
 
 ROOM_BYTES: Final = 1 << 20
-"""What waits for one link, above which nothing long is begun that can wait as well: a second on a slow one."""
+"""The bytes waiting for one link above which no long work is begun that can wait: a second on a slow link."""
 
 _URGENT_LANE: Final = 1
 _BULK_LANE: Final = 4

@@ -115,7 +115,7 @@ class Peer:
         self.clock_offset_ns: int | None = None  # the peer's clock minus ours, once it is measured
         self._offset_rtt = float("inf")
         self.receivers: dict[int, Callable[[Sequence[Arrival]], None]] = {}
-        """Who takes what comes on a channel; the ``handler`` gets the rest."""
+        """The receivers of messages by channel; the ``handler`` gets the rest."""
         self._reader = RecordReader(self.limit_bytes, self.refused, self.takes)
         self._assembler = wire_codec.JsonAssembler(limit_bytes=self.limit_bytes)
         self._defragmenter = Defragmenter(limit_bytes=self.limit_bytes)
