@@ -11,12 +11,15 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, Final
 
-__all__ = ["ACCOUNT_BYTES", "PROCESS_BYTES", "Account", "Budget"]
+__all__ = ["ACCOUNT_BYTES", "LARGE_BYTES", "PROCESS_BYTES", "Account", "Budget"]
 
 ACCOUNT_BYTES: Final = 128 << 20
 """The memory held for one connection at most: twice the largest message, as one arrives while another waits."""
 PROCESS_BYTES: Final = 512 << 20
 """The memory held for all connections at most: a small robot has 2 to 4 GiB, which others need as well."""
+
+LARGE_BYTES: Final = 8 << 20
+"""What was held for a connection at most, from which on its end leaves so much free memory that it is worth a word."""
 
 _LOOK_BYTES: Final = 256 << 10  # received; less cannot change much
 
@@ -28,6 +31,7 @@ class Budget:
         self.limit_bytes, self.account_limit_bytes = limit_bytes, account_limit_bytes
         self.held_bytes = 0
         self.ended: Counter[str] = Counter()
+        self.on_large_end: Callable[[], None] = _nothing
         self._accounts: set[Account] = set()
 
     def open(self, end: Callable[[str], None]) -> Account:
@@ -64,19 +68,21 @@ class Budget:
     def _forget(self, account: Account) -> None:
         self._accounts.discard(account)
         self.held_bytes -= account.held_bytes
+        if account.most_bytes >= LARGE_BYTES:
+            self.on_large_end()
 
 
 class Account:
     """The bytes held for one connection, as of the last check."""
 
-    __slots__ = ("_budget", "_holders", "_open", "end", "held_bytes", "look_at_bytes")
+    __slots__ = ("_budget", "_holders", "_open", "end", "held_bytes", "look_at_bytes", "most_bytes")
 
     def __init__(self, budget: Budget, end: Callable[[str], None]) -> None:
         self._budget, self.end = budget, end
         self._holders: dict[str, Callable[[], int]] = {}
         self.look_at_bytes = _LOOK_BYTES  # received; with less, ``received`` need not be called
         self._open = True
-        self.held_bytes = 0
+        self.held_bytes = self.most_bytes = 0
 
     def hold(self, what: str, count: Callable[[], int]) -> None:
         """Enter something that keeps bytes; ``count`` returns how many it keeps now."""
@@ -94,6 +100,7 @@ class Account:
         """Count what is held now; too much ends the connection."""
         if self._open:
             before, self.held_bytes = self.held_bytes, sum(count() for count in self._holders.values())
+            self.most_bytes = max(self.most_bytes, self.held_bytes)
             self._budget._changed(self, self.held_bytes - before)
 
     def most(self) -> tuple[str, int]:
@@ -107,6 +114,10 @@ class Account:
             self._budget._forget(self)
             self.held_bytes = 0
             self._holders.clear()
+
+
+def _nothing() -> None:
+    return None
 
 
 def _held(account: Account) -> int:

@@ -26,7 +26,7 @@ from ropeway.gateway.credentials import Credentials, read_credentials
 from ropeway.gateway.group import GroupRemote
 from ropeway.gateway.last_value import LastValue, key_of
 from ropeway.gateway.nodes import Nodes
-from ropeway.gateway.process.allocator import keep_freed_memory
+from ropeway.gateway.process.allocator import FreedMemory, keep_freed_memory
 from ropeway.gateway.process.counts import summed
 from ropeway.gateway.process.open_files import make_room
 from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote, shown_address
@@ -108,6 +108,9 @@ class Gateway:
 
     async def _bring_up(self, stack: AsyncExitStack) -> None:
         keep_freed_memory()
+        freed = FreedMemory()
+        self.budget.on_large_end = freed.due
+        stack.callback(freed.close)
         settings = self.config.gateway
         learn_types(self.config, self.registry)
         for path, hint in type_hints(self.config, self.registry):

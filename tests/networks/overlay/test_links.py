@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
+from typing import Any, cast
+
 import pytest
 
+from ropeway.errors import GraphUnavailable
 from ropeway.networks.overlay.graph import OverlayGraph
 from ropeway.networks.overlay.node import OverlayNode
 from tests.networks.overlay.conftest import Site
@@ -54,3 +58,55 @@ async def test_asking_while_links_are_made_anew(site: Site) -> None:
         await fabric._start()
     assert await fabric.linked(PATIENCE_S)
     await until(lambda: graph.node.links.unlinked == "")
+
+
+class PanicException(BaseException):
+    """What a panic of Zenoh raises: by this name, and of a class that cannot be imported."""
+
+
+async def test_zenoh_panics(site: Site) -> None:
+    """A panic of Zenoh is an error like others, and the session in which it happened is made anew."""
+    graph = await site.join()
+    node, fabric = graph.node, graph.node.links.fabric
+    failed = fabric.session
+
+    class Failed:
+        @property
+        def info(self) -> Failed:
+            return self
+
+        def routers_zid(self) -> list[str]:
+            return []
+
+        links = routers_zid
+
+        def __getattr__(self, name: str) -> Any:
+            def panic(*_: object, **__: object) -> None:
+                raise PanicException(name)
+
+            return panic
+
+    fabric._session = cast("Any", Failed())
+    with pytest.raises(GraphUnavailable, match="Zenoh has failed"):
+        await fabric.ask("rw/crl", b"", 0.1)
+    with pytest.raises(GraphUnavailable, match="Zenoh has failed"):
+        fabric.tell("rw/h/x", b"")
+    for _ in range(2):
+        assert await node._ask_for_crl() == 0
+    await node.links.mend(None)
+    assert await node._ask_for_crl()
+    await asyncio.to_thread(failed.close)
+
+
+async def test_a_router_whose_session_answers_nothing(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+    """A router that not even hears its own answers makes its links anew, and carries on."""
+    near, far = await site.join(), await site.join()
+    for end in site.router._ends:
+        end()
+    for graph in (near, far):
+        for end in graph.node._ends:
+            end()
+    await until(lambda: any("stopped answering" in message for message in caplog.messages))
+    await until(lambda: bool(near.node.fabric.links() and far.node.fabric.links()))
+    await far.create_publisher("/late", STRING)
+    await until(lambda: "/late" in near.topics())

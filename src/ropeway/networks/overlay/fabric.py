@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import logging
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, Final, TypeVar
@@ -36,6 +36,7 @@ _CLOSE_S: Final = 5.0
 _LET_GO_S: Final = 0.3  # routers compute their maps within 0.1 s; who comes back earlier may be left off them
 _REOPEN_S: Final = 10.0  # what is sent waits so long for a new session
 _LOOK_S: Final = 2.0  # at what links lose
+_OVERDUE_S: Final = 1.0  # after which a request is over though Zenoh, which keeps its time, does not say so
 _ANSWER_BYTES: Final = 100  # what an answer costs beside its payload
 _PRIORITIES: Final = (
     zenoh.Priority.REAL_TIME,
@@ -78,6 +79,17 @@ class Asked:
         """Send the only answer."""
         self.part(payload)
         self.done()
+
+
+@contextlib.contextmanager
+def _failures() -> Iterator[None]:
+    """Raise ``GraphUnavailable`` where Zenoh has failed within: its panics are no ``Exception``."""
+    try:
+        yield
+    except BaseException as error:
+        if type(error).__name__ != "PanicException":  # of a module that cannot be imported
+            raise
+        raise GraphUnavailable("overlay", "Zenoh has failed; links are made anew") from error
 
 
 class _Declared:
@@ -167,10 +179,13 @@ class Fabric:
             listener.undeclare()
         if session is not None:
             try:
-                async with aio.timeout(_CLOSE_S):
-                    await asyncio.to_thread(session.close)
+                with _failures():
+                    async with aio.timeout(_CLOSE_S):
+                        await asyncio.to_thread(session.close)
             except TimeoutError:
                 log.warning("overlay: Zenoh did not close within %g s", _CLOSE_S)
+            except GraphUnavailable as error:
+                log.warning("overlay: Zenoh did not close: %s", error)
         for declared in self._declared:
             declared.made = None
 
@@ -267,7 +282,8 @@ class Fabric:
         """Declare something now, and again with every new session until it is ended."""
         declared = _Declared(declare)
         if not self._changing.locked():  # else it is declared with the rest
-            declared.made = declare(self.session)
+            with _failures():
+                declared.made = declare(self.session)
         self._declared[declared] = None
 
         def end() -> None:
@@ -285,12 +301,13 @@ class Fabric:
         """Put a small note; lost where the link is congested, and while the session is made anew."""
         if self._session is None:
             return
-        self._session.put(
-            key,
-            payload,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-        )
+        with _failures():
+            self._session.put(
+                key,
+                payload,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+            )
 
     def short(self, key: str) -> zenoh.KeyExpr:
         """Return a key that goes over each link once, and as a number from then on; see ``forget``."""
@@ -377,11 +394,14 @@ class Fabric:
             cancellation_token=cancel,
         )
         try:
-            if len(payload) > 1 << 16:
-                await asyncio.to_thread(get)
-            else:
-                get()
-            await done
+            with _failures():
+                if len(payload) > 1 << 16:
+                    await asyncio.to_thread(get)
+                else:
+                    get()
+            with contextlib.suppress(TimeoutError):
+                async with aio.timeout(timeout_s + _OVERDUE_S):
+                    await done
         finally:
             if not done.done():
                 cancel.cancel()
@@ -396,11 +416,15 @@ class Fabric:
         try:
             async with aio.timeout(timeout_s):
                 await self._open.wait()
-                listener = self.session.info.declare_transport_events_listener(lambda _: inlet.put(None))
+                with _failures():
+                    listener = self.session.info.declare_transport_events_listener(lambda _: inlet.put(None))
                 while not self.links():
                     await changed.wait()
                     changed.clear()
         except TimeoutError:
+            return False
+        except GraphUnavailable:  # it has failed, or was closed this moment
+            await asyncio.sleep(timeout_s)
             return False
         finally:
             inlet.closed = True

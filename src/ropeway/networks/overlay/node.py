@@ -204,6 +204,7 @@ class OverlayNode:
             answers = await self.fabric.ask(CRL_KEY, b"", 2.0, limit_bytes=_CRLS * OVERLAY_CRL_BYTES)
         except RopewayError as error:
             log.debug("overlay: no member told which certificates are revoked: %s", error)
+            self.links.heard(0)
             return 0
         if not self.links.heard(len(answers)):
             self._ask_crl.set()

@@ -31,6 +31,7 @@ log = logging.getLogger("ropeway.overlay")
 
 _ASK_S: Final = 2.0
 _LOOK_S: Final = 10.0
+_MUTE: Final = 2  # requests in a row that not even we answered: Zenoh has failed
 _LINK_S: Final = 8.0
 
 
@@ -113,7 +114,7 @@ class Router:
     def _config(self, denied: frozenset[str]) -> zenoh.Config:
         return router_config(self.identity, connect=self.connect, listen=self.listen, denied=denied)
 
-    async def _deny(self) -> None:
+    async def _make_links(self) -> None:
         """Make all links anew, with nothing for those that the list denies."""
         assert self._fabric is not None
         denied = self.trust.denied
@@ -129,27 +130,36 @@ class Router:
             self._fabric = None
 
     async def _keep(self) -> None:
-        """Ask other routers for their list; begin anew when a list denies other names than before."""
+        """Ask other routers for their list; begin anew when a list denies other names than before, or Zenoh fails."""
+        mute = 0
         while True:
-            await self._ask()
+            mute = 0 if await self._ask() else mute + 1
+            if mute >= _MUTE:
+                log.warning("router: Zenoh has stopped answering; links are made anew")
+                mute = 0
+                await self._make_links()
             if self.trust.denied != self._denied:
                 names = ", ".join(sorted(self.trust.denied)) or "nobody"
                 self._say(f"revocation list {self.trust.crl_number} denies {names}")
-                await self._deny()
+                await self._make_links()
             self._newer.clear()
             with contextlib.suppress(TimeoutError):
                 async with aio.timeout(self._look_s):
                     await self._newer.wait()
             self._read_files()
 
-    async def _ask(self) -> None:
+    async def _ask(self) -> int:
+        """Ask for the newest list; return how many answered, we among them."""
         fabric = self._fabric
         assert fabric is not None
         try:
-            for raw in await fabric.ask(CRL_KEY, b"", _ASK_S):
-                self._take(raw)
+            answers = await fabric.ask(CRL_KEY, b"", _ASK_S)
         except RopewayError as error:
             log.debug("router: no other router told which certificates are revoked: %s", error)
+            return 0
+        for raw in answers:
+            self._take(raw)
+        return len(answers)
 
     # ── revocation ─────────────────────────────────────────────────────────────────────────────────────────────
 
