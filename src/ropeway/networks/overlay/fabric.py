@@ -87,9 +87,9 @@ def _failures() -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        if type(error).__name__ != "PanicException":  # of a module that cannot be imported
-            raise
-        raise GraphUnavailable("overlay", "Zenoh has failed; links are made anew") from error
+        if type(error).__name__ == "PanicException":  # of a module that cannot be imported
+            raise GraphUnavailable("overlay", "Zenoh has failed; links are made anew") from error
+        raise
 
 
 class _Declared:
