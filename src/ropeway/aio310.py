@@ -253,7 +253,7 @@ class Runner:
 
     @contextlib.contextmanager
     def _signals(self, task: asyncio.Task[Any]) -> Any:
-        """Have Ctrl-C cancel the task at first, where nobody else has asked for the signal."""
+        """Make Ctrl-C cancel the task first, unless another handler is set for the signal."""
         mine = threading.current_thread() is threading.main_thread()
         if not mine or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
             yield

@@ -225,7 +225,7 @@ class Chores:
         return task
 
     def cancel(self) -> None:
-        """Have those end that are under way."""
+        """Cancel the chores under way."""
         for task in self._tasks:
             task.cancel()
 
@@ -286,7 +286,7 @@ class Interruptible:
         return self._task is not None and self._task is asyncio.current_task()
 
     def interrupt(self, error: Exception) -> None:
-        """Have the block raise ``error`` where it waits."""
+        """Raise ``error`` in the block where it waits."""
         if self._task is not None and self._error is None:
             self._error = error
             self._task.cancel()

@@ -129,7 +129,7 @@ class AsyncActionClient(UserPart[ViewActionClient]):
         return AsyncGoal(sent, self._messages.result)
 
     async def close(self) -> None:
-        """Use the action no more; goals under way are reported as ABORTED."""
+        """Stop using the action; goals under way are reported as ABORTED."""
         await super().close()
         await self._followers.close()
 

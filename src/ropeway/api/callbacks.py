@@ -70,7 +70,7 @@ class Callbacks:
             await self._work.wait()
 
     async def close(self) -> None:
-        """Call no more. A callback may close its own; it then runs to its end."""
+        """Stop calling. A callback may close its own; it then runs to its end."""
         self._inbox.close()
         if self._work is not None and self._task is not asyncio.current_task():
             await self._work.close()

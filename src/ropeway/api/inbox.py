@@ -54,7 +54,7 @@ class Inbox:
         self._news.set()
 
     def finish(self) -> None:
-        """Have nobody wait any more, once everything that came before was taken."""
+        """Wake everybody who waits, once everything that came before was taken."""
         self._closed = True
         self._news.set()
 

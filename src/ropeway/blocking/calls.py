@@ -144,7 +144,7 @@ class BlockingExecutingGoal:
         return self._abandoned or self._inner.cancel_requested
 
     def abandon(self) -> None:
-        """Have ``cancel_requested`` be true: nobody waits for the goal any more."""
+        """Set ``cancel_requested``: nobody waits for the goal any more."""
         self._abandoned = True
 
     def feedback(self, message: object) -> None:

@@ -45,7 +45,7 @@ class Portal:
         self._pool: concurrent.futures.ThreadPoolExecutor | None = None
 
     def enter(self) -> None:
-        """Have the thread run, for one more user."""
+        """Keep the thread running for one more user."""
         with self._lock:
             if self._thread is None or not self._thread.is_alive():  # also after a fork, which copies no threads
                 self._start()

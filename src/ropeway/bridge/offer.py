@@ -77,7 +77,7 @@ class Offer:
         self._upkeep.start()
 
     async def close(self) -> None:
-        """Withdraw the name, and use the other no more."""
+        """Withdraw the name, and stop using its provider."""
         await self._upkeep.close()
         await self._withdraw()
         client, self._client = self._client, None

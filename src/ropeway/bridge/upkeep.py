@@ -62,7 +62,7 @@ class Upkeep:
         return self._error or self._watch.error or self._keep.error
 
     def wake(self) -> None:
-        """Have it set right soon."""
+        """Schedule maintenance soon."""
         self._changed.set()
 
     async def _listen(self, changes: AsyncIterator[GraphEvent]) -> None:

@@ -41,7 +41,7 @@ def lazy_group(verbs: Mapping[str, str]) -> type[typer.core.TyperGroup]:
 
 
 def _plain_flags(command: Any, ctx: Any) -> None:
-    """Have the help show flags without a type: they take no value, and ``--json <bool>`` looks as if they did."""
+    """Show flags without a type in the help: they take no value, and ``--json <bool>`` looks as if they did."""
     for param in (*command.params, command.get_help_option(ctx)):
         if getattr(param, "is_flag", False):
             param.metavar = ""

@@ -61,7 +61,7 @@ class Throttle:
             self._go(self._take())
 
     def close(self) -> list[Sample]:
-        """Send no more; gives what still waits."""
+        """Stop sending; return what still waits."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

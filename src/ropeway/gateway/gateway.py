@@ -353,7 +353,7 @@ class Gateway:
         return reasons
 
     def reload(self) -> None:
-        """Read certificates and tokens again, for connections to come; who has a token that is gone is closed.
+        """Read certificates and tokens again, for connections to come; clients whose token is gone are disconnected.
 
         So is who showed a certificate, if other authorities are trusted now, and a link to a remote, if others are
         trusted there. Raises ``ConfigError`` if the files are no good; everything then stays as it was.

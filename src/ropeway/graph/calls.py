@@ -94,7 +94,7 @@ class Client(Protocol):
         """
 
     async def close(self) -> None:
-        """Call no more; calls under way fail with ``GraphUnavailable``."""
+        """Stop calling; calls under way fail with ``GraphUnavailable``."""
 
 
 @runtime_checkable
@@ -105,7 +105,7 @@ class Service(Protocol):
     type: str
 
     async def close(self) -> None:
-        """Serve no more; calls under way fail with ``ProviderLost`` where the network can say so."""
+        """Stop serving; calls under way fail with ``ProviderLost`` where the network can say so."""
 
 
 class GoalStatus(enum.IntEnum):
@@ -235,7 +235,7 @@ class ActionServer(Protocol):
     type: str
 
     async def close(self) -> None:
-        """Serve no more: goals under way are aborted, new ones rejected."""
+        """Stop serving: goals under way are aborted, new ones rejected."""
 
 
 @dataclass(frozen=True, slots=True)

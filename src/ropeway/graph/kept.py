@@ -33,7 +33,7 @@ class Kept(Generic[P]):
         self._look_at = _FEW
 
     def add(self, part: P) -> None:
-        """Keep one more."""
+        """Keep another part."""
         if len(self._parts) >= self._look_at:
             self._parts = dict.fromkeys(self)
             self._look_at = max(_FEW, 2 * len(self._parts))

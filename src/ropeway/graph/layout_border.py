@@ -74,7 +74,7 @@ class Border:
             return payload
 
     def outgoing(self, type: str, payload: bytes, reader: TypeRegistry | None = None) -> bytes:
-        """Return what goes out, in the layout of the network; ``reader`` has the types of who reads it.
+        """Return an outgoing message in the layout of the network; ``reader`` has the types of its reader.
 
         The message may be in the layout of a third network, as those of recordings are. What fits no layout is
         returned as it is. Raises ``ValueMismatch`` for values that the other layout cannot hold.

@@ -100,7 +100,7 @@ class DirectGoal:
         self._outcome: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
 
     async def start(self, timeout_s: float) -> None:
-        """Have it accepted, and begin. Raises ``GoalRejected`` or ``CallTimeout``."""
+        """Ask the provider to accept the goal, and begin it. Raises ``GoalRejected`` or ``CallTimeout``."""
         if self._handlers.accept is not None:
             try:
                 async with aio.timeout(timeout_s):

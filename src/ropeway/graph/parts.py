@@ -28,7 +28,7 @@ H = TypeVar("H", bound=Host)
 
 
 class PublisherBase(Generic[H]):
-    """A topic that is published: how many read it, and who wants to know.
+    """The base of publishers: counts readers, and reports changes of demand.
 
     A network calls ``set_subscribers`` when it learns the number, ``None`` where it cannot tell.
     """
@@ -70,7 +70,7 @@ class PublisherBase(Generic[H]):
 
 
 class SubscriptionBase(Generic[H]):
-    """A topic that is read: its profile and who wants to know it, and the callback that gets the messages.
+    """The base of subscriptions: holds the profile, reports its changes, and calls back with messages.
 
     ``asked`` is the profile that was asked for, ``None`` where that of the publishers is adopted.
     """
@@ -165,7 +165,7 @@ class ClientBase(Generic[H]):
         await self._leave()
 
     async def _leave(self) -> None:
-        """Have the graph forget the client."""
+        """Make the graph forget the client."""
 
     def _check_open(self) -> None:
         if self.closed:

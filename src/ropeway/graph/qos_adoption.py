@@ -48,7 +48,7 @@ class Readers(ABC, Generic[R]):
         self._subscriptions: dict[AdoptingSubscription[R], None] = {}
 
     def begin(self, subscription: AdoptingSubscription[R]) -> None:
-        """Have a subscription read, with the profile that it should have. Raises ``GraphUnavailable``."""
+        """Attach a subscription to a reader with the profile that it should have. Raises ``GraphUnavailable``."""
         subscription.follow(self.adopted(subscription))
         self._subscriptions[subscription] = None
 
@@ -57,7 +57,7 @@ class Readers(ABC, Generic[R]):
         self._subscriptions.pop(subscription, None)
 
     def readopt(self, topics: Container[str]) -> None:
-        """Have the subscriptions of these topics follow what is offered now."""
+        """Make the subscriptions of these topics adopt what is offered now."""
         for subscription in list(self._subscriptions):
             if subscription.adopts and subscription.topic in topics:
                 try:

@@ -101,7 +101,7 @@ class ViewActionServer:
         self._goals.pop(id, None)
 
     async def close(self) -> None:
-        """Serve no more: goals under way are aborted."""
+        """Stop serving: goals under way are aborted."""
         if self.closed:
             return
         for goal in list(self._goals.values()):

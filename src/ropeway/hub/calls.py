@@ -99,7 +99,7 @@ class ViewService:
         return await answer(self.service, self._running, self._handle(request), timeout_s)
 
     async def close(self) -> None:
-        """Serve no more; calls under way fail, and who waits for the name takes over."""
+        """Stop serving; calls under way fail, and the next claim to the name takes over."""
         if self.closed:
             return
         await self._calls.services.remove(self.entry)
@@ -197,7 +197,7 @@ class ViewClient:
         return await self._inner.call(request, left)
 
     async def close(self) -> None:
-        """Call no more."""
+        """Stop calling."""
         if self.closed:
             return
         self.closed = True

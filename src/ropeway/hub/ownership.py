@@ -111,7 +111,7 @@ class NameOwners(Generic[P]):
             raise
 
     async def remove(self, entry: Claim[P]) -> None:
-        """Serve no more; the next in line takes over."""
+        """Release a claim; the next in line takes over."""
         if entry.closed:
             return
         entry.closed = True

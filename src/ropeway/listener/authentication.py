@@ -38,7 +38,7 @@ _HASH: Final = re.compile(r"sha256:(?:([^:]*):)?([0-9a-fA-F]{64})")
 
 @dataclass(frozen=True)
 class TokenRule:
-    """A token and the role of who has it. Only ``sha256(salt + token)`` is kept."""
+    """Gives the holders of a token their role. Only ``sha256(salt + token)`` is kept."""
 
     digest: bytes
     role: Role

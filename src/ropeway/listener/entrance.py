@@ -18,7 +18,7 @@ __all__ = ["Entrance"]
 
 
 class Entrance:
-    """Asks the door, slows down who guesses tokens, counts who is refused and says so in the log.
+    """Admits clients, slows down guessing of tokens, counts refusals and logs them.
 
     ``door`` may be replaced at any time. ``lobby`` has the connections that are not let in yet.
     """
@@ -51,12 +51,12 @@ class Entrance:
         return None if found is None else self.refuse(request, found)
 
     def set_room(self, *, clients: int, pending: int) -> None:
-        """Let in no more than ``clients``, of all listeners together, and have no more than ``pending`` wait."""
+        """Limit the clients of all listeners together to ``clients``, and the connections that wait to ``pending``."""
         self._room = clients
         self.lobby.set_limit(pending)
 
     def full(self, role: Role) -> str:
-        """Return why there is no place for one more of this role, ``""`` where there is one."""
+        """Return why there is no room for another client of this role, ``""`` if there is."""
         if self._room is not None and self._inside.total() >= self._room:
             return f"there are {self._room} clients and nodes, and the system has no open files for more"
         if role.max_clients is not None and self._inside[role.name] >= role.max_clients:
@@ -64,7 +64,7 @@ class Entrance:
         return ""
 
     def came(self, role: Role) -> None:
-        """Count one more of a role, until ``left``."""
+        """Count another client of a role, until ``left``."""
         self._inside[role.name] += 1
 
     def left(self, role: Role) -> None:

@@ -37,7 +37,7 @@ class _Handler:
 
 
 def watch_handshakes(fault_log: FaultLog, port: int) -> Callable[[], None]:
-    """Have handshakes that fail on ``port`` noted in ``fault_log``; return what ends that.
+    """Note handshakes that fail on ``port`` in ``fault_log``; return the function that ends this.
 
     With the last listener of a loop its exception handler is what it was before.
     """
@@ -57,7 +57,7 @@ def watch_handshakes(fault_log: FaultLog, port: int) -> Callable[[], None]:
 
 
 def explain_handshake(error: object) -> str:
-    """Return why a handshake failed, in words for whoever has to mend the client."""
+    """Explain why a handshake failed, for whoever has to fix the client."""
     reason = getattr(error, "reason", None)
     if reason in ("HTTP_REQUEST", "WRONG_VERSION_NUMBER"):
         return "a client speaks ws:// or http:// without TLS, and this listener wss:// or iorts://"

@@ -27,7 +27,7 @@ Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 
 def host_of(authority: str) -> str:
-    """Return the host of ``Host: name:port`` in one spelling, ``""`` for what is none.
+    """Return the host of ``Host: name:port`` in one spelling, ``""`` for an invalid one.
 
     That is in lower case, without port, brackets, zone or the dot at its end.
     """

@@ -236,7 +236,7 @@ async def _bind(host: str, port: int, reuse_port: bool) -> list[socket.socket]:
 
 
 def keep_alive(transport: asyncio.BaseTransport) -> None:
-    """Have TCP ask whether a client is there that may be silent for hours; one that was switched off is noticed."""
+    """Make TCP probe clients that may be silent for hours, so that one that was switched off is noticed."""
     sock = transport.get_extra_info("socket")
     if sock is None or sock.family not in (socket.AF_INET, socket.AF_INET6):
         return

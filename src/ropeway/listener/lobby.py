@@ -58,7 +58,7 @@ class Lobby:
         self._by_sender: dict[str, dict[Visit, None]] = {}
 
     def set_limit(self, limit: int) -> None:
-        """Have no more than ``limit`` wait from now on."""
+        """Let no more than ``limit`` connections wait from now on."""
         self.limit = max(limit, 1)
         self.per_address = min(self._per_address, self.limit)
 

@@ -32,7 +32,7 @@ class _Record:
 
 
 class Lockout:
-    """Count wrong tokens per sender (see ``network_of``), and lock out who has too many.
+    """Counts wrong tokens per sender (see ``network_of``), and locks out senders with too many.
 
     A right token takes nothing back: it may be the sender's own, with few rights. ``counts`` are of all senders.
     """

@@ -26,7 +26,7 @@ _ROOT: Final = "/store"
 
 
 class StorePages:
-    """Answers requests below ``/store`` for who has the ``access`` to it."""
+    """Answers requests below ``/store`` to clients with access."""
 
     def __init__(self, store: Store, registry: TypeRegistry) -> None:
         self.store, self.registry = store, registry
@@ -127,7 +127,7 @@ class _Later(asyncio.Protocol):
         self._task: asyncio.Task[None] | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begin."""
+        """Begin the work that was asked for."""
         self._task = background(self._answer(cast(asyncio.Transport, transport)), "answer of the store")
 
     def data_received(self, data: bytes) -> None:

@@ -27,11 +27,11 @@ class Watchers:
         return len(self._watchers)
 
     def __iter__(self) -> Iterator[StoreWatcher]:
-        """Go over those that are there now; any of them may leave meanwhile."""
+        """Iterate over the current watchers; any of them may leave meanwhile."""
         return iter(list(self._watchers))
 
     def full(self, request: HttpRequest) -> str:
-        """Return why there is no place for one more that asks so, ``""`` where there is one."""
+        """Return why there is no room for another such watcher, ``""`` if there is."""
         if self._unknown[_sender(request)] < WATCHERS_PER_ADDRESS or _is_known(request):
             return ""
         return f"{WATCHERS_PER_ADDRESS} watchers without a token came from this address, and no more may come"

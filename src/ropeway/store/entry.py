@@ -76,7 +76,7 @@ class Entry:
 
     @property
     def text(self) -> str | None:
-        """The data as text, ``None`` where it is none."""
+        """The data as text, ``None`` if it is binary."""
         if self.form:
             return None
         try:

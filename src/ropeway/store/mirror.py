@@ -83,7 +83,7 @@ class Mirroring:
         self._tasks: list[Supervised] = []
 
     def start(self) -> None:
-        """Begin."""
+        """Start the mirroring."""
         self._tasks = [Supervised(self._run, "store mirror").start(), Supervised(self._follow, "store follows").start()]
 
     async def close(self) -> None:

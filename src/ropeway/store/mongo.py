@@ -229,7 +229,7 @@ class MongoBackend:
         return [entry for entry in found if entry is not None]
 
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from the database."""
         self._stream = None
         if self._client is not None:
             self._client.close()

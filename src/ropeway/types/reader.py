@@ -183,7 +183,7 @@ class _Source:
             position += count or 1
 
     def widen(self, targets: list[_Target]) -> None:
-        """Have ``cbor.dumps`` write NaN and infinity in full."""
+        """Make ``cbor.dumps`` write NaN and infinity in full."""
         names = [name for name, letter, count in targets if letter in "fd" and not count]
         lists = [name for name, letter, count in targets if letter in "fd" and count]
         if not names and not lists:

@@ -70,7 +70,7 @@ class Ros2Robot(Walker):
     """Subscribes to ``/cmd_vel`` on a network of ROS 2."""
 
     async def join(self, graph: Graph, registry: TypeRegistry) -> None:
-        """Listen."""
+        """Start to listen for commands."""
         codec = registry.codec(TWIST)
 
         def heard(batch: Sequence[Sample]) -> None:
@@ -84,7 +84,7 @@ class Alice(Walker):
     """Knows codes to move (0 forward, 1 back, 4 stop) and angles to turn by, in degrees; nothing of ROS."""
 
     async def join(self, node: AsyncNode) -> None:
-        """Listen."""
+        """Start to listen for commands."""
         await node.subscribe("NAVI_ROBOT_MOVE_REQ", self._move)
         await node.subscribe("NAVI_GO_ROTATION_REQ", self._rotate)
 

@@ -223,7 +223,7 @@ class _Server:
         return True
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the server."""
         self._node.close()
 
     def _tried(self, work: Callable[[], T]) -> T:

@@ -20,7 +20,7 @@ _PAUSE_S: Final = 2.0  # until all that a connection held is free, and others th
 
 
 def keep_freed_memory() -> None:
-    """Have the C library keep up to 16 MB of freed memory instead of giving every image back to the kernel.
+    """Make the C library keep up to 16 MB of freed memory instead of returning that of every image to the kernel.
 
     By default an image is mapped, faulted in page by page and unmapped again at every hop, which costs ten times
     what copying it does. Without effect where the C library is not glibc.

@@ -28,7 +28,7 @@ class Room:
 
 
 def make_room(clients: int) -> Room:
-    """Have the system allow connections of so many clients; return how many there is room for.
+    """Ask the system to allow connections of this many clients; return how many there is room for.
 
     Call it once graphs are open: a library that knows only the first 1,024 files has its own by then. Says in the log
     if fewer have room than wanted. Raises ``GraphUnavailable`` where so few files may be open that a gateway would only

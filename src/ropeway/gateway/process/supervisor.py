@@ -103,7 +103,7 @@ class WorkerProcess:
         self._steady_s = steady_s
 
     async def run(self) -> None:
-        """Keep the process up for ever."""
+        """Keep the process running until cancelled."""
         short_lives = 0
         while True:
             began = time.monotonic()
@@ -230,7 +230,7 @@ class Supervisor:
             await task.wait()
 
     def reload(self) -> None:
-        """Have every worker read its certificates and tokens again."""
+        """Make every worker read its certificates and tokens again."""
         for worker in self.workers:
             if worker.process is not None and worker.process.returncode is None and worker.ready.is_set():
                 worker.process.send_signal(signal.SIGHUP)

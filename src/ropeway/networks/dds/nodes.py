@@ -44,7 +44,7 @@ def full_name(namespace: str, name: str) -> str:
 
 
 def parse(payload: bytes) -> ParticipantEntities | None:
-    """Read a message (CDR with its header); ``None`` for bytes that are none."""
+    """Parse a message (CDR with its header); ``None`` for other bytes."""
     for gid_bytes in (GID_BYTES, OLD_GID_BYTES):
         try:
             return _Reader(payload, gid_bytes).message()

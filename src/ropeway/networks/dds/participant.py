@@ -103,7 +103,7 @@ class DdsParticipant:
         self._announce()
 
     async def withdraw(self) -> None:
-        """Say no more about our node; ``close`` does so too, but one after the other with the rest."""
+        """Stop announcing our node; ``close`` does so, too, but one after the other with the rest."""
         if self._announcer is not None:
             await self.delete(self._announcer)
 

@@ -363,7 +363,7 @@ def without_padding(payload: bytes) -> bytes:
 
 
 def tell_padding(serdata: int, length: int) -> None:
-    """Have the header of a new sample of ``length`` bytes tell how many bytes, zeros, DDS adds to fill up four.
+    """Write into the header of a new sample of ``length`` bytes how many zero bytes DDS adds to fill up four.
 
     The library would refuse a sample that is told so and is not filled up yet, where its body has but a byte or two.
     """

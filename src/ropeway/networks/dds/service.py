@@ -68,7 +68,7 @@ class DdsService(Ends):
             log.warning("%s: %s serves nodes of Cyclone DDS only: %s", self._graph.name, self.service, error)
 
     async def end_help(self) -> None:
-        """Have them served no more."""
+        """End the help of the graph's helper."""
         if self._helped is not None:
             await self._helped.close()
 

@@ -83,7 +83,7 @@ class IortGraph(GraphBase):
         self._open = False
 
     async def open(self) -> None:
-        """Join. Raises ``GraphUnavailable``."""
+        """Join the space. Raises ``GraphUnavailable``."""
         if self._open:
             return
         self.loop = asyncio.get_running_loop()

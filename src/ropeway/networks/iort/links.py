@@ -26,7 +26,7 @@ class Link(Protocol):
         """Join; ``on_lost`` is called when all endpoints that were told are no longer known."""
 
     async def close(self) -> None:
-        """Leave."""
+        """Leave the space."""
 
     def publish(self, system: str, topic: str, data: bytes, type: str, stamp_ns: int, origin: str, form: str) -> bool:
         """Publish a value; return false if it is refused at once."""
@@ -41,7 +41,7 @@ class Link(Protocol):
         """Get every value, the one that is there first."""
 
     async def unsubscribe(self, system: str, topic: str) -> None:
-        """Get no more."""
+        """End a subscription."""
 
 
 class LocalLink:
@@ -53,13 +53,13 @@ class LocalLink:
         self._on_event: OnEvent | None = None
 
     async def open(self, on_value: OnValue, on_event: OnEvent, on_lost: Callable[[], None]) -> None:
-        """Join."""
+        """Join the space."""
         self._on_value, self._on_event = on_value, on_event
         self.space.join(self)
         self.space.watch(self)
 
     async def close(self) -> None:
-        """Leave."""
+        """Leave the space."""
         self._on_value = self._on_event = None
         self.space.leave(self)
 
@@ -96,7 +96,7 @@ class LocalLink:
             self.space.subscribe(self, system, topic, latest=True, type=type, qos=qos)
 
     async def unsubscribe(self, system: str, topic: str) -> None:
-        """Get no more."""
+        """End a subscription."""
         self.space.unsubscribe(self, system, topic)
 
 
@@ -137,7 +137,9 @@ class RemoteLink:
         return self.node.mode == "remote"
 
     async def open(self, on_value: OnValue, on_event: OnEvent, on_lost: Callable[[], None]) -> None:
-        """Connect. With ``wait_s`` 0 it need not be reached at once; else ``GraphUnavailable`` is raised."""
+        """Connect to the server. With ``wait_s`` 0 it need not be reached at once; else ``GraphUnavailable``
+        is raised.
+        """
         self._on_value, self._on_event, self._on_lost = on_value, on_event, on_lost
         await self.node.open(self._wait_s)
         self._open = True
@@ -149,7 +151,7 @@ class RemoteLink:
             await self.node.stand("*", "*", "+watch", {})
 
     async def close(self) -> None:
-        """Leave."""
+        """Leave the server."""
         self._on_value = self._on_event = self._on_lost = None
         self._open = False
         await self.node.close()
@@ -178,7 +180,7 @@ class RemoteLink:
             )
 
     async def unsubscribe(self, system: str, topic: str) -> None:
-        """Get no more."""
+        """End a subscription."""
         end = self._ends.pop((system, topic), None)
         if end is not None:
             result = end()

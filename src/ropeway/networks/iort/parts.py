@@ -56,11 +56,11 @@ class IortHost(Host, Protocol):
         ...
 
     async def withdraw(self, publisher: IortPublisher) -> None:
-        """Publish a topic no more."""
+        """Remove a closed publisher."""
         ...
 
     async def forget(self, subscription: IortSubscription) -> None:
-        """Read a topic no more."""
+        """Remove a closed subscription."""
         ...
 
 

@@ -98,7 +98,7 @@ class Space:
         store.on_change.append(self._changed)
 
     def close(self) -> None:
-        """Hear of the store no longer."""
+        """Stop following the store."""
         if self._changed in self.store.on_change:
             self.store.on_change.remove(self._changed)
 

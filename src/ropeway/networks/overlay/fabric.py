@@ -141,7 +141,7 @@ class Fabric:
             self._watching = Supervised(self._watch, "overlay: losses of links").start()
 
     async def _watch(self) -> None:
-        """Have connections that lose packets use a congestion control that bears it."""
+        """Switch connections that lose packets to a congestion control that tolerates it."""
         losses = Losses()
         while True:
             await asyncio.sleep(_LOOK_S)
@@ -211,7 +211,7 @@ class Fabric:
     # ── hearing ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def subscribe(self, key: str, callback: Callable[[str, zenoh.ZBytes, zenoh.ZBytes | None], None]) -> Handle:
-        """Have ``callback(key, payload, attachment)`` called in Zenoh's thread for what is put under ``key``."""
+        """Call ``callback(key, payload, attachment)`` in Zenoh's thread for what is put under ``key``."""
 
         def take(sample: zenoh.Sample) -> None:
             callback(str(sample.key_expr), sample.payload, sample.attachment)
@@ -240,7 +240,7 @@ class Fabric:
         return close
 
     def watch(self, key: str, callback: Callable[[str, bool], None]) -> Handle:
-        """Have ``callback(key, alive)`` called on the loop for tokens that come and go, and are there now."""
+        """Call ``callback(key, alive)`` on the loop for tokens that come and go, and are there now."""
         inlet: Inlet[tuple[str, bool]] = Inlet(self._loop, one_by_one(lambda item: callback(*item)))
 
         def take(sample: zenoh.Sample) -> None:
@@ -258,7 +258,7 @@ class Fabric:
     def serve(
         self, key: str, callback: Callable[[Asked], None], *, limit_bytes: int = OVERLAY_WAITING_NOTES_BYTES
     ) -> Handle:
-        """Have ``callback`` called on the loop for each query of ``key``; ``limit_bytes`` of them may wait for it."""
+        """Call ``callback`` on the loop for each query of ``key``; ``limit_bytes`` of them may wait for it."""
         inlet: Inlet[Asked] = Inlet(self._loop, one_by_one(callback), limit_bytes=limit_bytes, on_lost=Asked.done)
 
         def take(query: zenoh.Query) -> None:

@@ -319,7 +319,7 @@ class Feed:
         self._end = self.fabric.subscribe(data_key(self.name), self._came)
 
     async def close(self) -> None:
-        """Read no more."""
+        """Stop reading."""
         self._inlet.closed = True
         if self._end is not None:
             self._end()

@@ -59,11 +59,11 @@ class Links:
         self.fabric = Fabric(self._config(self.denied), gateway, routers=routers)
 
     def watch(self) -> None:
-        """Say from now on why there is no link, whenever there is none."""
+        """Report from now on why there is no link, whenever there is none."""
         self._watching = Supervised(self._watch, "overlay links").start()
 
     async def close(self) -> None:
-        """Say no more."""
+        """Stop reporting."""
         await end(self._watching)
         self._watching = None
 

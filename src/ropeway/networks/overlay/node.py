@@ -132,7 +132,7 @@ class OverlayNode:
     # ── life ───────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def open(self) -> None:
-        """Join the overlay, or have one more user of it here. Raises ``IdentityError`` or ``GraphUnavailable``."""
+        """Join the overlay, or add a user of it here. Raises ``IdentityError`` or ``GraphUnavailable``."""
         async with self._opening:
             if not self._opened:
                 self.trust.check(self.identity.certificate.der)
@@ -155,7 +155,7 @@ class OverlayNode:
             self._opened += 1
 
     async def close(self) -> None:
-        """Have one user less; the last one leaves the overlay."""
+        """Remove a user; the last one leaves the overlay."""
         async with self._opening:
             self._opened = max(self._opened - 1, 0)
             if self._opened or self._checking is None:
@@ -317,7 +317,7 @@ class OverlayNode:
             await feed.close()
 
     def follow(self, feed: Feed) -> None:
-        """Have a feed read all publishers of its name, whatever their QoS; readers join those that suit them."""
+        """Make a feed read all publishers of its name, whatever their QoS; readers join those that suit them."""
         found: dict[bytes, tuple[Advertisement, Certificate]] = {}
         for advert in self.rib.by_name(feed.name, "publisher"):
             certificate = self.membership.certificate(advert.gateway)

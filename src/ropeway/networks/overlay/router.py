@@ -69,7 +69,7 @@ class Router:
         self._task = Supervised(self._keep, "router")
 
     async def __aenter__(self) -> Router:
-        """Listen. Raises ``GraphUnavailable`` where that cannot be."""
+        """Start to listen. Raises ``GraphUnavailable`` where that cannot be."""
         self._read_files()
         await self._open()
         self._task.start()

@@ -92,7 +92,7 @@ class Rpc:
         self._ends.append(self._fabric.serve(key, self._take, limit_bytes=OVERLAY_REQUESTS_BYTES))
 
     async def close(self) -> None:
-        """Answer no more."""
+        """Stop answering."""
         for handle in self._ends:
             handle()
         self._ends.clear()
@@ -100,7 +100,7 @@ class Rpc:
         await self._tasks.close()
 
     def answers(self, op: str, answer: Answer) -> None:
-        """Have requests of this word answered so."""
+        """Register the handler of requests with this word."""
         self._answers[op] = answer
 
     def forget(self, gateway: bytes) -> None:

@@ -72,7 +72,7 @@ class MasterRegistration:
         self._task = Supervised(self._run, f"master of {self.node.graph}").start()
 
     async def stop(self) -> None:
-        """Ask no more."""
+        """Stop polling the master."""
         await end(self._task, *self._asking.values())
         self._task = None
         self.tell()

@@ -89,7 +89,7 @@ class Ros1Node:
         self._origins: dict[tuple[str, str], FirstSeenPublisher] = {}
 
     async def open(self) -> None:
-        """Listen. Raises ``OSError``."""
+        """Start to listen. Raises ``OSError``."""
         loop = asyncio.get_running_loop()
         self.host = await our_host(split_uri(self.master.uri)[0])
         bind = self.host if is_loopback(self.host) else "0.0.0.0"  # noqa: S104  # as every ROS 1 node does
@@ -104,7 +104,7 @@ class Ros1Node:
         return f"rosrpc://{self.host}:{self.port}"
 
     async def close(self) -> None:
-        """Listen no more, and close what is still connected."""
+        """Stop listening, and close what is still connected."""
         server, self._tcp = self._tcp, None
         if server is not None:
             await stop_listening(server)

@@ -81,7 +81,7 @@ class Publication:
         self._task = background(self._run(), f"publisher of {reader.topic}")
 
     async def close(self) -> None:
-        """Read no more from it."""
+        """Stop reading from the publisher."""
         if self._connection is not None:
             self._connection.abort("closed")
         if self._task is not asyncio.current_task():

@@ -97,7 +97,7 @@ class _Caller:
             return False, (str(error) or type(error).__name__).encode()
 
     async def close(self) -> None:
-        """Answer no more."""
+        """Stop answering."""
         work, self._work = self._work, None
         self.connection.abort("the service was closed")
         if work is not asyncio.current_task():
@@ -180,7 +180,7 @@ class Ros1Service:
         door.ros1_name = door.services[0].ros1.name
 
     async def close(self) -> None:
-        """Serve no more; calls under way see their connection closed."""
+        """Stop serving; calls under way see their connection closed."""
         if not self.closed:
             self.closed = True
             await self._door.leave(self)

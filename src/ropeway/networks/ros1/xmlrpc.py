@@ -180,7 +180,7 @@ class XmlRpcServer:
         self.port = self._server.sockets[0].getsockname()[1]
 
     async def close(self) -> None:
-        """Answer no more."""
+        """Stop answering."""
         server, self._server = self._server, None
         if server is not None:
             await stop_listening(server)
@@ -197,7 +197,9 @@ class XmlRpcServer:
         task.add_done_callback(self._ended)
 
     def _has_room(self) -> bool:
-        """Return whether one more may connect, if need be in the place of the one that has been silent longest."""
+        """Return whether another client may connect, if need be in the place of the one that has been silent
+        longest.
+        """
         if len(self._tasks) < ROS1_CALLERS:
             return True
         if (silent := next(iter(self._idle), None)) is None:

@@ -40,7 +40,7 @@ class Ros2PublisherHost(Ros2Host, Protocol):
 
 
 class Ros2Publisher(PublisherBase[Ros2PublisherHost]):
-    """Publishes what it is given as it is, in a thread, since a slow reader may hold up whoever publishes."""
+    """Publishes CDR unchanged, in a thread, since a slow reader may block the writer."""
 
     def __init__(self, graph: Ros2PublisherHost, topic: str, type: str, qos: QoS, raw: Any) -> None:
         super().__init__(graph, topic, type, qos)

@@ -101,7 +101,7 @@ class Senders:
         return Lane(self, messages, size, dropped)
 
     def serve(self, lane: Lane) -> None:
-        """Have a thread serve the lane."""
+        """Schedule the lane for a thread."""
         with self._lock:
             if self._stopping:
                 return

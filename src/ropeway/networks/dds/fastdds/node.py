@@ -161,7 +161,7 @@ class FastNode:
         self.wake()
 
     def wake(self) -> None:
-        """Have the thread look round."""
+        """Wake the thread."""
         check(lib.set_guardcondition(self._guard, True), "set_guardcondition")
 
     def _main(self) -> None:

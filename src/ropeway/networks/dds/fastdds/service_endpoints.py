@@ -65,11 +65,11 @@ class EndpointHost(Protocol):
         ...
 
     def count(self, number: int, reason: Undelivered) -> None:
-        """Count one more request or reply that got lost, and why."""
+        """Count a request or reply that was lost, and why."""
         ...
 
     def wake(self) -> None:
-        """Have the thread look round."""
+        """Wake the thread."""
         ...
 
 

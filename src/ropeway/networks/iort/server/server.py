@@ -235,7 +235,7 @@ class IortServer:
             self._names[name] += 1
 
     def recheck(self) -> None:
-        """Have every node say again who it is: tokens, roles and rules are others now."""
+        """Make every node log in again: tokens, roles and rules have changed."""
         for session in [*self.sessions, *self._strangers]:
             session.close("login", "what this node may do has changed; connect again")
 

@@ -107,7 +107,7 @@ class IortSession(asyncio.Protocol):
         self._login = asyncio.get_running_loop().call_later(seconds, self.server.too_late, self)
 
     def let_in(self, access: Access, max_packet_bytes: int) -> None:
-        """Have the node do what ``access`` allows, with packets of up to ``max_packet_bytes``."""
+        """Admit the node with the rights of ``access``, and packets of up to ``max_packet_bytes``."""
         self.access = access
         self._parser.max_bytes = max_packet_bytes
         self._end_visit()

@@ -32,7 +32,7 @@ class OverlaySending(Protocol):
         ...
 
     def aim(self, queue: Queue[Sample], gateways: frozenset[bytes]) -> None:
-        """Have what a publisher sends go to these gateways."""
+        """Send a publisher's messages to these gateways."""
         ...
 
     def slowest(self, queue: Queue[Sample]) -> float | None:
@@ -125,7 +125,7 @@ class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
         self.rematch()
 
     def rematch(self) -> None:
-        """See who reads it."""
+        """Match the publisher with its readers anew."""
         found = {
             advert.endpoint: advert.gateway
             for advert in self._graph.node.rib.by_name(self.advert.global_name, "subscription")

@@ -103,7 +103,7 @@ class OverlaySender:
             self._leave(queue, group)
 
     def aim(self, queue: Queue[Sample], gateways: Lot) -> None:
-        """Have what a publisher sends go to these gateways."""
+        """Send a publisher's messages to these gateways."""
         group = self._group_of.get(queue)
         if group is None:
             return
@@ -216,7 +216,7 @@ class OverlaySender:
             self._look = self._loop.call_later(_LOOK_S, self._look_again)
 
     def _turn(self, lane: int) -> bool:
-        """Have the next group that can send something in a lane; return whether there was one."""
+        """Let the next group that can send something in a lane do so; return whether there was one."""
         for lot, group in list(self._groups.items()):
             waits = group.cursors[lane] or group.outbox.waits(lane)
             if waits and self._send_within(self._room_bytes(group), lane, group):
@@ -290,7 +290,7 @@ class OverlaySender:
     # ── whole packets ──────────────────────────────────────────────────────────────────────────────────────────
 
     def _hand(self, lane: int, group: _Group, work: Callable[[], None], size: int, jobs: Sequence[Job]) -> None:
-        """Have the lane's thread do something that sends about so many bytes."""
+        """Hand work to the lane's thread that sends about this many bytes."""
         paths = self._paths(group)
         self._pending[lane] += size
         for path in paths:
@@ -341,7 +341,7 @@ class OverlaySender:
     # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _begin(self, lane: int, group: _Group, publisher: OverlayPublisher, piece: tuple[PacketItem, bool]) -> None:
-        """Have a message sealed that goes in parts."""
+        """Begin to seal a message that goes in parts."""
         cursor = _Cursor(publisher, piece[0].number)
         group.cursors[lane].append(cursor)
 
@@ -378,7 +378,9 @@ class OverlaySender:
             self._begin_next(lane, group, size - cursor.at)
 
     def _begin_next(self, lane: int, group: _Group, left_bytes: int) -> None:
-        """Have the next message sealed that goes in parts, once little is left of this one: the path is not to wait."""
+        """Begin to seal the next message that goes in parts, once little is left of this one: the path is
+        not to wait.
+        """
         paces = [path.model.pace.bytes_per_s or 0.0 for path in self._paths(group)]
         if left_bytes > _AHEAD_S * min(paces, default=0.0):
             return

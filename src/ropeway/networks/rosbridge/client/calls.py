@@ -40,7 +40,7 @@ class RemoteCaller(Protocol):
         """See ``Client``."""
 
     async def close(self) -> None:
-        """Call no more."""
+        """Stop calling."""
 
 
 class RemoteProvider(Protocol):
@@ -59,7 +59,7 @@ class RemoteProvider(Protocol):
         ...
 
     async def close(self) -> None:
-        """Serve no more."""
+        """Stop serving."""
         ...
 
 

@@ -82,7 +82,7 @@ class Reconnect:
             await self._task.wait()
 
     async def stop(self) -> None:
-        """Keep it up no more."""
+        """Stop reconnecting."""
         await end(self._task)
         self._task = None
 

@@ -76,7 +76,7 @@ class Placing(Protocol):
     """Chooses between two connections; ``Express`` does so."""
 
     def place(self, channel: Channel) -> None:
-        """Have a topic take the connection for messages such as the one that is about to wait."""
+        """Choose the connection of a topic for messages such as the one that is about to wait."""
         ...
 
 

@@ -146,7 +146,7 @@ class Express:
         self._fences.clear()
 
     def place(self, channel: Channel) -> None:
-        """Have a topic take the connection for messages such as the one that is about to wait."""
+        """Choose the connection of a topic for messages such as the one that is about to wait."""
         if channel.large:
             if channel.sender is not self._peer.sender:
                 self._move(channel, self._peer.sender)

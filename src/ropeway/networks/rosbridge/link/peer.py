@@ -212,7 +212,7 @@ class Peer:
         return self._ops.count
 
     def on_answer_gone(self, callback: Callable[[], None]) -> None:
-        """Have ``callback`` called whenever a call or an answer has gone out."""
+        """Call ``callback`` whenever a call or an answer has gone out."""
         self._ops.on_gone = callback
 
     async def room_for_answers(self) -> None:

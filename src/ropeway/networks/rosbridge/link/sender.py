@@ -357,7 +357,7 @@ class RecordSender(LinkSender):
         return None
 
     def _prepare_next(self, lane: int, current: _Cursor) -> None:
-        """Have a thread encode the message that comes after the one that is nearly sent, if that takes time."""
+        """Let a thread encode the message that follows the one that is nearly sent, if that takes time."""
         pace = self.connection.flow.pace.bytes_per_s
         assert current.body is not None
         if pace is None or len(current.body) - current.at > pace * _AHEAD_S:

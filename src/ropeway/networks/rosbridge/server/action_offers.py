@@ -36,7 +36,7 @@ class OfferedAction:
         self._inner: ViewActionServer | None = None
 
     async def open(self) -> None:
-        """Serve it on the graph, or wait until whoever does leaves. Raises what the graph raises."""
+        """Serve the action on the graph, or wait until its holder leaves. Raises what the graph raises."""
         handlers = ActionHandlers(self._execute, self._accept, self._cancel if self.session.gateway else None)
         delivery = Delivery(encoding=self.compression or "auto")
         self._inner = await self.session.view.create_action_server(self.name, self.type, handlers, delivery=delivery)
@@ -100,7 +100,7 @@ class OfferedAction:
         self._goals.clear()
 
     async def close(self, reason: str) -> None:
-        """Carry out no more goals; those under way are aborted."""
+        """Stop carrying out goals; those under way are aborted."""
         self.closed = True
         self.abort_all(reason)
         await asyncio.sleep(0)  # who sent them is told why, before the graph says that nobody is there

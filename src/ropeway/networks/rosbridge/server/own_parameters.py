@@ -58,7 +58,7 @@ class OwnParameters:
             raise
 
     async def close(self) -> None:
-        """Offer them no more."""
+        """Withdraw the parameter services."""
         while self._services:
             await self._services.pop().close()
 

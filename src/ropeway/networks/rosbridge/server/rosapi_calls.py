@@ -51,7 +51,7 @@ class RosapiCalls:
             self._tasks.start(self._work(), "answers of rosapi")
 
     async def close(self) -> list[ops.CallService]:
-        """Answer no more; return the calls that were not answered."""
+        """Stop answering; return the calls that were not answered."""
         left = [*self._asking.values(), *(op for op, _ in self._waiting)]
         self._waiting.clear()
         await self._tasks.close()

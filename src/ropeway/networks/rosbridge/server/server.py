@@ -206,7 +206,7 @@ class RosbridgeServer:
         return refusal(400, offered) if offered else None
 
     def _full(self, role: Role) -> str:
-        """Return why there is no place for one more of this role, ``""`` where there is one."""
+        """Return why there is no room for another client of this role, ``""`` if there is."""
         if full := self.limits.budget.full:
             return full
         most = self.entrance.door.max_clients
@@ -215,7 +215,7 @@ class RosbridgeServer:
         return self.entrance.full(role)
 
     def recheck(self, *, certificates: bool = False) -> None:
-        """Close whoever would no longer come in with the same role (1008): the door is another now.
+        """Disconnect clients that would no longer come in with the same role (1008): the rules have changed.
 
         With ``certificates`` whoever showed one has to show it again. Globs of rosapi stay as they were.
         """

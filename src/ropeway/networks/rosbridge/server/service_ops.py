@@ -321,7 +321,7 @@ class OfferedService:
         self._inner: ViewService | None = None
 
     async def open(self) -> None:
-        """Serve it on the graph, or wait until whoever does leaves. Raises what the graph raises."""
+        """Serve the service on the graph, or wait until its holder leaves. Raises what the graph raises."""
         delivery = Delivery(encoding=self._compression or "auto")
         self._inner = await self.session.view.create_service(self.name, self.type, self._handle, delivery=delivery)
         self._inner.on_state(self._state)
@@ -402,7 +402,7 @@ class OfferedService:
         self.pending.clear()
 
     async def close(self, reason: str) -> None:
-        """Serve it no more; calls under way fail at once."""
+        """Stop serving it; calls under way fail at once."""
         self.closed = True
         self.fail_all(reason)
         await asyncio.sleep(0)  # who called is told why, before the graph says that nobody is there

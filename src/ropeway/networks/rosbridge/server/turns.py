@@ -57,7 +57,7 @@ class Turns:
         self._wake.set()
 
     def wake(self) -> None:
-        """Have ``wait`` return, also if nothing waits."""
+        """Make ``wait`` return, even if nothing waits."""
         self._wake.set()
 
     async def wait(self) -> None:
@@ -76,7 +76,7 @@ class Turns:
         self.ease()
 
     def look(self) -> None:
-        """Read the client's socket no more, if too much waits."""
+        """Stop reading the client's socket if too much waits."""
         if not self.paused and (
             len(self.waiting) > WAITING_OPERATIONS
             or self._heavy
