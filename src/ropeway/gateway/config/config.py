@@ -102,6 +102,11 @@ class Config:
             or any(route.store for route in self.routes())
         )
 
+    @property
+    def only_dials(self) -> bool:
+        """Whether nobody asked for a listener and there is somebody to dial, so that the default one may be missing."""
+        return "listen" not in self.gateway.model_fields_set and bool(self.remotes)
+
     def slice(self, remotes: Iterable[int], *, listen: bool = True) -> Config:
         """Return the part of this configuration for a worker: only the remotes with these indexes stay active.
 
