@@ -1,4 +1,9 @@
-"""Serves one node's connection: reads packets, answers requests, and sends what the node subscribed to."""
+"""Serves one node's connection: reads packets, answers requests, and sends what the node subscribed to.
+
+What a node publishes goes to the space, which orders it by time and version, keeps it and gives it to other nodes as it
+is: it is a value of the store and no sample, so there is no passage here. Where a map shares a topic of nodes with a
+graph, a bridge of ``ropeway.gateway.nodes`` does, and its messages take the passage of that bridge.
+"""
 
 from __future__ import annotations
 
