@@ -13,6 +13,7 @@ from typing import Any, Final, Protocol
 
 from ropeway.bridge.upkeep import Upkeep
 from ropeway.graph.base import NO_HINTS, Delivery, Graph
+from ropeway.graph.link_parts import Contended, Encoded
 
 __all__ = ["Offer"]
 
@@ -105,8 +106,8 @@ class Offer:
         """The encoding of requests and answers if the side that a link leads to can tell, otherwise the
         configured one.
         """
-        found = (getattr(part, "encoding", None) for part in (self._server, self._client))
-        return next((encoding for encoding in found if encoding is not None), self.delivery.encoding)
+        parts = (self._server, self._client)
+        return next((part.encoding for part in parts if isinstance(part, Encoded)), self.delivery.encoding)
 
     def done(self, how: str, took_s: float) -> None:
         """Count a request that has ended."""
@@ -119,16 +120,14 @@ class Offer:
         wanted = self._client.available is not False
         if wanted and self._server is None:
             server = self._server = await self.make_server()
-            on_state = getattr(server, "on_state", None)
-            if on_state is not None:
-                on_state(self._taken)
+            if isinstance(server, Contended):
+                server.on_state(self._taken)
             log.info("%s %s of %s is offered on %s", self.kind, self.target_name, self.source.name, self.target.name)
         elif not wanted and self._server is not None:
             await self._withdraw()
             log.info("%s %s is no longer offered on %s", self.kind, self.target_name, self.target.name)
 
     def _taken(self, taken_by: str) -> None:
-        taken_by = taken_by.removeprefix(f"{self.kind} {self.target_name} is already offered by ")
         if taken_by and taken_by != self.taken_by:
             log.warning(
                 "%s %s is already offered on %s by %s; this route takes over when that leaves",

@@ -12,6 +12,7 @@ from ropeway.gateway.config.config import Route
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.credentials import Credentials
 from ropeway.graph.base import Graph
+from ropeway.graph.link_parts import Encoded, LinkedPublisher, LinkStatistics
 from ropeway.listener.http import without_token
 from ropeway.networks.rosbridge.client import RosbridgeGraph
 
@@ -221,15 +222,16 @@ def _topic(route: Route, bridge: TopicBridge) -> dict[str, Any]:
     drops: dict[str, int] = {reason.value: n for reason, n in bridge.drops.items() if n}
     delay, encoding = meter.delay_s, route.delivery.encoding
     publisher = bridge.publisher
-    ways = (getattr(publisher, "channel", None), getattr(publisher, "packing", None), bridge.subscription)
-    encoding = next((used for way in ways if (used := getattr(way, "used", None)) is not None), encoding)
-    for reason, n in getattr(publisher, "lost", {}).items():
-        if n:
-            drops[reason.value] = n
+    link = publisher.statistics() if isinstance(publisher, LinkedPublisher) else LinkStatistics()
+    if link.encoding is not None:
+        encoding = link.encoding
+    elif isinstance(bridge.subscription, Encoded):
+        encoding = bridge.subscription.encoding
+    drops.update(link.lost)
     if delay is None:
-        delay = getattr(publisher, "remote_delay_s", None)
+        delay = link.delay_s
     return {
-        "error": bridge.error or getattr(publisher, "refused", ""),
+        "error": bridge.error or link.refused,
         "encoding": encoding,
         "messages": meter.messages,
         "bytes": meter.bytes,

@@ -153,7 +153,7 @@ async def test_restores_everything(stack: AsyncExitStack, cloud: Cloud) -> None:
     assert far_inbox.payloads == [text(f"up {i}") for i in (1, 2, 3)]
     assert graph.connections == 4
     assert up.lost == {Lost.UNSENT: 3}
-    assert up.statistics()[0] == 3
+    assert up.traffic()[0] == 3
 
 
 async def test_silent_server(stack: AsyncExitStack, fake: FakeServer) -> None:

@@ -141,7 +141,8 @@ async def test_two_providers(place: Place, kind: str, type: str) -> None:
     second.send(offer)
     refused = await next_op(second)
     assert (refused["op"], refused[kind]) == ("refused", "/x")
-    assert refused["reason"].startswith(f"{kind} /x is already offered by 127.0.0.1:")
+    assert refused["reason"] == f"{kind} /x is already offered by {refused['taken_by']}"
+    assert refused["taken_by"].startswith("127.0.0.1:")
     first.abort()
     assert await next_op(second) == {"op": "granted", kind: "/x"}
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from ropeway.delivery.outbox import Lost, Queue
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample, Undelivered
+from ropeway.graph.link_parts import LinkStatistics
 from ropeway.graph.parts import PublisherBase
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.feed import data_key
@@ -95,6 +96,10 @@ class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
     def lost(self) -> Counter[Lost]:
         """Counts of what was not sent, by reason."""
         return self.queue.lost
+
+    def statistics(self) -> LinkStatistics:
+        """See ``LinkedPublisher.statistics``."""
+        return LinkStatistics(self.packing.used, {reason.value: n for reason, n in self.lost.items() if n})
 
     def publish(self, sample: Sample) -> None:
         """Send to the readers; without any it is kept for late ones where the profile says so."""

@@ -350,8 +350,9 @@ class Calls:
                 if isinstance(name, str):
                     part = table.get(name)
                     if part is not None:
-                        reason = str(message.get("reason", "")) or "it was refused"
-                        part.held.tell("" if op == "granted" else reason[:1000])
+                        by = message.get("taken_by")  # gateways before this field tell it in their reason
+                        reason = by if isinstance(by, str) else str(message.get("reason", ""))
+                        part.held.tell("" if op == "granted" else (reason or "it was refused")[:1000])
                     return True
         return False
 

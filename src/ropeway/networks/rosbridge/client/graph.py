@@ -108,7 +108,7 @@ class RosbridgeGraph(GraphBase):
         self._numbers = itertools.count(1)
         self._publishers: dict[int, RemotePublisher] = {}
         self._subscriptions: dict[int, RemoteSubscription] = {}
-        self.calls = Calls(self)
+        self.calls: Calls = Calls(self)
         self.mirror = RemoteMirror(shown, self._changes, self.calls.changed)
         self._keeper = Reconnect(shown, limits or Limits(), self._connect)
         self._noted_types: set[str] = set()

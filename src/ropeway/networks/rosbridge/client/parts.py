@@ -12,6 +12,7 @@ from ropeway.delivery.outbox import Lost
 from ropeway.errors import MessageTooBig, TypesError
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample, SampleCallback, Undelivered, new_origin
 from ropeway.graph.history import History
+from ropeway.graph.link_parts import LinkStatistics
 from ropeway.graph.parts import PublisherBase
 from ropeway.graph.peer_answer import Answers
 from ropeway.logs import failed
@@ -144,7 +145,13 @@ class RemotePublisher(PublisherBase[LinkGraph]):
         self.disconnected()
         self.connected(peer)
 
-    def statistics(self) -> tuple[int, int]:
+    def statistics(self) -> LinkStatistics:
+        """See ``LinkedPublisher.statistics``."""
+        encoding = None if self.channel is None else self.channel.used
+        lost = {reason.value: n for reason, n in self.lost.items() if n}
+        return LinkStatistics(encoding, lost, self.remote_delay_s, self.refused)
+
+    def traffic(self) -> tuple[int, int]:
         """Return the messages and bytes sent, over all connections."""
         live = (self.channel.sent, self.channel.sent_bytes) if self.channel is not None else (0, 0)
         return self.sent + live[0], self.sent_bytes + live[1]
@@ -202,6 +209,11 @@ class RemoteSubscription(Inbound):
     def qos(self) -> QoS:
         """The profile in use on the far graph, as far as it is known."""
         return self._qos
+
+    @property
+    def encoding(self) -> str:
+        """See ``Encoded.encoding``: until a message has come, that which was asked for."""
+        return self.used
 
     @property
     def refused(self) -> str:

@@ -426,7 +426,7 @@ def tell_state(session: SessionHost, kind: str, name: str, before: str, taken_by
         )
         if session.gateway:
             reason = f"{kind} {name} is already offered by {taken_by}"
-            session.peer.send({"op": "refused", kind: name, "reason": reason})
+            session.peer.send({"op": "refused", kind: name, "reason": reason, "taken_by": taken_by})
     elif before:
         session.inform(f"{kind.capitalize()} {name} is now offered by this client")
         if session.gateway:

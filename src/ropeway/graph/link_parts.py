@@ -1,0 +1,49 @@
+"""Say what parts whose messages and calls go over a link can tell beyond the contract of all graphs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+__all__ = ["Contended", "Encoded", "LinkStatistics", "LinkedPublisher"]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStatistics:
+    """Tells how a topic goes over a link.
+
+    ``encoding`` is that of the last message, ``None`` before the first. ``lost`` counts messages by why they were not
+    sent. ``delay_s`` is the time to the far gateway, where that tells. ``refused`` says why the far side does not take
+    the topic, ``""`` where it does.
+    """
+
+    encoding: str | None = None
+    lost: Mapping[str, int] = field(default_factory=dict)
+    delay_s: float | None = None
+    refused: str = ""
+
+
+@runtime_checkable
+class LinkedPublisher(Protocol):
+    """Publishes over a link."""
+
+    def statistics(self) -> LinkStatistics:
+        """Return how the topic goes over the link."""
+
+
+@runtime_checkable
+class Encoded(Protocol):
+    """Encodes what goes over a link."""
+
+    @property
+    def encoding(self) -> str:
+        """The encoding of messages, or of requests and answers."""
+
+
+@runtime_checkable
+class Contended(Protocol):
+    """Serves a name that another may hold."""
+
+    def on_state(self, callback: Callable[[str], None]) -> None:
+        """Call with who holds the name, ``""`` for this one, now and at each change."""
