@@ -11,6 +11,8 @@ from functools import partial
 import pytest
 
 from ropeway import aio
+from ropeway.networks.overlay import rpc
+from ropeway.networks.overlay.crypto.channel import Initiator
 from ropeway.networks.overlay.fabric import Fabric
 from ropeway.networks.overlay.feed import Feed, PublisherStream
 from ropeway.networks.overlay.follower import Follower
@@ -109,6 +111,17 @@ def test_messages_behind_a_gap() -> None:
     follower.arrived([PacketItem(5, 0, 5, b"", 0, RAW, bytes(5000))])
     follower.forget()
     assert held.bytes == 0
+
+
+async def test_channels_of_one_member(pair: tuple[OverlayGraph, OverlayGraph], monkeypatch: pytest.MonkeyPatch) -> None:
+    """However often a member greets, a gateway keeps so many channels of it, the newest, and answers on them."""
+    monkeypatch.setattr(rpc, "OVERLAY_CHANNELS_PER_MEMBER", 3)
+    near, far = pair
+    for _ in range(8):
+        hello = Initiator(near.node.identity, far.node.gateway).hello
+        assert (await near.node.fabric.ask(rpc.key_of(far.node.gateway), b"\x01" + hello, 5.0))[0][:1] == b"\x01"
+    assert len(far.node.rpc._inbound) == 3
+    assert await near.node.ping(far.node.gateway, 5.0) > 0
 
 
 async def test_everybody_has_left(site: Site) -> None:
