@@ -11,7 +11,7 @@ PARALLEL = -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 COVERAGE = $(shell $(BIN)/python -c 'import sys; print("COVERAGE_CORE=sysmon" * (sys.version_info >= (3, 12)))' 2>/dev/null)
 export PYTHON
 
-.PHONY: help demo demo-iort test test-all test-dds cov lint bench fuzz clean
+.PHONY: help demo demo-iort test test-all test-dds cov lint bench deb fuzz clean
 
 help: ## show this
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-10s %s\n", $$1, $$2}'
@@ -47,6 +47,9 @@ lint: $(VENV)/dev.stamp ## style, spelling, types, the direction of imports, and
 
 bench: $(VENV)/dev.stamp ## the figures of the README; BENCH="loopback" for one
 	@for name in $(or $(BENCH),$(BENCHES)); do $(BIN)/python -m bench.$$name || exit 1; done
+
+deb: $(VENV)/dev.stamp ## packages for Debian 12, amd64 and arm64, in dist/
+	@$(BIN)/python deploy/debian/build.py amd64 arm64
 
 fuzz: $(VENV)/dev.stamp ## look for inputs that break parsers; FUZZ="cdr xml-rpc --seconds 3600" for some, longer
 	@$(BIN)/python -m fuzz $(FUZZ)

@@ -1,19 +1,20 @@
-"""The ROS 2 package: launch files and executables. The program itself is the Python package ``ropeway``."""
+"""The ROS 2 package: launch files, executables and ``ros2 ropeway``. The program is the Python package ``ropeway``."""
 
 from setuptools import setup
 
 setup(
     name="ropeway_ros",  # that of the Python package is taken
     version="0.1.0",
-    packages=[],
+    packages=["ropeway_ros"],
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/ropeway"]),
         ("share/ropeway", ["package.xml"]),
-        ("share/ropeway/launch", ["launch/rosbridge_websocket_launch.xml"]),
+        ("share/ropeway/launch", ["launch/gateway_launch.xml", "launch/rosbridge_websocket_launch.xml"]),
     ],
-    scripts=["scripts/rosbridge_websocket", "scripts/rosapi_node"],
+    scripts=["scripts/gateway", "scripts/rosbridge_websocket", "scripts/rosapi_node"],
+    entry_points={"ros2cli.command": ["ropeway = ropeway_ros.command:RopewayCommand"]},
     install_requires=["setuptools"],
     zip_safe=False,
     license="Apache-2.0",
-    description="Starts Ropeway's rosbridge server from ROS 2 launch files",
+    description="Starts Ropeway's gateway and rosbridge server from ROS 2",
 )

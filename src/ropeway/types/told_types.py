@@ -78,6 +78,10 @@ class DefinitionStore(Protocol):
         """Return whether a definition is known."""
         ...
 
+    def is_guess(self, name: str) -> bool:
+        """Return whether the definition is only bundled, so that a graph corrects it."""
+        ...
+
     def add_told(self, name: str, text: str, teller: DefinitionTeller) -> None:
         """Add a concatenated definition that a peer told."""
         ...

@@ -1,0 +1,1 @@
+"""What ROS 2 needs to find Ropeway: the program itself is the Python package ``ropeway``."""
