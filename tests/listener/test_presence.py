@@ -120,7 +120,7 @@ async def test_a_graph_that_refuses(caplog: pytest.LogCaptureFixture) -> None:
     await server.listen("ws://127.0.0.1:0")
     assert server.listeners
     await server.close()
-    assert "does not take what the server tells about itself" in caplog.text
+    assert "does not accept what the server says about itself" in caplog.text
 
 
 @pytest.mark.parametrize(
