@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from ropeway.delivery.pacing.model import LinkModel
-from ropeway.delivery.pacing.tcp import LOSSES_BORNE_S, Tcp
+from ropeway.delivery.pacing.tcp import Tcp
 
 __all__ = ["Flow"]
 
@@ -35,7 +35,7 @@ class Flow:
         self._tcp: Tcp | None = None
         self._full = False  # the operating system takes no more
         self._held = False  # the link has no room
-        self._bears_losses_s = float("-inf")  # since when
+        self._bears_losses = False
         self._look: asyncio.TimerHandle | None = None
 
     @property
@@ -125,6 +125,6 @@ class Flow:
         if pace is not None:
             spread = not model.starting and pace < _PACING_LIMIT and (model.base_rtt_s or 0.0) >= _PACING_ROUND_TRIP_S
             tcp.pace(_PACING_GAIN * pace if spread else None)
-        if model.losing and reading.now_s - self._bears_losses_s >= LOSSES_BORNE_S:
-            self._bears_losses_s = reading.now_s
+        if model.losing and not self._bears_losses:
+            self._bears_losses = True
             tcp.bear_losses()
