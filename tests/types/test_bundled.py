@@ -134,3 +134,15 @@ def test_a_package_is_read_when_it_is_needed() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["0", "1"]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("nav2_msgs/action/NavigateToPose", "action"), ("turtlesim/Spawn", "srv"), ("turtlesim/Pose", "msg")],
+)
+def test_types_of_the_papers(name: str, kind: str) -> None:
+    """What the examples of the papers name is known without a workspace, to the parts of an action."""
+    registry = TypeRegistry()
+    assert registry.has(name, kind)
+    for end in PARTS[kind]:
+        assert registry.codec(registry.canonical(name, kind) + end).encode({})
