@@ -52,7 +52,7 @@ _SUM: Final = struct.Struct("<4sq")
 _WARM: Final = 10
 _SETTLE_S: Final = 0.05  # what a message leaves for the next turns of the event loop is counted as well
 _WARM_S: Final = 2.5  # requests to a server that was matched just now are repeated
-_WAIT_S: Final = 30.0
+_WAIT_S: Final = 90.0  # a busy machine takes long until everybody has found everybody
 
 
 class Count(NamedTuple):
