@@ -221,12 +221,13 @@ def _topic(route: Route, bridge: TopicBridge) -> dict[str, Any]:
     meter = bridge.meter
     drops: dict[str, int] = {reason.value: n for reason, n in bridge.drops.items() if n}
     delay, encoding = meter.delay_s, route.delivery.encoding
-    publisher = bridge.publisher
+    publisher: object = bridge.publisher
+    subscription: object = bridge.subscription
     link = publisher.statistics() if isinstance(publisher, LinkedPublisher) else LinkStatistics()
     if link.encoding is not None:
         encoding = link.encoding
-    elif isinstance(bridge.subscription, Encoded):
-        encoding = bridge.subscription.encoding
+    elif isinstance(subscription, Encoded):
+        encoding = subscription.encoding
     drops.update(link.lost)
     if delay is None:
         delay = link.delay_s

@@ -257,8 +257,10 @@ class Calls:
 
     async def close(self) -> None:
         """Close every part."""
-        for part in [*self.clients, *self.providers()]:
-            await part.close()
+        for client in list(self.clients):
+            await client.close()
+        for provider in self.providers():
+            await provider.close()
         self.changed()
 
     # ── the connection ─────────────────────────────────────────────────────────────────────────────────────────

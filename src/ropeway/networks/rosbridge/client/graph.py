@@ -376,13 +376,13 @@ class RosbridgeGraph(GraphBase):
     def services(self) -> dict[str, ServiceInfo]:
         """Return what the far graph showed last, and what is served from here; a plain server is polled from now on."""
         self._wants_calls = True
-        ours = (ServiceInfo(s.service, (s.type,), (_US,)) for s in self.calls.services.values())
+        ours = (ServiceInfo(s.name, (s.type,), (_US,)) for s in self.calls.services.values())
         return {s.name: s for s in ours} | self.mirror.services
 
     def actions(self) -> dict[str, ActionInfo]:
         """Return what the far graph showed last, and what is served from here; a plain server is polled from now on."""
         self._wants_calls = True
-        ours = (ActionInfo(s.action, (s.type,), (_US,)) for s in self.calls.servers.values())
+        ours = (ActionInfo(s.name, (s.type,), (_US,)) for s in self.calls.servers.values())
         return {s.name: s for s in ours} | self.mirror.actions
 
     def nodes(self) -> dict[str, NodeInfo]:

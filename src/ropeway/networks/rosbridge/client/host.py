@@ -9,7 +9,7 @@ from ropeway.graph.host import Host
 if TYPE_CHECKING:
     from ropeway.graph.layout_border import Border
     from ropeway.networks.rosbridge.client.echoes import EchoFilter
-    from ropeway.networks.rosbridge.client.mirror import Mirror
+    from ropeway.networks.rosbridge.client.mirror import RemoteMirror
     from ropeway.networks.rosbridge.client.plain_servers import PlainServer
     from ropeway.networks.rosbridge.client.ros1_spelling import Spelling
     from ropeway.networks.rosbridge.link.peer import Peer
@@ -27,7 +27,7 @@ class LinkGraph(Host, Protocol):
     border: Border
     gateway_id: str
     echoes: dict[str, EchoFilter]
-    mirror: Mirror
+    mirror: RemoteMirror
     plain_server: PlainServer
     spelling: Spelling
     teller: DefinitionTeller

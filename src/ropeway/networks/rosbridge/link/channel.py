@@ -63,6 +63,10 @@ class StreamSender(Protocol):
         """Let a message wait for its turn."""
         ...
 
+    def add(self, stream: Stream[Any]) -> None:
+        """Make a stream ready to go out."""
+        ...
+
     def drop(self, stream: Stream[Any]) -> None:
         """Forget a stream; what waits of it is lost."""
         ...

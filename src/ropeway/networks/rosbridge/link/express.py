@@ -68,19 +68,19 @@ class ExpressPeer(Protocol):
         """Return how large a message may be."""
         ...
 
-    def refused(self, error: WireError) -> None:
-        """Count a record that is refused."""
+    def refused(self, channel: int, error: WireError) -> None:
+        """Note a message of a channel that is refused."""
         ...
 
     def takes(self, channel: int) -> bool:
         """Return whether somebody reads a channel."""
         ...
 
-    def take_text(self, text: bytes) -> None:
+    def take_text(self, data: bytes) -> None:
         """Take a text that came."""
         ...
 
-    def take_records(self, reader: RecordReader, data: bytes) -> None:
+    def take_records(self, reader: RecordReader, data: bytes | memoryview) -> None:
         """Take records that came."""
         ...
 
