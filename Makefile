@@ -11,7 +11,7 @@ PARALLEL = -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 COVERAGE = $(shell $(BIN)/python -c 'import sys; print("COVERAGE_CORE=sysmon" * (sys.version_info >= (3, 12)))' 2>/dev/null)
 export PYTHON
 
-.PHONY: help demo demo-iort test test-all test-dds cov lint bench deb fuzz clean
+.PHONY: help demo demo-iort test test-all test-dds cov lint bench deb fuzz dist clean
 
 help: ## show this
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-10s %s\n", $$1, $$2}'
@@ -53,6 +53,14 @@ deb: $(VENV)/dev.stamp ## packages for Debian 12, amd64 and arm64, in dist/
 
 fuzz: $(VENV)/dev.stamp ## look for inputs that break parsers; FUZZ="cdr xml-rpc --seconds 3600" for some, longer
 	@$(BIN)/python -m fuzz $(FUZZ)
+
+dist: $(VENV)/dev.stamp ## the wheel, the source archive, and what an installation of the wheel consists of (CycloneDX)
+	@rm -rf dist build/sbom && $(BIN)/python -m build --no-isolation --outdir dist . >/dev/null
+	@$(BIN)/python -m venv --without-pip build/sbom
+	@$(PIP) --python build/sbom install --quiet dist/*.whl
+	@$(BIN)/cyclonedx-py environment build/sbom/bin/python --pyproject pyproject.toml --output-reproducible \
+		--output-file $$(ls dist/*.whl | sed 's/-py3.*//').cdx.json
+	@ls -l dist
 
 clean: ## remove the environment and all caches
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache dist build
