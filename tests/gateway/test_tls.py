@@ -22,7 +22,7 @@ from cryptography.x509.oid import NameOID
 
 from ropeway.errors import ConfigError, ConnectFailed
 from ropeway.gateway.config import config
-from ropeway.gateway.config.model import ListenTls, RemoteTls
+from ropeway.gateway.config.tls_model import ListenTls, RemoteTls
 from ropeway.gateway.gateway import Gateway
 from ropeway.gateway.tls import certificate_names, client_context, server_context
 from ropeway.listener.connection import Limits

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from ropeway import iort
-from ropeway.gateway.config.model import ListenTls
+from ropeway.gateway.config.tls_model import ListenTls
 from ropeway.gateway.tls import server_context
 from ropeway.iort import AsyncNode, Node, NodeError, Value, text_of
 from ropeway.listener.authentication import CertificateRule, Door

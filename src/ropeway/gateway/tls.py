@@ -10,7 +10,7 @@ from pathlib import Path
 from cryptography import x509
 
 from ropeway.errors import ConfigError
-from ropeway.gateway.config.model import ListenTls, RemoteTls
+from ropeway.gateway.config.tls_model import ListenTls, RemoteTls
 
 __all__ = ["certificate_names", "client_context", "server_context", "trusted_files"]
 

@@ -26,8 +26,9 @@ from ropeway.gateway.config.address import (
     parse_listen,
 )
 from ropeway.gateway.config.auth_model import ALL
-from ropeway.gateway.config.model import OPERATIONS, BridgedName, Document, RemoteConfig
+from ropeway.gateway.config.model import Document, RemoteConfig
 from ropeway.gateway.config.overlay_model import METADATA, OVERLAY
+from ropeway.gateway.config.route_model import OPERATIONS, BridgedName
 from ropeway.gateway.config.suggest import did_you_mean, nearest, one_of, show, unknown_key
 
 __all__ = ["check", "json_path", "route_key"]

@@ -19,15 +19,8 @@ from ropeway.errors import ConfigError
 from ropeway.gateway.config.address import is_iort
 from ropeway.gateway.config.check import check, route_key
 from ropeway.gateway.config.document import read_file
-from ropeway.gateway.config.model import (
-    OPERATIONS,
-    ActionItem,
-    BridgedName,
-    GatewayConfig,
-    RemoteConfig,
-    ServiceItem,
-    TopicItem,
-)
+from ropeway.gateway.config.model import GatewayConfig, RemoteConfig
+from ropeway.gateway.config.route_model import OPERATIONS, ActionItem, BridgedName, ServiceItem, TopicItem
 from ropeway.graph.base import Delivery
 from ropeway.qos import QoS
 

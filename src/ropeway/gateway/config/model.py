@@ -4,23 +4,17 @@ from __future__ import annotations
 
 import re
 import socket
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Iterable
 from typing import Annotated, Final, Literal, TypeVar
 
 from pydantic import (
     AfterValidator,
-    AliasChoices,
     BeforeValidator,
     Field,
-    PlainSerializer,
-    PlainValidator,
     WithJsonSchema,
 )
-from pydantic_core import PydanticCustomError
 
 from ropeway.budget import ACCOUNT_BYTES, PROCESS_BYTES, Budget
-from ropeway.errors import InvalidName, InvalidTypeName
 from ropeway.gateway.config.address import default_graph, parse_graph, parse_listen
 from ropeway.gateway.config.auth_model import AuthConfig, GlobsConfig, Secret
 from ropeway.gateway.config.fields import ExistingPath, Many, Model
@@ -28,67 +22,34 @@ from ropeway.gateway.config.graph_model import Distro, GraphConfig, GraphItem
 from ropeway.gateway.config.group_model import Addresses, AnycastConfig
 from ropeway.gateway.config.iort_model import IortConfig, MapList, StoreConfig
 from ropeway.gateway.config.overlay_model import (
-    METADATA,
-    METADATUM,
     AutomaticConfig,
-    Metadatum,
     OverlayConfig,
 )
-from ropeway.gateway.config.suggest import one_of, show, unknown_key
-from ropeway.graph.base import Delivery, resolve_name
-from ropeway.qos import QoS
-from ropeway.types.definition import canonical_name
+from ropeway.gateway.config.route_model import (
+    OPERATIONS,
+    ActionItem,
+    BridgedName,
+    Namespace,
+    RenamedTopicItem,
+    Seconds,
+    ServiceItem,
+    TopicItem,
+)
+from ropeway.gateway.config.suggest import show
+from ropeway.gateway.config.tls_model import ListenTls, RemoteTls
+from ropeway.graph.base import resolve_name
 
 __all__ = [
-    "ENCODINGS",
-    "OPERATIONS",
-    "PRIORITIES",
-    "ActionItem",
-    "BridgedName",
     "ClientsConfig",
     "Document",
     "GatewayConfig",
-    "ListenTls",
     "RemoteConfig",
-    "RemoteTls",
-    "RenamedTopicItem",
-    "ServiceItem",
-    "TopicItem",
 ]
-
-ENCODINGS: Final = ("auto", "none", "png", "cbor", "cbor-raw", "zip", "rawzip", "zstd")
-POLICIES: Final = ("reliability", "durability", "history", "depth", "deadline", "lifespan")
-PRIORITIES: Final[Mapping[str, int]] = {"command": 0, "default": 4, "bulk": 7}
-OPERATIONS: Final[Mapping[str, str]] = {
-    "publish": "topic",
-    "subscribe": "topic",
-    "trans-publish": "topic",
-    "expose-service": "service",
-    "reserve-service": "service",
-    "expose-action": "action",
-    "reserve-action": "action",
-}
-"""Every operation and its class, as ``OpClassOf`` of the paper has it."""
 
 _MIB: Final = 1 << 20
 _MAX_WORKERS: Final = 256
 _PART: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_A: Final = {"topic": "a topic", "service": "a service", "action": "an action"}
-_INTERFACE: Final = {"topic": "msg", "service": "srv", "action": "action"}
-
 T = TypeVar("T")
-
-
-def _name(value: str) -> str:
-    try:
-        resolve_name(value)
-    except InvalidName as error:
-        raise ValueError(f"expected a ROS name such as /camera/image, got {show(value)}: {error.reason}") from error
-    return value
-
-
-def _namespace(value: str) -> str:
-    return "/" if value in ("", "/") else resolve_name(_name(value.removesuffix("/")))
 
 
 def _node_part(value: str) -> str:
@@ -103,44 +64,10 @@ def _url_path(value: str) -> str:
     return value
 
 
-def _type_of(kind: str) -> AfterValidator:
-    middle = _INTERFACE[kind]
-
-    def check(value: str) -> str:
-        wanted = ValueError(f"expected the type of {_A[kind]}, pkg/{middle}/Name, got {show(value)}")
-        try:
-            full = canonical_name(value, middle)
-        except InvalidTypeName:
-            raise wanted from None
-        if full.split("/")[1] != middle:
-            raise wanted
-        return full
-
-    return AfterValidator(check)
-
-
-def _encoding(value: str) -> str:
-    if value not in ENCODINGS:
-        raise ValueError(one_of(value, ENCODINGS))
-    return value
-
-
-def _priority(value: object) -> object:
-    if isinstance(value, str):
-        if value not in PRIORITIES:
-            raise ValueError(f"{one_of(value, PRIORITIES)} (or a number from 0, sent first, to 7)")
-        return PRIORITIES[value]
-    return value
-
-
 def _switch(value: object) -> object:
     if isinstance(value, str) and value.lower() in ("true", "false"):
         return value.lower() == "true"
     return value
-
-
-def _israw(value: object) -> bool:
-    return bool(value) and not (isinstance(value, str) and value.lower() == "false")
 
 
 def _workers(value: object) -> object:
@@ -149,17 +76,6 @@ def _workers(value: object) -> object:
         wanted = f'0 (one process), up to {_MAX_WORKERS} processes or "per-remote"'
         raise ValueError(f"expected {wanted}, got {show(value)}")
     return value
-
-
-def _qos(value: object) -> QoS | None:
-    if value is None or isinstance(value, QoS):
-        return value
-    if not isinstance(value, Mapping):
-        raise ValueError('expected an object such as {"reliability": "best_effort"}')
-    for key in value:
-        if key not in POLICIES:
-            raise PydanticCustomError("below", "{text}", {"at": str(key), "text": unknown_key(key, POLICIES)})
-    return QoS.parse(value)
 
 
 def _not_empty(value: tuple[T, ...]) -> tuple[T, ...]:
@@ -181,164 +97,13 @@ def _hostname() -> str:
     return name if _PART.fullmatch(name) else f"gateway_{name}".rstrip("_")
 
 
-Name = Annotated[str, AfterValidator(_name)]
-Namespace = Annotated[str, AfterValidator(_namespace)]
-Encoding = Annotated[str, AfterValidator(_encoding), WithJsonSchema({"enum": list(ENCODINGS)})]
-Priority = Annotated[
-    int,
-    Field(ge=0, le=7),
-    BeforeValidator(_priority),
-    WithJsonSchema({"anyOf": [{"type": "integer", "minimum": 0, "maximum": 7}, {"enum": list(PRIORITIES)}]}),
-]
 Switch = Annotated[
     bool,
     BeforeValidator(_switch),
     WithJsonSchema({"anyOf": [{"type": "boolean"}, {"type": "string", "pattern": "^([Tt]rue|[Ff]alse|TRUE|FALSE)$"}]}),
 ]
-IsRaw = Annotated[bool, BeforeValidator(_israw), WithJsonSchema({})]
-Profile = Annotated[
-    QoS | None,
-    PlainValidator(_qos),
-    PlainSerializer(lambda qos: qos and qos.to_json()),
-    WithJsonSchema(
-        {
-            "type": "object",
-            "additionalProperties": False,
-            "properties": {
-                "history": {"enum": ["keep_last", "keep_all"]},
-                "depth": {"type": "integer", "minimum": 0},
-                "reliability": {"enum": ["reliable", "best_effort", "best_available"]},
-                "durability": {"enum": ["volatile", "transient_local", "best_available"]},
-                "deadline": {"$ref": "#/$defs/Duration"},
-                "lifespan": {"$ref": "#/$defs/Duration"},
-            },
-        }
-    ),
-]
-Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
 
 # ---------------------------------------------------------------------------------------------------- models
-
-
-class BridgedName(Model):
-    """A name to bridge, with the options that all operations share."""
-
-    name: Name = Field(description="the name on the local graph; relative to local_namespace")
-    type: str = Field(description="its type: pkg/msg/Name, pkg/Name or pkg.msg.Name")
-    remote_name: Name | None = Field(None, description="the name on the remote side, where it differs")
-    compression: Encoding = Field(
-        "auto",
-        validation_alias=AliasChoices("compression", "encoding"),
-        description="how messages travel; auto takes the fastest that the other side understands",
-    )
-    israw: IsRaw = Field(False, description='true is another way to say "compression": "cbor-raw"')
-    priority: Priority = Field(4, description="lanes: 0 (command) is sent first, 4 is the default, 7 (bulk) last")
-
-    author: Metadatum = Field(None, description=METADATUM)
-    maintainer: Metadatum = Field(None, description="likewise")
-    description: Metadatum = Field(None, description="likewise")
-    unique: Metadatum = Field(None, description="likewise: tells deployments of one name apart")
-    node: Metadatum = Field(None, description="likewise: the name of the node that has it")
-
-    def delivery(self) -> Delivery:
-        """Return how the far side should treat this route."""
-        given = ((key, getattr(self, key)) for key in METADATA)
-        return Delivery(
-            encoding="cbor-raw" if self.israw else self.compression,
-            priority=self.priority,
-            metadata=tuple((key, text) for key, text in given if text is not None),
-        )
-
-
-class TopicItem(BridgedName):
-    """A topic to ``publish`` or to ``subscribe``."""
-
-    type: Annotated[str, _type_of("topic")] = Field(
-        validation_alias=AliasChoices("type", "messageType"),
-        description="its type: pkg/msg/Name, pkg/Name or pkg.msg.Name",
-    )
-    rate_hz: Seconds | None = Field(None, description="at most this many messages per second; default: no limit")
-    lifespan_s: Seconds | None = Field(None, description="older messages (seconds) are not sent; default: no limit")
-    weight: float = Field(
-        1.0, ge=0.1, le=100, description="share of the link in bytes, beside other topics of the same priority"
-    )
-    depth: int | None = Field(None, ge=1, description="how many messages may wait; default: as the publisher's QoS")
-    store: bool = Field(
-        False, description="true keeps the last message: late joiners get it, and it can be read from the store"
-    )
-    qos: Profile = Field(None, description="QoS on the local graph; default: the publishers' own is adopted")
-
-    def delivery(self) -> Delivery:
-        """Return how the far side should treat this route."""
-        return replace(
-            super().delivery(),
-            rate_hz=self.rate_hz,
-            lifespan_s=self.lifespan_s,
-            depth=self.depth,
-            weight=self.weight,
-        )
-
-
-class RenamedTopicItem(TopicItem):
-    """A topic to ``trans-publish``: published remotely under another name."""
-
-    remote_name: Name = Field(description="the name on the remote side")
-
-
-class ServiceItem(BridgedName):
-    """A service to expose or to reserve."""
-
-    timeout_s: Seconds | None = Field(None, description="how long a call may take (seconds); default: 60")
-
-    name: Name = Field(
-        validation_alias=AliasChoices("name", "service"),
-        description="the name on the local graph; relative to local_namespace",
-    )
-    type: Annotated[str, _type_of("service")] = Field(
-        validation_alias=AliasChoices("type", "serviceType"),
-        description="its type: pkg/srv/Name, pkg/Name or pkg.srv.Name",
-    )
-
-
-class ActionItem(BridgedName):
-    """An action to expose or to reserve."""
-
-    timeout_s: Seconds | None = Field(
-        None, description="a goal that takes longer (seconds) is cancelled and aborted; default: no limit"
-    )
-
-    name: Name = Field(
-        validation_alias=AliasChoices("name", "action"),
-        description="the name on the local graph; relative to local_namespace",
-    )
-    type: Annotated[str, _type_of("action")] = Field(
-        validation_alias=AliasChoices("type", "actionType"),
-        description="its type: pkg/action/Name, pkg/Name or pkg.action.Name",
-    )
-
-
-class RemoteTls(Model):
-    """TLS towards one remote."""
-
-    ca: ExistingPath | None = Field(None, description="file of the authorities to trust instead of the system's")
-    certificate: ExistingPath | None = Field(None, description="this gateway's own certificate, where the remote asks")
-    key: ExistingPath | None = Field(None, description="the key of the certificate")
-    verify: bool = Field(True, description="false accepts any certificate: for tests only")
-
-
-class ListenTls(Model):
-    """TLS of the listeners."""
-
-    certificate: ExistingPath = Field(description="certificate chain, PEM")
-    key: ExistingPath = Field(description="its private key, PEM")
-    ca: ExistingPath | None = Field(None, description="clients must show a certificate of these authorities")
-    crl: ExistingPath | None = Field(
-        None, description="with ca: list of the certificates that their authorities revoked, PEM"
-    )
-    client_certificates: Literal["required", "optional"] = Field(
-        "required", description="with ca: whether a client without a certificate may connect with a token"
-    )
 
 
 class RemoteConfig(Model):

@@ -7,9 +7,10 @@ from typing import Any, Final
 from pydantic import AliasChoices, BaseModel
 from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
-from ropeway.gateway.config import model as m
 from ropeway.gateway.config.auth_model import GlobsConfig, Patterns, RoleConfig
 from ropeway.gateway.config.graph_model import GraphConfig
+from ropeway.gateway.config.model import Document
+from ropeway.gateway.config.route_model import ActionItem, RenamedTopicItem, ServiceItem, TopicItem
 
 __all__ = ["build"]
 
@@ -25,10 +26,10 @@ _DURATION: Final = {
     ]
 }
 _ITEMS: Final[tuple[type[BaseModel], ...]] = (
-    m.TopicItem,
-    m.RenamedTopicItem,
-    m.ServiceItem,
-    m.ActionItem,
+    TopicItem,
+    RenamedTopicItem,
+    ServiceItem,
+    ActionItem,
     Patterns,
     RoleConfig,
     GlobsConfig,
@@ -44,7 +45,7 @@ class _Plain(GenerateJsonSchema):
 
 def build() -> dict[str, Any]:
     """Build the schema of all three forms: the full object, a list of remotes, one remote."""
-    models: tuple[type[BaseModel], ...] = (m.Document, GraphConfig, *_ITEMS)
+    models: tuple[type[BaseModel], ...] = (Document, GraphConfig, *_ITEMS)
     _, made = models_json_schema([(model, "validation") for model in models], schema_generator=_Plain)
     definitions: dict[str, Any] = made["$defs"]
     for model in _ITEMS:
