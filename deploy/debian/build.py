@@ -25,6 +25,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 GLIBCS = ("2_36", "2_35", "2_34", "2_31", "2_28", "2_27", "2_24", "2_17", "2014")  # Debian 12 has 2.36
+EXTRAS = ("bags", "mongo", "overlay")  # a machine of its own is to lack nothing; plots are for demonstrations
 HOME = "usr/lib/ropeway"
 
 
@@ -92,11 +93,11 @@ def _install(wheel: Path, architecture: str, python: str, site: Path) -> None:
     """Unpack the wheels of an architecture: what pip takes on this machine, but for what is not for the other."""
     report = site.parents[4] / "report.json"
     site.mkdir(parents=True)
-    _pip("install", "--dry-run", "--ignore-installed", "--report", str(report), str(wheel))
+    _pip("install", "--dry-run", "--ignore-installed", "--report", str(report), f"{wheel}[{','.join(EXTRAS)}]")
     chosen = {item["metadata"]["name"]: item["metadata"] for item in json.loads(report.read_text())["install"]}
     report.unlink()
     machine = MACHINES[architecture]
-    target = {"platform_machine": machine, "python_version": python, "sys_platform": "linux", "extra": ""}
+    target = {"platform_machine": machine, "python_version": python, "sys_platform": "linux"}
     wanted = set(_needed("ropeway", chosen, target)) - {"ropeway"}
     pinned = [f"{name}=={chosen[name]['version']}" for name in sorted(wanted)]
     platforms = [f"--platform=manylinux_{glibc}_{machine}".replace("_2014_", "2014_") for glibc in GLIBCS]
@@ -116,7 +117,8 @@ def _needed(name: str, chosen: dict[str, dict[str, object]], target: dict[str, s
         yield known
         for text in chosen[known].get("requires_dist", ()):  # type: ignore[attr-defined]
             requirement = Requirement(text)
-            if requirement.marker is None or requirement.marker.evaluate(target):
+            marker = requirement.marker
+            if marker is None or any(marker.evaluate({**target, "extra": extra}) for extra in ("", *EXTRAS)):
                 waiting.append(requirement.name)
 
 
