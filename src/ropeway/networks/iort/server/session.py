@@ -11,19 +11,19 @@ import asyncio
 import json
 import logging
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from functools import partial
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final
 
-from ropeway.delivery.pacing.flow import Flow
 from ropeway.errors import AccessDenied, StoreUnavailable, TypesError, ValueRefused
-from ropeway.iort import KINDS, Fault, NodeError, Packet, Parser, identifier_of, is_http, origin_of, pack
-from ropeway.limits import HTTP_HEAD_BYTES, NODE_UNREAD_BYTES, WRONG_TOKENS_PER_CONNECTION
+from ropeway.iort import KINDS, Fault, NodeError, Packet, identifier_of, is_http, origin_of, pack
+from ropeway.limits import HTTP_HEAD_BYTES, WRONG_TOKENS_PER_CONNECTION
 from ropeway.listener.authorization import Access
 from ropeway.listener.lobby import Visit
+from ropeway.networks.iort.server.connection import NodeConnection
+from ropeway.networks.iort.server.host import NodesHost
 from ropeway.networks.iort.server.pushes import Pushes
-from ropeway.networks.iort.space import MemberEndpoint, Space, is_pattern
+from ropeway.networks.iort.space import MemberEndpoint, is_pattern
 from ropeway.store import Entry, as_json
 
 __all__ = ["IortSession"]
@@ -34,41 +34,11 @@ _OURS: Final = "00"  # the identifier of the server
 _IDENTIFIER_CHARACTERS: Final = 40  # of one that is shown in the status
 
 
-class NodesHost(Protocol):
-    """Gives a session the part of its server that it may use; ``IortServer`` does so."""
+class IortSession(NodeConnection):
+    """The conversation with one node, which is a member of the space."""
 
-    space: Space
-    max_packet_bytes: int
-    kinds: dict[str, str]
-    counts: Counter[str]
-    render: Callable[[Entry], bytes]
-
-    def welcome(self, session: IortSession, transport: asyncio.Transport) -> None:
-        """Take a node that connected."""
-
-    def heard(self, session: IortSession) -> bool:
-        """Let a node in of which the first has come; return whether it may stay."""
-
-    def hello(self, session: IortSession, name: str, token: str | None) -> str:
-        """Admit a node that says who it is, and return what it should know. Raises ``NodeError``."""
-
-    def too_late(self, session: IortSession) -> None:
-        """Give up a node that did not say who it is."""
-
-    def browser_came(self, session: IortSession) -> None:
-        """Send a browser away."""
-
-    def gone(self, session: IortSession) -> None:
-        """Forget a node, which is gone."""
-
-    def spawn(self, work: Coroutine[Any, Any, None]) -> None:
-        """Start a task that ends with the server."""
-
-
-class IortSession(asyncio.Protocol):
-    """The connection of one node, which is a member of the space. It is a member of the space."""
-
-    def __init__(self, server: NodesHost, visit: Visit) -> None:
+    def __init__(self, server: NodesHost[IortSession], visit: Visit) -> None:
+        super().__init__(min(server.max_packet_bytes, HTTP_HEAD_BYTES))  # until it is let in
         self.server, self.space = server, server.space
         self._visit = visit
         self._login: asyncio.TimerHandle | None = None
@@ -80,30 +50,18 @@ class IortSession(asyncio.Protocol):
         self.access: Access | None = None
         self.upgraded = False
         self.pings = False  # it says now and then that it is there
-        self.last_heard = time.monotonic()
-        self.began: float | None = None  # when the packet that is coming in began
         self.origin = ""
         self._named: tuple[tuple[str, str], str] = ("", ""), ""  # of values, and who is said to have written them
         self.superseded = 0
-        self._parser = Parser(min(server.max_packet_bytes, HTTP_HEAD_BYTES))  # until it is let in
-        self.transport: asyncio.Transport | None = None
-        self._items: deque[Packet | Fault] = deque()  # what came, while the node does not read our answers
-        self._out: list[bytes] = []
-        self._out_bytes = 0
-        self._scheduled = False
-        self._heard = self._paused = False
-        self._looking = False  # a value is looked up elsewhere, or deleted; what came after that request waits
-        self._flow = Flow(self._catch_up)
         self._pushes = Pushes(self._superseded)
         self._watching = False
 
-    # ── what the event loop calls ──────────────────────────────────────────────────────────────────────────────
+    # ── coming and going ───────────────────────────────────────────────────────────────────────────────────────
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take a new node's connection."""
-        self.transport = cast(asyncio.Transport, transport)
-        self.transport.set_write_buffer_limits(high=NODE_UNREAD_BYTES)
-        self._flow.open(self.transport.get_extra_info("socket"))
+        super().connection_made(transport)
+        assert self.transport is not None
         self._visit.drop = self.transport.abort
         self.server.welcome(self, self.transport)
 
@@ -113,7 +71,7 @@ class IortSession(asyncio.Protocol):
 
     def let_in(self, access: Access, max_packet_bytes: int) -> None:
         """Admit the node with the rights of ``access``, and packets of up to ``max_packet_bytes``."""
-        self.access = access
+        self.access, self.trusted = access, True
         self._parser.max_bytes = max_packet_bytes
         self._end_visit()
 
@@ -125,72 +83,32 @@ class IortSession(asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Clean up after a connection that is gone."""
-        self.transport = None
+        super().connection_lost(exc)
         self._end_visit()
-        self._items.clear()
-        self._out.clear()
         self._pushes.clear()
-        self._flow.close()
         self.server.gone(self)
 
-    def pause_writing(self) -> None:
-        """Hold back: the node reads slower than we send."""
-        self._paused = True
-        if self.transport is not None:
-            self.transport.pause_reading()
-
-    def resume_writing(self) -> None:
-        """Resume: the node caught up."""
-        self._paused = False
-        self._catch_up()
-        self._work()
-
-    def _catch_up(self) -> None:
-        """Send the newest value of each topic that waits, as far as the link takes it."""
-        while not self._paused and self._flow.free and (taken := self._pushes.take()) is not None:
-            self._pushed(*taken)
-            self.flush()
-
-    def data_received(self, data: bytes) -> None:
-        """Take what came; of a stranger packet by packet: one may let it in, and with it bigger ones."""
-        if not self._heard and is_http(data):
+    def began_to_speak(self, data: bytes) -> bool:
+        """See ``NodeConnection``: a browser is sent away."""
+        if is_http(data):
             self.server.browser_came(self)
-            return
-        if not self._heard:
-            self._heard = True
-            if not self.server.heard(self):
-                return
-        while self.access is None and data:
-            cut = data.find(b"%") + 1 or len(data)
-            self._take(data[:cut])
-            data = data[cut:]
-        if data:
-            self._take(data)
+            return False
+        return self.server.heard(self)
 
-    def _take(self, data: bytes) -> None:
-        self.last_heard = now = time.monotonic()
-        self._items += self._parser.feed(data)
-        self.began = (self.began or now) if self._parser.unfinished else None
-        self._work()
+    def came(self, item: Packet | Fault) -> None:
+        """See ``NodeConnection``."""
+        if isinstance(item, Packet):
+            self._packet(item)
+        else:
+            self._fault(item)
 
-    def _work(self) -> None:
-        """Answer what came, as long as the node reads; what is left waits, and no more is read until then."""
-        items = self._items
-        while items and not self._paused and not self._looking:
-            item = items.popleft()
-            if isinstance(item, Packet):
-                self._packet(item)
-            else:
-                self._fault(item)
-            if self._out_bytes > NODE_UNREAD_BYTES:
-                self.flush()
-        self.flush()
-        if self.transport is None:
-            return
-        if self._looking:
-            self.transport.pause_reading()
-        elif not self._paused:
-            self.transport.resume_reading()
+    def caught_up(self) -> bool:
+        """See ``NodeConnection``: the newest value of the topic that has waited longest."""
+        taken = self._pushes.take()
+        if taken is None:
+            return False
+        self._pushed(*taken)
+        return True
 
     # ── sending ────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -198,27 +116,7 @@ class IortSession(asyncio.Protocol):
         """End the connection; ``code`` and ``text`` tell an upgraded node why."""
         if code and self.upgraded:
             self._error("", code, text)
-        self._items.clear()
-        self.flush()
-        if self.transport is not None:
-            self.transport.close()
-
-    def flush(self) -> None:
-        """Send what was collected, in one write."""
-        self._scheduled = False
-        if self._out and self.transport is not None and not self.transport.is_closing():
-            data = b"".join(self._out)
-            self.transport.write(data)
-            self._flow.sent(len(data))
-        self._out.clear()
-        self._out_bytes = 0
-
-    def _send(self, raw: bytes) -> None:
-        self._out.append(raw)
-        self._out_bytes += len(raw)
-        if not self._scheduled:
-            self._scheduled = True
-            asyncio.get_running_loop().call_soon(self.flush)
+        self.end()
 
     def _error(self, number: str, code: str, text: str) -> None:
         head = {"n": number, "code": code} if number else {"code": code}
