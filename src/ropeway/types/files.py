@@ -10,7 +10,7 @@ from typing import Final
 from ropeway.errors import InvalidDefinition, InvalidTypeName
 from ropeway.types.definition import KINDS, canonical_name
 
-__all__ = ["find_interfaces", "find_share", "read_text"]
+__all__ = ["find_in_prefixes", "find_interfaces", "find_share", "read_text"]
 
 _SUFFIXES: Final = (".idl", ".action", ".srv", ".msg")  # a later one wins: .idl files repeat what a .msg says
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
@@ -43,6 +43,19 @@ def find_interfaces(path: Path) -> dict[str, Path]:
             path.name, "a definition stands at PACKAGE/msg/Name.msg (or srv, action)", file=str(path)
         )
     return {name: path}
+
+
+def find_in_prefixes(prefixes: str) -> dict[str, Path]:
+    """Return full names and files of all definitions below ``prefixes``, as ``AMENT_PREFIX_PATH`` has them.
+
+    Earlier prefixes win.
+    """
+    found: dict[str, Path] = {}
+    for prefix in prefixes.split(os.pathsep):
+        share = Path(prefix) / "share"
+        if prefix and share.is_dir():
+            found = {**find_share(share), **found}
+    return found
 
 
 def find_share(share: Path) -> dict[str, Path]:

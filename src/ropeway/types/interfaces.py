@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from typing import Final
 
-from ropeway.types.definition import Definition
+from ropeway.types.definition import Definition, short_name
 from ropeway.types.parser import PARTS, is_idl, parse_interface, parse_sections
 
-__all__ = ["owner_of", "parse", "parse_full", "sources_of"]
+__all__ = ["concatenated", "layout_text", "owner_of", "parse", "parse_full", "sources_of"]
+
+_RULE: Final = "=" * 80
 
 
 def parse(full: str, text: str, *, siblings: Collection[str]) -> list[Definition]:
@@ -27,6 +30,23 @@ def sources_of(full: str, text: str, parsed: Iterable[Definition]) -> dict[str, 
     if is_idl(text):
         text = "---\n".join(parts[full + end].text() for end in PARTS[full.split("/")[1]])
     return {full: text}
+
+
+def concatenated(text: str, dependencies: Iterable[tuple[str, str]]) -> str:
+    """Return a definition followed by its dependencies, which are given by name and text.
+
+    Each comes after a line of 80 ``=`` and a line ``MSG: pkg/Name``.
+    """
+    pieces = [text]
+    for name, below in dependencies:
+        named = short_name(name) if name.split("/")[1] == "msg" else name
+        pieces.append(f"{_RULE}\nMSG: {named}\n{below}")
+    return "".join(piece if piece.endswith("\n") or not piece else piece + "\n" for piece in pieces)
+
+
+def layout_text(definition: Definition) -> str:
+    """Return the fields of a definition on one line, for errors."""
+    return "{" + "; ".join(f"{f.type.spelled()} {f.name}" for f in definition.wire_fields) + "}"
 
 
 def parse_full(full: str, text: str) -> tuple[list[Definition], dict[str, str]]:

@@ -1,8 +1,8 @@
 """Knows every message definition, by name, without a ROS installation.
 
-Definitions come from those that a ROS distribution ships, from a table of standard services and
-actions, from packages that many robots have, from files the user names or a sourced workspace has, and from peers and
-bags. They are read when they are first asked for.
+Definitions come from those that a ROS distribution ships, from a table of standard services and actions, from packages
+that many robots have, from files the user names or a sourced workspace has, and from peers and bags. They are read
+when they are first asked for.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from typing import Any, ClassVar
 from ropeway.errors import InvalidDefinition, InvalidTypeName, TypeConflict, TypesError, UnknownType
 from ropeway.types.bundled import Bundled
 from ropeway.types.codec import MessageCodec
-from ropeway.types.definition import Definition, FieldType, canonical_name, short_name
+from ropeway.types.definition import Definition, FieldType, canonical_name
 from ropeway.types.distros import OtherDistros
-from ropeway.types.files import find_interfaces, find_share, read_text
+from ropeway.types.files import find_in_prefixes, find_interfaces, read_text
 from ropeway.types.hashes import definition_md5, interface_members, rihs01
-from ropeway.types.interfaces import owner_of, parse, parse_full, sources_of
+from ropeway.types.interfaces import concatenated, layout_text, owner_of, parse, parse_full, sources_of
 from ropeway.types.nearest import Nearest
 from ropeway.types.parser import PARTS, parse_interface, parse_msg
 from ropeway.types.standard import INTERFACES
@@ -32,8 +32,6 @@ from ropeway.types.typedef import typedefs
 __all__ = ["TypeRegistry"]
 
 log = logging.getLogger("ropeway.types")
-
-_RULE = "=" * 80
 
 
 class TypeRegistry:
@@ -212,14 +210,10 @@ class TypeRegistry:
         Each dependency comes after a line of 80 ``=`` and a line ``MSG: pkg/Name``. Raises ``UnknownType``.
         """
         full = self.canonical(name)
-        found = self._full_texts.get(full)
-        if found is None:
-            pieces = [self.text(full)]
+        if (found := self._full_texts.get(full)) is None:
+            text = self.text(full)  # first, which loads it whole
             bases = dict.fromkeys(base for root in self.roots(full) for base in self.dependencies(root))
-            for base in bases:
-                named = short_name(base) if base.split("/")[1] == "msg" else base
-                pieces.append(f"{_RULE}\nMSG: {named}\n{self.text(base)}")
-            found = "".join(piece if piece.endswith("\n") or not piece else piece + "\n" for piece in pieces)
+            found = concatenated(text, ((base, self.text(base)) for base in bases))
             self._full_texts[full] = found
         return found
 
@@ -313,11 +307,7 @@ class TypeRegistry:
         ``environ`` holds ``AMENT_PREFIX_PATH``, earlier entries win. These definitions take the place of built-in
         ones. Returns how many interfaces were found.
         """
-        found: dict[str, Path] = {}
-        for prefix in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-            share = Path(prefix) / "share"
-            if prefix and share.is_dir():
-                found = {**find_share(share), **found}
+        found = find_in_prefixes(environ.get("AMENT_PREFIX_PATH", ""))
         with self._lock:
             loaded = {owner_of(name) for name in self._builtin}
             for name, file in found.items():
@@ -418,7 +408,7 @@ class TypeRegistry:
                         if not replaces:
                             continue
                     elif not replaces:
-                        raise TypeConflict(name, _layout(known), _layout(definition))
+                        raise TypeConflict(name, layout_text(known), layout_text(definition))
                     changed = True
                 fresh[name] = definition
             self._definitions.update(fresh)
@@ -458,7 +448,3 @@ class TypeRegistry:
     def _unknown(self, full: str, needed_by: str) -> UnknownType:
         with self._lock:
             return UnknownType(full, needed_by=needed_by, nearest=self._nearest.to(full))
-
-
-def _layout(definition: Definition) -> str:
-    return "{" + "; ".join(f"{f.type.spelled()} {f.name}" for f in definition.wire_fields) + "}"

@@ -8,13 +8,15 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.errors import GraphError, InvalidOperation, RopewayError, TypeConflict, TypesError
+from ropeway.errors import InvalidOperation, RopewayError, TypesError
 from ropeway.limits import DEPTH_PER_CLIENT_SAMPLES, IDS_PER_TOPIC, TOPICS_PER_CLIENT
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROSGW
 from ropeway.networks.rosbridge.protocol.records import Arrival
 from ropeway.networks.rosbridge.server.bodies import type_of
+from ropeway.networks.rosbridge.server.registrations import add_id, id_key, remove_request
 from ropeway.networks.rosbridge.server.topic_channels import REGISTRATION_BYTES, TopicIn, TopicOut, topic_status
+from ropeway.networks.rosbridge.server.topic_errors import TopicTypeConflict, UnknownTopicError
 from ropeway.networks.rosbridge.server.turns import Retire
 from ropeway.qos import QoS
 from ropeway.tasks import Supervised, end
@@ -25,7 +27,6 @@ if TYPE_CHECKING:
 __all__ = ["TopicOps", "TopicTypeConflict", "UnknownTopicError"]
 
 _SHALLOW_SAMPLES: Final = 100
-_NO_ID: Final = "\0none"
 _RAW: Final = ("cbor-raw", "rawzip")
 _POLICIES: Final = ("history", "depth", "reliability", "durability", "deadline", "lifespan")
 
@@ -161,7 +162,7 @@ class TopicOps:
         if known is not None and known.publisher is not None and known.topic == op.topic:
             if known.type != type:
                 raise TopicTypeConflict(op.topic, known.type, type)
-            _add(known.ids, op.id)
+            add_id(known.ids, op.id)
             self._stop_linger(op.topic)
             return
         if known is not None and known.publisher is not None:
@@ -177,7 +178,7 @@ class TopicOps:
         topic.unique = (op.ropeway or {}).get("unique_ids") is True
         publisher = await session.view.create_publisher(name, type, qos)
         topic.name = publisher.topic
-        _add(topic.ids, op.id)
+        add_id(topic.ids, op.id)
         if number is None:
             self.inputs[op.topic] = topic
         else:
@@ -228,7 +229,7 @@ class TopicOps:
         """Withdraw a topic that the client publishes no more."""
         if self.session.gateway:
             for number, topic in list(self.input_channels.items()):
-                if topic.topic == op.topic and _key(op.id) in topic.ids:
+                if topic.topic == op.topic and id_key(op.id) in topic.ids:
                     del self.input_channels[number]
                     self.session.peer.forget_inbound(number)
                     await topic.close()
@@ -237,7 +238,7 @@ class TopicOps:
         if known is None:
             return
         if ops.present(op.id):
-            known.ids.discard(_key(op.id))
+            known.ids.discard(id_key(op.id))
         else:
             known.ids.clear()
         if not known.ids:
@@ -309,7 +310,7 @@ class TopicOps:
                 output = self.outputs[op.topic] = TopicOut(session, op.topic, type, self._numbers)
             elif output.type != type:
                 raise TopicTypeConflict(op.topic, output.type, type)
-        key = _key(op.id)
+        key = id_key(op.id)
         before = output.requests.get(key)
         if before is None and len(output.requests) >= IDS_PER_TOPIC:
             raise InvalidOperation("", f"a topic may have {IDS_PER_TOPIC} ids at most")
@@ -345,18 +346,18 @@ class TopicOps:
         """End the client's subscription to a topic."""
         if self.session.gateway:
             for output in list(self.output_channels.values()):
-                if output.topic == op.topic and _key(op.id) in output.requests:
+                if output.topic == op.topic and id_key(op.id) in output.requests:
                     await self._drop_output(output)
             return
         untyped = self._untyped.get(op.topic)
         if untyped is not None:
-            _remove(untyped, op.id)
+            remove_request(untyped, op.id)
             if not untyped:
                 del self._untyped[op.topic]
         shared = self.outputs.get(op.topic)
         if shared is None:
             return
-        _remove(shared.requests, op.id)
+        remove_request(shared.requests, op.id)
         if shared.requests:
             shared.settle()
         else:
@@ -378,7 +379,7 @@ class TopicOps:
         waiting = self._untyped.setdefault(op.topic, {})
         if len(waiting) >= IDS_PER_TOPIC:
             raise InvalidOperation("", f"a topic may have {IDS_PER_TOPIC} ids at most")
-        waiting[_key(op.id)] = op
+        waiting[id_key(op.id)] = op
         if self._type_watch is None:
             view = self.session.view
             self._type_watch = Supervised(
@@ -434,41 +435,3 @@ class TopicOps:
         if not types:
             raise UnknownTopicError(topic)
         return types[0]
-
-
-class UnknownTopicError(GraphError):
-    """A topic whose type nobody has told."""
-
-    def __init__(self, topic: str) -> None:
-        self.topic = topic
-        super().__init__(
-            f"Cannot infer topic type for topic {topic} as it is not yet advertised; give its type in the request"
-        )
-
-
-class TopicTypeConflict(TypeConflict):
-    """A topic that has another type already; the text is that of rosbridge."""
-
-    def __str__(self) -> str:
-        return (
-            f"Tried to register topic {self.name} with type {self.offered}"
-            f" but it is already established with type {self.known}"
-        )
-
-
-def _add(ids: set[str], id: object) -> None:
-    if len(ids) >= IDS_PER_TOPIC:
-        raise InvalidOperation("", f"a topic may have {IDS_PER_TOPIC} ids at most")
-    ids.add(_key(id))
-
-
-def _remove(requests: dict[str, ops.Subscribe], id: object) -> None:
-    """Remove one request, or all where no id is given."""
-    if ops.present(id):
-        requests.pop(_key(id), None)
-    else:
-        requests.clear()
-
-
-def _key(id: object) -> str:
-    return repr(id) if ops.present(id) else _NO_ID
