@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from ropeway.graph.base import Graph
-from ropeway.group import Group
+from ropeway.group.graph import Group
 from ropeway.hub.hub import Hub
 from ropeway.networks.dds import DdsGraph
 from ropeway.networks.iort import IortGraph, LocalLink, RemoteLink, Space

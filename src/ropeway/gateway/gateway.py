@@ -23,7 +23,6 @@ from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.overlay_model import OVERLAY
 from ropeway.gateway.config.type_hints import learn_types, type_hints
 from ropeway.gateway.credentials import Credentials, read_credentials
-from ropeway.gateway.group import GroupRemote
 from ropeway.gateway.last_value import LastValue, key_of
 from ropeway.gateway.nodes import Nodes
 from ropeway.gateway.process.allocator import FreedMemory, keep_freed_memory
@@ -47,6 +46,7 @@ from ropeway.types import TypeRegistry
 from ropeway.types.variant import make_network
 
 if TYPE_CHECKING:
+    from ropeway.gateway.group import GroupRemote
     from ropeway.graph.base import Graph
     from ropeway.networks.overlay.graph import OverlayGraph
     from ropeway.networks.overlay.node import OverlayNode
@@ -232,12 +232,13 @@ class Gateway:
             if not config.active or not (mine or config.automatic):
                 continue
             remote: Remote
+            group: GroupRemote | None = None
             if config.address == OVERLAY:
                 remote = OverlayRemote(config, self._overlay_graph(config))
             elif is_iort(config.address):
                 remote = self._iort_remote(config, index)
             elif len(config.addresses) > 1:
-                remote = self._group(config, index, mine, limits)
+                remote = group = self._group(config, index, mine, limits)
             else:
                 remote = self._link(config, index, mine, limits)
             await remote.graph.open()
@@ -250,9 +251,9 @@ class Gateway:
                 await bridge.start()
                 stack.push_async_callback(bridge.close)
                 remote.bridges.append((route, bridge))
-            if isinstance(remote, GroupRemote):
-                await remote.listen(self._view(stack, views, config.graph or self.config.gateway.graphs[0], config))
-                stack.push_async_callback(remote.close)
+            if group is not None:
+                await group.listen(self._view(stack, views, config.graph or self.config.gateway.graphs[0], config))
+                stack.push_async_callback(group.close)
             if config.automatic is not None and isinstance(remote, OverlayRemote):
                 url = config.graph or self.config.gateway.graphs[0]
                 view = self._view(stack, views, url, config)
@@ -287,6 +288,8 @@ class Gateway:
         return LinkRemote(config, self._link_graph(config, config.address, shown, routes, limits), shown)
 
     def _group(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> GroupRemote:
+        from ropeway.gateway.group import GroupRemote  # most gateways have no group
+
         shown = read_credentials(config, index)
         links = {without_token(url): self._link_graph(config, url, shown, routes, limits) for url in config.addresses}
         return GroupRemote(config, links, routes, self.registry, shown)

@@ -7,8 +7,6 @@ import hashlib
 import ssl
 from pathlib import Path
 
-from cryptography import x509
-
 from ropeway.errors import ConfigError
 from ropeway.gateway.config.tls_model import ListenTls, RemoteTls
 
@@ -35,6 +33,8 @@ def certificate_names(tls: ListenTls) -> frozenset[str]:
 
     Empty for a certificate that cannot be read, which ``server_context`` tells.
     """
+    from cryptography import x509  # takes longer to load than a gateway without TLS should wait
+
     try:
         certificate = x509.load_pem_x509_certificate(Path(tls.certificate).read_bytes())
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value

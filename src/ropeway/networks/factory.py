@@ -105,7 +105,7 @@ def make_graph(
 
 def _group(url: str, **options: Any) -> Graph:
     """Several rosbridge servers or gateways that offer the same."""
-    from ropeway.group import Group
+    from ropeway.group.graph import Group
     from ropeway.networks.rosbridge.client import RosbridgeGraph
 
     addresses = url.split(",")
