@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Container, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
 from typing import Final, Generic, TypeVar
 
@@ -36,6 +36,10 @@ _MIN_ADOPTED_DEPTH: Final = 10
 R = TypeVar("R")
 
 
+def _nobody(part: object) -> None:
+    """Tell nobody of a part that was closed."""
+
+
 class Readers(ABC, Generic[R]):
     """The readers of a graph. Volatile subscriptions of one topic, type and profile share one; others have their own.
 
@@ -46,6 +50,7 @@ class Readers(ABC, Generic[R]):
         self.name, self.drops, self.guard = graph.name, graph.drops, graph.guard
         self._shared: dict[tuple[str, str, QoS], SharedReader[R]] = {}
         self._subscriptions: dict[AdoptingSubscription[R], None] = {}
+        self.on_closed: Callable[[AdoptingSubscription[R]], None] = _nobody  # told of each that was closed
 
     def begin(self, subscription: AdoptingSubscription[R]) -> None:
         """Attach a subscription to a reader with the profile that it should have. Raises ``GraphUnavailable``."""
@@ -55,6 +60,7 @@ class Readers(ABC, Generic[R]):
     def forget(self, subscription: AdoptingSubscription[R]) -> None:
         """Forget a subscription that was closed."""
         self._subscriptions.pop(subscription, None)
+        self.on_closed(subscription)
 
     def readopt(self, topics: Container[str]) -> None:
         """Make the subscriptions of these topics adopt what is offered now."""

@@ -109,4 +109,4 @@ def test_a_summary_that_lies_is_told(tmp_path: Path, caplog: pytest.LogCaptureFi
         writer.finish()
     with caplog.at_level(logging.WARNING), Bag(path, TypeRegistry()) as bag:
         assert len(list(bag.records())) == 1
-    assert "of 2 messages that it tells of, only 1 are there" in caplog.text
+    assert "it lists 2 messages, but only 1 are there" in caplog.text

@@ -126,6 +126,7 @@ class DdsGraph(ComposingGraph):
             foreign=self._foreign,
         )
         self._readers = DdsReaders(self, participant, self._discovery, self._types)
+        self._readers.on_closed = self._parts.discard
         try:
             await participant.open()
         except DdsError as error:

@@ -89,6 +89,7 @@ class Ros2Graph(ComposingGraph):
         await participant.open(self._on_picture)
         self._origins = Origins(participant.rmw, self._discovery)
         self._readers = Ros2Readers(self, participant, self._discovery, self._origins)
+        self._readers.on_closed = self._parts.discard
         self._participant = participant
         log.info("%s: joined as node %s over %s", self.name, self.node, participant.rmw)
 
