@@ -361,9 +361,8 @@ class Membership:
                     known.version = version
                     if known.wanted <= version:
                         return
-                else:
-                    await asyncio.sleep(pause_s)
-                    pause_s = min(2 * pause_s, _BEAT_S)
+                await asyncio.sleep(pause_s)  # also where it has less than it says: it may say so for ever
+                pause_s = min(2 * pause_s, _BEAT_S)
         finally:
             known.sync = None
 
