@@ -19,7 +19,7 @@ PROCESS_BYTES: Final = 512 << 20
 """The memory held for all connections at most: a small robot has 2 to 4 GiB, which others need as well."""
 
 LARGE_BYTES: Final = 8 << 20
-"""What was held for a connection at most, from which on its end leaves so much free memory that it is worth a word."""
+"""The most that a connection held, from which on its end leaves enough free memory to be worth a word."""
 
 _LOOK_BYTES: Final = 256 << 10  # received; less cannot change much
 

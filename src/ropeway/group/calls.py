@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Mapping
-from typing import Final, Protocol, TypeVar
+from typing import Final, Generic, Protocol, TypeVar
 
 from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, GraphUnavailable, NotServed, RopewayError
-from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Client, Request
+from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ActionClient, Client, Request
 from ropeway.group.chooser import Chooser
 from ropeway.tasks import end
 
-__all__ = ["GroupClient", "Ways", "any_of", "first_true"]
+__all__ = ["GroupClient", "GroupUser", "Ways"]
 
 T = TypeVar("T")
+U = TypeVar("U", Client, ActionClient)
 
 Ask = Callable[[str, float], Awaitable[T]]
 """Asks one member, within a time."""
@@ -150,38 +151,46 @@ def _telling(errors: Iterable[RopewayError]) -> RopewayError:
     return min(errors, key=rank)
 
 
-class GroupClient:
-    """A service of a group, as a client per member."""
+class GroupUser(Generic[U]):
+    """Uses a service or an action of a group, as a part per member."""
 
-    def __init__(self, ways: Ways, parts: Mapping[str, Client]) -> None:
-        first = next(iter(parts.values()))
-        self.service, self.type = first.service, first.type
-        self._ways, self._parts = ways, dict(parts)
+    def __init__(self, ways: Ways, parts: Mapping[str, U]) -> None:
+        self.type = next(iter(parts.values())).type
+        self._ways = ways
+        self._parts: dict[str, U] = dict(parts)
 
     @property
     def available(self) -> bool | None:
-        """Return whether a member serves it, ``None`` where none can tell."""
+        """Whether a member serves it, ``None`` where none can tell."""
         return any_of(part.available for part in self._parts.values())
 
     async def wait_available(self, timeout_s: float) -> bool:
-        """See ``Client``."""
+        """See ``Client`` and ``ActionClient``."""
         return await first_true([part.wait_available(timeout_s) for part in self._parts.values()])
 
-    async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
-        """See ``Client``."""
-        left_s = await self._ways.wait(self, timeout_s)
-        return await self._ways.ask(
-            lambda name, limit_s: self._parts[name].call(request, limit_s),
-            lambda name: self._parts[name].available is not False,
-            left_s,
-        )
+    def serves(self, name: str) -> bool:
+        """Return whether a member may serve it."""
+        return self._parts[name].available is not False
 
     async def close(self) -> None:
-        """See ``Client``."""
+        """See ``Client`` and ``ActionClient``."""
         self._ways.closed = True
         for part in self._parts.values():
             await part.close()
         self._ways.group.closed(self)
+
+
+class GroupClient(GroupUser[Client]):
+    """A service of a group, as a client per member."""
+
+    def __init__(self, ways: Ways, parts: Mapping[str, Client]) -> None:
+        super().__init__(ways, parts)
+        self.service = ways.name
+
+    async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
+        """See ``Client``."""
+        left_s = await self._ways.wait(self, timeout_s)
+        return await self._ways.ask(lambda name, limit_s: self._parts[name].call(request, limit_s), self.serves, left_s)
 
 
 def any_of(known: Iterable[bool | None]) -> bool | None:

@@ -260,15 +260,11 @@ class Group(GraphBase):
         name = resolve_name(topic)
         exchange = self._exchanges.get(name) or Exchange(self.scheduler)
         made = GroupSubscription(self, name, callback, exchange, stamp_reader(self.registry, type))
-        parts: dict[str, Subscription] = {}
-        try:
-            for member, graph in self._here():
-                arrived = functools.partial(made.arrived, member)
-                parts[member] = await graph.create_subscription(topic, type, qos, arrived, delivery=delivery)
-        except BaseException:
-            for part in parts.values():
-                await part.close()
-            raise
+        parts: dict[str, Subscription] = await self._each_named(
+            lambda member, graph: graph.create_subscription(
+                topic, type, qos, functools.partial(made.arrived, member), delivery=delivery
+            )
+        )
         made.join(parts)
         return self._keep(made)
 
@@ -308,11 +304,15 @@ class Group(GraphBase):
         return list(self._opened.items())
 
     async def _each(self, make: Callable[[Graph], Any]) -> dict[str, Any]:
-        """Make a part on every member; what was made is closed again if one cannot be."""
+        """Make a part on every member; see ``_each_named``."""
+        return await self._each_named(lambda _, graph: make(graph))
+
+    async def _each_named(self, make: Callable[[str, Graph], Any]) -> dict[str, Any]:
+        """Make a part on every member, by its name; what was made is closed again if one cannot be."""
         made: dict[str, Any] = {}
         try:
             for name, graph in self._here():
-                made[name] = await make(graph)
+                made[name] = await make(name, graph)
         except BaseException:
             for part in made.values():
                 await part.close()
@@ -331,10 +331,7 @@ class Group(GraphBase):
 
     def topics(self) -> dict[str, TopicInfo]:
         """Return what is discovered on any member."""
-        found: dict[str, list[TopicInfo]] = {}
-        for graph in self._opened.values():
-            for name, info in graph.topics().items():
-                found.setdefault(name, []).append(info)
+        found = self._on_members(lambda graph: graph.topics())
         return {
             name: TopicInfo(
                 name, _types(infos), _all(i.publishers for i in infos), _all(i.subscriptions for i in infos)
@@ -344,10 +341,7 @@ class Group(GraphBase):
 
     def services(self) -> dict[str, ServiceInfo]:
         """Return what is served on any member."""
-        found: dict[str, list[ServiceInfo]] = {}
-        for graph in self._opened.values():
-            for name, info in graph.services().items():
-                found.setdefault(name, []).append(info)
+        found = self._on_members(lambda graph: graph.services())
         return {
             name: ServiceInfo(name, _types(infos), _all(i.servers for i in infos), _all(i.clients for i in infos))
             for name, infos in found.items()
@@ -355,14 +349,19 @@ class Group(GraphBase):
 
     def actions(self) -> dict[str, ActionInfo]:
         """Return the actions of any member."""
-        found: dict[str, list[ActionInfo]] = {}
-        for graph in self._opened.values():
-            for name, info in graph.actions().items():
-                found.setdefault(name, []).append(info)
+        found = self._on_members(lambda graph: graph.actions())
         return {
             name: ActionInfo(name, _types(infos), _all(i.servers for i in infos), _all(i.clients for i in infos))
             for name, infos in found.items()
         }
+
+    def _on_members(self, look: Callable[[Graph], Mapping[str, T]]) -> dict[str, list[T]]:
+        """Return what ``look`` finds on each member, by name."""
+        found: dict[str, list[T]] = {}
+        for graph in self._opened.values():
+            for name, info in look(graph).items():
+                found.setdefault(name, []).append(info)
+        return found
 
     def nodes(self) -> dict[str, NodeInfo]:
         """Return the nodes of every member; one that is on several is told of once."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, GraphUnavailable, NotServed
-from ropeway.graph.base import Delivery, Graph
+from ropeway.graph.base import Delivery
 from ropeway.graph.calls import (
     DEFAULT_TIMEOUT_S,
     ActionClient,
@@ -20,7 +20,7 @@ from ropeway.graph.calls import (
     Outcome,
 )
 from ropeway.graph.local_calls import DirectGoal
-from ropeway.hub.calls import NOBODY_S, either
+from ropeway.hub.calls import NOBODY_S, SharedClients, either
 from ropeway.hub.ownership import Claim, NameOwners
 from ropeway.logs import failed
 from ropeway.tasks import background, describe, end
@@ -32,23 +32,10 @@ log = logging.getLogger("ropeway.hub")
 _GOALS: Final = 4096
 
 
-class SharedActions(Protocol):
-    """Holds what the users of one graph share of its actions; ``HubCalls`` is one."""
+class SharedActions(SharedClients, Protocol):
+    """Holds what the users of one graph share of its actions."""
 
-    graph: Graph
     actions: NameOwners[ViewActionServer]
-
-    async def acquire(self, kind: str, name: str, type: str, delivery: Delivery) -> Any:
-        """Return the shared client of an action. Raises ``CallFailed`` where there are too many."""
-        ...
-
-    async def release(self, kind: str, name: str, type: str) -> None:
-        """Let go of the shared client."""
-        ...
-
-    def check_circle(self, name: str, via: tuple[str, ...]) -> None:
-        """Raise ``CallFailed`` for a goal that has been here before."""
-        ...
 
 
 class ViewActionServer:

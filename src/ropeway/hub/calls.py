@@ -20,21 +20,20 @@ from ropeway.graph.local_calls import LEFT, InFlight, answer
 from ropeway.hub.ownership import Claim, NameOwners
 from ropeway.tasks import end
 
-__all__ = ["NOBODY_S", "SharedServices", "ViewClient", "ViewService", "either"]
+__all__ = ["NOBODY_S", "SharedClients", "SharedServices", "ViewClient", "ViewService", "either"]
 
 log = logging.getLogger("ropeway.hub")
 
 NOBODY_S: Final = 1.0  # who calls a service that nobody serves learns it so soon, as from rosbridge
 
 
-class SharedServices(Protocol):
-    """Holds what the users of one graph share of its services; ``HubCalls`` is one."""
+class SharedClients(Protocol):
+    """Holds the clients that the users of one graph share; ``HubCalls`` is one."""
 
     graph: Graph
-    services: NameOwners[ViewService]
 
     async def acquire(self, kind: str, name: str, type: str, delivery: Delivery) -> Any:
-        """Return the shared client of a service. Raises ``CallFailed`` where there are too many."""
+        """Return the shared client of a name. Raises ``CallFailed`` where there are too many."""
         ...
 
     async def release(self, kind: str, name: str, type: str) -> None:
@@ -42,8 +41,14 @@ class SharedServices(Protocol):
         ...
 
     def check_circle(self, name: str, via: tuple[str, ...]) -> None:
-        """Raise ``CallFailed`` for a call that has been here before."""
+        """Raise ``CallFailed`` for a call or a goal that has been here before."""
         ...
+
+
+class SharedServices(SharedClients, Protocol):
+    """Holds what the users of one graph share of its services."""
+
+    services: NameOwners[ViewService]
 
     def known(self, request: Request) -> asyncio.Future[bytes | Exception] | None:
         """Return the same call, where it was made before."""
