@@ -13,6 +13,7 @@ from ropeway.group.bound import LatencyBound
 from ropeway.group.scheduler import Options, Phase, Scheduler
 
 BOUND = LatencyBound.of({"p90": 0.038})
+BOUND_MIN = LatencyBound.of({"min": 0.038})
 PERIOD_S = 1 / 90
 
 
@@ -29,8 +30,9 @@ class Play:
         stateless: bool = True,
         bound: LatencyBound = BOUND,
         options: Options = Options(),  # noqa: B008 - frozen
+        period_s: float = PERIOD_S,
     ) -> None:
-        self.machines = machines
+        self.machines, self.period_s = machines, period_s
         self.scheduler = Scheduler(list(machines), bound, stateless=stateless, options=options)
         self.now = 0.0
         self.delivered: list[float] = []
@@ -52,7 +54,7 @@ class Play:
             self._answers += [(self.now + latency, name, key) for name, latency in took.items()]
             if took:
                 self.delivered.append(min(took.values()))
-            self.now += PERIOD_S
+            self.now += self.period_s
 
     def _answer(self) -> None:
         due = sorted(answer for answer in self._answers if answer[0] <= self.now)
@@ -253,3 +255,73 @@ def test_random_machines(seed: int) -> None:
     play.run(30)
     late = sum(latency > 0.038 for latency in play.delivered)
     assert late <= min(alone.values()) + 0.05 * len(times)
+
+
+def test_within_three_frames() -> None:
+    """At 30 Hz the machine is changed within three frames of the first that takes 50 ms more, and one frame is late."""
+    frame_s = 1 / 30
+    slow_from_s = 90 * frame_s - 1e-6
+    play = Play({"edge1": after(slow_from_s, 0.012, 0.062), "edge2": always(0.014)}, period_s=frame_s)
+    play.run(6)
+    change = next(d.at_s for d in play.scheduler.decisions if d.after == "edge2")
+    assert round((change - slow_from_s) / frame_s) <= 3
+    assert sum(latency > 0.038 for latency in play.delivered) <= 2
+
+
+def test_a_hiccup() -> None:
+    """One late answer has the rival asked for a request or two, and nothing is changed."""
+    play = Play({"edge1": lambda now_s: 0.070 if 3 < now_s < 3.011 else 0.010, "edge2": always(0.012)})
+    play.run(6)
+    assert play.scheduler.current == "edge1" and play.scheduler.phase is Phase.STEADY
+    assert not [d for d in play.scheduler.decisions if d.before != d.after and d.at_s > 0]
+    assert sum(play.asked.values()) - len(play.delivered) <= 8
+
+
+def test_answers_that_take_longer_than_the_profile() -> None:
+    """The profile waits for answers that take longer than it asks, and finds the best all the same."""
+    bound = LatencyBound.of({"median": 0.6})
+    play = Play({"edge1": always(0.5), "edge2": always(0.2), "cloud": always(0.4)}, bound=bound)
+    play.run(2)
+    assert play.scheduler.current == "edge2"
+
+
+def test_requests_that_are_passed_over() -> None:
+    """A machine that answers every third picture in time is not left for the others."""
+    turns = itertools.count()
+    play = Play({"edge1": lambda _: 1e6 if next(turns) % 3 else 0.010, "edge2": always(0.011)}, bound=BOUND_MIN)
+    play.run(3)
+    assert not [d for d in play.scheduler.decisions if d.at_s > 1]
+
+
+def test_requests_in_flight_count() -> None:
+    """Of two machines with the same latencies the one that owes fewer answers is more promising."""
+    scheduler = Scheduler(["a", "b", "c"], BOUND)
+    for name in ("a", "b", "c"):
+        scheduler.came(name, 0.0)
+    for key in range(4):
+        scheduler.asked(("b", "c"), key, 0.0)
+        scheduler.answered("b", key, 0.01)
+        scheduler.answered("c", key, 0.01)
+    scheduler.asked(("b",), "open", 0.0)
+    assert scheduler.ranked(0.02) == ["a", "c", "b"]
+    assert scheduler.status(0.02)["members"]["b"]["in_flight"] == 1
+
+
+def test_a_pause_after_the_profile() -> None:
+    """For the configured time after the profile nothing is judged."""
+    machines = {"edge1": after(0.2, 0.010, 0.060), "edge2": always(0.012)}
+    play = Play(machines, options=Options(pause_s=1.0))
+    play.run(1.0)
+    assert play.scheduler.current == "edge1" and play.scheduler.phase is Phase.STEADY
+    play.run(1.0)
+    assert play.scheduler.current == "edge2"
+
+
+def test_what_was_known_is_forgotten() -> None:
+    """A machine that was worse when it was asked last is asked again after a while, where one at a time is asked."""
+    machines = {"edge1": after(2, 0.010, 0.090), "edge2": after(4, 0.200, 0.012)}
+    play = Play(machines, stateless=False, options=Options(forgive_s=10.0))
+    play.run(6)
+    assert play.scheduler.current == "edge1"
+    play.run(12)
+    assert play.scheduler.current == "edge2"

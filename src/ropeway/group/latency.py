@@ -16,6 +16,7 @@ WINDOW_S: Final = 3.0
 
 _MOST: Final = 4096  # latencies in a window: 90 frames a second for 45 s
 _MOST_PENDING: Final = 1024  # requests without an answer that are remembered
+_ENOUGH_OVERDUE: Final = 8  # more late requests in a row than that say nothing new
 _GIVE_UP_WINDOWS: Final = 10  # a request that is older than so many windows is forgotten: nobody waits for it
 
 
@@ -77,6 +78,7 @@ class LatencyWindow:
         self.window_s = window_s
         self._latencies: deque[tuple[float, float]] = deque(maxlen=_MOST)  # when it was known, and how long it took
         self._pending: dict[Hashable, float] = {}  # when it was asked, oldest first
+        self._answered_from_s = float("-inf")  # when the newest request that has an answer was asked
 
     def asked(self, now_s: float, key: Hashable) -> None:
         """Note a request that was sent. ``key`` tells it from others."""
@@ -89,6 +91,7 @@ class LatencyWindow:
         asked_s = self._pending.pop(key, None)
         if asked_s is None:
             return None
+        self._answered_from_s = max(self._answered_from_s, asked_s)
         self.add(now_s, now_s - asked_s)
         return now_s - asked_s
 
@@ -109,9 +112,22 @@ class LatencyWindow:
         self._latencies.clear()
         self._pending.clear()
 
-    def oldest_pending_s(self, now_s: float) -> float | None:
-        """Return the age of the oldest request without an answer."""
-        return now_s - next(iter(self._pending.values())) if self._pending else None
+    @property
+    def in_flight(self) -> int:
+        """Return how many requests wait for an answer."""
+        return len(self._pending)
+
+    def overdue(self, now_s: float, limit_s: float) -> int:
+        """Return how many requests since the last one that was answered have waited longer than that, up to a few.
+
+        An older one may have been passed over: a detector that is slower than its camera takes the newest picture.
+        """
+        found = 0
+        for asked_s in reversed(self._pending.values()):
+            if asked_s <= self._answered_from_s or found == _ENOUGH_OVERDUE:
+                break
+            found += now_s - asked_s > limit_s
+        return found
 
     def statistics(self, now_s: float) -> Statistics | None:
         """Return what the window holds, ``None`` while nothing is known.

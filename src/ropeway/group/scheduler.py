@@ -1,11 +1,12 @@
 """Decides which member of a group gets the requests. Sans-I/O: the gateway and the simulator use the same object.
 
-The best member is found once, at the start, by asking each for a moment. From then on nothing is tried without a
-reason: the member in use must miss the bound, or be gone. Latencies of compressed video rise and fall together on all
-machines, so windows of different times say little; what is compared is *pairs*, the same request to two members. While
-the bound is missed the two best get each request and the first answer wins, which is never later than either alone
-would have been. That needs requests that may be carried out twice (``stateless``); where they may not, the other is
-tried instead of the one in use, and if it proves worse the way back is at once.
+The best member is found once, at the start, by asking all in turns for a moment (``profile_run``). From then on
+nothing is tried without a reason: the member in use must miss the bound, or be gone. Latencies of compressed video rise
+and fall together on all machines, so windows of different times say little; what is compared is *pairs*, the same
+request to two members (``comparison``). From the first request that is late on, the two best get each request and the
+first answer wins, which is never later than either alone would have been. That needs requests that may be carried out
+twice (``stateless``); where they may not, another is used only if it was better when it was asked last, or nobody
+knows, and if it proves worse the way back is at once.
 
 A member that lost a comparison is left alone for a time that doubles with each loss, so that one that flaps is not
 followed.
@@ -14,43 +15,23 @@ followed.
 from __future__ import annotations
 
 import enum
-import statistics
 from collections import deque
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Final
 
 from ropeway.group.bound import LatencyBound, Standing
-from ropeway.group.latency import WINDOW_S, LatencyWindow
+from ropeway.group.comparison import ENOUGH, Comparison
+from ropeway.group.latency import LatencyWindow
+from ropeway.group.options import Options
+from ropeway.group.profile_run import ProfileRun
+from ropeway.group.replica import Replica
 
 __all__ = ["Decision", "Options", "Phase", "Scheduler"]
 
-_LATE_IN_A_ROW: Final = 2  # requests above the limit, one after the other, that start a comparison: one may be a hiccup
-_ENOUGH: Final = 4  # times the pairs that may show one side late: to compare means, or to give a rival up
+_LATE_IN_A_ROW: Final = 2  # requests above the limit, one after the other, that count as a missed bound
 _JUDGED_PER_WINDOW: Final = 50  # what two requests in a row do not show, shows in a window, and not sooner
-_TELLING: Final = 2  # late requests more than the rival's, of as many: one more may be chance
 _MOST_DECISIONS: Final = 256
-_MOST_PENALTY_S: Final = 300.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Options:
-    """Configures how a scheduler decides.
-
-    ``profile_s``: how long each member is asked alone at the start (100 ms in the thesis). ``pairs``: how many requests
-    two members must both have had before they are compared. ``margin``: by how much of its latency the one in use must
-    be beaten. ``least_dwell_s``: no second change sooner, unless the member is gone or the change proves wrong.
-    ``penalty_s``: how long the loser of a comparison is left alone, doubled with each loss; after ``forgive_s`` without
-    one it starts anew.
-    """
-
-    window_s: float = WINDOW_S
-    profile_s: float = 0.1
-    pairs: int = 4
-    margin: float = 0.1
-    least_dwell_s: float = 1.0
-    penalty_s: float = 2.0
-    forgive_s: float = 60.0
 
 
 class Phase(enum.Enum):
@@ -76,43 +57,6 @@ class Decision:
         return f"{change}: {self.why}"
 
 
-@dataclass(slots=True, eq=False)
-class _Member:
-    name: str
-    window: LatencyWindow
-    here: bool = False
-    late: int = 0  # requests above the limit, one after the other
-    penalty_s: float = 0.0
-    alone_until_s: float = 0.0
-    lost_at_s: float = float("-inf")
-    known_s: float | None = None  # the median when it was asked last, which outlives its window
-
-
-@dataclass(slots=True, eq=False)
-class _Comparison:
-    """Requests that two members had at the same time: how long each took, ``None`` while it is open."""
-
-    rival: str
-    asked: dict[Hashable, float] = field(default_factory=dict)
-    took: dict[Hashable, dict[str, float]] = field(default_factory=dict)
-
-    def pairs(self, now_s: float, mine: str) -> list[tuple[float, float]]:
-        """Return what the one in use and the rival took; an answer that is missing takes at least until now."""
-        found = []
-        for key, took in self.took.items():
-            if took:
-                age_s = now_s - self.asked[key]
-                found.append((took.get(mine, age_s), took.get(self.rival, age_s)))
-        return found
-
-
-class _Side(NamedTuple):
-    """The result of one side of a comparison: requests above the limit, and the mean."""
-
-    late: int
-    mean_s: float
-
-
 class Scheduler:
     """Chooses among ``names``; see the module.
 
@@ -127,20 +71,20 @@ class Scheduler:
         bound: LatencyBound = LatencyBound(),  # noqa: B008 - frozen
         *,
         stateless: bool = False,
-        options: Options = Options(),
+        options: Options = Options(),  # noqa: B008 - frozen
     ) -> None:
         self.bound, self.stateless, self.options = bound, stateless, options
         self.current = ""
         self.held = False  # by hand: nothing is switched
         self.decisions: deque[Decision] = deque(maxlen=_MOST_DECISIONS)
         self.decided = 0  # in all
-        self._members = {name: _Member(name, LatencyWindow(options.window_s)) for name in names}
+        self._members = {name: Replica(name, LatencyWindow(options.window_s)) for name in names}
         self._since_s = float("-inf")
-        self._to_profile: list[str] = []
-        self._profile_ends_s = 0.0
+        self._profile: ProfileRun | None = None
         self._profiled = False
-        self._comparison: _Comparison | None = None
-        self._judge_at_s = float("-inf")
+        self._comparison: Comparison | None = None
+        self._judge_at_s = self._pause_until_s = float("-inf")
+        self._ranked: tuple[float, list[str]] | None = None  # until when it is good
         self._came_from = ""  # where the last change came from, while it is on probation
 
     # ── what is ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -148,7 +92,7 @@ class Scheduler:
     @property
     def phase(self) -> Phase:
         """Return what it is doing."""
-        if self._to_profile:
+        if self._profile is not None:
             return Phase.PROFILING
         if self._comparison is not None:
             return Phase.COMPARING
@@ -166,17 +110,21 @@ class Scheduler:
     def targets(self, now_s: float) -> tuple[str, ...]:
         """Return who gets the next request; more than one only where requests may be carried out twice."""
         self.step(now_s)
-        if self._to_profile:
-            return (self._to_profile[0],)
+        profiled = "" if self._profile is None else self._profile.next(now_s)
+        if profiled:
+            return (profiled,)
         if self._comparison is not None and self.stateless:
             return (self.current, self._comparison.rival)
         return (self.current,) if self.current else ()
 
     def ranked(self, now_s: float) -> list[str]:
         """Return the members that are there, the one in use first, then the most promising."""
-        others = [m for m in self._members.values() if m.here and m.name != self.current]
-        others.sort(key=lambda m: self._rank(m, now_s))
-        return [*([self.current] if self.current else []), *(m.name for m in others)]
+        if self._ranked is None or now_s >= self._ranked[0]:
+            others = [m for m in self._members.values() if m.here and m.name != self.current]
+            others.sort(key=lambda m: m.rank(self.bound, now_s))
+            ranked = [*([self.current] if self.current else []), *(m.name for m in others)]
+            self._ranked = now_s + self.options.window_s / _JUDGED_PER_WINDOW, ranked
+        return self._ranked[1]
 
     def status(self, now_s: float) -> dict[str, Any]:
         """Return everything as it stands, as JSON."""
@@ -189,6 +137,7 @@ class Scheduler:
                     "here": m.here,
                     "standing": self.bound.judge(found).value,
                     "latency_s": None if found is None else found.as_json(),
+                    "in_flight": m.window.in_flight,
                     "alone_for_s": round(max(0.0, m.alone_until_s - now_s), 3),
                 }
                 for m in self._members.values()
@@ -206,10 +155,11 @@ class Scheduler:
             return
         member.here, member.late, member.known_s = True, 0, None
         member.window.clear()
+        self._ranked = None
         if not self.current:
             self._change(name, now_s, "the first that is there")
-        if self._to_profile:
-            self._to_profile.append(name)
+        if self._profile is not None:
+            self._profile.joined(name)
 
     def left(self, name: str, now_s: float) -> None:
         """Remove a member that is gone: the next request goes to the most promising of the others."""
@@ -218,10 +168,9 @@ class Scheduler:
             return
         member.here = False
         member.window.clear()
-        if name in self._to_profile:
-            first = self._to_profile[0] == name
-            self._to_profile.remove(name)
-            self._profile_ends_s = now_s + self.options.profile_s if first else self._profile_ends_s
+        self._ranked = None
+        if self._profile is not None:
+            self._profile.left(name)
         if self._comparison is not None and name in (self._comparison.rival, self.current):
             self._comparison = None
         if self._came_from == name:
@@ -234,8 +183,8 @@ class Scheduler:
         """Ask each member that is there for a moment, then choose: at the start, and when somebody wants it."""
         self._profiled = True
         self._comparison, self._came_from = None, ""
-        self._to_profile = self.here if len(self.here) > 1 else []
-        self._profile_ends_s = now_s + self.options.profile_s
+        here = self.here
+        self._profile = ProfileRun(here, now_s, self.options, self.bound.limit_s) if len(here) > 1 else None
 
     def asked(self, names: Sequence[str], key: Hashable, now_s: float) -> None:
         """Note that a request was sent to ``names``."""
@@ -243,25 +192,31 @@ class Scheduler:
             self.profile(now_s)
         for name in names:
             self._members[name].window.asked(now_s, key)
-        comparison = self._comparison
-        if comparison is not None and len(names) > 1:
-            comparison.asked[key], comparison.took[key] = now_s, {}
+            if self._profile is not None:
+                self._profile.asked(name, now_s)
+        if self._comparison is not None and len(names) > 1:
+            self._comparison.asked(key, now_s)
 
     def answered(self, name: str, key: Hashable, now_s: float) -> float | None:
         """Note a member's answer; return how long it took, ``None`` if the member was not asked that."""
-        took_s = self._members[name].window.answered(now_s, key)
+        member = self._members[name]
+        took_s = member.window.answered(now_s, key)
         if took_s is None:
             return None
-        comparison = self._comparison
-        if comparison is not None and key in comparison.took:
-            comparison.took[key][name] = took_s
-        self._was(name, took_s)
+        if self._comparison is not None:
+            self._comparison.answered(key, name, took_s)
+        if self._profile is not None:
+            self._profile.answered(name)
+        member.was(took_s, self.bound.limit_s)
         return took_s
 
     def gave_up(self, name: str, key: Hashable, now_s: float) -> None:
         """Note that nobody waits for that answer any more."""
-        self._members[name].window.gave_up(now_s, key)
-        self._was(name, float("inf"))
+        member = self._members[name]
+        member.window.gave_up(now_s, key)
+        if self._profile is not None:
+            self._profile.answered(name)
+        member.was(float("inf"), self.bound.limit_s)
 
     def refused(self, name: str, key: Hashable) -> None:
         """Note that a request was refused before it was carried out, which says nothing of latency."""
@@ -270,52 +225,46 @@ class Scheduler:
     def measured(self, name: str, latency_s: float, now_s: float) -> None:
         """Add a latency of a member that was measured elsewhere."""
         self._members[name].window.add(now_s, latency_s)
-        self._was(name, latency_s)
+        self._members[name].was(latency_s, self.bound.limit_s)
 
     def switch(self, name: str, now_s: float) -> None:
         """Use ``name`` from the next request on, by hand. Raises ``KeyError`` for a member that is not there."""
         if not self._members[name].here:
             raise KeyError(name)
-        self._to_profile, self._comparison = [], None
+        self._profile = self._comparison = None
         self._change(name, now_s, "by hand")
         self._came_from = ""
 
     def step(self, now_s: float) -> None:
         """Decide what time alone brings about: a profile that ends, an answer that is late."""
-        if self._to_profile:
-            self._step_profile(now_s)
+        if self._profile is not None:
+            self._step_profile(self._profile, now_s)
         elif self._comparison is not None:
-            self._step_comparison(now_s)
+            self._step_comparison(self._comparison, now_s)
         elif self.current and not self.held:
             self._step_steady(now_s)
 
     # ── deciding ───────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _was(self, name: str, latency_s: float) -> None:
-        member, limit_s = self._members[name], self.bound.limit_s
-        if limit_s is not None:
-            member.late = member.late + 1 if latency_s > limit_s else 0
-
-    def _step_profile(self, now_s: float) -> None:
-        while self._to_profile and now_s >= self._profile_ends_s:
-            self._to_profile.pop(0)
-            self._profile_ends_s += self.options.profile_s
-            if self._profile_ends_s <= now_s:  # nobody asked for a while
-                self._profile_ends_s = now_s + self.options.profile_s
-        if not self._to_profile:
-            for member in self._members.values():
-                self._remember(member, now_s)
-            best = min((m for m in self._members.values() if m.here), key=lambda m: self._rank(m, now_s), default=None)
-            if best is not None and best.name != self.current:
-                self._change(best.name, now_s, f"the best of the profile ({self._numbers(best, now_s)})")
+    def _step_profile(self, profile: ProfileRun, now_s: float) -> None:
+        if not profile.over(now_s):
+            return
+        self._profile = None
+        self._since_s = now_s
+        self._pause_until_s = now_s + self.options.pause_s
+        for member in self._members.values():
+            member.remember(now_s)
+        here = [m for m in self._members.values() if m.here]
+        best = min(here, key=lambda m: m.rank(self.bound, now_s), default=None)
+        if best is not None and best.name != self.current and not self.held:
+            self._change(best.name, now_s, f"the best of the profile ({best.numbers(now_s)})")
 
     def _step_steady(self, now_s: float) -> None:
-        member, limit_s = self._members[self.current], self.bound.limit_s
-        if not self.bound.limits:
+        if not self.bound.limits or now_s < self._pause_until_s:
             return
-        pending_s = member.window.oldest_pending_s(now_s)
-        overdue = limit_s is not None and pending_s is not None and pending_s > limit_s
-        suspicious = member.late + overdue >= _LATE_IN_A_ROW
+        member = self._members[self.current]
+        late = member.late_in_a_row(now_s, self.bound.limit_s)
+        suspicious = late >= (1 if self.stateless else _LATE_IN_A_ROW)
         if not (suspicious or self._came_from) and now_s < self._judge_at_s:
             return
         self._judge_at_s = now_s + self.options.window_s / _JUDGED_PER_WINDOW
@@ -329,103 +278,72 @@ class Scheduler:
         rival = self._rival(now_s, whoever=self.stateless)
         if rival is None:
             return
-        if not self.stateless and rival.known_s is not None and rival.known_s >= found.median:
-            return  # it was no better when it was asked last
-        why = (
-            self.bound.missed(found)
-            or f"{member.late + overdue} requests in a row took more than {1e3 * (limit_s or 0):.0f} ms"
-        )
+        limit_ms = 1e3 * (self.bound.limit_s or 0.0)
+        why = self.bound.missed(found) or f"{late} in a row took more than {limit_ms:.0f} ms"
         if self.stateless:
-            self._comparison = _Comparison(rival.name)
+            self._comparison = Comparison(rival.name, hiccup=not missed)
             self._note(now_s, f"{why}; {rival.name} is asked, too")
-        elif now_s - self._since_s >= self.options.least_dwell_s and (missed or member.late > _LATE_IN_A_ROW):
-            self._change(rival.name, now_s, why)
-            self._came_from = member.name
-            rival.window.clear()  # it has to prove itself now
+        elif now_s - self._since_s >= self.options.least_dwell_s:
+            known_s = rival.recalled(now_s, self.options)
+            if known_s is None or known_s < found.mean * (1 - self.options.margin):
+                self._change(rival.name, now_s, why)
+                self._came_from = member.name
+                rival.window.clear()  # it has to prove itself now
 
-    def _probation(self, member: _Member, bad: bool, now_s: float) -> None:
+    def _probation(self, member: Replica, bad: bool, now_s: float) -> None:
         """Switch back at once if a change that could not be compared beforehand has proved wrong."""
         before = self._members[self._came_from]
-        found, was = member.window.statistics(now_s), before.window.statistics(now_s)
+        found = member.window.statistics(now_s)
         if found is None or found.answered + found.pending < self.options.pairs:
             return
-        if bad and before.here and (was is None or found.median > was.median):
-            self._lost(member, now_s)
-            self._change(before.name, now_s, f"{member.name} proved no better ({self._numbers(member, now_s)})")
+        was_s = before.recalled(now_s, self.options)
+        if bad and before.here and (was_s is None or found.mean > was_s):
+            member.lost(now_s, self.options)
+            self._change(before.name, now_s, f"{member.name} proved no better ({member.numbers(now_s)})")
         elif found.answered < self.options.pairs:
             return  # nothing is proved yet
         else:
-            self._lost(before, now_s)
+            before.lost(now_s, self.options)
         self._came_from = ""
 
-    def _step_comparison(self, now_s: float) -> None:
-        comparison = self._comparison
-        assert comparison is not None
+    def _step_comparison(self, comparison: Comparison, now_s: float) -> None:
         mine, rival = self._members[self.current], self._members[comparison.rival]
-        pairs = comparison.pairs(now_s, mine.name)
-        if len(pairs) < self.options.pairs:
+        late = mine.late_in_a_row(now_s, self.bound.limit_s)
+        evidence = comparison.judge(mine.name, late, self.bound.limit_s, now_s, self.options)
+        if not evidence.pairs:
             return
-        ours, theirs = self._side([a for a, _ in pairs]), self._side([b for _, b in pairs])
-        numbers = (
-            f"{rival.name} {1e3 * theirs.mean_s:.1f} ms, {mine.name} {1e3 * ours.mean_s:.1f} ms, {len(pairs)} pairs"
-        )
-        sooner = len(pairs) >= _ENOUGH * self.options.pairs and theirs.mean_s < ours.mean_s * (1 - self.options.margin)
-        beaten = ours.late - theirs.late >= _TELLING or (ours.late == theirs.late and sooner)
-        settled = mine.late == 0 and self.bound.judge(mine.window.statistics(now_s)) is not Standing.MISSED
+        settled = late == 0 and self.bound.judge(mine.window.statistics(now_s)) is not Standing.MISSED
         rested = now_s - self._since_s >= self.options.least_dwell_s and rival.alone_until_s <= now_s
-        if beaten and rested and not self.held:
-            self._lost(mine, now_s)
-            self._change(rival.name, now_s, f"it answers the same requests sooner: {numbers}")
-            self._comparison = _Comparison(mine.name)  # until the bound is met, the first answer wins
-        elif settled and not beaten:
+        if evidence.beaten and rested and not self.held:
+            mine.lost(now_s, self.options)
+            self._change(rival.name, now_s, f"it answers the same requests sooner: {evidence.numbers}")
+            self._comparison = Comparison(mine.name)  # until the bound is met, the first answer wins
+        elif settled and evidence.sound and not evidence.beaten:
             self._comparison = None
-            self._note(now_s, f"meets the bound: {numbers}")
-        elif not beaten and len(pairs) >= _ENOUGH * self.options.pairs:
-            self._lost(rival, now_s)
-            self._comparison = _Comparison((self._rival(now_s, whoever=True) or rival).name)
-        elif len(pairs) >= 2 * _ENOUGH * self.options.pairs:
-            self._comparison = _Comparison(rival.name)  # on newer requests
+            self._note(now_s, f"meets the bound: {evidence.numbers}")
+        elif not evidence.beaten and evidence.pairs >= ENOUGH * self.options.pairs:
+            rival.lost(now_s, self.options)
+            self._comparison = Comparison((self._rival(now_s, whoever=True) or rival).name)
+        elif evidence.pairs >= 2 * ENOUGH * self.options.pairs:
+            self._comparison = Comparison(rival.name)  # on newer requests
 
-    def _side(self, took: Sequence[float]) -> _Side:
-        limit_s = self.bound.limit_s
-        return _Side(0 if limit_s is None else sum(t > limit_s for t in took), statistics.fmean(took))
-
-    def _rival(self, now_s: float, *, whoever: bool = False) -> _Member | None:
+    def _rival(self, now_s: float, *, whoever: bool = False) -> Replica | None:
         """Return the most promising of the others; with ``whoever``, even one to be left alone."""
         others = [m for m in self._members.values() if m.here and m.name != self.current]
         free = [m for m in others if m.alone_until_s <= now_s]
         if not free and whoever:
             return min(others, key=lambda m: m.alone_until_s, default=None)
-        return min(free, key=lambda m: self._rank(m, now_s), default=None)
-
-    def _rank(self, member: _Member, now_s: float) -> tuple[int, float, float]:
-        found = member.window.statistics(now_s)
-        standing = (Standing.MET, Standing.UNKNOWN, Standing.MISSED).index(self.bound.judge(found))
-        median_s = member.known_s if found is None else found.median
-        return standing, median_s or 0.0, member.alone_until_s
-
-    def _lost(self, member: _Member, now_s: float) -> None:
-        forgiven = now_s - member.lost_at_s > self.options.forgive_s
-        member.penalty_s = self.options.penalty_s if forgiven else min(2 * member.penalty_s, _MOST_PENALTY_S)
-        member.lost_at_s, member.alone_until_s = now_s, now_s + member.penalty_s
+        return min(free, key=lambda m: m.rank(self.bound, now_s), default=None)
 
     def _change(self, after: str, now_s: float, why: str) -> None:
         self._note(now_s, why, after)
+        self._ranked = None
         if self.current:
-            self._remember(self._members[self.current], now_s)
+            self._members[self.current].remember(now_s)
         self.current, self._since_s = after, now_s
         if after:
             self._members[after].late = 0
 
-    def _remember(self, member: _Member, now_s: float) -> None:
-        found = member.window.statistics(now_s)
-        if found is not None:
-            member.known_s = found.median
-
     def _note(self, now_s: float, why: str, after: str | None = None) -> None:
         self.decisions.append(Decision(now_s, self.current, self.current if after is None else after, why))
         self.decided += 1
-
-    def _numbers(self, member: _Member, now_s: float) -> str:
-        found = member.window.statistics(now_s)
-        return "nothing is known of it" if found is None else f"median {1e3 * found.median:.1f} ms"

@@ -1,0 +1,79 @@
+"""Keeps what a scheduler knows of one member. Sans-I/O."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from ropeway.group.bound import LatencyBound, Standing
+from ropeway.group.latency import LatencyWindow, Statistics
+from ropeway.group.options import Options
+
+__all__ = ["Rank", "Replica"]
+
+Rank = tuple[int, float, float]
+"""Orders members, the most promising first: the standing, the mean with its requests in flight, and its penalty."""
+
+_MOST_PENALTY_S: Final = 300.0
+_ORDER: Final = (Standing.MET, Standing.UNKNOWN, Standing.MISSED)
+
+
+@dataclass(slots=True, eq=False)
+class Replica:
+    """A member, its latencies, and what it has lost."""
+
+    name: str
+    window: LatencyWindow
+    here: bool = False
+    late: int = 0  # answers above the limit, one after the other
+    penalty_s: float = 0.0
+    alone_until_s: float = 0.0
+    lost_at_s: float = float("-inf")
+    known_s: float | None = None  # the mean when it was asked last, which outlives its window
+    known_at_s: float = float("-inf")
+
+    def late_in_a_row(self, now_s: float, limit_s: float | None) -> int:
+        """Return how many requests in a row took longer than the limit, those without an answer included."""
+        return 0 if limit_s is None else self.late + self.window.overdue(now_s, limit_s)
+
+    def was(self, latency_s: float, limit_s: float | None) -> None:
+        """Note how long an answer took."""
+        if limit_s is not None:
+            self.late = self.late + 1 if latency_s > limit_s else 0
+
+    def rank(self, bound: LatencyBound, now_s: float) -> Rank:
+        """Return how promising it is.
+
+        Requests in flight count beside latency: who still owes answers is slower than the answers that came. The mean
+        and not the median, because a machine that is slow every second time has a median that is chance.
+        """
+        found = self.window.statistics(now_s)
+        mean_s = self.known_s if found is None else found.mean
+        return _ORDER.index(bound.judge(found)), (mean_s or 0.0) * (1 + self.window.in_flight), self.alone_until_s
+
+    def remember(self, now_s: float) -> Statistics | None:
+        """Keep the mean for the time when the window is empty; return what the window holds."""
+        found = self.window.statistics(now_s)
+        if found is not None:
+            self.known_s, self.known_at_s = found.mean, now_s
+        return found
+
+    def recalled(self, now_s: float, options: Options) -> float | None:
+        """Return the mean, ``None`` if nobody has asked it for so long that it may be another one now."""
+        found = self.window.statistics(now_s)
+        if found is not None:
+            return found.mean
+        return self.known_s if now_s - self.known_at_s <= options.forgive_s else None
+
+    def lost(self, now_s: float, options: Options) -> None:
+        """Leave it alone for a while, which doubles with each loss."""
+        forgiven = now_s - self.lost_at_s > options.forgive_s
+        self.penalty_s = options.penalty_s if forgiven else min(2 * self.penalty_s, _MOST_PENALTY_S)
+        self.lost_at_s, self.alone_until_s = now_s, now_s + self.penalty_s
+
+    def numbers(self, now_s: float) -> str:
+        """Return its latency in words, for the log."""
+        found = self.window.statistics(now_s)
+        if found is None:
+            return "nothing is known of it"
+        return f"mean {1e3 * found.mean:.1f} ms, median {1e3 * found.median:.1f} ms, {found.answered} answers"
