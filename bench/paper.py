@@ -17,6 +17,7 @@ from bench.netns import Network, Process, network
 from bench.peers import messages
 from bench.report import table
 from ropeway.networks.rosbridge.protocol import codec
+from ropeway.planning import PlannedLink, PlannedTopic, TrafficPlan, predict
 from ropeway.types import TypeRegistry
 
 TOPICS = {"/camera/color/image_raw": "rgb", "/camera/depth/image_rect_raw": "depth"}
@@ -145,10 +146,21 @@ def ratios(topics: dict[str, str]) -> dict[tuple[str, str], tuple[float, float]]
     return out
 
 
-def predicted(sizes: list[float], hz: float, link_bps: float, ratio: float = 1.0, subscribers: int = 1) -> float:
-    """Equations (3) to (5): the rate at which each topic arrives."""
-    needed = sum(8 * size * hz * subscribers for size in sizes) / ratio
-    return min(hz, hz * link_bps / needed)
+def predicted(hz: float, link_bps: float, wire: dict[tuple[str, str], tuple[float, float]], encoding: str) -> float:
+    """Return the rate at which each topic arrives, by equations (3) to (5); ``encoding`` may be ``"dds"``."""
+    topics = tuple(
+        PlannedTopic(
+            topic,
+            wire[topic, "cbor-raw"][0],
+            hz,
+            publishers={"robot": 1},
+            readers={"cloud": SUBSCRIBERS},
+            ratios={name: wire[topic, name][1] for name in ENCODINGS},
+        )
+        for topic in TOPICS
+    )
+    rows = predict(TrafficPlan(topics, (PlannedLink(link_bps, hosts=frozenset(("robot", "cloud"))),)), [encoding])
+    return min(row.rate_hz for row in rows)
 
 
 def main() -> None:
@@ -163,12 +175,11 @@ def main() -> None:
     args = parser.parse_args()
     rows: list[list[Any]] = []
     wire = ratios(TOPICS)
-    raw_sizes = [wire[t, "cbor-raw"][0] for t in TOPICS]
     link = args.mbit * 1e6 * TCP_SHARE
     with network(args.mbit) as net:
         for hz in map(float, args.hz.split(",")):
             base = local(net, hz, args.seconds, TOPICS)
-            dds = predicted(raw_sizes, hz, args.mbit * 1e6, subscribers=SUBSCRIBERS)
+            dds = predicted(hz, 1e6 * args.mbit, wire, "dds")
             for topic in TOPICS:
                 f = base[topic]
                 rows.append(
@@ -191,8 +202,7 @@ def main() -> None:
                 for encoding in args.encodings.split(","):
                     got = measure(net, operation, encoding, hz, args.seconds, TOPICS)
                     both = sum(wire[t, encoding][0] for t in TOPICS)
-                    share = sum(raw_sizes) / both
-                    expected = predicted(raw_sizes, hz, args.mbit * 1e6, ratio=share)
+                    expected = predicted(hz, 1e6 * args.mbit, wire, encoding)
                     capacity = min(hz, link / 8 / both)
                     wire_ms = 8e3 * both / (args.mbit * 1e6)
                     for topic in TOPICS:

@@ -26,6 +26,7 @@ VERBS = {
     "name": "ropeway.cli.name",
     "overlay": "ropeway.cli.overlay",
     "router": "ropeway.cli.router",
+    "predict": "ropeway.cli.predict",
     "play": "ropeway.cli.play",
     "demo": "ropeway.cli.demo",
     "demo-iort": "ropeway.cli.demo_iort",

@@ -26,6 +26,7 @@ def check(
     """Check FILE: print its routes, or every fault with its path. The exit status is 2 where there is a fault."""
     from ropeway.gateway.config.config import load
     from ropeway.gateway.config.type_hints import known_types, type_hints
+    from ropeway.planning.configured import unfitting
 
     try:
         config = load(file)
@@ -40,7 +41,7 @@ def check(
             complain(f"{count} problem{'s' if count > 1 else ''}; nothing would start.")
         raise typer.Exit(2) from None
     routes = config.routes()
-    hints = type_hints(config, known_types(config))
+    hints = type_hints(config, known_types(config)) + [("remotes", sentence) for sentence in unfitting(config)]
     if as_json:
         shown = [
             {

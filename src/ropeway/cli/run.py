@@ -45,6 +45,8 @@ def run_command(
 
 
 def _greet(config: Config) -> None:
+    from ropeway.planning.configured import unfitting
+
     listen = ", ".join(config.gateway.listen) or "nowhere"
     remotes = sum(remote.active for remote in config.remotes)
     log.info(
@@ -55,3 +57,5 @@ def _greet(config: Config) -> None:
         len(config.routes()),
         remotes,
     )
+    for sentence in unfitting(config):
+        log.warning("%s", sentence)

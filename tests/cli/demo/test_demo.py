@@ -13,7 +13,7 @@ from rich.console import Console
 from ropeway.cli.demo.flow import Tally
 from ropeway.cli.demo.gateways import GatewayProcess, configurations, figures, free_port
 from ropeway.cli.demo.scene import recorded_parts, synthetic_parts
-from ropeway.cli.demo.table import FittingTable, brief, live_table, summary_table
+from ropeway.cli.demo.table import brief, live_table, summary_table
 from ropeway.cli.session import OpenGraph
 from ropeway.gateway.config.config import parse
 from ropeway.graph.base import Sample
@@ -135,20 +135,6 @@ def test_tables_fit_a_terminal() -> None:
     assert sum("→ robot" in line for line in lines) == 2
     assert any("zstd" in line and " 4 " in line for line in lines)
     assert brief(flows, 5.0) == "  5 s: /a 0 Hz - ms, /a 0 Hz - ms"
-
-
-def test_narrow_tables_leave_out_columns() -> None:
-    """A terminal that is too narrow costs columns, and no digit of a figure."""
-    table = FittingTable("T", "topic", "way", "arrived", "Hz", "p99 ms", "encoding")
-    table.add_row("/camera/color/image_raw", "→ cloud", "449/450", "73.25", "12.75", "zstd")
-    assert table.fitting(80) == ["topic", "way", "arrived", "Hz", "p99 ms", "encoding"]
-    assert table.fitting(50) == ["topic", "way", "arrived", "Hz"]
-    assert table.fitting(30) == ["topic", "Hz"]
-    for width in range(31, 81):
-        console = Console(width=width, record=True, file=open(os.devnull, "w"))  # noqa: SIM115, PTH123
-        console.print(table)
-        console.file.close()
-        assert "73.25" in console.export_text()
 
 
 def test_free_ports_are_free() -> None:

@@ -5,62 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
-from rich.console import Console, ConsoleOptions, RenderResult
-from rich.table import Table
-
 from ropeway.cli.demo.flow import Tally
+from ropeway.cli.fitting_table import FittingTable
 
-__all__ = ["FittingTable", "brief", "live_table", "summary_table"]
+__all__ = ["brief", "live_table", "summary_table"]
 
 WAYS: Final = {"robot": "→ cloud", "cloud": "→ robot"}
 
 
 _DISPENSABLE: Final = ("encoding", "p99 ms", "drops", "Mb/s", "way", "arrived")
-"""Columns that give way in a narrow terminal, the first of them first; a figure without its last digits is a lie."""
-
-_GAP: Final = 1  # characters between two columns
-
-
-class FittingTable:
-    """A table that leaves out columns where the terminal is too narrow for all of them."""
-
-    def __init__(self, title: str, *columns: str) -> None:
-        self._title, self._columns = title, columns
-        self._rows: list[tuple[str, ...]] = []
-
-    def add_row(self, *cells: str) -> None:
-        """Add a row with a cell for each column."""
-        self._rows.append(cells)
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Render the columns that fit."""
-        shown = self.fitting(options.max_width)
-        table = Table(title=self._title, title_justify="left", box=None, pad_edge=False, header_style="bold")
-        table.padding = (0, _GAP, 0, 0)
-        for name in shown:
-            text = name in ("topic", "way", "encoding")
-            table.add_column(name, justify="left" if text else "right", no_wrap=True, overflow="ellipsis")
-        for row in self._rows:
-            table.add_row(*(cell for name, cell in zip(self._columns, row, strict=True) if name in shown))
-        yield table
-
-    def fitting(self, width: int) -> list[str]:
-        """Return the names of the columns that fit into so many characters."""
-        needed = {
-            name: max(len(name), *(len(row[index]) for row in self._rows)) if self._rows else len(name)
-            for index, name in enumerate(self._columns)
-        }
-        for name in _DISPENSABLE:
-            if sum(needed.values()) + _GAP * len(needed) <= width:
-                break
-            needed.pop(name, None)
-        return list(needed)
+_TEXT: Final = ("topic", "way", "encoding")
 
 
 def live_table(flows: Iterable[Tally], figures: Mapping[str, Mapping[str, Any]], seconds: float) -> FittingTable:
     """Make the table of each route's last second; ``figures`` is what the gateways report, by topic."""
     title = f"Two DDS networks, two gateways, {seconds:.0f} s"
-    table = FittingTable(title, "topic", "way", "Hz", "delay ms", "Mb/s", "drops", "encoding")
+    table = FittingTable(
+        title, "topic", "way", "Hz", "delay ms", "Mb/s", "drops", "encoding", dispensable=_DISPENSABLE, text=_TEXT
+    )
     for flow in flows:
         now, told = flow.recent(), figures.get(flow.topic, {})
         table.add_row(
@@ -77,7 +39,12 @@ def live_table(flows: Iterable[Tally], figures: Mapping[str, Mapping[str, Any]],
 
 def summary_table(flows: Iterable[Tally], figures: Mapping[str, Mapping[str, Any]]) -> FittingTable:
     """Make the table of the whole run; the delays are the median and the 99th percentile."""
-    table = FittingTable("Summary", "topic", "way", "arrived", "Hz", "p50 ms", "p99 ms", "Mb/s", "drops")
+    table = FittingTable(
+        "Summary",
+        *("topic", "way", "arrived", "Hz", "p50 ms", "p99 ms", "Mb/s", "drops"),
+        dispensable=_DISPENSABLE,
+        text=_TEXT,
+    )
     for flow in flows:
         total = flow.summary()
         table.add_row(

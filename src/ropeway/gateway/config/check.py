@@ -7,14 +7,11 @@ graphs that are not there), on whatever parts are well-formed, so that one run r
 from __future__ import annotations
 
 import hashlib
-import json
-import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final, TypeVar, get_args, get_origin
+from typing import Any, Final, TypeVar
 
-from pydantic import AliasChoices, BaseModel, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic import ValidationError
 
 from ropeway.gateway.config.address import (
     default_graph,
@@ -29,34 +26,19 @@ from ropeway.gateway.config.auth_model import ALL
 from ropeway.gateway.config.model import Document, RemoteConfig
 from ropeway.gateway.config.overlay_model import METADATA, OVERLAY
 from ropeway.gateway.config.route_model import OPERATIONS, BridgedName
-from ropeway.gateway.config.suggest import did_you_mean, nearest, one_of, show, unknown_key
+from ropeway.gateway.config.shape import inner_model, keys_of, shape_problems, spellings
+from ropeway.gateway.config.suggest import did_you_mean, nearest, one_of
 
-__all__ = ["check", "json_path", "route_key"]
+__all__ = ["check", "route_key"]
 
 Problem = tuple[str, str]
 T = TypeVar("T")
 
-_EXPECTED: Final = {
-    "string_type": "a text",
-    "bool_type": "true or false",
-    "int_type": "a whole number",
-    "float_type": "a number",
-    "finite_number": "a finite number",
-    "tuple_type": "a list",
-    "model_type": "an object",
-    "dict_type": "an object",
-    "recursion_loop": "a value that does not contain itself",
-}
 _WHY_NOT: Final = {
     "ros2": "ros2 has the types of the ROS 2 that is sourced",
     "auto": "write dds:0 instead of auto, which may be ros2",
     "ros1": "ROS 1 has its own types",
     "memory": "a network in memory has the types of the gateway",
-}
-_BOUNDS: Final = {
-    "greater_than": ("a number above", "gt"),
-    "greater_than_equal": ("a number from", "ge"),
-    "less_than_equal": ("a number up to", "le"),
 }
 
 
@@ -72,7 +54,7 @@ def check(obj: object, directory: Path) -> tuple[Document | None, list[Problem]]
     try:
         document = Document.model_validate(full, context={"directory": directory})
     except ValidationError as error:
-        problems = [_say(fault) for fault in error.errors(include_url=False)]
+        problems = shape_problems(error, Document)
     problems += _sense(full)
     return document, problems
 
@@ -91,19 +73,6 @@ def route_key(operation: str, address: str, graph: str, name: str, remote_name: 
     return digest.hexdigest()[:32]
 
 
-def json_path(parts: Iterable[str | int]) -> str:
-    """Write a path as text: ``("remotes", 0, "publish")`` becomes ``remotes[0].publish``."""
-    out = ""
-    for part in parts:
-        if isinstance(part, int):
-            out += f"[{part}]"
-        elif re.fullmatch(r"[A-Za-z_][\w-]*", part):
-            out += f".{part}" if out else part
-        else:
-            out += f"[{json.dumps(part)}]"
-    return out or "(top level)"
-
-
 # ------------------------------------------------------------------------------------------------------ shape
 
 
@@ -115,94 +84,11 @@ def _full_form(obj: object) -> tuple[Mapping[str, Any], Problem | None]:
         what = "the file is empty; " if obj is None else ""
         return {}, ("(top level)", f"{what}expected a list of remotes, or an object with gateway and remotes")
     if not obj.keys() & {"gateway", "remotes"}:
-        keys = _keys(RemoteConfig)
+        keys = keys_of(RemoteConfig)
         meant = any(nearest(key, ("gateway", "remotes")) for key in obj if key not in keys)
         if not meant and any(nearest(key, keys) for key in obj):
             return {"remotes": [obj]}, None
     return obj, None
-
-
-def _say(fault: ErrorDetails) -> Problem:
-    loc, kind, value = fault["loc"], fault["type"], fault["input"]
-    context = fault.get("ctx", {})
-    if kind == "extra_forbidden":
-        return json_path(loc), _unknown(loc)
-    if kind == "missing":
-        field = _field(loc)
-        return json_path(loc), f"this key is missing; expected {field}" if field else "this key is missing"
-    if kind == "invalid_key":
-        return json_path(loc[:-1]), f"the key {loc[-1]} is not a text"
-    if kind == "below":
-        return json_path((*loc, context["at"])), context["text"]
-    if kind == "value_error":
-        return json_path(loc), str(context["error"])
-    if kind in _BOUNDS:
-        words, limit = _BOUNDS[kind]
-        return json_path(loc), f"expected {words} {context[limit]:g}, got {show(value)}"
-    return json_path(loc), f"expected {_EXPECTED.get(kind) or fault['msg']}, got {show(value)}"
-
-
-def _unknown(loc: tuple[str | int, ...]) -> str:
-    model = _model_at(loc[:-1])
-    word = loc[-1]
-    names = _spellings(model)
-    if word in names:
-        return f'another spelling of "{names[str(word)]}", which is there too; keep one'
-    return unknown_key(word, _keys(model))
-
-
-def _field(loc: tuple[str | int, ...]) -> str:
-    for name, info in _model_at(loc[:-1]).model_fields.items():
-        if loc[-1] in (name, info.alias, *_aliases(info.validation_alias)):
-            return info.description or ""
-    return ""
-
-
-def _model_at(loc: Iterable[str | int]) -> type[BaseModel]:
-    """Return the model at a location."""
-    model: type[BaseModel] = Document
-    parts = iter(loc)
-    for part in parts:
-        if isinstance(part, int):
-            continue
-        fields = model.model_fields.items()
-        info = next((i for n, i in fields if part in (n, i.alias, *_aliases(i.validation_alias))), None)
-        if info is None:
-            break
-        model = _inner_model(info.annotation) or model
-        if get_origin(info.annotation) is dict:
-            next(parts, None)  # the name of an entry, which is no field
-    return model
-
-
-def _inner_model(annotation: object) -> type[BaseModel] | None:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for argument in get_args(annotation):
-        found = _inner_model(argument)
-        if found is not None:
-            return found
-    return None
-
-
-def _aliases(alias: object) -> list[str]:
-    if isinstance(alias, AliasChoices):
-        return [str(choice) for choice in alias.choices]
-    return [alias] if isinstance(alias, str) else []
-
-
-def _keys(model: type[BaseModel]) -> list[str]:
-    """Return the keys of a model, each in its first spelling."""
-    return [(_aliases(info.validation_alias) or [info.alias or name])[0] for name, info in model.model_fields.items()]
-
-
-def _spellings(model: type[BaseModel]) -> dict[str, str]:
-    """Return every spelling of every key, with its first spelling."""
-    out: dict[str, str] = {}
-    for key, (name, info) in zip(_keys(model), model.model_fields.items(), strict=True):
-        for spelling in _aliases(info.validation_alias) or [info.alias or name]:
-            out[spelling] = key
-    return out
 
 
 # ------------------------------------------------------------------------------------------------------ sense
@@ -411,9 +297,9 @@ def _tasks(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable[
     default = graphs[0] if graphs else ""
     for operation in OPERATIONS:
         info = RemoteConfig.model_fields[operation.replace("-", "_")]
-        model = _inner_model(info.annotation)
+        model = inner_model(info.annotation)
         assert model is not None
-        known = _spellings(model)
+        known = spellings(model)
         for number, raw in _objects(remote.get(operation)):
             item = _attempt(model.model_validate, {k: v for k, v in raw.items() if k in known})
             if not isinstance(item, BridgedName):

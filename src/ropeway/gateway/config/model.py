@@ -42,6 +42,7 @@ from ropeway.graph.base import resolve_name
 __all__ = [
     "ClientsConfig",
     "Document",
+    "ExpectedLink",
     "GatewayConfig",
     "RemoteConfig",
 ]
@@ -106,6 +107,14 @@ Switch = Annotated[
 # ---------------------------------------------------------------------------------------------------- models
 
 
+class ExpectedLink(Model):
+    """Says what to expect of the link to a remote, for predictions; nothing that runs depends on it."""
+
+    mbit: Seconds = Field(description="what it carries each way, in Mbit/s")
+    delay_ms: float = Field(0.0, ge=0, allow_inf_nan=False, description="its delay one way")
+    duplex: bool = Field(True, description="false: both ways share the rate, as on Wi-Fi")
+
+
 class RemoteConfig(Model):
     """Configures another gateway (or rosbridge server) and what crosses to and from it."""
 
@@ -147,6 +156,9 @@ class RemoteConfig(Model):
         None, description="overlay: topics are offered and fetched as the local graph needs"
     )
     anycast: AnycastConfig | None = Field(None, description="of a group: which address gets a request")
+    link: ExpectedLink | None = Field(
+        None, description="what the link carries, for ropeway predict and for a warning where topics do not fit"
+    )
     token: Secret | None = Field(None, description='shown to the remote: {"env": "NAME"} or {"file": "PATH"}')
     publish: Many[TopicItem] = Field((), description="topics sent to the remote")
     subscribe: Many[TopicItem] = Field((), description="topics fetched from the remote")

@@ -31,6 +31,7 @@ __all__ = [
     "PRIORITIES",
     "ActionItem",
     "BridgedName",
+    "ExpectedTraffic",
     "Name",
     "Namespace",
     "RenamedTopicItem",
@@ -176,6 +177,18 @@ class BridgedName(Model):
         )
 
 
+class ExpectedTraffic(Model):
+    """Says what to expect of a topic, for predictions; nothing that runs depends on it."""
+
+    bytes: float = Field(gt=0, allow_inf_nan=False, description="mean size of a message")
+    hz: Seconds = Field(description="messages per second of each publisher")
+    publishers: int = Field(1, ge=1, le=10_000, description="how many publish it on the side that it comes from")
+    readers: int = Field(1, ge=1, le=10_000, description="how many read it on the other side")
+    ratio: float | None = Field(
+        None, gt=0, allow_inf_nan=False, description="bytes of a message over those that travel; default: 1"
+    )
+
+
 class TopicItem(BridgedName):
     """A topic to ``publish`` or to ``subscribe``."""
 
@@ -193,6 +206,9 @@ class TopicItem(BridgedName):
         False, description="true keeps the last message: late joiners get it, and it can be read from the store"
     )
     qos: Profile = Field(None, description="QoS on the local graph; default: the publishers' own is adopted")
+    expected: ExpectedTraffic | None = Field(
+        None, description="what to expect of it, for ropeway predict and for a warning where it does not fit the link"
+    )
 
     def delivery(self) -> Delivery:
         """Return how the far side should treat this route."""
