@@ -191,7 +191,7 @@ async def _measure_graph(
 async def measure_topics(
     session: OpenGraph, names: list[str], during: Callable[[Mapping[str, TopicSampler]], Awaitable[object]]
 ) -> dict[str, TopicSampler]:
-    """Read the named topics of a graph, without names all that are published, until ``during`` ends, which is shown what was read so far."""
+    """Read the named topics of a graph, without names all that are published, while ``during`` runs on the samplers."""
     wanted = set(names)
     found = await settle(session.graph, _SPIN_S, (lambda topics: topics.keys() >= wanted) if wanted else None)
     samplers: dict[str, TopicSampler] = {}
