@@ -249,6 +249,9 @@ OVERLAY_GATEWAYS_PER_MEMBER: Final = 64
 OVERLAY_STRANGERS: Final = 64
 """Gateways that are being asked who they are."""
 
+OVERLAY_POOL_GATEWAYS: Final = 256
+"""Gateways that are members of one group. Each has a publisher or a client of its own for every name of the group."""
+
 OVERLAY_METADATA_CHARACTERS: Final = 1_024
 """Each of the texts that go into a global name beside it."""
 

@@ -195,3 +195,61 @@ def test_faults(remote: dict[str, Any], gateway: dict[str, Any], path: str, said
     with pytest.raises(ConfigError) as caught:
         config.parse({"gateway": gateway, "remotes": [remote]})
     assert said in dict(caught.value.problems)[path]
+
+
+async def test_a_group_of_members(overlay: Overlay) -> None:
+    """Of two members that offer the same one gets each message and call of a robot, and the other those after it."""
+    machine = {"subscribe": [item("/input")], "expose-service": [item("/add", ADD)]}
+    heard: dict[str, Inbox] = {}
+    networks: dict[str, MemoryGraph] = {}
+    for name in ("edge", "cloud"):
+        node = networks[name] = await overlay.join(name, **machine)
+        heard[name] = Inbox()
+        await node.create_subscription("/input", STRING, None, heard[name])
+        await node.create_service("/add", ADD, add)
+    robot = await overlay.join(
+        "robot", anycast={}, publish=[item("/input")], **{"reserve-service": [item("/add", ADD)]}
+    )
+
+    def group() -> dict[str, Any]:
+        found: dict[str, Any] = overlay.gateways[-1].status()["remotes"][0]["group"]
+        return found
+
+    await until(lambda: sum(member["here"] for member in group()["members"].values()) == 2)
+    input = await robot.create_publisher("/input", STRING)
+    await until(lambda: input.subscribers)
+    for number in range(20):
+        input.publish(sample(str(number)))
+    first = group()["current"].rstrip("0123456789")
+    await heard[first].wait(20, 30)
+    client = await robot.create_client("/add", ADD)
+    assert await client.wait_available(30)
+    assert total(await client.call(Request(pair(1, 2)))) == 3
+    other = "cloud" if first == "edge" else "edge"
+    assert not heard[other].samples
+    at = [gateway.config.gateway.name for gateway in overlay.gateways].index(first)
+    await overlay.gateways[at].__aexit__()
+    await until(lambda: group()["current"].startswith(other))
+    input.publish(sample("after"))
+    await heard[other].wait(1, 30)
+
+
+@pytest.mark.parametrize(
+    ("remote", "path", "words"),
+    [
+        ({"anycast": {}, "automatic": {"allow": ["/a"]}}, "remotes[0].automatic", "a remote of its own"),
+        (
+            {"address": ["ws://a", "ws://b"], "anycast": {"members": ["edge*"]}},
+            "remotes[0].anycast.members",
+            'needs "address": "overlay"',
+        ),
+    ],
+)
+def test_mistakes_of_groups(tmp_path: Path, remote: dict[str, Any], path: str, words: str) -> None:
+    """What a group of members cannot have is refused with the path of the mistake."""
+    bundle = tmp_path / "robot.ropeway"
+    write_private(bundle, member("robot").to_text())
+    given = {"gateway": {"overlay": {"identity": str(bundle)}}, "remotes": [{"address": "overlay", **remote}]}
+    with pytest.raises(ConfigError) as caught:
+        config.parse(given)
+    assert any(where == path and words in text for where, text in caught.value.problems), caught.value.problems

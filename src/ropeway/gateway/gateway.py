@@ -233,7 +233,9 @@ class Gateway:
                 continue
             remote: Remote
             group: GroupRemote | None = None
-            if config.address == OVERLAY:
+            if config.address == OVERLAY and config.anycast is not None:
+                remote = group = self._overlay_group(config, mine)
+            elif config.address == OVERLAY:
                 remote = OverlayRemote(config, self._overlay_graph(config))
             elif is_iort(config.address):
                 remote = self._iort_remote(config, index)
@@ -288,11 +290,16 @@ class Gateway:
         return LinkRemote(config, self._link_graph(config, config.address, shown, routes, limits), shown)
 
     def _group(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> GroupRemote:
-        from ropeway.gateway.group import GroupRemote  # most gateways have no group
+        from ropeway.gateway.group import LinkGroupRemote  # most gateways have no group
 
         shown = read_credentials(config, index)
         links = {without_token(url): self._link_graph(config, url, shown, routes, limits) for url in config.addresses}
-        return GroupRemote(config, links, routes, self.registry, shown)
+        return LinkGroupRemote(config, links, routes, self.registry, shown)
+
+    def _overlay_group(self, config: RemoteConfig, routes: list[Route]) -> GroupRemote:
+        from ropeway.gateway.group import OverlayGroupRemote
+
+        return OverlayGroupRemote(config, self._overlay_graph(config), routes, self.registry)
 
     def _link_graph(
         self, config: RemoteConfig, url: str, shown: Credentials, routes: list[Route], limits: Limits

@@ -1,23 +1,26 @@
-"""A remote that is a group: several gateways or rosbridge servers that offer the same."""
+"""A remote that is a group: several gateways or rosbridge servers, or members of the overlay, that offer the same."""
 
 from __future__ import annotations
 
 import logging
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.gateway.config.config import Route
 from ropeway.gateway.config.group_model import AnycastConfig
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.credentials import Credentials
-from ropeway.gateway.remote import Remote, link_state, link_status, shown_address
+from ropeway.gateway.remote import NO_CREDENTIALS, Remote, link_state, link_status, overlay_state, shown_address
 from ropeway.graph.base import Graph, Sample, Subscription
 from ropeway.group.graph import Group
 from ropeway.networks.rosbridge.client import RosbridgeGraph
 from ropeway.types import TypeRegistry
 
-__all__ = ["GroupRemote"]
+if TYPE_CHECKING:
+    from ropeway.networks.overlay.graph import OverlayGraph
+
+__all__ = ["GroupRemote", "LinkGroupRemote", "OverlayGroupRemote"]
 
 log = logging.getLogger("ropeway.group")
 
@@ -27,25 +30,26 @@ _LATENCY_AT: Final = 4  # behind the header of CDR
 
 
 class GroupRemote(Remote):
-    """Several addresses as one graph; its members are called by their addresses."""
+    """Several machines as one graph. ``options`` say who they are, as ``Group`` takes it."""
+
+    graph: Group
 
     def __init__(
         self,
         config: RemoteConfig,
-        links: Mapping[str, RosbridgeGraph],
         routes: Sequence[Route],
         registry: TypeRegistry,
-        credentials: Credentials,
+        credentials: Credentials = NO_CREDENTIALS,
+        **options: Any,
     ) -> None:
         super().__init__(config, credentials)
-        self.links = dict(links)
         anycast = config.anycast or AnycastConfig.model_validate({})
-        self.graph: Group = Group(
-            links,
+        self.graph = Group(
             name=config.title or shown_address(config),
             exchanges=_exchanges(anycast.responses, routes),
             registry=registry,
             **anycast.group_options(),
+            **options,
         )
         self._latency_topic = anycast.latency_topic
         self._latencies: Subscription | None = None
@@ -68,6 +72,36 @@ class GroupRemote(Remote):
                 if latency_s >= 0:  # no latency is negative, and NaN is none
                     scheduler.measured(scheduler.current, latency_s, self.graph.now())
 
+    def status(self) -> dict[str, Any]:
+        """Return the state of the group, for people and programs."""
+        return {
+            "address": shown_address(self.config),
+            "title": self.config.title,
+            "state": self.state,
+            "error": self.error,
+            "group": self.graph.status(),
+        }
+
+    @property
+    def error(self) -> str:
+        """The reason why members are not reached, ``""`` where there is none."""
+        raise NotImplementedError
+
+
+class LinkGroupRemote(GroupRemote):
+    """Several addresses as one graph; its members are called by their addresses."""
+
+    def __init__(
+        self,
+        config: RemoteConfig,
+        links: Mapping[str, RosbridgeGraph],
+        routes: Sequence[Route],
+        registry: TypeRegistry,
+        credentials: Credentials,
+    ) -> None:
+        super().__init__(config, routes, registry, credentials, members=links)
+        self.links = dict(links)
+
     def _renew(self, credentials: Credentials, anew: bool) -> None:
         for link in self.links.values():
             link.renew(credentials.context, credentials.headers, anew=anew)
@@ -78,16 +112,45 @@ class GroupRemote(Remote):
         states = [link_state(link) for link in self.links.values()]
         return "connected" if "connected" in states else states[0]
 
+    @property
+    def error(self) -> str:
+        """The last errors of links that are not up."""
+        return "; ".join(f"{name}: {link.last_error}" for name, link in self.links.items() if link.last_error)
+
     def status(self) -> dict[str, Any]:
         """Return the state of the group and its links, for people and programs."""
-        return {
-            "address": shown_address(self.config),
-            "title": self.config.title,
-            "state": self.state,
-            "error": "; ".join(f"{name}: {link.last_error}" for name, link in self.links.items() if link.last_error),
-            "group": self.graph.status(),
-            "members": [{"address": name, **link_status(link)} for name, link in self.links.items()],
-        }
+        members = [{"address": name, **link_status(link)} for name, link in self.links.items()]
+        return {**super().status(), "members": members}
+
+
+class OverlayGroupRemote(GroupRemote):
+    """The members of the overlay that offer the same, as one graph; they are called by the names in their
+    certificates.
+    """
+
+    def __init__(
+        self, config: RemoteConfig, overlay: OverlayGraph, routes: Sequence[Route], registry: TypeRegistry
+    ) -> None:
+        from ropeway.networks.overlay.graph.pool import OverlayPool  # loads Zenoh, which other groups do not need
+
+        assert config.anycast is not None
+        roster = OverlayPool(overlay, config.anycast.members or ("*",))
+        super().__init__(config, routes, registry, members={}, roster=roster)
+        self.overlay = overlay
+
+    @property
+    def state(self) -> str:
+        """The state in one word; ``connected`` while a router or another member is linked with us."""
+        return overlay_state(self.overlay)
+
+    @property
+    def error(self) -> str:
+        """The reason why others refuse us, or why there is no link."""
+        return self.overlay.node.trouble or self.overlay.node.links.unlinked
+
+    def status(self) -> dict[str, Any]:
+        """Return the state of the group, and of the overlay as this member sees it."""
+        return {**super().status(), "overlay": self.overlay.node.status()}
 
 
 def _exchanges(responses: Mapping[str, str], routes: Sequence[Route]) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ropeway.networks.overlay.graph import OverlayGraph
 
 __all__ = [
+    "NO_CREDENTIALS",
     "Bridge",
     "IortRemote",
     "LinkRemote",
@@ -28,10 +29,14 @@ __all__ = [
     "Remote",
     "link_state",
     "link_status",
+    "overlay_state",
     "shown_address",
 ]
 
 Bridge = TopicBridge | ServiceBridge | ActionBridge
+
+
+NO_CREDENTIALS: Final = Credentials()
 
 
 class Remote:
@@ -39,7 +44,7 @@ class Remote:
 
     graph: Graph
 
-    def __init__(self, config: RemoteConfig, credentials: Credentials = Credentials()) -> None:  # noqa: B008 - frozen
+    def __init__(self, config: RemoteConfig, credentials: Credentials = NO_CREDENTIALS) -> None:
         self.config, self.credentials = config, credentials
         self.bridges: list[tuple[Route, Bridge]] = []
 
@@ -135,8 +140,7 @@ class OverlayRemote(Remote):
     @property
     def state(self) -> str:
         """The state in one word; ``connected`` while a router or another member is linked with us."""
-        node = self.graph.node
-        return "failed" if node.trouble else "connected" if node.fabric.links() else "connecting"
+        return overlay_state(self.graph)
 
     def status(self) -> dict[str, Any]:
         """Return the state of the overlay as this member sees it."""
@@ -172,6 +176,11 @@ def shown_address(config: RemoteConfig) -> str:
 def link_state(graph: RosbridgeGraph) -> str:
     """Return how a link is, in one word; ``connected`` where data can flow."""
     return graph.state.value
+
+
+def overlay_state(graph: OverlayGraph) -> str:
+    """Return how the overlay is, in one word; ``connected`` where data can flow."""
+    return "failed" if graph.node.trouble else "connected" if graph.node.fabric.links() else "connecting"
 
 
 def link_status(graph: RosbridgeGraph) -> dict[str, Any]:

@@ -17,8 +17,8 @@ class GroupActionClient(GroupUser[ActionClient]):
     Its feedback, its cancellation and its outcome are those of the member that accepted it.
     """
 
-    def __init__(self, ways: Ways, parts: Mapping[str, ActionClient]) -> None:
-        super().__init__(ways, parts)
+    def __init__(self, ways: Ways, type: str, parts: Mapping[str, ActionClient]) -> None:
+        super().__init__(ways, type, parts)
         self.action = ways.name
 
     async def send_goal(
@@ -31,7 +31,7 @@ class GroupActionClient(GroupUser[ActionClient]):
         """See ``ActionClient``. The latency of the group's windows is the time until the goal is accepted."""
         left_s = await self._ways.wait(self, timeout_s)
         return await self._ways.ask(
-            lambda name, limit_s: self._parts[name].send_goal(goal, on_feedback=on_feedback, timeout_s=limit_s),
+            lambda name, limit_s: self.part(name).send_goal(goal, on_feedback=on_feedback, timeout_s=limit_s),
             self.serves,
             left_s,
             alone=True,

@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Mapping
-from typing import Final, Generic, Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
 from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, GraphUnavailable, NotServed, RopewayError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ActionClient, Client, Request
+from ropeway.graph.signal import Signal
 from ropeway.group.chooser import Chooser
+from ropeway.group.part import GroupPart
 from ropeway.tasks import end
 
 __all__ = ["GroupClient", "GroupUser", "Ways"]
 
 T = TypeVar("T")
-U = TypeVar("U", Client, ActionClient)
+U = TypeVar("U", bound=Client | ActionClient)
 
 Ask = Callable[[str, float], Awaitable[T]]
 """Asks one member, within a time."""
@@ -151,13 +153,19 @@ def _telling(errors: Iterable[RopewayError]) -> RopewayError:
     return min(errors, key=rank)
 
 
-class GroupUser(Generic[U]):
+class GroupUser(GroupPart[U]):
     """Uses a service or an action of a group, as a part per member."""
 
-    def __init__(self, ways: Ways, parts: Mapping[str, U]) -> None:
-        self.type = next(iter(parts.values())).type
+    def __init__(self, ways: Ways, type: str, parts: Mapping[str, U]) -> None:
+        super().__init__(ways.group, parts)
+        self.type = next((part.type for part in parts.values()), type)
         self._ways = ways
-        self._parts: dict[str, U] = dict(parts)
+        self._changed = Signal()
+
+    def add(self, name: str, part: U) -> None:
+        """Take the part on a member that has come."""
+        super().add(name, part)
+        self._changed.notify()
 
     @property
     def available(self) -> bool | None:
@@ -166,31 +174,48 @@ class GroupUser(Generic[U]):
 
     async def wait_available(self, timeout_s: float) -> bool:
         """See ``Client`` and ``ActionClient``."""
-        return await first_true([part.wait_available(timeout_s) for part in self._parts.values()])
+        ends_s = asyncio.get_running_loop().time() + timeout_s
+        while (left_s := ends_s - asyncio.get_running_loop().time()) > 0:
+            waits: list[Awaitable[bool]] = [part.wait_available(left_s) for part in self._parts.values()]
+            if await first_true([*waits, self._comes(left_s)]) and self.available is not False:
+                return True
+            if self._ways.closed:
+                return False
+        return False
+
+    async def _comes(self, timeout_s: float) -> bool:
+        """Wait until a member has come, or the client is closed."""
+        before = len(self._parts)
+        return await self._changed.wait_for(lambda: len(self._parts) != before or self._ways.closed, timeout_s)
+
+    def part(self, name: str) -> U:
+        """Return the part on a member. Raises ``NotServed`` if it has left."""
+        if name not in self._parts:
+            raise NotServed(self._ways.name, self._ways.kind)
+        return self._parts[name]
 
     def serves(self, name: str) -> bool:
         """Return whether a member may serve it."""
-        return self._parts[name].available is not False
+        return name in self._parts and self._parts[name].available is not False
 
     async def close(self) -> None:
         """See ``Client`` and ``ActionClient``."""
         self._ways.closed = True
-        for part in self._parts.values():
-            await part.close()
-        self._ways.group.closed(self)
+        self._changed.notify()
+        await super().close()
 
 
 class GroupClient(GroupUser[Client]):
     """A service of a group, as a client per member."""
 
-    def __init__(self, ways: Ways, parts: Mapping[str, Client]) -> None:
-        super().__init__(ways, parts)
+    def __init__(self, ways: Ways, type: str, parts: Mapping[str, Client]) -> None:
+        super().__init__(ways, type, parts)
         self.service = ways.name
 
     async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
         """See ``Client``."""
         left_s = await self._ways.wait(self, timeout_s)
-        return await self._ways.ask(lambda name, limit_s: self._parts[name].call(request, limit_s), self.serves, left_s)
+        return await self._ways.ask(lambda name, limit_s: self.part(name).call(request, limit_s), self.serves, left_s)
 
 
 def any_of(known: Iterable[bool | None]) -> bool | None:

@@ -25,6 +25,9 @@ class Chooser(Protocol):
     def targets(self) -> tuple[str, ...]:
         """Return the members that get the next request at once."""
 
+    def ranked(self) -> list[str]:
+        """Return the members that are there, the one in use first, then the most promising."""
+
     def second(self) -> str:
         """Return who is asked if the first is late, ``""`` for nobody."""
 

@@ -12,7 +12,7 @@ import asyncio
 import enum
 import functools
 import logging
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import AsyncExitStack
 from typing import Any, Final, Protocol, TypeVar, runtime_checkable
 
@@ -44,20 +44,28 @@ from ropeway.graph.graph_base import GraphBase
 from ropeway.group.actions import GroupActionClient
 from ropeway.group.bound import LatencyBound
 from ropeway.group.calls import GroupClient, Ways
+from ropeway.group.discovery import all_actions, all_services, all_topics
 from ropeway.group.exchange import Exchange
 from ropeway.group.offers import GroupActionServer, GroupService
+from ropeway.group.part import GroupPart
+from ropeway.group.roster import Roster
 from ropeway.group.scheduler import Options, Scheduler
 from ropeway.group.stamp import stamp_reader
 from ropeway.group.topics import GroupPublisher, GroupSubscription
-from ropeway.qos import QoS
+from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import Supervised, describe, end
 from ropeway.types import TypeRegistry
+from ropeway.types.definition import canonical_name
 
 __all__ = ["Connecting", "Group", "Policy"]
 
 log = logging.getLogger("ropeway.group")
 
 T = TypeVar("T")
+P = TypeVar("P", bound=GroupPart[Any])
+
+Make = Callable[[str, Graph], Awaitable[Any]]
+"""Makes a part on a member."""
 
 HEDGE_PERCENT: Final = 95.0
 """A second member is asked once the first takes longer than so many percent of its answers do: 5 % more requests."""
@@ -89,9 +97,11 @@ class Connecting(Protocol):
 class Group(GraphBase):
     """Presents several graphs as one.
 
-    ``members`` has them by the names that they are called by. ``policy`` says who is asked: ``one`` the member that
-    the scheduler chooses by ``bound``; ``hedge`` that one, and the next if its answer takes longer than usual; ``all``
-    every one, and the first answer wins. The last two need ``stateless``: a request may be carried out more than once.
+    ``members`` has them by the names that they are called by; or ``roster`` finds them as they come and go, and what
+    is offered is offered once, on the graph that all of them are found on. ``policy`` says who is asked: ``one`` the
+    member that the scheduler chooses by ``bound``; ``hedge`` that one, and the next if its answer takes longer than
+    usual; ``all`` every one, and the first answer wins. The last two need ``stateless``: a request may be carried out
+    more than once.
     ``exchanges`` pairs topics: ``{"/yolo/input": "/yolo/output"}`` is asked on the first and answered on the second,
     which is how latencies of topics are known. Latencies of services and actions are measured without being asked for.
     """
@@ -102,6 +112,7 @@ class Group(GraphBase):
         self,
         members: Mapping[str, Graph],
         *,
+        roster: Roster | None = None,
         name: str = "group",
         policy: Policy = Policy.ONE,
         bound: LatencyBound = LatencyBound(),  # noqa: B008 - frozen
@@ -111,7 +122,7 @@ class Group(GraphBase):
         options: Options = Options(),  # noqa: B008 - frozen
         clock: Callable[[], float] | None = None,
     ) -> None:
-        if not members:
+        if not members and roster is None:
             raise ValueError("a group has one member at least")
         if policy is not Policy.ONE and not stateless:
             raise ValueError(
@@ -128,7 +139,10 @@ class Group(GraphBase):
         self._exchanges = {response: Exchange(self.scheduler) for response in self._responses.values()}
         self._watchers: list[Supervised] = []
         self._stack = AsyncExitStack()
-        self._parts: dict[Any, None] = {}
+        self._roster = roster
+        self._parts: dict[GroupPart[Any], Make] = {}
+        self._wants: dict[object, Callable[[], None]] = {}
+        self._changing = asyncio.Lock()  # of members and parts, one at a time
         self._told: int = 0
         self._open = False
         self._opened: dict[str, Graph] = {}
@@ -147,20 +161,21 @@ class Group(GraphBase):
             if not isinstance(error, RopewayError):
                 raise error
             log.warning("%s: member %s cannot be reached: %s", self.name, name, error)
-        if len(failed) == len(names):
+        if names and len(failed) == len(names):
             raise GraphUnavailable(self.name, "; ".join(map(describe, failed.values())))
         self._open = True
         for name in names:
             if name in failed:
                 continue
-            graph = self._opened[name] = self.members[name]
-            self._stack.push_async_callback(graph.close)
-            if isinstance(graph, Connecting):
-                graph.on_reached(functools.partial(self._reached, name))
-            else:
-                self._reached(name, True)
-            watch = functools.partial(self._watch, graph.changes())
-            self._watchers.append(Supervised(watch, f"changes of {name} in {self.name}").start())
+            self._stack.push_async_callback(self.members[name].close)
+            self._listen(name, self.members[name])
+            await self._join(name, self.members[name])
+        if self._roster is not None:
+            roster = self._roster
+            await roster.open()
+            self._stack.push_async_callback(roster.close)
+            self._listen("all", roster.common)
+            self._watchers.append(Supervised(lambda: self._follow(roster), f"members of {self.name}").start())
 
     async def close(self) -> None:
         """Leave every member with everything that was created here."""
@@ -171,6 +186,9 @@ class Group(GraphBase):
         self._watchers.clear()
         for part in list(self._parts):
             await part.close()
+        if self._roster is not None:
+            for name in list(self._opened):
+                await self._part_from(name)
         await self._stack.aclose()
         self._opened.clear()
         self._changes.close()
@@ -179,7 +197,47 @@ class Group(GraphBase):
         """Return the time of the steady clock that latencies are measured with."""
         return asyncio.get_running_loop().time() if self._clock is None else self._clock()
 
+    def _listen(self, name: str, graph: Graph) -> None:
+        watch = functools.partial(self._watch, graph.changes())
+        self._watchers.append(Supervised(watch, f"changes of {name} in {self.name}").start())
+
+    async def _follow(self, roster: Roster) -> None:
+        """Join members that come, and part from those that leave."""
+        while True:
+            members = dict(roster.members())
+            for name in [name for name, graph in self._opened.items() if members.get(name) is not graph]:
+                await self._part_from(name)
+            for name, graph in members.items():
+                if name not in self._opened:
+                    await graph.open()
+                    await self._join(name, graph)
+            if dict(roster.members()) == members:
+                await roster.changed.wait()
+
+    async def _join(self, name: str, graph: Graph) -> None:
+        """Make every part on a member, then use it when it is reached."""
+        async with self._changing:
+            self.scheduler.add(name)
+            self._opened[name] = graph
+            for part, make in list(self._parts.items()):
+                part.add(name, await make(name, graph))
+        if isinstance(graph, Connecting):
+            graph.on_reached(functools.partial(self._reached, name))
+        else:
+            self._reached(name, True)
+
+    async def _part_from(self, name: str) -> None:
+        """Use a member no longer."""
+        self._reached(name, False)
+        async with self._changing:
+            graph = self._opened.pop(name)
+            for part in list(self._parts):
+                await part.remove(name)
+        await graph.close()
+
     def _reached(self, name: str, reached: bool) -> None:
+        if name not in self._opened:
+            return
         if reached:
             self.scheduler.came(name, self.now())
         else:
@@ -219,6 +277,10 @@ class Group(GraphBase):
         self.tell()
         return found
 
+    def ranked(self) -> list[str]:
+        """Return the members that are there, the one in use first, then the most promising."""
+        return self.scheduler.ranked(self.now())
+
     def second(self) -> str:
         """Return who is asked next if the first is late, ``""`` for nobody."""
         ranked = self.scheduler.ranked(self.now())
@@ -240,12 +302,19 @@ class Group(GraphBase):
     ) -> GroupPublisher:
         """See ``Graph.create_publisher``: it is announced to every member, and each message goes where it is due."""
         name = resolve_name(topic)
-        parts: dict[str, Publisher] = await self._each(
-            lambda graph: graph.create_publisher(topic, type, qos, delivery=delivery)
-        )
         exchange = self._exchanges.get(self._responses.get(name, ""))
         stamp = stamp_reader(self.registry, type) if exchange is not None else None
-        return self._keep(GroupPublisher(self, name, parts, exchange, stamp))
+
+        async def make(_: str, graph: Graph) -> Publisher:
+            return await graph.create_publisher(topic, type, qos, delivery=delivery)
+
+        return await self._create(
+            make,
+            lambda parts: GroupPublisher(
+                self, name, canonical_name(type, "msg"), qos or DEFAULT, parts, exchange, stamp
+            ),
+            ("publisher", topic, type, delivery),
+        )
 
     async def create_subscription(
         self,
@@ -259,118 +328,118 @@ class Group(GraphBase):
         """See ``Graph.create_subscription``: every member is read, and what counts is handed on."""
         name = resolve_name(topic)
         exchange = self._exchanges.get(name) or Exchange(self.scheduler)
-        made = GroupSubscription(self, name, callback, exchange, stamp_reader(self.registry, type))
-        parts: dict[str, Subscription] = await self._each_named(
-            lambda member, graph: graph.create_subscription(
-                topic, type, qos, functools.partial(made.arrived, member), delivery=delivery
-            )
-        )
-        made.join(parts)
-        return self._keep(made)
+        stamp = stamp_reader(self.registry, type)
+        made = GroupSubscription(self, name, canonical_name(type, "msg"), callback, exchange, stamp)
+
+        async def make(member: str, graph: Graph) -> Subscription:
+            arrived = functools.partial(made.arrived, member)
+            return await graph.create_subscription(topic, type, qos, arrived, delivery=delivery)
+
+        def join(parts: Mapping[str, Subscription]) -> GroupSubscription:
+            for member, part in parts.items():
+                made.add(member, part)
+            return made
+
+        return await self._create(make, join, ("subscription", topic, type, delivery))
 
     async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> GroupClient:
         """See ``Graph.create_client``."""
-        parts: dict[str, Client] = await self._each(lambda g: g.create_client(service, type, delivery=delivery))
-        return self._keep(GroupClient(Ways(self, resolve_name(service)), parts))
+
+        async def make(_: str, graph: Graph) -> Client:
+            return await graph.create_client(service, type, delivery=delivery)
+
+        ways = Ways(self, resolve_name(service))
+        return await self._create(
+            make,
+            lambda parts: GroupClient(ways, canonical_name(type, "srv"), parts),
+            ("client", service, type, delivery),
+        )
 
     async def create_service(
         self, service: str, type: str, handler: ServiceHandler, *, delivery: Delivery = NO_HINTS
-    ) -> GroupService:
+    ) -> Service:
         """See ``Graph.create_service``: it is served to every member."""
-        parts: dict[str, Service] = await self._each(
-            lambda g: g.create_service(service, type, handler, delivery=delivery)
+        if self._roster is not None:
+            return await self._roster.common.create_service(service, type, handler, delivery=delivery)
+
+        async def make(_: str, graph: Graph) -> Service:
+            return await graph.create_service(service, type, handler, delivery=delivery)
+
+        return await self._create(
+            make, lambda parts: GroupService(self, resolve_name(service), next(iter(parts.values())).type, parts)
         )
-        return self._keep(GroupService(self, resolve_name(service), next(iter(parts.values())).type, parts))
 
     async def create_action_client(self, action: str, type: str, *, delivery: Delivery = NO_HINTS) -> GroupActionClient:
         """See ``Graph.create_action_client``: a goal stays with the member that accepted it."""
-        parts: dict[str, ActionClient] = await self._each(
-            lambda graph: graph.create_action_client(action, type, delivery=delivery)
+
+        async def make(_: str, graph: Graph) -> ActionClient:
+            return await graph.create_action_client(action, type, delivery=delivery)
+
+        ways = Ways(self, resolve_name(action), "action")
+        return await self._create(
+            make,
+            lambda parts: GroupActionClient(ways, canonical_name(type, "action"), parts),
+            ("action", action, type, delivery),
         )
-        return self._keep(GroupActionClient(Ways(self, resolve_name(action), "action"), parts))
 
     async def create_action_server(
         self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
-    ) -> GroupActionServer:
+    ) -> ActionServer:
         """See ``Graph.create_action_server``: it is served to every member."""
-        parts: dict[str, ActionServer] = await self._each(
-            lambda graph: graph.create_action_server(action, type, handlers, delivery=delivery)
-        )
-        return self._keep(GroupActionServer(self, resolve_name(action), next(iter(parts.values())).type, parts))
+        if self._roster is not None:
+            return await self._roster.common.create_action_server(action, type, handlers, delivery=delivery)
 
-    def _here(self) -> list[tuple[str, Graph]]:
+        async def make(_: str, graph: Graph) -> ActionServer:
+            return await graph.create_action_server(action, type, handlers, delivery=delivery)
+
+        return await self._create(
+            make, lambda parts: GroupActionServer(self, resolve_name(action), next(iter(parts.values())).type, parts)
+        )
+
+    async def _create(
+        self, make: Make, join: Callable[[Mapping[str, Any]], P], wanted: tuple[str, str, str, Delivery] | None = None
+    ) -> P:
+        """Make a part on every member, and one of them; what was made is closed again if one cannot be."""
         if not self._open:
             raise GraphUnavailable(self.name, "is not open; call open() first")
-        return list(self._opened.items())
-
-    async def _each(self, make: Callable[[Graph], Any]) -> dict[str, Any]:
-        """Make a part on every member; see ``_each_named``."""
-        return await self._each_named(lambda _, graph: make(graph))
-
-    async def _each_named(self, make: Callable[[str, Graph], Any]) -> dict[str, Any]:
-        """Make a part on every member, by its name; what was made is closed again if one cannot be."""
         made: dict[str, Any] = {}
-        try:
-            for name, graph in self._here():
-                made[name] = await make(name, graph)
-        except BaseException:
-            for part in made.values():
-                await part.close()
-            raise
-        return made
-
-    def _keep(self, part: T) -> T:
-        self._parts[part] = None
+        async with self._changing:
+            try:
+                for name, graph in self._opened.items():
+                    made[name] = await make(name, graph)
+            except BaseException:
+                for one in made.values():
+                    await one.close()
+                raise
+            part = join(made)
+            self._parts[part] = make
+        if self._roster is not None and wanted is not None:
+            self._wants[part] = self._roster.want(*wanted)
         return part
 
     def closed(self, part: object) -> None:
         """Forget a part that was closed."""
-        self._parts.pop(part, None)
+        self._parts.pop(part, None)  # type: ignore[call-overload]
+        if (end_want := self._wants.pop(part, None)) is not None:
+            end_want()
 
     # ── discovery ──────────────────────────────────────────────────────────────────────────────────────────────
 
+    def _looked_at(self) -> list[Graph]:
+        return list(self._opened.values()) if self._roster is None else [self._roster.common]
+
     def topics(self) -> dict[str, TopicInfo]:
         """Return what is discovered on any member."""
-        found = self._on_members(lambda graph: graph.topics())
-        return {
-            name: TopicInfo(
-                name, _types(infos), _all(i.publishers for i in infos), _all(i.subscriptions for i in infos)
-            )
-            for name, infos in found.items()
-        }
+        return all_topics(self._looked_at())
 
     def services(self) -> dict[str, ServiceInfo]:
         """Return what is served on any member."""
-        found = self._on_members(lambda graph: graph.services())
-        return {
-            name: ServiceInfo(name, _types(infos), _all(i.servers for i in infos), _all(i.clients for i in infos))
-            for name, infos in found.items()
-        }
+        return all_services(self._looked_at())
 
     def actions(self) -> dict[str, ActionInfo]:
         """Return the actions of any member."""
-        found = self._on_members(lambda graph: graph.actions())
-        return {
-            name: ActionInfo(name, _types(infos), _all(i.servers for i in infos), _all(i.clients for i in infos))
-            for name, infos in found.items()
-        }
-
-    def _on_members(self, look: Callable[[Graph], Mapping[str, T]]) -> dict[str, list[T]]:
-        """Return what ``look`` finds on each member, by name."""
-        found: dict[str, list[T]] = {}
-        for graph in self._opened.values():
-            for name, info in look(graph).items():
-                found.setdefault(name, []).append(info)
-        return found
+        return all_actions(self._looked_at())
 
     def nodes(self) -> dict[str, NodeInfo]:
         """Return the nodes of every member; one that is on several is told of once."""
-        return {name: info for graph in self._opened.values() for name, info in graph.nodes().items()}
-
-
-def _types(infos: Sequence[TopicInfo | ServiceInfo | ActionInfo]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(type for info in infos for type in info.types))
-
-
-def _all(many: Any) -> tuple[Any, ...]:
-    return tuple(dict.fromkeys(one for some in many for one in some))
+        return {name: info for graph in self._looked_at() for name, info in graph.nodes().items()}

@@ -3,29 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Generic, TypeVar
 
 from ropeway.graph.calls import ActionServer, Service
 from ropeway.group.chooser import Chooser
+from ropeway.group.part import GroupPart
 
 __all__ = ["GroupActionServer", "GroupService"]
 
-S = TypeVar("S", Service, ActionServer)
 
-
-class _Offer(Generic[S]):
-    def __init__(self, group: Chooser, parts: Mapping[str, S]) -> None:
-        self._group = group
-        self._parts: dict[str, S] = dict(parts)
-
-    async def close(self) -> None:
-        """Serve it to no member any more."""
-        for part in self._parts.values():
-            await part.close()
-        self._group.closed(self)
-
-
-class GroupService(_Offer[Service]):
+class GroupService(GroupPart[Service]):
     """A service, served to every member."""
 
     def __init__(self, group: Chooser, service: str, type: str, parts: Mapping[str, Service]) -> None:
@@ -33,7 +19,7 @@ class GroupService(_Offer[Service]):
         self.service, self.type = service, type
 
 
-class GroupActionServer(_Offer[ActionServer]):
+class GroupActionServer(GroupPart[ActionServer]):
     """An action, served to every member."""
 
     def __init__(self, group: Chooser, action: str, type: str, parts: Mapping[str, ActionServer]) -> None:

@@ -32,6 +32,7 @@ __all__ = ["Decision", "Options", "Phase", "Scheduler"]
 _LATE_IN_A_ROW: Final = 2  # requests above the limit, one after the other, that count as a missed bound
 _JUDGED_PER_WINDOW: Final = 50  # what two requests in a row do not show, shows in a window, and not sooner
 _MOST_DECISIONS: Final = 256
+_MOST_GONE: Final = 64  # members that are not there, whose penalties are remembered
 
 
 class Phase(enum.Enum):
@@ -148,8 +149,17 @@ class Scheduler:
 
     # ── what happens ───────────────────────────────────────────────────────────────────────────────────────────
 
+    def add(self, name: str) -> None:
+        """Learn of a member, which need not be there yet; of those that are gone the first are forgotten."""
+        if name in self._members:
+            return
+        gone = [other for other, member in self._members.items() if not member.here]
+        for other in gone[: max(0, len(gone) - _MOST_GONE + 1)]:
+            del self._members[other]
+        self._members[name] = Replica(name, LatencyWindow(self.options.window_s))
+
     def came(self, name: str, now_s: float) -> None:
-        """Add a member that is there."""
+        """Note that a member is there."""
         member = self._members[name]
         if member.here:
             return

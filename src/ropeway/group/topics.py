@@ -9,33 +9,38 @@ from collections.abc import Callable, Mapping, Sequence
 from ropeway.graph.base import Publisher, Sample, SampleCallback, Subscription, Undelivered
 from ropeway.group.chooser import Chooser
 from ropeway.group.exchange import Exchange
+from ropeway.group.part import GroupPart
 from ropeway.group.stamp import StampReader
 from ropeway.qos import QoS, common_qos
 
 __all__ = ["GroupPublisher", "GroupSubscription"]
 
 
-class GroupPublisher:
+class GroupPublisher(GroupPart[Publisher]):
     """A topic, announced to every member, so that each stands ready."""
 
     def __init__(
         self,
         group: Chooser,
         topic: str,
+        type: str,
+        qos: QoS,
         parts: Mapping[str, Publisher],
         exchange: Exchange | None,
         stamp: StampReader | None,
     ) -> None:
-        first = next(iter(parts.values()))
-        self.topic, self.type, self.qos = topic, first.type, first.qos
-        self._group, self._parts = group, dict(parts)
+        super().__init__(group, parts)
+        first = next(iter(parts.values()), None)
+        self.topic = topic
+        self.type, self.qos = (type, qos) if first is None else (first.type, first.qos)
         self._exchange, self._stamp = exchange, stamp
+        self._demand: list[Callable[[int], None]] = []
         self._timers: set[asyncio.TimerHandle] = set()
         self._numbers = itertools.count()
 
     def publish(self, sample: Sample) -> None:
         """Give the message to whoever is in use, and to a second where the policy says so."""
-        names = self._group.targets()
+        names = self._due()
         if not names:
             self._group.drops[self.topic, Undelivered.NOBODY] += 1
             return
@@ -48,6 +53,16 @@ class GroupPublisher:
                 self._hedge(second, sample, key, stamp)
         for name in names:
             self._parts[name].publish(sample)
+
+    def _due(self) -> tuple[str, ...]:
+        """Return who gets the next message: of the others the most promising, where those in use do not read it."""
+        names = self._group.targets()
+        if any(map(self._reads, names)):
+            return names
+        return next(((name,) for name in self._group.ranked() if self._reads(name)), names)
+
+    def _reads(self, name: str) -> bool:
+        return name in self._parts and self._parts[name].subscribers != 0
 
     def _hedge(self, name: str, sample: Sample, key: object, stamp: bytes | None) -> None:
         exchange = self._exchange
@@ -66,7 +81,7 @@ class GroupPublisher:
     def subscribers(self) -> int | None:
         """Return how many read it on the member that has most; standby readers count, so that they are kept warm."""
         known = [n for part in self._parts.values() if (n := part.subscribers) is not None]
-        return max(known) if known else None
+        return max(known) if known else None if self._parts else 0
 
     def on_demand(self, callback: Callable[[int], None]) -> None:
         """See ``Publisher``."""
@@ -77,34 +92,51 @@ class GroupPublisher:
                 told[0] = n
                 callback(n)
 
+        self._demand.append(changed)
         for part in self._parts.values():
             part.on_demand(changed)
+        if not self._parts:
+            changed(0)
+
+    def add(self, name: str, part: Publisher) -> None:
+        """Take the part on a member that has come."""
+        super().add(name, part)
+        for changed in self._demand:
+            part.on_demand(changed)
+
+    async def remove(self, name: str) -> None:
+        """Close the part on a member that has left."""
+        await super().remove(name)
+        for changed in self._demand:
+            changed(0)
 
     async def close(self) -> None:
         """See ``Publisher``."""
         for timer in self._timers:
             timer.cancel()
         self._timers.clear()
-        for part in self._parts.values():
-            await part.close()
-        self._group.closed(self)
+        self._demand.clear()
+        await super().close()
 
 
-class GroupSubscription:
+class GroupSubscription(GroupPart[Subscription]):
     """A topic, read from every member."""
 
     def __init__(
-        self, group: Chooser, topic: str, callback: SampleCallback, exchange: Exchange, stamp: StampReader
+        self, group: Chooser, topic: str, type: str, callback: SampleCallback, exchange: Exchange, stamp: StampReader
     ) -> None:
-        self.topic, self.type = topic, ""
-        self._group, self._callback = group, callback
+        super().__init__(group, {})
+        self.topic, self.type = topic, type
+        self._callback = callback
         self._exchange, self._stamp = exchange, stamp
-        self._parts: dict[str, Subscription] = {}
+        self._qos_callbacks: list[Callable[[QoS], None]] = []
 
-    def join(self, parts: Mapping[str, Subscription]) -> None:
-        """Take the subscriptions of the members."""
-        self._parts = dict(parts)
-        self.type = next(iter(self._parts.values())).type
+    def add(self, name: str, part: Subscription) -> None:
+        """Take the part on a member that has come."""
+        super().add(name, part)
+        self.type = part.type
+        for changed in self._qos_callbacks:
+            part.on_qos(changed)
 
     def arrived(self, name: str, batch: Sequence[Sample]) -> None:
         """Hand on what counts of what a member has published."""
@@ -133,11 +165,8 @@ class GroupSubscription:
                 told[0] = qos
                 callback(qos)
 
+        self._qos_callbacks.append(changed)
         for part in self._parts.values():
             part.on_qos(changed)
-
-    async def close(self) -> None:
-        """See ``Subscription``."""
-        for part in self._parts.values():
-            await part.close()
-        self._group.closed(self)
+        if not self._parts:
+            changed(self.qos)

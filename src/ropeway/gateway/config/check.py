@@ -218,13 +218,27 @@ def _remote(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable
                 yield f"{path}.{key}", f"only ws:// and wss:// remotes have this key, and this is {remote['address']}"
         elif remote.get("ros") == 1:
             yield f"{path}.{key}", 'a remote of ROS 1 has no layouts of ROS 2; leave this or "ros": 1 out'
-    listed = remote.get("address")
-    if remote.get("anycast") is not None and not (isinstance(listed, list) and len(listed) > 1):
-        yield f"{path}.anycast", f"needs several addresses; {path}.address is one"
+    yield from _anycast(remote, path)
     graph = _attempt(parse_graph, remote.get("graph"))
     if graph is not None and graphs and graph not in graphs:
         near = did_you_mean(graph, [g for g in graphs if isinstance(g, str)])
         yield f"{path}.graph", f"expected one of gateway.graphs ({', '.join(map(str, graphs))}), got {graph}{near}"
+
+
+def _anycast(remote: Mapping[str, Any], path: str) -> Iterable[Problem]:
+    """Check that a group has several members, and only keys that it can have."""
+    anycast, listed = remote.get("anycast"), remote.get("address")
+    if anycast is None:
+        return
+    if listed == OVERLAY:
+        if remote.get("automatic") is not None:
+            text = "what is shared automatically goes to everybody; write a remote of its own for it"
+            yield f"{path}.automatic", text
+        return
+    if not (isinstance(listed, list) and len(listed) > 1):
+        yield f"{path}.anycast", f'needs several addresses, or "overlay"; {path}.address is one'
+    if isinstance(anycast, Mapping) and anycast.get("members") is not None:
+        yield f"{path}.anycast.members", 'needs "address": "overlay"; here the addresses say who the members are'
 
 
 def _overlay(remote: Mapping[str, Any], path: str, gateway: Mapping[str, Any]) -> Iterable[Problem]:

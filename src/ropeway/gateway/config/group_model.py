@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 
 from ropeway.errors import InvalidName
 from ropeway.gateway.config.address import parse_link
-from ropeway.gateway.config.fields import Model
+from ropeway.gateway.config.fields import Many, Model
 from ropeway.gateway.config.overlay_model import OVERLAY
 from ropeway.gateway.config.suggest import did_you_mean, show
 from ropeway.graph.base import resolve_name
@@ -104,7 +104,7 @@ _Bound = Annotated[
 
 
 class AnycastConfig(Model):
-    """Which of several addresses gets a request."""
+    """Which of several addresses, or members of the overlay, gets a request."""
 
     policy: Literal["one", "hedge", "all"] = Field(
         "one",
@@ -126,6 +126,9 @@ class AnycastConfig(Model):
         {},
         description="topics that are asked on one and answered on the other: "
         '{"/yolo/input": "/yolo/output"}; the latency of topics is known from these',
+    )
+    members: Many[str] | None = Field(
+        None, description="overlay: patterns of the names of the members that may be used; default: all"
     )
     latency_topic: str | None = Field(
         None,

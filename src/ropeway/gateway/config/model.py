@@ -155,7 +155,9 @@ class RemoteConfig(Model):
     automatic: AutomaticConfig | None = Field(
         None, description="overlay: topics are offered and fetched as the local graph needs"
     )
-    anycast: AnycastConfig | None = Field(None, description="of a group: which address gets a request")
+    anycast: AnycastConfig | None = Field(
+        None, description="of a group: which address gets a request; overlay: the members that offer the same are one"
+    )
     link: ExpectedLink | None = Field(
         None, description="what the link carries, for ropeway predict and for a warning where topics do not fit"
     )

@@ -38,8 +38,9 @@ class Advertisement:
 
     ``kind``: ``publisher``, ``subscription``, ``service`` or ``client``; ``global_name`` 32 bytes, ``endpoint`` and
     ``gateway`` 16; ``name`` and ``type`` those of ROS; ``qos`` ``None`` for services and for readers that take what is
-    offered; ``since_ns`` and ``expires_ns`` are times (``time.time_ns``). ``node`` is the name of the node that has it,
-    as its gateway tells beside the advertisement: it is for people.
+    offered; ``since_ns`` and ``expires_ns`` are times (``time.time_ns``). Two things are told beside the advertisement:
+    ``node``, the name of the node that has it, for people; and ``target``, the gateway that it is for, ``b""`` for all.
+    What a publisher with a target sends goes to that gateway alone.
     """
 
     kind: str
@@ -54,6 +55,7 @@ class Advertisement:
     since_ns: int
     expires_ns: int
     node: str = ""
+    target: bytes = b""
 
 
 def advert_key(name_secret: bytes) -> AESGCM:

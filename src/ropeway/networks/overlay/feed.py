@@ -47,13 +47,18 @@ _ASK_S: Final = 2.0
 _AGAIN_S: Final = 1.0
 _SPACING_S: Final = 0.5  # between two requests for keys: packets that name keys nobody has cost no more than that
 _REMEMBERED: Final = 4096
+_ENDPOINT: Final = 3  # its place in a key
 _SEALED_BYTES: Final = OVERLAY_BATCH_BYTES  # what a packet may have beside its largest message
 _ITEM_BYTES: Final = 256  # what a message costs beside its payload
 
 
-def data_key(name: bytes, endpoint: bytes | None = None) -> str:
-    """Return the key under which a publisher puts the data of a name; ``None`` stands for all publishers."""
-    return f"rw/d/{name.hex()}/{endpoint.hex() if endpoint is not None else '*'}"
+def data_key(name: bytes, endpoint: bytes | None = None, target: bytes = b"") -> str:
+    """Return the key under which a publisher puts the data of a name, all of it or that for one gateway, ``target``.
+
+    ``None`` stands for all publishers.
+    """
+    key = f"rw/d/{name.hex()}/{'*' if endpoint is None else endpoint.hex()}"
+    return f"{key}/{target.hex()}" if target else key
 
 
 class FeedReader(Protocol):
@@ -169,7 +174,8 @@ class PublisherStream:
             follower = Follower(reliable=True, history=False, start=min(had, newest), held=self._feed.held)
             follower.told(newest)
         else:
-            history = reader.history and qos is not None and qos.transient_local
+            latched = qos is not None and qos.transient_local and not self.advert.target
+            history = reader.history and latched
             follower = Follower(reliable=reliable, history=history, start=newest, held=self._feed.held)
         self.readers[reader] = follower
         self._recover(reader, follower)
@@ -309,20 +315,23 @@ class Feed:
         self.readers: list[FeedReader] = []
         self.streams: dict[bytes, PublisherStream] = {}
         self._inlet: Inlet[_Came]
-        self._end: Handle | None = None
+        self._ends: list[Handle] = []
         self._closing = Chores()
 
     def open(self, loop: asyncio.AbstractEventLoop) -> None:
         """Read from now on."""
         self._loop = loop
         self._inlet = Inlet(loop, self._deliver, limit_bytes=OVERLAY_WAITING_BYTES, on_lost=self._overrun)
-        self._end = self.fabric.subscribe(data_key(self.name), self._came)
+        self._ends = [
+            self.fabric.subscribe(data_key(self.name, target=target), self._came)
+            for target in (b"", self.fabric.gateway)
+        ]
 
     async def close(self) -> None:
         """Stop reading."""
         self._inlet.closed = True
-        if self._end is not None:
-            self._end()
+        for handle in self._ends:
+            handle()
         for stream in self.streams.values():
             await stream.close()
         self.streams.clear()
@@ -340,8 +349,8 @@ class Feed:
 
     def _came(self, key: str, payload: zenoh.ZBytes, attachment: zenoh.ZBytes | None) -> None:
         """Take a packet; runs in Zenoh's thread."""
-        endpoint = bytes.fromhex(key.rsplit("/", 1)[1]) if _is_hex(key.rsplit("/", 1)[1]) else b""
-        stream = self.streams.get(endpoint)
+        endpoint = key.split("/")[_ENDPOINT]
+        stream = self.streams.get(bytes.fromhex(endpoint)) if _is_hex(endpoint) else None
         if stream is None or not stream.readers:
             return
         raw = bytes(payload)

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 from ropeway.errors import SealError
-from ropeway.limits import NAME_CHARACTERS
-from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.announcement import NoteKey
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.refusal import Refusal
 
-__all__ = ["SHAPES", "KnownGateway", "gateway_of", "read_told", "with_nodes"]
+__all__ = ["SHAPES", "KnownGateway", "gateway_of", "read_told"]
 
 SHAPES: Final[Mapping[str, Mapping[str, type]]] = {
     "heartbeat": {"t": int, "v": int, "w": dict, "r": int},
@@ -39,6 +37,7 @@ class KnownGateway:
     notes: NoteKey | None = None
     synced: float = float("-inf")
     unanswered: float = 0.0  # since when it does not answer
+    aims: bool = False  # it knows advertisements that are for one gateway alone
 
 
 def read_told(answer: Any) -> tuple[list[bytes], NoteKey]:
@@ -47,19 +46,6 @@ def read_told(answer: Any) -> tuple[list[bytes], NoteKey]:
     if not isinstance(notes, list) or any(type(note) is not bytes for note in notes):
         raise SealError(Refusal.MALFORMED, "a list")
     return notes, NoteKey.read(answer.get("k"), answer.get("i"))
-
-
-def with_nodes(found: Iterable[Advertisement | SealError], nodes: object) -> list[Advertisement | SealError]:
-    """Return advertisements with the names of the nodes that have them, where those were told as they should."""
-    known = nodes if isinstance(nodes, dict) else {}
-
-    def named(advert: Advertisement | SealError) -> Advertisement | SealError:
-        node = known.get(advert.endpoint) if isinstance(advert, Advertisement) else None
-        if not isinstance(advert, Advertisement) or not isinstance(node, str) or len(node) > NAME_CHARACTERS:
-            return advert
-        return replace(advert, node=node)
-
-    return list(map(named, found)) if known else list(found)
 
 
 def gateway_of(key: str) -> bytes | None:

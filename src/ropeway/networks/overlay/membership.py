@@ -17,6 +17,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from typing import Any, Final
 
 from ropeway.errors import CallError, SealError
+from ropeway.graph.signal import Signal
 from ropeway.limits import OVERLAY_GATEWAYS_PER_MEMBER, OVERLAY_LIST_BYTES, OVERLAY_STRANGERS
 from ropeway.networks.overlay.announcement import NoteKey, note_key_id
 from ropeway.networks.overlay.crypto.certificate import Certificate
@@ -24,7 +25,8 @@ from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.fabric import Asked, Fabric, Handle
 from ropeway.networks.overlay.known_gateway import SHAPES as _SHAPES
-from ropeway.networks.overlay.known_gateway import KnownGateway, gateway_of, read_told, with_nodes
+from ropeway.networks.overlay.known_gateway import KnownGateway, gateway_of, read_told
+from ropeway.networks.overlay.own_adverts import OwnAdverts, read_raws, with_notes
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.networks.overlay.rib import Rib
 from ropeway.tasks import Supervised, background, describe, end
@@ -41,7 +43,6 @@ _AGAIN_S: Final = 0.02  # a way to a new gateway is there a moment after its tok
 _SUSPECT_S: Final = 3.0  # a token that is gone may come back by another router
 _NO_WAY_S: Final = 4.0  # a way is there within tenths of a second, and a token goes within three
 _SKEW_NS: Final = 120 * 10**9
-_CHUNK: Final = 500  # advertisements in one note
 _ASK_SEALED: Final = b"rw-list2"
 """Told in place of a list: it is told over sealed channels only."""
 _ASK_S: Final = 5.0
@@ -79,11 +80,7 @@ class Membership:
         self._notes = NoteKey.fresh() if trust.revokes else self._fleet_notes
         self._tails, self._on_tails, self._refused = tails, on_tails, refused
         self._on_newer_crl, self._on_gone = on_newer_crl, on_gone
-        self._own: dict[bytes, bytes] = {}  # endpoint: sealed advertisement
-        self._added: dict[bytes, bytes] = {}
-        self._removed: list[bytes] = []
-        self._nodes: dict[bytes, str] = {}  # that have what we advertise
-        self._version = 0
+        self._own = OwnAdverts()
         self._scheduled = False
         self._known: dict[bytes, KnownGateway] = {}
         self._ends: list[Handle] = []
@@ -91,6 +88,8 @@ class Membership:
         self._loop: asyncio.AbstractEventLoop
         self._me = fabric.gateway.hex()
         self._news = asyncio.Event()
+        self.doubts = Signal()
+        """Notified when a gateway begins to look as if it were gone, or no longer does."""
 
     async def open(self) -> None:
         """Show ourselves, and look for others."""
@@ -122,21 +121,23 @@ class Membership:
 
     # ── what we tell ───────────────────────────────────────────────────────────────────────────────────────────
 
-    def advertise(self, endpoint: bytes, raw: bytes, node: str = "") -> None:
-        """Tell the others of an endpoint, with everything else that changes in this turn of the loop."""
-        self._own[endpoint] = self._added[endpoint] = raw
-        if node:
-            self._nodes[endpoint] = node
+    def advertise(self, endpoint: bytes, raw: bytes, node: str = "", target: bytes = b"") -> None:
+        """Tell the others of an endpoint, with everything else that changes in this turn of the loop.
+
+        With ``target`` it is for that gateway alone.
+        """
+        self._own.add(endpoint, raw, node, target, hidden=self.aims(target))
         self._schedule()
 
     def withdraw(self, endpoint: bytes) -> None:
         """Tell the others that it is gone."""
-        self._nodes.pop(endpoint, None)
-        if self._own.pop(endpoint, None) is None:
-            return
-        if self._added.pop(endpoint, None) is None:
-            self._removed.append(endpoint)
-        self._schedule()
+        if self._own.remove(endpoint):
+            self._schedule()
+
+    def aims(self, gateway: bytes) -> bool:
+        """Return whether a gateway knows advertisements that are for it alone, and data that goes to it alone."""
+        known = self._known.get(gateway)
+        return known is not None and known.aims
 
     def _schedule(self) -> None:
         if not self._scheduled:
@@ -147,13 +148,7 @@ class Membership:
         self._scheduled = False
         if not self._ends:
             return
-        added, removed = list(self._added.items()), self._removed
-        self._added, self._removed = {}, []
-        while added or removed:
-            self._version += 1
-            adverts = self._with_nodes(added[:_CHUNK])
-            body = {"v": self._version, "add": adverts.pop("a"), "del": removed[: 16 * _CHUNK], **adverts}
-            added, removed = added[_CHUNK:], removed[16 * _CHUNK :]
+        for body in self._own.deltas():
             self._fabric.tell(f"rw/a/{self._me}", self._note("delta", body))
 
     def _note(self, kind: str, body: object) -> bytes:
@@ -163,7 +158,7 @@ class Membership:
         tails = self._tails()
         if len(tails) > _TAILS:
             tails = dict(list(tails.items())[:_TAILS])
-        beat: dict[str, Any] = {"t": time.time_ns(), "v": self._version, "w": tails, "r": self._trust.crl_number}
+        beat: dict[str, Any] = {"t": time.time_ns(), "v": self._own.version, "w": tails, "r": self._trust.crl_number}
         if bye:
             beat["bye"] = True
         return beat
@@ -194,28 +189,27 @@ class Membership:
         return {"k": self._notes.secret, "i": self._notes.id, "n": list(self._list_notes())}
 
     def _list_notes(self) -> Iterator[bytes]:
-        adverts = list(self._own.items())
         hello = {
             "c": self._identity.certificate.der,
             "n": self._identity.name,
             "t": time.time_ns(),
-            "v": self._version - bool(self._added or self._removed),  # what waits comes as a delta, too
-            "of": len(adverts),
+            "aims": True,
+            **self._own.head(),
         }
         yield self._note("hello", hello)
-        for at in range(0, len(adverts), _CHUNK):
-            yield self._note("adverts", {"t": hello["t"], **self._with_nodes(adverts[at : at + _CHUNK])})
-
-    def _with_nodes(self, adverts: list[tuple[bytes, bytes]]) -> dict[str, Any]:
-        """Pair advertisements with the nodes that have them; older members, which know no nodes, ignore those."""
-        nodes = {endpoint: self._nodes[endpoint] for endpoint, _ in adverts if endpoint in self._nodes}
-        return {"a": [raw for _, raw in adverts], **({"x": nodes} if nodes else {})}
+        for chunk in self._own.chunks():
+            yield self._note("adverts", {"t": hello["t"], **chunk})
 
     # ── what we hear ───────────────────────────────────────────────────────────────────────────────────────────
 
     def gateways(self) -> dict[bytes, KnownGateway]:
         """Return the other gateways, by id; those without a certificate are still being asked who they are."""
         return {id: known for id, known in self._known.items() if known.certificate is not None}
+
+    def doubted(self, gateway: bytes) -> bool:
+        """Return whether a gateway looks as if it were gone, which is known for sure a little later."""
+        known = self._known.get(gateway)
+        return known is None or known.suspect is not None
 
     def unreachable(self) -> bytes | None:
         """Return a gateway that is heard of, but has not told who it is for so long that there must be no way to it."""
@@ -246,8 +240,10 @@ class Membership:
                 self._sync(gateway, self._known.setdefault(gateway, KnownGateway(heard=self._loop.time())))
             else:
                 known.suspect = None
+            self.doubts.notify()
         elif known is not None:
             known.suspect = self._loop.time()
+            self.doubts.notify()
 
     def _crowded(self) -> bool:
         """Return whether so many ids wait to be known that they are hardly gateways."""
@@ -277,7 +273,10 @@ class Membership:
         if body.get("bye"):
             self.gone(gateway)
             return
-        known.told_ns, known.heard, known.suspect = told_ns, self._loop.time(), None
+        known.told_ns, known.heard = told_ns, self._loop.time()
+        if known.suspect is not None:
+            known.suspect = None
+            self.doubts.notify()
         if version != known.version:
             known.wanted = version
             self._sync(gateway, known)
@@ -303,8 +302,14 @@ class Membership:
             known.wanted = body["v"]
             self._sync(gateway, known)
             return
+        try:
+            raws, _ = read_raws(body, "add", self._fabric.gateway)
+        except SealError as error:
+            self._refused(known.name, error)
+            return
         known.version = body["v"]
-        found = with_nodes(self._rib.read_all(gateway, known.certificate, body["add"]), body.get("x"))
+        found = self._rib.read_all(gateway, known.certificate, raws)
+        found = with_notes(found, body.get("x"), body.get("to"), self._fabric.gateway)
         self._rib.apply(gateway, known.certificate, found, body["del"])
 
     def _turned_over(self, raw: bytes, gateway: bytes, known: KnownGateway) -> bool:
@@ -376,22 +381,29 @@ class Membership:
         others = sum(other.name == certificate.name for other in self._known.values() if other is not known)
         if others >= OVERLAY_GATEWAYS_PER_MEMBER:
             raise SealError(Refusal.NO_RIGHT, f"{certificate.name} has {others} gateways already")
-        raws: list[bytes] = []
+        raws: list[Any] = []
         nodes: dict[Any, Any] = {}
+        targets: dict[Any, Any] = {}
+        left = hello["of"] + int(hello.get("at", 0))
         for answer in answers[1:]:
             body = notes.open(answer, gateway, "adverts", _SHAPES["adverts"], lambda _: certificate)
             if body["t"] != hello["t"]:
                 raise SealError(Refusal.REPLAYED, "a list")
-            raws += body["a"]
+            mine, others = read_raws(body, "a", self._fabric.gateway)
+            raws += mine
+            left -= len(mine) + others
             nodes |= body["x"] if isinstance(body.get("x"), dict) else {}
-        if len(raws) != hello["of"]:
+            targets |= body["to"] if isinstance(body.get("to"), dict) else {}
+        if left:
             raise SealError(Refusal.TRUNCATED, "a list")
-        adverts = with_nodes(await asyncio.to_thread(self._rib.read_all, gateway, certificate, raws), nodes)
+        found = await asyncio.to_thread(self._rib.read_all, gateway, certificate, raws)
+        adverts = with_notes(found, nodes, targets, self._fabric.gateway)
         if self._known.get(gateway) is not known:
             return None
         first = known.certificate is None
         known.certificate, known.name, known.notes = certificate, certificate.name, notes
         known.told_ns = max(known.told_ns, hello["t"])
+        known.aims = hello.get("aims") is True
         known.heard = self._loop.time()
         self._rib.replace(gateway, certificate, adverts)
         self._news.set()

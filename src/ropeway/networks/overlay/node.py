@@ -285,7 +285,7 @@ class OverlayNode:
                 Refusal.NO_RIGHT, f"the certificate of {self.identity.name} has no right to {verb} {advert.name}"
             )
         raw = make_advert(advert, self.identity, self._advert_key)
-        self.membership.advertise(advert.endpoint, raw, advert.node)
+        self.membership.advertise(advert.endpoint, raw, advert.node, advert.target)
 
     def withdraw(self, endpoint: bytes) -> None:
         """Tell everybody that it is gone."""

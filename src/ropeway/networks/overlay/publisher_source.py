@@ -27,8 +27,9 @@ class PublisherSource:
     bytes, ``topic`` its ROS name.
 
     ``depth`` messages are kept for those who missed them or come late, ``None`` for as many as fit, 0 for none;
-    ``lifespan_s`` is how long. ``may`` decides, beyond certificates, who may read. ``rotate_s``: how long a content key
-    serves. Safe to use from several threads.
+    ``lifespan_s`` is how long. Without ``replay`` those who come late get nothing of what was sent before. ``may``
+    decides, beyond certificates, who may read. ``rotate_s``: how long a content key serves. Safe to use from several
+    threads.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class PublisherSource:
         lifespan_s: float | None,
         may: Callable[[Certificate], bool],
         rotate_s: float = 600.0,
+        replay: bool = True,
     ) -> None:
         self.name, self.endpoint, self.topic = name, endpoint, topic
         self.number = 0
@@ -57,6 +59,8 @@ class PublisherSource:
         self._rotate_s = rotate_s
         self._rotated = time.monotonic()
         self._readers: dict[bytes, Certificate] = {}
+        self._replay = replay
+        self._first: dict[bytes, int] = {}  # the newest number when a reader came, where it gets nothing older
         self._lock = threading.Lock()
 
     def add(self, stamp_ns: int, seq: int, origin: bytes, flags: int, payload: bytes) -> PacketItem:
@@ -97,6 +101,8 @@ class PublisherSource:
             raise SealError(Refusal.NO_RIGHT, f"{reader.name} may not read {self.topic}")
         with self._lock:
             self._readers[reader.fingerprint] = reader
+            if not self._replay:
+                self._first.setdefault(reader.fingerprint, self.number)
             return {"g": self._sealer.grant().to_cbor(), "n": self.number}
 
     def history(self, reader: Certificate, after: int, upto: int | None) -> list[bytes]:
@@ -104,6 +110,7 @@ class PublisherSource:
         if reader.fingerprint not in self._readers:
             raise SealError(Refusal.NO_RIGHT, f"{reader.name} has no key of {self.topic}")
         self._expire()
+        after = max(after, self._first.get(reader.fingerprint, 0))
         found: list[bytes] = []
         size = 0
         for item in reversed(self._kept):
@@ -127,6 +134,7 @@ class PublisherSource:
             lost = [mark for mark, reader in self._readers.items() if not good(reader)]
             for mark in lost:
                 del self._readers[mark]
+                self._first.pop(mark, None)
             if lost:
                 self._sealer.renew()
             elif time.monotonic() - self._rotated >= self._rotate_s:

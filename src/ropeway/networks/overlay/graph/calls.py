@@ -121,7 +121,9 @@ def _timeout_s(request: Mapping[str, Any]) -> float:
 
 
 class OverlayClient(ClientBase[OverlayCallHost]):
-    """A service that we call in the overlay: of several replicas the one that has served longest."""
+    """A service that we call in the overlay: of several replicas the one that has served longest, or that of the
+    gateway which is the target in our advertisement.
+    """
 
     def __init__(self, graph: OverlayCallHost, advert: Advertisement) -> None:
         super().__init__(graph, advert.name, advert.type)
@@ -130,13 +132,17 @@ class OverlayClient(ClientBase[OverlayCallHost]):
 
     def provider(self) -> Advertisement | None:
         """Return the provider to call."""
-        found = self._graph.node.rib.by_name(self.advert.global_name, "service")
+        found = self._providers()
         return min(found, key=lambda advert: (advert.since_ns, advert.endpoint), default=None)
+
+    def _providers(self) -> list[Advertisement]:
+        found = self._graph.node.rib.by_name(self.advert.global_name, "service")
+        return [advert for advert in found if self.advert.target in (b"", advert.gateway)]
 
     def rematch(self) -> None:
         """React to changed providers: calls to one that has gone fail at once."""
         self.changed.notify()
-        there = {advert.endpoint for advert in self._graph.node.rib.by_name(self.advert.global_name, "service")}
+        there = {advert.endpoint for advert in self._providers()}
         for task, endpoint in list(self._asking.items()):
             if endpoint not in there:
                 task.cancel()

@@ -55,6 +55,7 @@ class OverlayGraph(ComposingGraph):
     """
 
     kind = "overlay"
+    target = b""  # the only gateway that this has to do with
     lane = 2
     nobody_s = 1.0
 
@@ -74,7 +75,7 @@ class OverlayGraph(ComposingGraph):
         self.metadata = metadata or Metadata()
         self.node_name = node_name
         self.sender: OverlaySender
-        self._patterns = {"subscribe": tuple(readers), "call": tuple(callers)}
+        self.patterns = {"subscribe": tuple(readers), "call": tuple(callers)}
         self._publishers: dict[bytes, OverlayPublisher] = {}
         self._subscriptions: dict[bytes, OverlaySubscription] = {}
         self._services: dict[bytes, OverlayService] = {}
@@ -113,12 +114,12 @@ class OverlayGraph(ComposingGraph):
 
     def allows(self, verb: str, name: str, certificate: Certificate) -> bool:
         """Return whether the owner of a certificate may read or call what is offered here."""
-        listed = any(fnmatchcase(certificate.name, pattern) for pattern in self._patterns.get(verb, ("*",)))
+        listed = any(fnmatchcase(certificate.name, pattern) for pattern in self.patterns.get(verb, ("*",)))
         return listed and self.node.policy(verb, name, certificate)
 
     def _advert(self, kind: str, name: str, type: str, qos: QoS | None, delivery: Delivery) -> Advertisement:
         now = time.time_ns()
-        metadata = replace(self.metadata, **dict(delivery.metadata)) if delivery.metadata else self.metadata
+        metadata = self._metadata(delivery)
         return Advertisement(
             kind=kind,
             global_name=self._global(kind, name, type, metadata),
@@ -132,7 +133,16 @@ class OverlayGraph(ComposingGraph):
             since_ns=now,
             expires_ns=now + _FOREVER_NS,
             node=metadata.node or self.node_name,
+            target=self.target,
         )
+
+    def _metadata(self, delivery: Delivery) -> Metadata:
+        return replace(self.metadata, **dict(delivery.metadata)) if delivery.metadata else self.metadata
+
+    def name_of(self, kind: str, name: str, type: str, delivery: Delivery = NO_HINTS) -> bytes:
+        """Return the global name of a part: of a ``publisher``, ``subscription``, ``service`` or ``client``."""
+        full = canonical_name(type, "msg" if kind in _TOPICS else "srv")
+        return self._global(kind, resolve_name(name), full, self._metadata(delivery))
 
     def _global(self, kind: str, name: str, type: str, metadata: Metadata) -> bytes:
         what = "topic" if kind in _TOPICS else "service"

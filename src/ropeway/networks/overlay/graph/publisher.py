@@ -59,13 +59,18 @@ class OverlayPublisherHost(OverlayHost, Protocol):
 
 
 class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
-    """Publishes to every reader that has its key; what waits for a congested path gives way to what is fresher."""
+    """Publishes to every reader that has its key, or to those of one gateway, the target in its advertisement.
+
+    What waits for a congested path gives way to what is fresher.
+    """
 
     def __init__(self, graph: OverlayPublisherHost, advert: Advertisement, delivery: Delivery) -> None:
         assert advert.qos is not None
         super().__init__(graph, advert.name, advert.type, advert.qos)
         self.advert, self.delivery = advert, delivery
-        self.key = data_key(advert.global_name, advert.endpoint)
+        node, target = graph.node, advert.target
+        owner = node.membership.certificate(target) if target else None
+        self.key = data_key(advert.global_name, advert.endpoint, target if node.membership.aims(target) else b"")
         self._granted: set[bytes] = set()
         self._readers: dict[bytes, bytes] = {}  # endpoint: gateway
         self._had_readers = False
@@ -77,11 +82,15 @@ class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
             advert.global_name,
             advert.endpoint,
             advert.name,
-            graph.node.identity.sign,
+            node.identity.sign,
             depth=depth if qos.reliable or qos.transient_local else 0,
             lifespan_s=qos.lifespan_s,
-            may=lambda reader: graph.allows("subscribe", advert.name, reader),
-            rotate_s=graph.node.rotate_s,
+            may=lambda reader: (
+                graph.allows("subscribe", advert.name, reader)
+                and (not target or (owner is not None and owner.fingerprint == reader.fingerprint))
+            ),
+            rotate_s=node.rotate_s,
+            replay=not target,
         )
         lifespan_ns = None if delivery.lifespan_s is None else int(delivery.lifespan_s * 1e9)
         waiting: int | None = delivery.depth
@@ -134,7 +143,7 @@ class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
         found = {
             advert.endpoint: advert.gateway
             for advert in self._graph.node.rib.by_name(self.advert.global_name, "subscription")
-            if self.qos.satisfies(advert.qos)
+            if self.qos.satisfies(advert.qos) and self.advert.target in (b"", advert.gateway)
         }
         if len(self._granted) > _REMEMBERED:  # those that were here and may come back
             self._granted &= found.keys()

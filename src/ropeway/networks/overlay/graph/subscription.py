@@ -26,7 +26,9 @@ class OverlaySubscriptionHost(Host, Protocol):
 
 
 class OverlaySubscription(SubscriptionBase[OverlaySubscriptionHost]):
-    """Reads every publisher of its name that suits its profile. ``qos=None`` adopts what they offer."""
+    """Reads every publisher of its name that suits its profile, or those of one gateway, the target in its
+    advertisement. ``qos=None`` adopts what they offer.
+    """
 
     def __init__(
         self,
@@ -54,6 +56,8 @@ class OverlaySubscription(SubscriptionBase[OverlaySubscriptionHost]):
         """Join the publishers that suit, leave the others."""
         offered: list[QoS] = []
         for stream in self.feed.streams.values():
+            if self.advert.target not in (b"", stream.advert.gateway):
+                continue
             if stream.advert.qos is None or stream.advert.qos.satisfies(self.asked):
                 stream.join(self)
                 offered.append(stream.advert.qos or DEFAULT)
