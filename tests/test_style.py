@@ -195,7 +195,7 @@ ALLOWED_BROAD = {
         "networks/dds/waitset.py:_run",
         "networks/dds/writer_thread.py:_main",
         "networks/overlay/feed.py:_ask_key",
-        "networks/overlay/feed.py:_came",
+        "networks/overlay/feed.py:_open",
         "networks/overlay/inlet.py:deliver",
         "networks/overlay/membership.py:_ask",
         "networks/ros1/master_registration.py:_asked",

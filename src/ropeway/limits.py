@@ -192,6 +192,9 @@ OVERLAY_BATCH_BYTES: Final = 1 << 20
 OVERLAY_MESSAGES_PER_PACKET: Final = 4_096
 """Messages in one packet. Senders put 256 in one."""
 
+OVERLAY_COPY_BYTES: Final = 4 << 10
+"""A packet that comes by a second session, too: commands and the like, sealed."""
+
 OVERLAY_HISTORY_BYTES: Final = 64 << 20
 """One answer with messages that a reader missed, beside the last of them."""
 

@@ -40,6 +40,19 @@ def test_gap_of_reliable() -> None:
     assert (reader.last, reader.lost) == (6, 0)
 
 
+def test_gap_that_fills_by_itself() -> None:
+    """What comes late is given at once, with what waited for it; the answer that was asked for changes nothing."""
+    reader = follower()
+    assert reader.arrived(items(2, 3, 5)) == []
+    assert reader.missing == (0, 1)
+    assert reader.arrived(items(1)) == items(1, 2, 3)
+    assert reader.arrived(items(4, 6)) == items(4, 5, 6)
+    assert reader.recovered(items(1)) == []
+    assert reader.missing is None
+    assert reader.arrived(items(7)) == items(7)
+    assert (reader.last, reader.lost) == (7, 0)
+
+
 def test_gap_of_best_effort() -> None:
     """A best-effort reader takes what comes, and nothing twice or late."""
     reader = follower(reliable=False)

@@ -192,3 +192,15 @@ def test_spread_over_time() -> None:
     first, second = fill(path, now_s, numbers), fill(path, now_s + 0.004, numbers)
     assert first <= max(0.005 * pace, 2 * path.part_bytes) + PART_BYTES < path.model.window_bytes
     assert 0 < second <= 1.25 * 0.004 * pace + PART_BYTES
+
+
+@pytest.mark.parametrize(("delay_s", "copied"), [(0.01, True), (0.001, False)])
+def test_copies_beside_big_messages(delay_s: float, copied: bool) -> None:
+    """Small packets have copies while big messages go over a distance, and for a little while after."""
+    path, publisher = Path(), bytes(16)
+    greedy(path, Link(2.5e6, delay_s), 3.0)
+    assert path.far is copied
+    assert not path.copies(publisher, 300, 3.0)
+    path.laden(3.0)
+    assert path.copies(publisher, 300, 3.5) is copied
+    assert not path.copies(publisher, 300, 4.5)

@@ -78,7 +78,7 @@ class Spy:
     async def open(self, stack: AsyncExitStack) -> None:
         await self.fabric.open()
         stack.push_async_callback(self.fabric.close)
-        for part in "adghm":
+        for part in "adghmx":
             self.fabric.hear(f"rw/{part}/**", lambda key, _: self.heard.append(key))
         self.fabric.watch("rw/l/*", lambda key, _: self.heard.append(key))
         self.fabric.hear("rw/crl", lambda key, _: None)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import logging
 import threading
 from collections.abc import Callable, Collection, Iterator
@@ -20,12 +21,13 @@ import zenoh
 from ropeway import aio
 from ropeway.errors import GraphUnavailable
 from ropeway.limits import OVERLAY_NOTE_BYTES, OVERLAY_ROUTED_BYTES, OVERLAY_WAITING_NOTES_BYTES
+from ropeway.networks.overlay.asked import Asked
 from ropeway.networks.overlay.inlet import Inlet, one_by_one
 from ropeway.networks.overlay.link_sockets import Losses, set_options
 from ropeway.networks.overlay.zenoh_config import MEMBER_DEAD_MS, ROUTER_DEAD_MS
 from ropeway.tasks import Supervised, end
 
-__all__ = ["CRL_KEY", "Asked", "Fabric", "Handle"]
+__all__ = ["CRL_KEY", "Fabric", "Handle"]
 
 log = logging.getLogger("ropeway.overlay")
 
@@ -49,36 +51,11 @@ _PRIORITIES: Final = (
     zenoh.Priority.BACKGROUND,
 )
 
+_connections = itertools.count(1)
+
 T = TypeVar("T")
 Handle = Callable[[], None]
 """Called to end what was declared; may be called again."""
-
-
-class Asked:
-    """A query that somebody asks us; answered at most once, and given up when it is let go."""
-
-    __slots__ = ("_query", "payload")
-
-    def __init__(self, query: zenoh.Query) -> None:
-        self._query: zenoh.Query | None = query
-        self.payload = bytes(query.payload) if query.payload is not None else b""
-
-    def part(self, payload: bytes) -> None:
-        """Send one answer of several."""
-        if self._query is not None:
-            with contextlib.suppress(zenoh.ZError):  # who asked has left
-                self._query.reply(self._query.key_expr, payload)
-
-    def done(self) -> None:
-        """End the answers."""
-        query, self._query = self._query, None
-        if query is not None:
-            query.drop()  # type: ignore[no-untyped-call]
-
-    def answer(self, payload: bytes) -> None:
-        """Send the only answer."""
-        self.part(payload)
-        self.done()
 
 
 @contextlib.contextmanager
@@ -114,6 +91,9 @@ class Fabric:
         self._session: zenoh.Session | None = None
         self._lanes: dict[int, ThreadPoolExecutor] = {}
         self._link_events: Any = None
+        self._linked: set[tuple[str, str]] = set()
+        self.connection = 0
+        """A number that is another with each link that is made, 0 while there is none."""
         self._watching: Supervised | None = None
         self._declared: dict[_Declared, None] = {}
         self._open = asyncio.Event()
@@ -177,6 +157,8 @@ class Fabric:
         listener, self._link_events = self._link_events, None
         if listener is not None:
             listener.undeclare()
+        self.connection = 0
+        self._linked.clear()
         if session is not None:
             try:
                 with _failures():
@@ -191,10 +173,16 @@ class Fabric:
 
     def _link_changed(self, event: zenoh.LinkEvent) -> None:
         """Handle a link event; runs in a thread of Zenoh's."""
+        source, target = str(event.link.src), str(event.link.dst)
         if event.kind == zenoh.SampleKind.PUT:
-            target = str(event.link.dst)
             to_router = target.rpartition(":")[2] in self._router_ports
-            set_options(str(event.link.src), target, MEMBER_DEAD_MS if to_router else ROUTER_DEAD_MS)
+            set_options(source, target, MEMBER_DEAD_MS if to_router else ROUTER_DEAD_MS)
+            self._linked.add((source, target))
+            self.connection = next(_connections)
+        else:
+            self._linked.discard((source, target))
+            if not self._linked:
+                self.connection = 0
 
     def linked_with(self, names: Collection[str]) -> bool:
         """Return whether there is a link with one of these names in its certificate."""
@@ -332,6 +320,20 @@ class Fabric:
             priority=_PRIORITIES[lane],
             express=True,
         )
+
+    def offer(self, lane: int, key: str, payload: bytes, mark: bytes) -> None:
+        """Put data that may be lost where the link is congested or has gone; from any thread."""
+        session = self._session
+        if session is not None:
+            with contextlib.suppress(zenoh.ZError), _failures():  # it has closed this moment
+                session.put(
+                    key,
+                    payload,
+                    attachment=mark,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=_PRIORITIES[lane],
+                    express=True,
+                )
 
     def in_lane(self, lane: int, work: Callable[[], T]) -> asyncio.Future[T]:
         """Run ``work`` in the thread of a lane, in order."""

@@ -19,6 +19,7 @@ import zenoh
 from ropeway.errors import CallError, RopewayError, SealError
 from ropeway.limits import (
     OVERLAY_BATCH_BYTES,
+    OVERLAY_COPY_BYTES,
     OVERLAY_HELD_BYTES_PER_PUBLISHER,
     OVERLAY_HISTORY_BYTES,
     OVERLAY_MESSAGE_BYTES,
@@ -48,6 +49,7 @@ _AGAIN_S: Final = 1.0
 _SPACING_S: Final = 0.5  # between two requests for keys: packets that name keys nobody has cost no more than that
 _REMEMBERED: Final = 4096
 _ENDPOINT: Final = 3  # its place in a key
+_COPIES: Final = 256  # of one publisher: half a second of 500 messages a second
 _SEALED_BYTES: Final = OVERLAY_BATCH_BYTES  # what a packet may have beside its largest message
 _ITEM_BYTES: Final = 256  # what a message costs beside its payload
 
@@ -96,6 +98,7 @@ class PublisherStream:
         self._granted_at = float("-inf")
         self._keying: asyncio.Task[None] | None = None
         self._recovering = Chores()
+        self._copies: dict[bytes, None] = {}  # packets that came by the bypass, and will come by the links
         self.parts = PacketAssembly(feed.limit_bytes + _SEALED_BYTES, feed.held)
 
     # ── keys ───────────────────────────────────────────────────────────────────────────────────────────────────
@@ -266,6 +269,19 @@ class PublisherStream:
             elif follower.lost != lost:
                 self._feed.missed += follower.lost - lost
 
+    def note_copy(self, packet: bytes) -> None:
+        """Note that a packet came by the bypass; in Zenoh's thread."""
+        self._copies[packet] = None
+        if len(self._copies) > _COPIES:
+            del self._copies[next(iter(self._copies))]
+
+    def came_as_copy(self, packet: bytes) -> bool:
+        """Return whether a packet came by the bypass; the next time it is a replay."""
+        if not self._copies or len(packet) > OVERLAY_COPY_BYTES or packet not in self._copies:
+            return False
+        del self._copies[packet]
+        return True
+
     def overrun(self, count: int) -> None:
         """Count messages that were lost because the event loop was behind."""
         for reader in list(self.readers):
@@ -353,10 +369,19 @@ class Feed:
         stream = self.streams.get(bytes.fromhex(endpoint)) if _is_hex(endpoint) else None
         if stream is None or not stream.readers:
             return
-        raw = bytes(payload)
         mark = Mark.read(bytes(attachment)) if attachment is not None else None
         if mark is not None:
             self.receipts.came(stream.advert.gateway, mark)
+        self._open(stream, bytes(payload), mark)
+
+    def copy_came(self, endpoint: bytes, packet: bytes) -> None:
+        """Take a copy of a publisher's packet that came another way; runs in Zenoh's thread."""
+        stream = self.streams.get(endpoint)
+        if stream is not None and stream.readers:
+            self._open(stream, packet, None, copy=True)
+
+    def _open(self, stream: PublisherStream, raw: bytes, mark: Mark | None, *, copy: bool = False) -> None:
+        """Open a packet and hand its messages over, in the order in which they were opened, whoever else opens some."""
         try:
             with stream.lock:
                 if mark is not None and mark.size:
@@ -364,15 +389,21 @@ class Feed:
                     if packet is None:
                         return
                     raw = packet
+                if not copy and stream.came_as_copy(raw):
+                    return
                 if not stream.opener.knows(raw):
-                    self._inlet.put((stream, raw), len(raw))
+                    if not copy:
+                        self._inlet.put((stream, raw), len(raw))
                     return
                 opened = stream.opener.open(raw)
-            items = read_items(opened.items, self.limit_bytes)
-            size = sum(len(item.payload) for item in items) + _ITEM_BYTES * len(items)
-            self._inlet.put((stream, (opened.epoch, items)), size)
+                if copy:
+                    stream.note_copy(raw)
+                items = read_items(opened.items, self.limit_bytes)
+                size = sum(len(item.payload) for item in items) + _ITEM_BYTES * len(items)
+                self._inlet.put((stream, (opened.epoch, items)), size)
         except SealError as error:
-            self._inlet.put((stream, error))
+            if not copy or error.reason not in (Refusal.REPLAYED, Refusal.TOO_OLD):  # the other one came first
+                self._inlet.put((stream, error))
         except Exception as error:  # Zenoh's thread would end with it, and nobody would see why
             log.debug("overlay: a packet of %s cannot be used", stream.advert.name, exc_info=error)
             self._inlet.put((stream, SealError(Refusal.MALFORMED, describe(error))))

@@ -41,7 +41,11 @@ class Follower:
         for item in items:
             if item.number <= self.last:
                 continue  # had before
-            if self.missing is not None:
+            if self.missing is not None and item.number == self.last + 1 and self.missing[1] is not None:
+                self.last = item.number  # it only came late, by another way
+                given.append(item)
+                self._let_follow(given)
+            elif self.missing is not None:
                 self._hold(item, given)
             elif self._reliable and item.number > self.last + 1:
                 self.missing = (self.last, item.number - 1)
@@ -84,6 +88,22 @@ class Follower:
         """Let go of what waits."""
         self._budget.give(self._held_bytes)
         self._held, self._held_bytes = [], 0
+
+    def _let_follow(self, given: list[PacketItem]) -> None:
+        """Give what waited for the message before it."""
+        held = sorted(self._held, key=_number)
+        count = 0
+        for item in held:
+            if item.number > self.last + 1:
+                break
+            if item.number > self.last:
+                self.last = item.number
+                given.append(item)
+            size = len(item.payload) + _ITEM_BYTES
+            self._budget.give(size)
+            self._held_bytes -= size
+            count += 1
+        self._held = held[count:]
 
     def _hold(self, item: PacketItem, given: list[PacketItem]) -> None:
         size = len(item.payload) + _ITEM_BYTES

@@ -26,6 +26,7 @@ from typing import Final, NamedTuple
 from ropeway.delivery.outbox import LANES
 from ropeway.delivery.pacing.model import LinkModel, LinkReading, LinkTraits
 from ropeway.delivery.pacing.pace import Pace
+from ropeway.networks.overlay.copies import CopyBudget
 from ropeway.networks.overlay.shortest_round_trip import ShortestRoundTrip
 
 __all__ = ["Path"]
@@ -42,6 +43,7 @@ _PART_MIN_BYTES: Final = 4 * 1024
 _PART_MAX_BYTES: Final = 1 << 20
 _NO_LIMIT: Final = 1 << 40
 _SAMPLED_ROUND_TRIPS: Final = 3  # of those of so many the shortest counts
+_LADEN_S: Final = 1.0  # after a big message small ones have copies for so long
 _SPREAD_GAIN: Final = 1.25  # times the pace, so that a path that became faster shows
 _SPREAD_S: Final = 0.005  # so much goes at once
 _SPREAD_PARTS: Final = 2  # and at least so many parts
@@ -106,6 +108,8 @@ class Path:
         self._rtt_s = self._deviation_s = 0.0
         self._shortest = ShortestRoundTrip()
         self._heard_s = 0.0
+        self._copies = CopyBudget()
+        self._laden_s = float("-inf")  # when a part of a big message went last
         self._came = (0.0, 0.0)  # when a packet came last, or the first one left, and when that was sent
         self._spread_bytes = 0.0  # what may go at once …
         self._spread_s = 0.0  # … as of then
@@ -118,6 +122,22 @@ class Path:
         self._pending_bytes += size_bytes
         self._spread_bytes -= size_bytes
         self.model.handed(size_bytes)
+
+    @property
+    def far(self) -> bool:
+        """Whether a lost packet costs those behind it a time that matters."""
+        return (self.model.base_rtt_s or 0.0) >= _FAST_ROUND_TRIP_S
+
+    def laden(self, now_s: float) -> None:
+        """Note that a big message is being sent."""
+        self._laden_s = now_s
+
+    def copies(self, publisher: bytes, size_bytes: int, now_s: float) -> bool:
+        """Return whether a small packet goes by a bypass, too: big messages that may lose packets go before it."""
+        pace = self.model.pace.bytes_per_s
+        if pace is None or not self.far or now_s - self._laden_s > _LADEN_S:
+            return False
+        return self._copies.takes(publisher, size_bytes, pace, now_s)
 
     def landed(self, size_bytes: int) -> None:
         """Note that the thread has sent it, or failed to."""

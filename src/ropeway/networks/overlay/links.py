@@ -15,7 +15,7 @@ from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.fabric import Fabric
 from ropeway.networks.overlay.router_probe import unreachable
-from ropeway.networks.overlay.zenoh_config import gateway_config
+from ropeway.networks.overlay.zenoh_config import client_config, gateway_config
 from ropeway.tasks import Supervised, end
 
 if TYPE_CHECKING:
@@ -104,6 +104,10 @@ class Links:
             max_message_bytes=self._max_bytes,
             denied=denied,
         )
+
+    def client_config(self, id: bytes) -> zenoh.Config:
+        """Build the configuration of another session of this gateway, with a router alone."""
+        return client_config(self._identity, id=id, connect=self._routers, denied=self._to_deny())
 
     async def deny(self) -> None:
         """Make links anew where they could carry something for who was revoked."""

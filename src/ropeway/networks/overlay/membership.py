@@ -20,10 +20,11 @@ from ropeway.errors import CallError, SealError
 from ropeway.graph.signal import Signal
 from ropeway.limits import OVERLAY_GATEWAYS_PER_MEMBER, OVERLAY_LIST_BYTES, OVERLAY_STRANGERS
 from ropeway.networks.overlay.announcement import NoteKey, note_key_id
+from ropeway.networks.overlay.asked import Asked
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
-from ropeway.networks.overlay.fabric import Asked, Fabric, Handle
+from ropeway.networks.overlay.fabric import Fabric, Handle
 from ropeway.networks.overlay.known_gateway import SHAPES as _SHAPES
 from ropeway.networks.overlay.known_gateway import KnownGateway, gateway_of, read_told
 from ropeway.networks.overlay.own_adverts import OwnAdverts, read_raws, with_notes

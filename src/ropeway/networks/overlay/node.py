@@ -19,10 +19,12 @@ from ropeway import aio
 from ropeway.errors import CallFailed, IdentityError, NotServed, RopewayError, SealError
 from ropeway.limits import OVERLAY_CRL_BYTES, OVERLAY_MESSAGE_BYTES
 from ropeway.networks.overlay.advert import VERB_OF, Advertisement, advert_key, make_advert
+from ropeway.networks.overlay.asked import Asked
+from ropeway.networks.overlay.bypass import Bypass
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
-from ropeway.networks.overlay.fabric import CRL_KEY, Asked, Handle
+from ropeway.networks.overlay.fabric import CRL_KEY, Handle
 from ropeway.networks.overlay.feed import Feed
 from ropeway.networks.overlay.held_bytes import HeldBytes
 from ropeway.networks.overlay.links import Links
@@ -118,6 +120,7 @@ class OverlayNode:
             refused=self.refused,
         )
         self.receipts = Receipts(self.fabric, self.rpc, self.membership.certificate, self.refused)
+        self.bypass = Bypass(self.fabric, self.links.client_config, self.routers, self._copy_came)
         self.sources: dict[bytes, PublisherSource] = {}
         self.on_granted: dict[bytes, Callable[[Sequence[bytes]], None]] = {}
         self.providers: dict[bytes, Provider] = {}
@@ -144,6 +147,7 @@ class OverlayNode:
                 self.rpc.answers("list", self._answer_list)
                 self.rpc.open()
                 self.receipts.open()
+                self.bypass.open()
                 self._ends.append(self.fabric.serve(CRL_KEY, self._tell_crl))
                 take = self.fabric.hear(CRL_KEY, lambda _, raw: self._take_crl(raw), limit_bytes=OVERLAY_CRL_BYTES)
                 self._ends.append(take)
@@ -167,6 +171,7 @@ class OverlayNode:
                 await feed.close()
             self.feeds.clear()
             await self.membership.close()
+            await self.bypass.close()
             await self.receipts.close()
             await self.rpc.close()
             for handle in self._ends:
@@ -270,6 +275,7 @@ class OverlayNode:
             self.recheck()
             if self.trust.revokes:
                 self.membership.turn_over()
+            self.bypass.renew()
             self._ask_crl.set()  # what else it changes is done next
 
     def _tell_crl(self, asked: Asked) -> None:
@@ -315,6 +321,12 @@ class OverlayNode:
         if not feed.readers and self.feeds.get(feed.name) is feed:
             del self.feeds[feed.name]
             await feed.close()
+
+    def _copy_came(self, name: bytes, publisher: bytes, packet: bytes) -> None:
+        """Take a packet that came by the bypass; runs in Zenoh's thread."""
+        feed = self.feeds.get(name)
+        if feed is not None:
+            feed.copy_came(publisher, packet)
 
     def follow(self, feed: Feed) -> None:
         """Make a feed read all publishers of its name, whatever their QoS; readers join those that suit them."""
@@ -409,6 +421,7 @@ class OverlayNode:
             "expires": certificate.not_after.isoformat(),
             "trouble": self.trouble or self.links.unlinked,
             "routers": sorted(links - {gateway.hex() for gateway in known}),
+            "bypass": self.bypass.connection > 0,
             "revocations": self.trust.crl_number,
             "gateways": [
                 {

@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any, Final
 from ropeway import aio
 from ropeway.errors import GraphUnavailable, IdentityError, RopewayError, SealError
 from ropeway.limits import OVERLAY_CRL_BYTES
+from ropeway.networks.overlay.asked import Asked
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
-from ropeway.networks.overlay.fabric import CRL_KEY, Asked, Fabric, Handle
+from ropeway.networks.overlay.fabric import CRL_KEY, Fabric, Handle
 from ropeway.networks.overlay.zenoh_config import gateway_config, gateway_id, router_config
 from ropeway.tasks import Supervised, end
 

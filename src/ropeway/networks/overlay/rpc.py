@@ -26,12 +26,13 @@ from ropeway.limits import (
     OVERLAY_REQUESTS,
     OVERLAY_REQUESTS_BYTES,
 )
+from ropeway.networks.overlay.asked import Asked
 from ropeway.networks.overlay.crypto.cbor import loads
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.channel import Initiator, SecureChannel, peek_channel, respond
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
-from ropeway.networks.overlay.fabric import Asked, Fabric, Handle
+from ropeway.networks.overlay.fabric import Fabric, Handle
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.tasks import Chores, describe, end
 

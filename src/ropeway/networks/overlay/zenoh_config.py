@@ -12,18 +12,19 @@ import zenoh
 from ropeway.limits import OVERLAY_ROUTED_BYTES
 from ropeway.networks.overlay.crypto.identity import Identity
 
-__all__ = ["KEYS", "MEMBER_DEAD_MS", "ROUTER_DEAD_MS", "gateway_config", "gateway_id", "router_config"]
+__all__ = ["KEYS", "MEMBER_DEAD_MS", "ROUTER_DEAD_MS", "client_config", "gateway_config", "gateway_id", "router_config"]
 
 KEYS: Final = "rw/**"
 """All that travels in an overlay lies under this key expression."""
 
-_DENIED: Final = ("rw/a/**", "rw/d/**", "rw/g/**", "rw/h/**", "rw/k/**", "rw/l/**", "rw/m/**")
+_DENIED: Final = ("rw/a/**", "rw/d/**", "rw/g/**", "rw/h/**", "rw/k/**", "rw/l/**", "rw/m/**", "rw/x/**")
 """All of it but the revocation list."""
 
 # A dead link is known within these times. A router knows it first: a member that comes again before its router has let
 # go of the old link is taken off the routers' map, new link and all, once the old one is closed.
 ROUTER_DEAD_MS: Final = 1000
 MEMBER_DEAD_MS: Final = 1600
+_CLIENT_LINK_MS: Final = 5000  # after which there is no router for a client, for now
 _MESSAGES: Final = (
     "put",
     "delete",
@@ -70,6 +71,22 @@ def gateway_config(
     if denied:
         more["access_control"] = _access(denied)
     return _config(identity, connect, listen, more)
+
+
+def client_config(
+    identity: Identity, *, id: bytes, connect: Sequence[str], denied: Collection[str] = ()
+) -> zenoh.Config:
+    """Build the configuration of a session that is linked with one router, forwards nothing and accepts nobody."""
+    more: dict[str, Any] = {
+        "id": id.hex(),
+        "mode": "client",
+        "connect/timeout_ms": _CLIENT_LINK_MS,
+        "connect/exit_on_failure": True,
+        "scouting/gossip/enabled": False,
+    }
+    if denied:
+        more["access_control"] = _access(denied)
+    return _config(identity, connect, (), more)
 
 
 def router_config(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol
 
 from ropeway.delivery.outbox import Lost, Queue
@@ -11,6 +12,7 @@ from ropeway.graph.base import SEQ_NONE, Delivery, Sample, Undelivered
 from ropeway.graph.link_parts import LinkStatistics
 from ropeway.graph.parts import PublisherBase
 from ropeway.networks.overlay.advert import Advertisement
+from ropeway.networks.overlay.copies import Copies
 from ropeway.networks.overlay.feed import data_key
 from ropeway.networks.overlay.graph.host import OverlayHost
 from ropeway.networks.overlay.graph.packing import TopicPacking
@@ -99,6 +101,8 @@ class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
         self.queue: Queue[Sample] = Queue(self, priority=delivery.priority, depth=waiting, lifespan_ns=lifespan_ns)
         self.queue.latched = qos.latched
         self.queue.weight = delivery.weight
+        about, bypass = advert.global_name + advert.endpoint, graph.node.bypass
+        self.copies = Copies(partial(bypass.put, self.queue.priority, about))
         self.packing = TopicPacking(self.type, delivery.encoding, lambda: graph.sender.slowest(self.queue))
 
     @property

@@ -18,6 +18,7 @@ from ropeway import aio
 from ropeway.delivery.outbox import LANES, Outbox, Queue
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Sample, Undelivered
+from ropeway.limits import OVERLAY_COPY_BYTES
 from ropeway.networks.overlay.gateway_path import Path
 from ropeway.networks.overlay.graph.host import OverlayHost
 from ropeway.networks.overlay.graph.publisher import OverlayPublisher
@@ -250,8 +251,29 @@ class OverlaySender:
     def _send_whole(self, lane: int, group: _Group, *, small: bool) -> bool:
         jobs, size = self._gather(lane, group, small=small)
         if jobs:
-            self._hand(lane, group, partial(self._send, lane, jobs, self._paths(group)), size, jobs)
+            ways = self._bypasses(group, jobs)
+            self._hand(lane, group, partial(self._send, lane, jobs, self._paths(group), ways), size, jobs)
         return bool(jobs)
+
+    def _bypasses(self, group: _Group, jobs: Sequence[Job]) -> list[list[bytes] | None]:
+        """Return, for each publisher, the gateways that have a copy of its packet by the bypass; ``None`` for one that
+        is none of the bypass's.
+        """
+        paths, now_s = self._receipts.paths, time.monotonic()
+        far = [(gateway, paths[gateway]) for gateway in group.lot if gateway in paths and paths[gateway].far]
+        if not far:
+            return [None] * len(jobs)
+        ways: list[list[bytes] | None] = []
+        for publisher, items in jobs:
+            size = sum(len(item.payload) + _ITEM_BYTES for item, _ in items) + _PACKET_BYTES
+            if size > OVERLAY_COPY_BYTES:
+                ways.append(None)
+                continue
+            endpoint = publisher.advert.endpoint
+            ways.append([gateway for gateway, path in far if path.copies(endpoint, size, now_s)])
+        if any(ways):
+            self._graph.node.bypass.want()
+        return ways
 
     def _gather(self, lane: int, group: _Group, *, small: bool) -> tuple[list[Job], int]:
         """Take what goes whole in one turn, by publisher; what goes in parts is begun."""
@@ -319,10 +341,15 @@ class OverlaySender:
         for publisher, items in jobs:
             self._graph.drops[publisher.topic, Undelivered.CLOSED if closed else Undelivered.WRITE] += len(items)
 
-    def _send(self, lane: int, jobs: Sequence[Job], paths: Sequence[Path]) -> None:
+    def _send(
+        self, lane: int, jobs: Sequence[Job], paths: Sequence[Path], ways: Sequence[Sequence[bytes] | None]
+    ) -> None:
         """Seal and put a batch; runs in the lane's thread."""
-        for publisher, items in jobs:
+        connection = self._graph.node.bypass.connection
+        for (publisher, items), gateways in zip(jobs, ways, strict=True):
             packet = publisher.source.seal([publisher.packing.pack(item, on) for item, on in items])
+            if gateways is not None:
+                publisher.copies.send(packet, gateways, connection, time.monotonic())
             began = time.perf_counter()
             self._put(lane, publisher, packet, paths)
             publisher.packing.taken(len(packet), time.perf_counter() - began)
@@ -366,6 +393,9 @@ class OverlaySender:
 
     def _send_part(self, lane: int, group: _Group, cursor: _Cursor, packet: bytes) -> None:
         publisher, at, size = cursor.publisher, cursor.at, len(packet)
+        now_s = time.monotonic()
+        for path in self._paths(group):
+            path.laden(now_s)
         raw = packet[at : at + min(self._part_bytes(group), size)]
         whole = len(raw) == size
         work = partial(self._put, lane, publisher, raw, self._paths(group), at, 0 if whole else size)
