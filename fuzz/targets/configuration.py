@@ -12,7 +12,8 @@ from fuzz.targets.nested import NESTED_JSON
 from ropeway.cli.server.rosargs import split
 from ropeway.errors import ConfigError
 from ropeway.gateway.config import config
-from ropeway.gateway.config.document import read_json, read_yaml
+from ropeway.gateway.config.document import read_json
+from ropeway.gateway.config.yaml_text import read_yaml
 
 __all__ = ["TARGETS"]
 

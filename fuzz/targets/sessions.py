@@ -22,8 +22,8 @@ from fuzz.targets.operations import OPERATIONS
 from ropeway.hub.hub import Hub
 from ropeway.iort import pack
 from ropeway.listener.connection import Limits
-from ropeway.networks.iort import Space
 from ropeway.networks.iort.server import IortServer
+from ropeway.networks.iort.space import Space
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.networks.rosbridge.protocol.records import RecordWriter

@@ -17,8 +17,10 @@ from ropeway.graph.base import Graph
 from ropeway.group.graph import Group
 from ropeway.hub.hub import Hub
 from ropeway.networks.dds import DdsGraph
-from ropeway.networks.iort import IortGraph, LocalLink, RemoteLink, Space
+from ropeway.networks.iort.graph import IortGraph
+from ropeway.networks.iort.links import LocalLink, RemoteLink
 from ropeway.networks.iort.server import IortServer
+from ropeway.networks.iort.space import Space
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.networks.overlay.graph import OverlayGraph
 from ropeway.networks.overlay.node import OverlayNode

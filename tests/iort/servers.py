@@ -18,8 +18,8 @@ from ropeway import aio
 from ropeway.iort import Fault, Packet, Parser
 from ropeway.listener.authentication import Door
 from ropeway.listener.entrance import Entrance
-from ropeway.networks.iort import Space
 from ropeway.networks.iort.server import IortServer
+from ropeway.networks.iort.space import Space
 from ropeway.store import Store, StoreLimits, make_backend, make_mirror
 from tests.support.until import PATIENCE_S
 
@@ -106,7 +106,7 @@ class Raw:
 
 _PROGRAM = """
 import asyncio, sys
-from ropeway.networks.iort import Space
+from ropeway.networks.iort.space import Space
 from ropeway.networks.iort.server import IortServer
 from ropeway.store import Store, make_backend
 

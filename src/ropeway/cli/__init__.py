@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated, Any
 
 import typer
@@ -67,4 +68,5 @@ def ropeway(
 
 def main() -> None:
     """Run the command line; the entry point of the package."""
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to look for them reads the metadata of all packages
     app()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import logging
 import math
 import os
@@ -127,6 +128,7 @@ async def _run(serving: Serving, running: list[Gateway | Supervisor], notifier: 
         if serving.up is not None:
             serving.up(gateway)
         notifier.ready("running")
+        gc.freeze()  # what was loaded stays: looking for garbage in it would stop messages for 40 ms now and then
         ends = math.inf if serving.for_s is None else loop.time() + serving.for_s
         printer = None if serving.period_s is None else Printer(sys.stdout.fileno())
         failing = asyncio.create_task(gateway.wait(), name="gateway failure")

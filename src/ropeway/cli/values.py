@@ -7,7 +7,7 @@ from typing import Any
 
 from ropeway.cli.console import fail
 from ropeway.errors import ConfigError
-from ropeway.gateway.config.document import read_yaml
+from ropeway.gateway.config.yaml_text import read_yaml
 from ropeway.types import TypeRegistry
 from ropeway.types.cast import cast
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final
 from ropeway.errors import ConnectFailed, GraphUnavailable
 from ropeway.extras import require
 from ropeway.gateway.auth import make_door
-from ropeway.gateway.automatic import Automatic
 from ropeway.gateway.bridges import make_bridge
 from ropeway.gateway.config.address import is_iort, is_loopback, is_secure
 from ropeway.gateway.config.config import Config, Route
@@ -23,8 +22,6 @@ from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.overlay_model import OVERLAY
 from ropeway.gateway.config.type_hints import learn_types, type_hints
 from ropeway.gateway.credentials import Credentials, read_credentials
-from ropeway.gateway.last_value import LastValue, key_of
-from ropeway.gateway.nodes import Nodes
 from ropeway.gateway.process.allocator import FreedMemory, keep_freed_memory
 from ropeway.gateway.process.counts import summed
 from ropeway.gateway.process.open_files import make_room
@@ -35,21 +32,22 @@ from ropeway.hub.hub import Hub, View
 from ropeway.listener.connection import Limits
 from ropeway.listener.entrance import Entrance
 from ropeway.listener.http import without_token
-from ropeway.listener.listener import Listener
-from ropeway.listener.store_pages import StorePages
 from ropeway.networks.factory import open_graph
 from ropeway.networks.rosbridge.client import RosbridgeGraph
-from ropeway.networks.rosbridge.server import RosbridgeServer
-from ropeway.store import Store, default_path, make_backend, make_mirror
 from ropeway.tasks import Supervised, failing
 from ropeway.types import TypeRegistry
 from ropeway.types.variant import make_network
 
 if TYPE_CHECKING:
     from ropeway.gateway.group import GroupRemote
+    from ropeway.gateway.last_value import LastValue
+    from ropeway.gateway.nodes import Nodes
     from ropeway.graph.base import Graph
+    from ropeway.listener.listener import Listener
     from ropeway.networks.overlay.graph import OverlayGraph
     from ropeway.networks.overlay.node import OverlayNode
+    from ropeway.networks.rosbridge.server import RosbridgeServer
+    from ropeway.store import Store
 
 __all__ = ["Gateway"]
 
@@ -131,44 +129,53 @@ class Gateway:
         if self.config.stores:
             self.store = await self._open_store(stack)
         limits = Limits(max_message_bytes=settings.max_message_bytes, budget=self.budget)
-        links = [url for url in settings.listen if not is_iort(url)]
-        if links:
-            server = RosbridgeServer(
-                self.hubs[settings.graphs[0]],
-                self.registry,
-                gateway_id=self.gateway_id,
-                name=settings.name,
-                node=self._node,
-                limits=limits,
-                entrance=self._entrance,
-                reasons=self.missing,
-                unregister_timeout_s=settings.clients.unregister_timeout_s,
-                call_timeout_s=settings.clients.call_timeout_s,
-                params_timeout_s=settings.clients.params_timeout_s,
-                silence_s=settings.clients.silence_s,
-                ping_interval_s=settings.clients.ping_interval_s,
-                cancel_goals=settings.clients.cancel_goals,
-                publish_clients=settings.clients.publish_clients,
-                publish_rosout=settings.clients.publish_rosout,
-                pages=None if self.store is None else StorePages(self.store, self.registry),
-            )
-            stack.push_async_callback(server.close)
-            self.servers.append(server)
-            for url in links:
-                secure = self._tls if is_secure(url) else None
-                address = url + settings.clients.path.removesuffix("/")
-                try:
-                    await server.listen(address, ssl_context=secure, reuse_port=self._reuse_port)
-                except ConnectFailed as error:
-                    if not self.config.only_dials:
-                        raise
-                    self._without_listener = True
-                    log.warning('%s; going on without it, since "listen" names none ([] asks for none)', error)
-                if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
-                    log.warning("%s: tokens are sent unencrypted here; wss:// would encrypt them", url)
+        await self._bring_up_server(stack, limits)
         await self._bring_up_nodes(stack)
         await self._bring_up_remotes(stack, limits)
         stack.push_async_callback(Supervised(self._update_meters, "gateway meters").start().close)
+
+    async def _bring_up_server(self, stack: AsyncExitStack, limits: Limits) -> None:
+        """Listen for rosbridge clients and gateways."""
+        settings = self.config.gateway
+        links = [url for url in settings.listen if not is_iort(url)]
+        if not links:
+            return
+        from ropeway.listener.store_pages import StorePages
+        from ropeway.networks.rosbridge.server import RosbridgeServer  # a gateway that only dials does not need it
+
+        server = RosbridgeServer(
+            self.hubs[settings.graphs[0]],
+            self.registry,
+            gateway_id=self.gateway_id,
+            name=settings.name,
+            node=self._node,
+            limits=limits,
+            entrance=self._entrance,
+            reasons=self.missing,
+            unregister_timeout_s=settings.clients.unregister_timeout_s,
+            call_timeout_s=settings.clients.call_timeout_s,
+            params_timeout_s=settings.clients.params_timeout_s,
+            silence_s=settings.clients.silence_s,
+            ping_interval_s=settings.clients.ping_interval_s,
+            cancel_goals=settings.clients.cancel_goals,
+            publish_clients=settings.clients.publish_clients,
+            publish_rosout=settings.clients.publish_rosout,
+            pages=None if self.store is None else StorePages(self.store, self.registry),
+        )
+        stack.push_async_callback(server.close)
+        self.servers.append(server)
+        for url in links:
+            secure = self._tls if is_secure(url) else None
+            address = url + settings.clients.path.removesuffix("/")
+            try:
+                await server.listen(address, ssl_context=secure, reuse_port=self._reuse_port)
+            except ConnectFailed as error:
+                if not self.config.only_dials:
+                    raise
+                self._without_listener = True
+                log.warning('%s; going on without it, since "listen" names none ([] asks for none)', error)
+            if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
+                log.warning("%s: tokens are sent unencrypted here; wss:// would encrypt them", url)
 
     async def _open_graph(self, network: GraphConfig) -> Graph:
         """Open one of our graphs, waiting for a ROS 1 master that starts a little later than its robot's gateway."""
@@ -194,6 +201,8 @@ class Gateway:
             await asyncio.sleep(_MASTER_PAUSE_S)
 
     async def _open_store(self, stack: AsyncExitStack) -> Store:
+        from ropeway.store import Store, default_path, make_backend, make_mirror
+
         config = self.config.gateway.store or StoreConfig.model_validate({})
         mirror = None if config.mongodb is None else make_mirror(config.mongodb)
         backend = make_backend(config.path or default_path(self.config.gateway.name))
@@ -209,6 +218,8 @@ class Gateway:
         if not urls:
             return
         assert self.store is not None
+        from ropeway.gateway.nodes import Nodes
+
         hub = self.hubs[settings.graphs[0]]
         into, out_of = hub.view("from nodes"), hub.view("to nodes")
         stack.push_async_callback(into.close)
@@ -257,6 +268,8 @@ class Gateway:
                 await group.listen(self._view(stack, views, config.graph or self.config.gateway.graphs[0], config))
                 stack.push_async_callback(group.close)
             if config.automatic is not None and isinstance(remote, OverlayRemote):
+                from ropeway.gateway.automatic import Automatic
+
                 url = config.graph or self.config.gateway.graphs[0]
                 view = self._view(stack, views, url, config)
                 remote.automatic = Automatic(view, remote.graph, config, f"remotes[{index}].automatic", url)
@@ -274,10 +287,14 @@ class Gateway:
         if not route.store:
             return None
         assert self.store is not None
+        from ropeway.gateway.last_value import LastValue, key_of
+
         return LastValue(self.store, *key_of(route.name, self.config.gateway.name), route.type)
 
     def _iort_remote(self, config: RemoteConfig, index: int) -> IortRemote:
-        from ropeway.networks.iort import IortGraph, Maps, RemoteLink
+        from ropeway.networks.iort.graph import IortGraph
+        from ropeway.networks.iort.links import RemoteLink
+        from ropeway.networks.iort.maps import Maps
 
         shown = read_credentials(config, index)
         name = self.config.gateway.name

@@ -9,9 +9,12 @@ from ropeway.bridge.topic import TopicBridge
 from ropeway.errors import TypesError
 from ropeway.fault_log import FaultLog
 from ropeway.graph.base import Graph, GraphEvent
-from ropeway.networks.iort import IortGraph, LocalLink, Maps, Space, TopicMap
 from ropeway.networks.iort.forms import default_form
+from ropeway.networks.iort.graph import IortGraph
+from ropeway.networks.iort.links import LocalLink
+from ropeway.networks.iort.maps import Maps, TopicMap
 from ropeway.networks.iort.server import IortServer
+from ropeway.networks.iort.space import Space
 from ropeway.qos import LATCHED
 from ropeway.tasks import Supervised, describe
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Final
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
-from ropeway.gateway.automatic import Automatic
 from ropeway.gateway.config.config import Route
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.credentials import Credentials
@@ -17,7 +16,9 @@ from ropeway.listener.http import without_token
 from ropeway.networks.rosbridge.client import RosbridgeGraph
 
 if TYPE_CHECKING:
-    from ropeway.networks.iort import IortGraph, RemoteLink
+    from ropeway.gateway.automatic import Automatic
+    from ropeway.networks.iort.graph import IortGraph
+    from ropeway.networks.iort.links import RemoteLink
     from ropeway.networks.overlay.graph import OverlayGraph
 
 __all__ = [

@@ -16,8 +16,6 @@ from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from typing import Any, Final
 
-import yaml
-
 from ropeway.errors import ValueMismatch
 from ropeway.graph.base import Graph, resolve_name
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request, ServiceInfo
@@ -138,6 +136,8 @@ def parse_value(text: str) -> ParameterValue:
 
     The text is read as YAML; what is neither a bool, a number, a text nor a list of one of these stays a text.
     """
+    import yaml  # a megabyte that a gateway does not need
+
     try:
         value = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError):

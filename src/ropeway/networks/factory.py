@@ -118,7 +118,8 @@ def _group(url: str, **options: Any) -> Graph:
 
 def _iort(url: str, query: dict[str, str], name: str, registry: TypeRegistry | None) -> Graph:
     """Make the graph of the topics of robots at a server; the token is that of ``ROPEWAY_TOKEN``."""
-    from ropeway.networks.iort import IortGraph, RemoteLink
+    from ropeway.networks.iort.graph import IortGraph
+    from ropeway.networks.iort.links import RemoteLink
 
     _no_more(url, query)
     address = url.partition("?")[0]

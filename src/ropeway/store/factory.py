@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Final
 
 from ropeway.store.entry import Backend, SharedBackend
-from ropeway.store.files import FilesBackend
-from ropeway.store.sqlite import SqliteBackend
 
 __all__ = ["default_path", "is_mongo", "make_backend", "make_mirror"]
 
@@ -27,11 +25,13 @@ def make_backend(url: str) -> Backend:
     """
     if is_mongo(url):
         return make_mirror(url)
-    if url == "memory:":
-        return SqliteBackend(":memory:")
-    if url.endswith("/") or Path(url).expanduser().is_dir():
+    if url != "memory:" and (url.endswith("/") or Path(url).expanduser().is_dir()):
+        from ropeway.store.files import FilesBackend
+
         return FilesBackend(url)
-    return SqliteBackend(url)
+    from ropeway.store.sqlite import SqliteBackend
+
+    return SqliteBackend(":memory:" if url == "memory:" else url)
 
 
 def make_mirror(url: str) -> SharedBackend:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, NoReturn
 
 import cbor2
-import numpy as np
 import orjson
 
 from ropeway.errors import InvalidFrame
@@ -93,10 +92,9 @@ def _object_in(value: Any) -> dict[Any, Any] | None:
 
 
 _HALF_PAIR: Final = re.compile(r"\\u[dD][89a-fA-F]")
-_NOT_BRACKETS: Final = bytes(set(range(256)) - set(b"{}[]"))
-_STEPS: Final = np.zeros(256, np.int8)
-_STEPS[list(b"{[")] = 1
-_STEPS[list(b"}]")] = -1
+_NO_MARK: Final = bytes(set(range(256)) - set(b'{}[]"'))
+_ONE_KIND: Final = bytes.maketrans(b"{}", b"[]")
+_TEXT: Final = re.compile(rb'"[^"]*"')
 
 
 def _check_depth(data: bytes | bytearray | memoryview | str, value: Any, limit: int) -> None:
@@ -111,22 +109,23 @@ def _check_depth(data: bytes | bytearray | memoryview | str, value: Any, limit: 
         while at >= 0 and count <= limit:
             count += 1
             at = raw.find(bracket, at + 1)
-    if count <= limit:
-        return
-    steps = _STEPS[np.frombuffer(raw.translate(None, _NOT_BRACKETS), np.uint8)]
-    if np.cumsum(steps, dtype=np.int32).max(initial=0) <= limit:
-        return
-    level = [value]  # brackets in texts may have misled us
+    if count > limit and _is_deeper(_brackets(raw), limit):
+        raise InvalidFrame(f"containers are nested more than {limit} deep", len(raw), message=_object_in(value))
+
+
+def _brackets(raw: bytes) -> bytes:
+    """Return the brackets of a JSON text, those in its texts left out, all of one kind."""
+    if b"\\" in raw:
+        raw = raw.replace(rb"\\", b"").replace(rb"\"", b"")
+    marks = raw.translate(_ONE_KIND, _NO_MARK).replace(b'""', b"")  # texts without brackets
+    return _TEXT.sub(b"", marks) if b'"' in marks else marks
+
+
+def _is_deeper(brackets: bytes, limit: int) -> bool:
+    """Return whether brackets are nested deeper than ``limit``; the innermost level goes first."""
     for _ in range(limit):
-        level = [
-            item
-            for container in level
-            for item in (container.values() if isinstance(container, dict) else container)
-            if isinstance(item, (dict, list))
-        ]
-        if not level:
-            return
-    raise InvalidFrame(f"containers are nested more than {limit} deep", len(raw), message=_object_in(value))
+        brackets = brackets.replace(b"[]", b"")
+    return bool(brackets)
 
 
 def _short(error: Exception) -> str:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ropeway.delivery.compression import planes
-from ropeway.delivery.compression.arrays import BYTES, NUMBERS, RECORDS, Array
+from ropeway.delivery.compression.arrays import BYTES, CONSTANT, NUMBERS, RECORDS, UPPER, Array
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
@@ -40,7 +40,7 @@ def test_the_upper_neighbour_is_used_where_it_helps() -> None:
     y, x = np.mgrid[:100, :200]
     slope = (x * (y // 10) // 4 + x * x // 50).astype(np.uint16)
     noise = rng.integers(0, 50, 20_000).astype(np.uint16)
-    for values, flag in ((slope, planes.UPPER), (noise, 0)):
+    for values, flag in ((slope, UPPER), (noise, 0)):
         assert planes.encode(values.tobytes(), Array(NUMBERS, 0, 20_000, width=200)).flags == flag
         data = values.astype(np.uint8).tobytes()
         assert planes.encode(data, Array(BYTES, 0, 20_000, width=200)).flags == flag
@@ -56,7 +56,7 @@ def test_columns_are_coded_as_they_are() -> None:
     columns[:, 3] = 5
     columns[1, 3] = 6
     parts = planes.encode(columns.tobytes(), Array(RECORDS, 0, 1000, width=16))
-    assert parts.modes[:3] == bytes([planes.CONSTANT, 1, 0])
-    assert parts.modes[3] != planes.CONSTANT
+    assert parts.modes[:3] == bytes([CONSTANT, 1, 0])
+    assert parts.modes[3] != CONSTANT
     assert parts.constants == b"\7\0\0\0"
     assert len(parts.planes) == 12

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from ropeway.errors import ConfigError
-from ropeway.gateway.config.document import read_file, read_yaml
+from ropeway.gateway.config.document import read_file
+from ropeway.gateway.config.yaml_text import read_yaml
 
 __all__ = ["RosArgs", "split"]
 

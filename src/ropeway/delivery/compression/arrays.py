@@ -11,13 +11,34 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-__all__ = ["BYTES", "MAX_STEP", "NUMBERS", "RECORDS", "Array", "find"]
+__all__ = [
+    "BYTES",
+    "CONSTANT",
+    "GREEN",
+    "MAX_STEP",
+    "MIN_WIDTH",
+    "NUMBERS",
+    "RECORDS",
+    "UPPER",
+    "Array",
+    "filtered",
+    "find",
+]
 
 Data: TypeAlias = bytes | bytearray | memoryview
 
 BYTES: Final = 2
 NUMBERS: Final = 3
 RECORDS: Final = 4
+
+GREEN: Final = 1
+"""Flag: channel 1 was taken off channels 0 and 2."""
+UPPER: Final = 2
+"""Flag: the upper neighbour's difference was taken off as well."""
+MIN_WIDTH: Final = 64
+"""Elements of a row with the flag ``UPPER``; bounds the loops over rows by the size of the data."""
+CONSTANT: Final = 2
+"""Column mode: all records have the same value."""
 
 MAX_STEP: Final = 256
 """Bytes of a record."""
@@ -49,6 +70,11 @@ class Array:
     def length(self) -> int:
         """The size of the whole array in bytes."""
         return self.count * self.element_bytes
+
+
+def filtered(type: str) -> bool:
+    """Return whether messages of a type may have an array that a filter makes smaller."""
+    return type in _FINDERS
 
 
 def find(payload: Data, type: str) -> Array | None:

@@ -22,15 +22,30 @@ one that is no valid message of its type: what a filter does not understand lies
 
 from __future__ import annotations
 
+import functools
 import struct
+import threading
+from types import ModuleType
 from typing import Final
 
-from ropeway.delivery.compression import planes, zstd
-from ropeway.delivery.compression.arrays import BYTES, MAX_STEP, NUMBERS, RECORDS, Array, Data, find
-from ropeway.delivery.compression.planes import CONSTANT, GREEN, MIN_WIDTH, UPPER, contexts
+from ropeway.delivery.compression import zstd
+from ropeway.delivery.compression.arrays import (
+    BYTES,
+    CONSTANT,
+    GREEN,
+    MAX_STEP,
+    MIN_WIDTH,
+    NUMBERS,
+    RECORDS,
+    UPPER,
+    Array,
+    Data,
+    filtered,
+    find,
+)
 from ropeway.errors import DecodeError, MessageTooBig
 
-__all__ = ["LIMIT_BYTES", "decode", "encode"]
+__all__ = ["LIMIT_BYTES", "decode", "encode", "prepare"]
 
 LIMIT_BYTES: Final = 64 << 20
 """The largest payload that ``decode`` makes unless told otherwise."""
@@ -41,13 +56,43 @@ _HEADER: Final = struct.Struct("<BBBxIIII")  # filter, channels, flags, head len
 _LENGTH: Final = struct.Struct("<I")
 
 
+class _Plain(threading.local):
+    """Holds the compressor of one thread for what is not filtered."""
+
+    def __init__(self) -> None:
+        self.compress = zstd.Compressor(level=1).compress
+
+
+_plain: Final = _Plain()
+
+
+def prepare(type: str) -> None:
+    """Load, in a thread, what messages of a type need to be filtered, so that the first of them does not wait for it.
+
+    It is numpy, which a gateway without images and point clouds does without.
+    """
+    if filtered(type):
+        _load_soon()
+
+
+@functools.cache
+def _load_soon() -> None:
+    threading.Thread(target=_planes, name="ropeway filters").start()
+
+
+def _planes() -> ModuleType:
+    from ropeway.delivery.compression import planes
+
+    return planes
+
+
 def encode(payload: Data, type: str) -> bytes:
     """Return the ``zstd`` body of a payload of the message ``type`` (``pkg/msg/Name``); any bytes are accepted."""
     array = find(payload, type)
     if array is None:
-        frame = contexts.plain.compress(payload)
+        frame = _plain.compress(payload)
         return _PLAIN + frame if len(frame) < len(payload) else _STORED + payload
-    parts = planes.encode(payload, array)
+    parts = _planes().encode(payload, array)
     head, tail = payload[: array.start], payload[array.start + array.length :]
     header = _HEADER.pack(array.filter, array.channels, parts.flags, len(head), len(tail), array.width, array.count)
     pieces: list[Data] = [header, parts.modes, parts.constants, head, tail]
@@ -84,7 +129,7 @@ def decode(body: Data, limit_bytes: int = LIMIT_BYTES) -> bytes:
     modes = cursor.take(width // 4 if kind == RECORDS else 0)
     constants = cursor.take(4 * bytes(modes).count(CONSTANT))
     head, tail = cursor.take(head_size), cursor.take(tail_size)
-    data = planes.decode(array, flags, modes, constants, lambda: cursor.plane(count))
+    data = _planes().decode(array, flags, modes, constants, lambda: cursor.plane(count))
     cursor.finish()
     return b"".join((head, data, tail))
 

@@ -14,31 +14,22 @@ import numpy as np
 import numpy.typing as npt
 
 from ropeway.delivery.compression import zstd
-from ropeway.delivery.compression.arrays import BYTES, NUMBERS, Array, Data
+from ropeway.delivery.compression.arrays import BYTES, CONSTANT, GREEN, MIN_WIDTH, NUMBERS, UPPER, Array, Data
 from ropeway.delivery.compression.zstd import Parameter, Strategy
 from ropeway.errors import DecodeError
 
-__all__ = ["CONSTANT", "GREEN", "MIN_WIDTH", "UPPER", "EncodedArray", "contexts", "decode", "encode"]
+__all__ = ["EncodedArray", "decode", "encode"]
 
 _U8: TypeAlias = npt.NDArray[np.uint8]
 _U16: TypeAlias = npt.NDArray[np.uint16]
 _U32: TypeAlias = npt.NDArray[np.uint32]
 _U64: TypeAlias = npt.NDArray[np.uint64]
 
-GREEN: Final = 1
-"""Flag: channel 1 was taken off channels 0 and 2."""
-UPPER: Final = 2
-"""Flag: the upper neighbour's difference was taken off as well."""
-MIN_WIDTH: Final = 64
-"""Elements of a row with the flag ``UPPER``; bounds the loops over rows by the size of the data."""
-
 _KEPT_BYTES: Final = 8 << 20  # larger arrays are rare; a thread gives their memory back
 _SAMPLE: Final = 256  # records looked at to choose how each column is coded
 
 _RAW: Final = 0
 _DELTA: Final = 1
-CONSTANT: Final = 2
-"""Column mode: all records have the same value."""
 _BIAS: Final = np.uint32(0x00808080)  # centres the lower bytes of small differences, so that the upper stay 0
 
 
@@ -46,7 +37,6 @@ class _Contexts(threading.local):
     """Holds what is costly to make and serves one thread at a time: compression contexts and working memory."""
 
     def __init__(self) -> None:
-        self.plain = zstd.Compressor(level=1)
         # Differences repeat by chance only: a tiny match table leaves nearly all to the entropy coder, which on
         # the recordings gives both a better ratio and more speed than level 1.
         self.plane = zstd.Compressor(
@@ -75,7 +65,7 @@ class _Contexts(threading.local):
         return memory[:size].view(dtype).reshape(shape)
 
 
-contexts: Final = _Contexts()
+_contexts: Final = _Contexts()
 
 
 class EncodedArray(NamedTuple):
@@ -112,12 +102,12 @@ def decode(array: Array, flags: int, modes: Data, constants: Data, take: Callabl
 
 
 def _compress(plane: _U8) -> bytes:
-    return contexts.plane.compress(plane.data)
+    return _contexts.plane.compress(plane.data)
 
 
 def _encode_bytes(pixels: _U8, width: int, green: bool) -> EncodedArray:
     count, channels = pixels.shape
-    planes: _U8 = contexts.array("planes", (channels, count), np.uint8)
+    planes: _U8 = _contexts.array("planes", (channels, count), np.uint8)
     for i in range(channels):
         np.copyto(planes[i], pixels[:, i])
     if green:
@@ -129,10 +119,10 @@ def _encode_bytes(pixels: _U8, width: int, green: bool) -> EncodedArray:
 
 
 def _encode_numbers(numbers: _U16, width: int) -> EncodedArray:
-    values: _U16 = contexts.array("planes", numbers.shape, np.uint16)
+    values: _U16 = _contexts.array("planes", numbers.shape, np.uint16)
     np.copyto(values, numbers)
     deltas, upper = _differences(values, width)
-    signs = values if deltas is not values else contexts.array("deltas", numbers.shape, np.uint16)
+    signs = values if deltas is not values else _contexts.array("deltas", numbers.shape, np.uint16)
     np.right_shift(deltas.view(np.int16), 15, out=signs.view(np.int16))  # all ones where negative
     deltas <<= 1
     deltas ^= signs
@@ -140,7 +130,7 @@ def _encode_numbers(numbers: _U16, width: int) -> EncodedArray:
 
 
 def _byte_planes(rows: _U8) -> list[bytes]:
-    plane: _U8 = contexts.array("plane", rows.shape[:1], np.uint8)
+    plane: _U8 = _contexts.array("plane", rows.shape[:1], np.uint8)
     frames: list[bytes] = []
     for i in range(rows.shape[1]):
         np.copyto(plane, rows[:, i])
@@ -154,7 +144,7 @@ def _differences(values: npt.NDArray[Any], width: int) -> tuple[npt.NDArray[Any]
 
     The rows of all planes follow each other as if they were one image.
     """
-    deltas = contexts.array("deltas", values.shape, values.dtype)
+    deltas = _contexts.array("deltas", values.shape, values.dtype)
     _take_off(values, 1, deltas)
     if not _upper_helps(deltas, width):
         return deltas, False
@@ -189,8 +179,8 @@ def _encode_records(records: _U8) -> EncodedArray:
     count, step = records.shape
     columns = _columns(records)
     modes = _choose_modes(columns)
-    column: _U32 = contexts.array("planes", (count,), "<u4")
-    delta: _U32 = contexts.array("deltas", (count,), "<u4")
+    column: _U32 = _contexts.array("planes", (count,), "<u4")
+    delta: _U32 = _contexts.array("deltas", (count,), "<u4")
     constants: list[bytes] = []
     frames: list[bytes] = []
     for index, mode in enumerate(modes):
@@ -246,7 +236,7 @@ def _plane(take: Callable[[], Data]) -> _U8:
 
 def _decode_bytes(array: Array, flags: int, take: Callable[[], Data]) -> _U8:
     channels, count = array.channels, array.count
-    padded: _U8 = contexts.array("planes", (_padded(channels * count),), np.uint8)
+    padded: _U8 = _contexts.array("planes", (_padded(channels * count),), np.uint8)
     values = padded[: channels * count]
     planes = values.reshape(channels, count)
     for plane in planes:
@@ -259,7 +249,7 @@ def _decode_bytes(array: Array, flags: int, take: Callable[[], Data]) -> _U8:
         planes[2] += planes[1]
     if channels == 1:
         return values
-    pixels: _U8 = contexts.array("pixels", (count, channels), np.uint8)
+    pixels: _U8 = _contexts.array("pixels", (count, channels), np.uint8)
     for i in range(channels):
         np.copyto(pixels[:, i], planes[i])
     return pixels
@@ -267,8 +257,8 @@ def _decode_bytes(array: Array, flags: int, take: Callable[[], Data]) -> _U8:
 
 def _decode_numbers(array: Array, flags: int, take: Callable[[], Data]) -> _U8:
     count = array.count
-    folded: _U16 = contexts.array("planes", (_padded(count),), np.uint16)
-    numbers: _U16 = contexts.array("pixels", (_padded(count),), np.uint16)
+    folded: _U16 = _contexts.array("planes", (_padded(count),), np.uint16)
+    numbers: _U16 = _contexts.array("pixels", (_padded(count),), np.uint16)
     planes = folded.view(np.uint8).reshape(-1, 2)
     planes[:count, 0] = _plane(take)
     planes[:count, 1] = _plane(take)
@@ -284,9 +274,9 @@ def _decode_numbers(array: Array, flags: int, take: Callable[[], Data]) -> _U8:
 
 def _decode_records(array: Array, modes: Data, constants: Data, take: Callable[[], Data]) -> _U8:
     count, step = array.count, array.width
-    records: _U8 = contexts.array("pixels", (count, step), np.uint8)
+    records: _U8 = _contexts.array("pixels", (count, step), np.uint8)
     columns = _columns(records)
-    column: _U32 = contexts.array("planes", (count,), "<u4")
+    column: _U32 = _contexts.array("planes", (count,), "<u4")
     planes = column.view(np.uint8).reshape(count, 4)
     known = iter(np.frombuffer(constants, "<u4"))
     for index, mode in enumerate(modes):
@@ -352,7 +342,7 @@ def _add_left(words: _U64, bits: int) -> None:
     """
     width, mask, ones, last, low = _LANES[bits]
     size = min(_CHUNK, words.size)
-    scratch: _U64 = contexts.array("lanes", (3, size + 1), np.uint64)
+    scratch: _U64 = _contexts.array("lanes", (3, size + 1), np.uint64)
     scratch[2, 0] = 0
     for start in range(0, words.size, _CHUNK):
         word = words[start : start + _CHUNK]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from pydantic import (
     AfterValidator,
@@ -24,11 +23,12 @@ from ropeway.gateway.config.document import read_file
 from ropeway.gateway.config.fields import Many, Model
 from ropeway.gateway.config.suggest import did_you_mean, one_of, show
 from ropeway.graph.base import resolve_name
-from ropeway.iort import KINDS
 from ropeway.networks.iort.forms import FORMS
-from ropeway.networks.iort.maps import TopicMap
-from ropeway.store import StoreLimits
 from ropeway.types.definition import canonical_name
+
+if TYPE_CHECKING:
+    from ropeway.networks.iort.maps import TopicMap
+    from ropeway.store import StoreLimits
 
 __all__ = ["DIRECTIONS", "IortConfig", "MapItem", "MapList", "StoreConfig", "robots"]
 
@@ -38,6 +38,8 @@ _MIB: Final = 1 << 20
 
 def robots() -> dict[str, Any]:
     """Return the maps that come with Ropeway, by name: those of the IoRT paper's five robots."""
+    from importlib import resources
+
     folder = resources.files("ropeway.networks.iort") / "robots"
     return {entry.name.removesuffix(".yaml"): entry for entry in folder.iterdir() if entry.name.endswith(".yaml")}
 
@@ -45,6 +47,8 @@ def robots() -> dict[str, Any]:
 def _read_maps(text: str, directory: Path) -> list[object]:
     known = robots()
     if text in known:
+        from importlib import resources
+
         with resources.as_file(known[text]) as path:
             found = read_file(path)
     else:
@@ -90,6 +94,20 @@ def _identifier(value: str) -> str:
     if len(value) != 2 or not (value.isascii() and value.isdigit()):
         raise ValueError(f'expected the two digits that packets of a node begin with, such as "01", got {show(value)}')
     return value
+
+
+def _kind(value: str) -> str:
+    from ropeway.iort import KINDS  # the library of nodes, for those who have some
+
+    if value not in KINDS:
+        raise ValueError(one_of(value, KINDS))
+    return value
+
+
+def _kinds(schema: dict[str, Any]) -> None:
+    from ropeway.iort import KINDS
+
+    schema["additionalProperties"] = {"enum": list(KINDS)}
 
 
 def _codes(value: object) -> object:
@@ -151,6 +169,8 @@ class MapItem(Model):
 
     def as_map(self) -> TopicMap:
         """Return the map in the form that the graph uses."""
+        from ropeway.networks.iort.maps import TopicMap
+
         keys = ("fields", "codes", "send", "deadband", "field", "rate_rad_s", "hold_s", "step_deg")
         options = {key: value for key in keys if (value := getattr(self, key)) is not None}
         return TopicMap(
@@ -193,10 +213,10 @@ class IortConfig(Model):
     maps: MapList = Field(
         (), description="topics that are shared with ROS: maps, files of them, or names of robots such as alice"
     )
-    kinds: dict[Annotated[str, AfterValidator(_identifier)], Annotated[str, _one_of(KINDS)]] = Field(
+    kinds: dict[Annotated[str, AfterValidator(_identifier)], Annotated[str, AfterValidator(_kind)]] = Field(
         default_factory=dict,
         description="what plain nodes are, robot or pc, by their identifiers; those of the node library tell it",
-        json_schema_extra={"additionalProperties": {"enum": list(KINDS)}},
+        json_schema_extra=_kinds,
     )
     max_packet_bytes: int = Field(_MIB, ge=1024, description="a longer packet is refused")
     max_nodes: int = Field(10_000, ge=1, description="how many may be connected at a time")
@@ -221,4 +241,6 @@ class StoreConfig(Model):
 
     def limits(self) -> StoreLimits:
         """Return the limits in the form that the store uses."""
+        from ropeway.store import StoreLimits
+
         return StoreLimits(self.max_value_bytes, self.max_values, self.max_bytes, self.max_age_s, self.history)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import json
 import logging
 import signal
@@ -50,6 +51,7 @@ async def _run(order: dict[str, Any], stdin: asyncio.StreamReader) -> int:
         async with gateway:
             asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, _reload, gateway)
             _say({"ready": True})
+            gc.freeze()  # as ``ropeway run`` does
             gone = asyncio.create_task(stdin.read())
             while not gone.done():
                 _say({"status": gateway.status()})

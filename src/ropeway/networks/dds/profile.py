@@ -16,7 +16,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
-from xml.sax.saxutils import quoteattr
 
 from ropeway.errors import GraphUnavailable
 
@@ -32,12 +31,20 @@ _MAX_PARTICIPANT_INDEX: Final = 119
 _RANGES: Final = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 
 
+_ENTITIES: Final = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"})
+
+
 @dataclass(frozen=True, slots=True)
 class Profile:
     """The configuration of one domain: ``xml`` is what Cyclone DDS reads, ``interface`` what the user asked for."""
 
     xml: str
     interface: str = ""
+
+
+def _quoted(text: str) -> str:
+    """Return a text as the value of an attribute; the module of the standard library loads ``urllib.request``."""
+    return f'"{text.translate(_ENTITIES)}"'
 
 
 def make_profile(graph: str, interface: str | None = None, environ: Mapping[str, str] | None = None) -> Profile:
@@ -85,9 +92,7 @@ def make_profile(graph: str, interface: str | None = None, environ: Mapping[str,
         discovery = [
             "<ParticipantIndex>auto</ParticipantIndex>",
             f"<MaxAutoParticipantIndex>{_MAX_PARTICIPANT_INDEX}</MaxAutoParticipantIndex>",
-            f"<Peers>{''.join(f'<Peer Address={quoteattr(p)}/>' for p in dict.fromkeys(peers))}</Peers>"
-            if peers
-            else "",
+            f"<Peers>{''.join(f'<Peer Address={_quoted(p)}/>' for p in dict.fromkeys(peers))}</Peers>" if peers else "",
         ]
     internal = [
         # No minimum: where net.core.rmem_max is lower, a smaller buffer is better than no domain.
@@ -160,7 +165,7 @@ def _is_loopback(host: str) -> bool:
 def _interface_element(graph: str, interface: str) -> str:
     known = [name for _, name in socket.if_nameindex()]
     if interface in known:
-        return f"<NetworkInterface name={quoteattr(interface)}/>"
+        return f"<NetworkInterface name={_quoted(interface)}/>"
     try:
         address = ipaddress.ip_address(interface)
     except ValueError:
@@ -173,7 +178,7 @@ def _interface_element(graph: str, interface: str) -> str:
         raise GraphUnavailable(
             graph, f"no network interface of this machine has the address {address}; see `ip addr`, or leave it out"
         )
-    return f"<NetworkInterface address={quoteattr(str(address))}/>"
+    return f"<NetworkInterface address={_quoted(str(address))}/>"
 
 
 def _is_own(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> bool:

@@ -35,6 +35,8 @@ class TopicPacking:
         self._taken = Pace()
         self._chooser = EncodingChooser(self) if encoding == "auto" else None
         self._sent = 0
+        if self.on or self._chooser is not None:
+            filters.prepare(type)
 
     @property
     def bytes_per_s(self) -> float | None:

@@ -168,6 +168,8 @@ class Channel(Stream[Outgoing]):
         self.encoding = encoding
         self.codec = codec
         self.chooser: EncodingChooser | None = None
+        if encoding in ("auto", "zstd"):
+            filters.prepare(type)
         if encoding == "auto" and sender.records:
             self.chooser = EncodingChooser(sender.connection.flow.model)
         if used == "cbor-raw":

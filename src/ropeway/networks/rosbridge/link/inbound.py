@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
+from ropeway.delivery.compression import filters
 from ropeway.errors import MessageTooBig, TypesError
 from ropeway.graph.base import Sample
 from ropeway.networks.rosbridge.protocol import codec as wire_codec
@@ -29,6 +30,7 @@ class Inbound(ABC):
         self.used = used
         self._peer = peer
         self._deliver = deliver
+        filters.prepare(type)
 
     def arrived(self, arrivals: Sequence[Arrival]) -> None:
         """Deliver messages that came in records."""

@@ -31,7 +31,6 @@ import orjson
 
 from ropeway.delivery.compression import filters
 from ropeway.errors import DecodeError, InvalidFrame, MessageTooBig
-from ropeway.networks.rosbridge.protocol import png
 from ropeway.networks.rosbridge.protocol.dialect import ROSBRIDGE, Dialect
 from ropeway.networks.rosbridge.protocol.frames import JsonAssembler
 from ropeway.networks.rosbridge.protocol.operations import Operation
@@ -162,7 +161,19 @@ def _bytes(data: bytes) -> tuple[bytes, bytes]:
 
 
 def _png_frame(text: bytes) -> bytes:
-    return b'{"op":"png","data":"' + binascii.b2a_base64(png.pack(text), newline=False) + b'"}'
+    return b'{"op":"png","data":"' + binascii.b2a_base64(_to_png(text), newline=False) + b'"}'
+
+
+def _to_png(text: bytes) -> bytes:
+    from ropeway.networks.rosbridge.protocol import png  # loads numpy, which the other encodings do without
+
+    return png.pack(text)
+
+
+def _of_png(image: bytes | memoryview, limit_bytes: int) -> bytes:
+    from ropeway.networks.rosbridge.protocol import png
+
+    return png.unpack(image, limit_bytes=limit_bytes)
 
 
 def encode_msg(
@@ -194,7 +205,7 @@ def encode_msg(
     if encoding == "zip":
         return _lz4(_cbor(payload, codec, tagged))
     if encoding == "png":
-        return png.pack(_need(codec, encoding).json(payload))
+        return _to_png(_need(codec, encoding).json(payload))
     raise ValueError(f"{encoding!r} is not an encoding; there are {', '.join(ENCODINGS)}")
 
 
@@ -287,7 +298,7 @@ def decode_msg(encoding: str, body: Data, codec: MessageCodec | None, *, limit_b
         if encoding == "zip":
             return codec.from_cbor(cbor_loads(_unlz4(body, limit_bytes)))
         if encoding == "png":
-            return codec.from_json(json_loads(png.unpack(memoryview(body), limit_bytes=limit_bytes)))
+            return codec.from_json(json_loads(_of_png(memoryview(body), limit_bytes)))
     except InvalidFrame as error:
         raise DecodeError(codec.type, encoding, error.reason) from None
     raise DecodeError(codec.type, encoding, "there is no such encoding")
@@ -352,7 +363,7 @@ def unpack_png(data: str, *, limit_bytes: int = LIMIT_BYTES) -> bytes:
         image = binascii.a2b_base64(data)
     except ValueError as error:
         raise DecodeError("message", "png", str(error)) from None
-    return png.unpack(image, limit_bytes=limit_bytes)
+    return _of_png(image, limit_bytes)
 
 
 def _from_raw(raw: bytes, codec: MessageCodec | None) -> bytes:
