@@ -64,7 +64,7 @@ class Robot:
         self.world = world
         self.found: list[tuple[int, str]] = []
 
-    async def start(self, edges: Sequence[Edge], **anycast: Any) -> None:
+    async def start(self, edges: Sequence[Edge], *, barred: int = 0, **anycast: Any) -> None:
         remote = {
             "address": [url(edge.gateway) for edge in edges],
             "anycast": {"responses": {"camera": "found"}, "latency_bound": {"median": 0.3}} | anycast,
@@ -80,7 +80,7 @@ class Robot:
         await until(
             lambda: (
                 len(self.group["members"]) == len(edges)
-                and all(member["here"] for member in self.group["members"].values())
+                and sum(member["here"] for member in self.group["members"].values()) == len(edges) - barred
             )
         )
         await until(lambda: self.route("camera")["state"] == "active")

@@ -311,12 +311,12 @@ class Gateway:
 
         shown = read_credentials(config, index)
         links = {without_token(url): self._link_graph(config, url, shown, routes, limits) for url in config.addresses}
-        return LinkGroupRemote(config, links, routes, self.registry, shown)
+        return LinkGroupRemote(config, links, routes, self.registry, shown, self.config.gateway.name)
 
     def _overlay_group(self, config: RemoteConfig, routes: list[Route]) -> GroupRemote:
         from ropeway.gateway.group import OverlayGroupRemote
 
-        return OverlayGroupRemote(config, self._overlay_graph(config), routes, self.registry)
+        return OverlayGroupRemote(config, self._overlay_graph(config), routes, self.registry, self.config.gateway.name)
 
     def _link_graph(
         self, config: RemoteConfig, url: str, shown: Credentials, routes: list[Route], limits: Limits

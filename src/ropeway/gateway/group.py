@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Any, Final
 from ropeway.gateway.config.config import Route
 from ropeway.gateway.config.group_model import AnycastConfig
 from ropeway.gateway.config.model import RemoteConfig
+from ropeway.gateway.config.policy import policies_of
 from ropeway.gateway.credentials import Credentials
+from ropeway.gateway.group_states import GroupStates
 from ropeway.gateway.remote import NO_CREDENTIALS, Remote, link_state, link_status, overlay_state, shown_address
 from ropeway.graph.base import Graph, Sample, Subscription
 from ropeway.group.graph import Group
 from ropeway.networks.rosbridge.client import RosbridgeGraph
+from ropeway.networks.rosbridge.protocol.state_lease import StateLease
 from ropeway.types import TypeRegistry
 
 if TYPE_CHECKING:
@@ -39,28 +42,36 @@ class GroupRemote(Remote):
         config: RemoteConfig,
         routes: Sequence[Route],
         registry: TypeRegistry,
+        gateway: str,
         credentials: Credentials = NO_CREDENTIALS,
         **options: Any,
     ) -> None:
         super().__init__(config, credentials)
         anycast = config.anycast or AnycastConfig.model_validate({})
+        title = config.title or shown_address(config)
+        self.states = GroupStates(policies_of(config, gateway), self, registry, group=title)
         self.graph = Group(
-            name=config.title or shown_address(config),
-            exchanges=_exchanges(anycast.responses, routes),
+            name=title,
+            exchanges=_exchanges(anycast.pairs, routes),
             registry=registry,
+            first=self.states.first,
+            barred=self.states.barred,
             **anycast.group_options(),
             **options,
         )
+        self.graph.on_decision = self.states.changed
         self._latency_topic = anycast.latency_topic
         self._latencies: Subscription | None = None
 
     async def listen(self, view: Graph) -> None:
         """Read the topic of the local graph that tells latencies, where the configuration names one."""
+        self.states.start(view)
         if self._latency_topic is not None:
             self._latencies = await view.create_subscription(self._latency_topic, _LATENCY_TYPE, None, self._measured)
 
     async def close(self) -> None:
-        """Read it no longer."""
+        """Read it no longer, and tell no states."""
+        await self.states.close()
         if self._latencies is not None:
             await self._latencies.close()
 
@@ -79,8 +90,20 @@ class GroupRemote(Remote):
             "title": self.config.title,
             "state": self.state,
             "error": self.error,
-            "group": self.graph.status(),
+            "group": self.graph.status() | {"states": self.states.status()},
         }
+
+    def machines(self) -> Mapping[str, Graph]:
+        """Return the members that are reached, by name."""
+        return self.graph.reached()
+
+    def tell_state(self, name: str, state: str) -> None:
+        """Tell a member its state, where that is possible."""
+
+    @property
+    def current(self) -> str:
+        """The member in use."""
+        return self.graph.scheduler.current
 
     @property
     def error(self) -> str:
@@ -98,9 +121,10 @@ class LinkGroupRemote(GroupRemote):
         routes: Sequence[Route],
         registry: TypeRegistry,
         credentials: Credentials,
+        gateway: str,
     ) -> None:
-        super().__init__(config, routes, registry, credentials, members=links)
         self.links = dict(links)
+        super().__init__(config, routes, registry, gateway, credentials, members=links)
 
     def _renew(self, credentials: Credentials, anew: bool) -> None:
         for link in self.links.values():
@@ -122,6 +146,16 @@ class LinkGroupRemote(GroupRemote):
         members = [{"address": name, **link_status(link)} for name, link in self.links.items()]
         return {**super().status(), "members": members}
 
+    def machines(self) -> Mapping[str, Graph]:
+        """Return the links whose far side is reached."""
+        return {name: link for name, link in self.links.items() if link.peer is not None}
+
+    def tell_state(self, name: str, state: str) -> None:
+        """Tell the gateway there its state, if it is one that takes it."""
+        peer = self.links[name].peer
+        if peer is not None and peer.takes_states:
+            peer.send(StateLease.message(self.graph.name, state))
+
 
 class OverlayGroupRemote(GroupRemote):
     """The members of the overlay that offer the same, as one graph; they are called by the names in their
@@ -129,13 +163,18 @@ class OverlayGroupRemote(GroupRemote):
     """
 
     def __init__(
-        self, config: RemoteConfig, overlay: OverlayGraph, routes: Sequence[Route], registry: TypeRegistry
+        self,
+        config: RemoteConfig,
+        overlay: OverlayGraph,
+        routes: Sequence[Route],
+        registry: TypeRegistry,
+        gateway: str,
     ) -> None:
         from ropeway.networks.overlay.graph.pool import OverlayPool  # loads Zenoh, which other groups do not need
 
         assert config.anycast is not None
         roster = OverlayPool(overlay, config.anycast.members or ("*",))
-        super().__init__(config, routes, registry, members={}, roster=roster)
+        super().__init__(config, routes, registry, gateway, members={}, roster=roster)
         self.overlay = overlay
 
     @property

@@ -9,12 +9,11 @@ first.
 from __future__ import annotations
 
 import asyncio
-import enum
 import functools
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping
 from contextlib import AsyncExitStack
-from typing import Any, Final, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from ropeway.errors import GraphUnavailable, RopewayError
 from ropeway.graph.base import (
@@ -46,6 +45,7 @@ from ropeway.group.bound import LatencyBound
 from ropeway.group.calls import GroupClient, Ways
 from ropeway.group.discovery import all_actions, all_services, all_topics
 from ropeway.group.exchange import Exchange
+from ropeway.group.hedge import HedgeDelay, Policy
 from ropeway.group.offers import GroupActionServer, GroupService
 from ropeway.group.part import GroupPart
 from ropeway.group.roster import Roster
@@ -67,24 +67,6 @@ P = TypeVar("P", bound=GroupPart[Any])
 Make = Callable[[str, Graph], Awaitable[Any]]
 """Makes a part on a member."""
 
-HEDGE_PERCENT: Final = 95.0
-"""A second member is asked once the first takes longer than so many percent of its answers do: 5 % more requests."""
-
-HEDGE_SLACK: Final = 0.1
-HEDGE_LEAST_SLACK_S: Final = 0.001
-"""The least slack added to that: steady machines would otherwise be hedged by chance."""
-
-HEDGE_S: Final = 0.1
-"""When the second is asked while nothing is known of the first, and no bound says what is late."""
-
-
-class Policy(enum.Enum):
-    """Says which members get a request."""
-
-    ONE = "one"
-    HEDGE = "hedge"
-    ALL = "all"
-
 
 @runtime_checkable
 class Connecting(Protocol):
@@ -104,6 +86,8 @@ class Group(GraphBase):
     more than once.
     ``exchanges`` pairs topics: ``{"/yolo/input": "/yolo/output"}`` is asked on the first and answered on the second,
     which is how latencies of topics are known. Latencies of services and actions are measured without being asked for.
+    ``first`` is asked before anything is known; who is ``barred`` is connected, and asked nothing. ``on_decision`` is
+    called after each decision, and when members come and go.
     """
 
     kind = "group"
@@ -119,6 +103,8 @@ class Group(GraphBase):
         stateless: bool = False,
         exchanges: Mapping[str, str] | None = None,
         registry: TypeRegistry | None = None,
+        first: str = "",
+        barred: Collection[str] = (),
         options: Options = Options(),  # noqa: B008 - frozen
         clock: Callable[[], float] | None = None,
     ) -> None:
@@ -132,8 +118,12 @@ class Group(GraphBase):
         super().__init__(name)
         self.members = dict(members)
         self.policy, self.stateless = policy, stateless
-        self.scheduler = Scheduler(list(members), bound, stateless=stateless, options=options)
+        self.scheduler = Scheduler(list(members), bound, stateless=stateless, first=first, options=options)
         self.registry = registry or TypeRegistry()
+        self.on_decision: Callable[[], None] = lambda: None
+        self._barred = frozenset(barred)
+        self._there: set[str] = set()
+        self._delay = HedgeDelay(self.scheduler)
         self._clock = clock
         self._responses = {resolve_name(a): resolve_name(b) for a, b in (exchanges or {}).items()}
         self._exchanges = {response: Exchange(self.scheduler) for response in self._responses.values()}
@@ -238,13 +228,19 @@ class Group(GraphBase):
     def _reached(self, name: str, reached: bool) -> None:
         if name not in self._opened:
             return
-        if reached:
+        (self._there.add if reached else self._there.discard)(name)
+        if reached and name not in self._barred:
             self.scheduler.came(name, self.now())
         else:
             self.scheduler.left(name, self.now())
             for exchange in self._exchanges.values():
                 exchange.forget(name)
         self.tell()
+        self.on_decision()
+
+    def reached(self) -> dict[str, Graph]:
+        """Return the members that are there, by name; also those that are asked nothing."""
+        return {name: graph for name, graph in self._opened.items() if name in self._there}
 
     async def _watch(self, changes: AsyncIterator[GraphEvent]) -> None:
         async for event in changes:
@@ -257,6 +253,8 @@ class Group(GraphBase):
         self._told = self.scheduler.decided
         for decision in list(decisions)[-new:] if new else ():
             log.info("%s: %s", self.name, decision)
+        if new:
+            self.on_decision()
 
     def status(self) -> dict[str, Any]:
         """Return the group as it stands, as JSON."""
@@ -282,18 +280,20 @@ class Group(GraphBase):
         return self.scheduler.ranked(self.now())
 
     def second(self) -> str:
-        """Return who is asked next if the first is late, ``""`` for nobody."""
-        ranked = self.scheduler.ranked(self.now())
-        return ranked[1] if self.policy is Policy.HEDGE and len(ranked) > 1 else ""
+        """Return who is asked next if the first is late, ``""`` for nobody.
+
+        That is the rule of ``hedge``; with ``one`` it is so where a bound says what is late, and twice does no harm.
+        """
+        acts = self.policy is Policy.HEDGE or (
+            self.policy is Policy.ONE and self.stateless and self.scheduler.bound.limit_s is not None
+        )
+        ranked = self.scheduler.ranked(self.now()) if acts else ()
+        return ranked[1] if len(ranked) > 1 else ""
 
     def hedge_after_s(self) -> float:
         """Return how long the first has before the second is asked, too."""
-        current = self.scheduler.current
-        found = self.scheduler.window(current).statistics(self.now()) if current else None
-        if found is not None and found.answered:
-            usual_s = found.percentile(HEDGE_PERCENT)
-            return usual_s + max(HEDGE_SLACK * usual_s, HEDGE_LEAST_SLACK_S)
-        return self.scheduler.bound.limit_s or HEDGE_S
+        limit_s = self.scheduler.bound.limit_s
+        return limit_s if self.policy is Policy.ONE and limit_s is not None else self._delay.seconds(self.now())
 
     # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────
 

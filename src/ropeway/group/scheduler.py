@@ -63,7 +63,8 @@ class Scheduler:
 
     Tell it when members come and go (``came``, ``left``), what was sent to whom (``asked``) and what came back
     (``answered``), or latencies that were measured elsewhere (``measured``); ask ``targets`` for who gets the next
-    request. All times are of one steady clock. ``decisions`` keeps the last ones, with their reasons.
+    request. ``first`` is used before anything is known, if it is there. All times are of one steady clock.
+    ``decisions`` keeps the last ones, with their reasons.
     """
 
     def __init__(
@@ -72,6 +73,7 @@ class Scheduler:
         bound: LatencyBound = LatencyBound(),  # noqa: B008 - frozen
         *,
         stateless: bool = False,
+        first: str = "",
         options: Options = Options(),  # noqa: B008 - frozen
     ) -> None:
         self.bound, self.stateless, self.options = bound, stateless, options
@@ -83,6 +85,7 @@ class Scheduler:
         self._since_s = float("-inf")
         self._profile: ProfileRun | None = None
         self._profiled = False
+        self._first = first
         self._comparison: Comparison | None = None
         self._judge_at_s = self._pause_until_s = float("-inf")
         self._ranked: tuple[float, list[str]] | None = None  # until when it is good
@@ -168,6 +171,8 @@ class Scheduler:
         self._ranked = None
         if not self.current:
             self._change(name, now_s, "the first that is there")
+        elif name == self._first and not self._profiled:
+            self._change(name, now_s, "the policy begins with it")
         if self._profile is not None:
             self._profile.joined(name)
 

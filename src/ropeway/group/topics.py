@@ -11,6 +11,7 @@ from ropeway.group.chooser import Chooser
 from ropeway.group.exchange import Exchange
 from ropeway.group.part import GroupPart
 from ropeway.group.stamp import StampReader
+from ropeway.limits import HEDGED_BYTES
 from ropeway.qos import QoS, common_qos
 
 __all__ = ["GroupPublisher", "GroupSubscription"]
@@ -36,6 +37,7 @@ class GroupPublisher(GroupPart[Publisher]):
         self._exchange, self._stamp = exchange, stamp
         self._demand: list[Callable[[int], None]] = []
         self._timers: set[asyncio.TimerHandle] = set()
+        self._held_bytes = 0
         self._numbers = itertools.count()
 
     def publish(self, sample: Sample) -> None:
@@ -65,11 +67,16 @@ class GroupPublisher(GroupPart[Publisher]):
         return name in self._parts and self._parts[name].subscribers != 0
 
     def _hedge(self, name: str, sample: Sample, key: object, stamp: bytes | None) -> None:
-        exchange = self._exchange
+        """Have ``name`` asked, too, if the answer is late; not while as much as may be held waits for that already."""
+        exchange, size = self._exchange, len(sample.payload)
         assert exchange is not None
+        if self._held_bytes and self._held_bytes + size > HEDGED_BYTES:
+            return
+        self._held_bytes += size
 
         def late() -> None:
             self._timers.discard(timer)
+            self._held_bytes -= size
             if exchange.is_open(key) and name in self._parts:
                 exchange.asked((name,), key, stamp, self._group.now())
                 self._parts[name].publish(sample)
@@ -115,6 +122,7 @@ class GroupPublisher(GroupPart[Publisher]):
         for timer in self._timers:
             timer.cancel()
         self._timers.clear()
+        self._held_bytes = 0
         self._demand.clear()
         await super().close()
 

@@ -25,6 +25,7 @@ from ropeway.gateway.config.address import (
 from ropeway.gateway.config.auth_model import ALL
 from ropeway.gateway.config.model import Document, RemoteConfig
 from ropeway.gateway.config.overlay_model import METADATA, OVERLAY
+from ropeway.gateway.config.policy import policy_problems, with_default_policy, with_policy_files
 from ropeway.gateway.config.route_model import OPERATIONS, BridgedName
 from ropeway.gateway.config.shape import inner_model, keys_of, shape_problems, spellings
 from ropeway.gateway.config.suggest import did_you_mean, nearest, one_of
@@ -49,13 +50,14 @@ def check(obj: object, directory: Path) -> tuple[Document | None, list[Problem]]
     full, problem = _full_form(obj)
     if problem:
         return None, [problem]
-    problems: list[Problem] = []
+    full, problems = with_policy_files(full, directory)
     document: Document | None = None
     try:
-        document = Document.model_validate(full, context={"directory": directory})
+        document = with_default_policy(Document.model_validate(full, context={"directory": directory}))
     except ValidationError as error:
-        problems = shape_problems(error, Document)
+        problems += shape_problems(error, Document)
     problems += _sense(full)
+    problems += [] if document is None else policy_problems(document)
     return document, problems
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo
+from pydantic_core import PydanticCustomError
 
-__all__ = ["ExistingPath", "Many", "Model"]
+__all__ = ["ExistingPath", "Many", "Model", "below"]
 
 T = TypeVar("T")
 Many = Annotated[tuple[T, ...], Field(strict=False)]
@@ -28,3 +29,8 @@ class Model(BaseModel):
     """Strict: no key that is not known, no value of another type."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+
+
+def below(path: tuple[str | int, ...], text: str) -> PydanticCustomError:
+    """Return the fault ``text`` of what stands at ``path`` below the value that is validated."""
+    return PydanticCustomError("below", "{text}", {"at": path, "text": text})

@@ -6,16 +6,17 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
-from pydantic_core import PydanticCustomError
 
 from ropeway.errors import InvalidName
 from ropeway.gateway.config.address import parse_link
-from ropeway.gateway.config.fields import Many, Model
+from ropeway.gateway.config.fields import Many, Model, below
 from ropeway.gateway.config.overlay_model import OVERLAY
+from ropeway.gateway.config.policy_model import ROBOT, SERVICE, Parameters, States, lift
 from ropeway.gateway.config.suggest import did_you_mean, show
 from ropeway.graph.base import resolve_name
 from ropeway.group.bound import STATISTICS, LatencyBound
 from ropeway.group.latency import WINDOW_S
+from ropeway.group.options import PAUSE_S, PROFILE_S
 
 __all__ = ["Addresses", "AnycastConfig"]
 
@@ -38,19 +39,15 @@ def _addresses(value: object) -> tuple[str, ...]:
         try:
             address = _parse(text)
         except ValueError as error:
-            raise _below(at, str(error)) from None
+            raise below((at,), str(error)) from None
         if len(value) > 1 and not address.startswith(("ws:", "wss:")):
-            raise _below(at, f"only ws:// and wss:// addresses can be a group, and this is {address}")
+            raise below((at,), f"only ws:// and wss:// addresses can be a group, and this is {address}")
         if address in found:
-            raise _below(at, f"the same address as {found.index(address)}; keep one")
+            raise below((at,), f"the same address as {found.index(address)}; keep one")
         if found and address.partition(":")[0] != found[0].partition(":")[0]:
-            raise _below(at, f"all addresses of a group are ws://, or all are wss://; the first is {found[0]}")
+            raise below((at,), f"all addresses of a group are ws://, or all are wss://; the first is {found[0]}")
         found.append(address)
     return tuple(found)
-
-
-def _below(at: object, text: str) -> PydanticCustomError:
-    return PydanticCustomError("below", "{text}", {"at": at, "text": text})
 
 
 def _bound(value: object) -> LatencyBound:
@@ -60,11 +57,11 @@ def _bound(value: object) -> LatencyBound:
         raise ValueError('expected an object such as {"median": 0.3}, in seconds')
     for name, limit in value.items():
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 < limit < float("inf"):
-            raise _below(str(name), f"expected a number of seconds above 0, got {show(limit)}")
+            raise below((str(name),), f"expected a number of seconds above 0, got {show(limit)}")
         try:
             LatencyBound.of({str(name): limit})
         except ValueError as error:
-            raise _below(str(name), f"{error}{did_you_mean(str(name), STATISTICS)}") from None
+            raise below((str(name),), f"{error}{did_you_mean(str(name), STATISTICS)}") from None
     return LatencyBound.of({str(name): float(limit) for name, limit in value.items()})
 
 
@@ -74,7 +71,7 @@ def _names(value: dict[str, str]) -> dict[str, str]:
             try:
                 resolve_name(name)
             except InvalidName as error:
-                raise _below(request, f"expected names of topics: {error}") from None
+                raise below((request,), f"expected names of topics: {error}") from None
     return value
 
 
@@ -136,12 +133,50 @@ class AnycastConfig(Model):
         "seconds",
     )
 
+    profile_s: float = Field(
+        PROFILE_S, gt=0, le=10, allow_inf_nan=False, description="how long each address is asked at the start"
+    )
+    pause_s: float = Field(
+        PAUSE_S, ge=0, le=60, allow_inf_nan=False, description="how long nothing is judged after that"
+    )
+    state_definition: States = Field(
+        {}, description="FogROS2-LS: topics (pub or sub) and params of robot, service, standby and states of one's own"
+    )
+    params: Parameters = Field({}, description="FogROS2-LS: parameters that the robot sets")
+    initial_policy: dict[str, str] = Field(
+        {},
+        description="FogROS2-LS: the state in which each machine begins, the robot and the addresses",
+    )
+    machines: dict[str, str] = Field(
+        {}, description="which address a machine of initial_policy has; default: in the order of address"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _listing(cls, value: object) -> object:
+        return lift(value)
+
     @model_validator(mode="after")
     def _consistent(self) -> AnycastConfig:
         if self.policy != "one" and not self.stateless:
             why = f'"{self.policy}" asks several members, so a request may be carried out more than once'
-            raise _below("policy", f'{why}; write "stateless": true if that does no harm')
+            raise below(("policy",), f'{why}; write "stateless": true if that does no harm')
         return self
+
+    @property
+    def pairs(self) -> dict[str, str]:
+        """The topics that are asked on and answered on: as ``responses`` says, else as the states do.
+
+        They say it where the robot publishes one topic that the service reads, and reads one that it publishes.
+        """
+        if self.responses:
+            return dict(self.responses)
+        robot, service = (self.state_definition.get(name) for name in (ROBOT, SERVICE))
+        if robot is None or service is None:
+            return {}
+        asked = [t for t, way in robot.topics.items() if way == "pub" and service.topics.get(t) == "sub"]
+        answered = [t for t, way in robot.topics.items() if way == "sub" and service.topics.get(t) == "pub"]
+        return {asked[0]: answered[0]} if len(asked) == len(answered) == 1 else {}
 
     def group_options(self) -> dict[str, Any]:
         """Return what ``Group`` takes of it."""
@@ -152,5 +187,5 @@ class AnycastConfig(Model):
             "policy": Policy(self.policy),
             "bound": self.latency_bound,
             "stateless": self.stateless,
-            "options": Options(window_s=self.latency_window_s),
+            "options": Options(window_s=self.latency_window_s, profile_s=self.profile_s, pause_s=self.pause_s),
         }

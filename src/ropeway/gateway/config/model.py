@@ -287,4 +287,5 @@ class Document(Model):
     gateway: GatewayConfig = Field(
         default_factory=lambda: GatewayConfig.model_validate({}), description="the gateway itself"
     )
+    anycast: AnycastConfig | None = Field(None, description="for every remote that is a group and says nothing else")
     remotes: Many[RemoteConfig] = Field((), description="the other gateways and what crosses to them")

@@ -15,10 +15,9 @@ from pydantic import (
     PlainValidator,
     WithJsonSchema,
 )
-from pydantic_core import PydanticCustomError
 
 from ropeway.errors import InvalidName, InvalidTypeName
-from ropeway.gateway.config.fields import Model
+from ropeway.gateway.config.fields import Model, below
 from ropeway.gateway.config.overlay_model import METADATA, METADATUM, Metadatum
 from ropeway.gateway.config.suggest import one_of, show, unknown_key
 from ropeway.graph.base import Delivery, resolve_name
@@ -111,7 +110,7 @@ def _qos(value: object) -> QoS | None:
         raise ValueError('expected an object such as {"reliability": "best_effort"}')
     for key in value:
         if key not in POLICIES:
-            raise PydanticCustomError("below", "{text}", {"at": str(key), "text": unknown_key(key, POLICIES)})
+            raise below((str(key),), unknown_key(key, POLICIES))
     return QoS.parse(value)
 
 

@@ -56,6 +56,8 @@ def build() -> dict[str, Any]:
     document = definitions.pop("Document")
     gateway = definitions["GatewayConfig"]["properties"]
     gateway["name"]["pattern"] = "^[A-Za-z_][A-Za-z0-9_]*$"
+    for holder in (definitions["RemoteConfig"], document):
+        holder["properties"]["anycast"]["anyOf"].append({"type": "string"})  # the name of a file
     remote = {"$ref": "#/$defs/RemoteConfig"}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

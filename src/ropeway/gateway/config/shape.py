@@ -61,7 +61,7 @@ def _say(fault: ErrorDetails, root: type[BaseModel]) -> tuple[str, str]:
     if kind == "invalid_key":
         return json_path(loc[:-1]), f"the key {loc[-1]} is not a text"
     if kind == "below":
-        return json_path((*loc, context["at"])), context["text"]
+        return json_path((*loc, *context["at"])), context["text"]
     if kind == "value_error":
         return json_path(loc), str(context["error"])
     if kind in _BOUNDS:

@@ -51,6 +51,7 @@ CONTROL_OPS: Final = frozenset(
         "granted",
         "accepted",
         "cancelling",
+        "state",
     }
 )
 _SECRET_CHARACTERS: Final = 64
@@ -108,6 +109,7 @@ class Peer:
         self.sender: LinkSender = kind(connection, self.fault_log, self.dialect)
         self.express = Express(self)
         self.greeted = False  # a Ropeway gateway that has said hello
+        self.takes_states = False  # it is a machine that holds the state that it is told
         self.heard_hello = asyncio.Event()
         self._ops = OpSender(self.sender)
         self.on_invalid: Callable[[Mapping[str, Any], WireError], None] = self._invalid  # what is no operation
@@ -151,7 +153,7 @@ class Peer:
 
     def hello(self, gateway: str, name: str, *, express: bool = False) -> None:
         """Say who we are, to a Ropeway gateway; with ``express`` it may open a second connection."""
-        offer = {"express": self.express.offer()} if express else {}
+        offer = {"express": self.express.offer(), "states": True} if express else {}
         about = {"gateway": gateway, "name": name, "calls": _CALLS, "limit_bytes": self.limit_bytes}
         self.send({"op": "hello", **about, **offer})
 
@@ -374,6 +376,7 @@ class Peer:
         limit = message.get("limit_bytes")
         self._ops.limit_bytes = limit if type(limit) is int and limit > 0 else None
         self._ops.records = self._ops.records or message.get("calls") == _CALLS
+        self.takes_states = message.get("states") is True
         secret = message.get("express")
         self.heard_hello.set()
         self.express.offered = secret if isinstance(secret, str) and len(secret) <= _SECRET_CHARACTERS else ""

@@ -17,6 +17,7 @@ from ropeway.networks.rosbridge.link.peer import Peer
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
 from ropeway.networks.rosbridge.protocol.records import Arrival
+from ropeway.networks.rosbridge.protocol.state_lease import HeldState
 from ropeway.networks.rosbridge.server.action_ops import ActionOps
 from ropeway.networks.rosbridge.server.graph_watch import Watch
 from ropeway.networks.rosbridge.server.host import RosapiAnswers
@@ -99,6 +100,7 @@ class Session:
         self._rated_bytes = 0
         self._watch: Watch | None = None
         self._teller = DefinitionTeller(registry)
+        self.state = HeldState()
         self._gone = False
         self._requests_bytes = 0
         self._searches = asyncio.Semaphore(SEARCHES_PER_CLIENT)  # for what nobody is known to serve
@@ -245,6 +247,8 @@ class Session:
             self._watch = Watch(self.view, self.peer.send, self.access)
         elif op == "accepted" or op == "cancelling":
             self.actions.control(message)
+        elif op == "state":
+            self.state.told(message, self.view.user)
 
     def invalid(self, message: Mapping[str, Any], error: WireError) -> None:
         """Handle something that is not an operation. Where an answer is awaited, this is it."""
@@ -321,6 +325,7 @@ class Session:
         """Return what the client does here, for people and programs."""
         connection = self.peer.connection
         return {
+            **self.state.status(),
             "peer": connection.peer,
             "gateway": self.remote.get("name", ""),
             "dialect": self.peer.dialect.name,
