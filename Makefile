@@ -5,8 +5,8 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 BENCHES = paper scenarios applications calls loopback urgent big wan start readers services clients overlay nodes
 # The tests of a file run in one process, one after the other; files run beside each other, the longest ones first
-# (tests/conftest.py).
-PARALLEL = -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+# (tests/conftest.py, which also says how many files at a time).
+PARALLEL = -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 # Python 3.12 and later watch lines at next to no cost.
 COVERAGE = $(shell $(BIN)/python -c 'import sys; print("COVERAGE_CORE=sysmon" * (sys.version_info >= (3, 12)))' 2>/dev/null)
 export PYTHON

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 from collections.abc import AsyncIterator, Callable, Generator, Iterator
 from contextlib import AsyncExitStack
@@ -20,26 +21,36 @@ settings.load_profile("ropeway")
 
 
 SLOWEST = (
-    "delivery/pacing/test_model.py",
-    "gateway/process/test_supervisor.py",
-    "types/test_weight.py",
-    "cli/test_run.py",
-    "networks/iort/server/test_server.py",
-    "networks/rosbridge/server/test_roslibjs.py",
-    "cli/test_server.py",
-    "networks/dds/test_processes.py",
     "cli/test_overlay.py",
+    "networks/overlay/graph/test_graph.py",
+    "gateway/process/test_supervisor.py",
     "test_examples.py",
-    "listener/test_connection.py",
-    "networks/rosbridge/client/test_actions.py",
     "networks/rosbridge/server/test_roslibpy.py",
-    "networks/rosbridge/server/test_turns.py",
+    "contract/test_services.py",
+    "contract/test_actions.py",
+    "networks/ros1/test_rospy.py",
+    "iort/test_local_server.py",
+    "cli/test_run.py",
+    "networks/ros1/test_roscpp.py",
     "cli/test_dds_calls.py",
-    "cli/test_dds.py",
-    "networks/dds/fastdds/test_helper.py",
+    "listener/test_connection.py",
+    "contract/test_topics.py",
+    "networks/dds/fastdds/test_selfcall.py",
+    "networks/overlay/test_attacks.py",
     "networks/dds/fastdds/test_rpc.py",
+    "networks/overlay/test_fleet.py",
+    "types/test_weight.py",
+    "networks/rosbridge/client/test_services.py",
+    "iort/test_node.py",
+    "cli/test_server.py",
+    "delivery/pacing/test_model.py",
+    "networks/rosbridge/server/test_turns.py",
+    "networks/rosbridge/server/test_browser.py",
+    "cli/test_dds.py",
+    "types/test_bundled.py",
+    "cli/test_store.py",
     "gateway/test_calls.py",
-    "networks/dds/fastdds/test_process.py",
+    "networks/dds/fastdds/test_helper.py",
 )
 """The files that take longest (``--durations=0``), which are begun first: no process is left with one at the end."""
 
@@ -48,6 +59,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the longest files."""
     ranks = {Path(__file__).parent / name: rank for rank, name in enumerate(SLOWEST)}
     items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Run two processes on each core, as tests wait for others about as long as they compute."""
+    return 2 * (os.cpu_count() or 1)
 
 
 def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:

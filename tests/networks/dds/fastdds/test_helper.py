@@ -80,15 +80,15 @@ async def test_unseen(join: Join, domain: int) -> None:
     client = await near.create_client("/add", ADD)
     assert await client.wait_available(PATIENCE_S)
     assert await client.call(Request(b"\0\1\0\0" + bytes(16))) == b"\0\1\0\0" + bytes(16)
-    await asyncio.sleep(1.5)  # the endpoints for Fast DDS are there by now
+    stray = FastRpc("stray", domain, make_profile("stray", "lo"), everyone=True)
+    assert await stray.start()
+    wrong = await stray.create_client("/add", ADD)
+    await until(lambda: wrong._servers == 2)  # the endpoints of ``far`` for Cyclone DDS, and those for Fast DDS
     assert await client.call(Request(b"\0\1\0\0" + bytes(16))) == b"\0\1\0\0" + bytes(16)
     assert len(asked) == 2
     assert [len(info.servers) for name, info in near.services().items() if name == "/add"] == [1]
     assert near.settled
     assert far.settled
-    stray = FastRpc("stray", domain, make_profile("stray", "lo"), everyone=True)
-    assert await stray.start()
-    wrong = await stray.create_client("/add", ADD)
     with pytest.raises(CallError):
         await wrong.call(Request(b"\0\1\0\0" + bytes(64)), 0.5)
     await stray.close()

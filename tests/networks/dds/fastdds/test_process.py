@@ -16,7 +16,7 @@ from ropeway.networks.dds.fastdds import process as module
 from ropeway.networks.dds.fastdds.frames import HelperFrame, Op
 from ropeway.networks.dds.fastdds.process import HelperProcess, Unfit
 from ropeway.networks.dds.profile import make_profile
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 
 class Watch:
@@ -111,13 +111,19 @@ async def test_killed(watch: Start, caplog: pytest.LogCaptureFixture) -> None:
 
 async def test_hung(watch: Start, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     """A helper that answers nothing any more is ended, and another takes its place."""
-    for name, seconds in (("_PING_S", 0.1), ("_SILENCE_S", 1.0), ("_STOP_S", 0.1)):
-        monkeypatch.setattr(module, name, seconds)
+    monkeypatch.setattr(module, "_PING_S", 0.02)
+    monkeypatch.setattr(module, "_SILENCE_S", PATIENCE_S)
+    monkeypatch.setattr(module, "_STOP_S", 0.1)
     one = watch()
     await one.helper.start()
-    await asyncio.sleep(0.5)  # it answers several pings
+    for _ in range(3):  # it answers several pings
+        heard = one.helper._heard
+        await until(lambda h=heard: one.helper._heard > h)
     assert one.downs == 0
     os.kill(one.helper.pid, signal.SIGSTOP)
+    monkeypatch.setattr(module, "_SILENCE_S", 0.2)
+    await until(lambda: one.downs == 1)
+    monkeypatch.setattr(module, "_SILENCE_S", PATIENCE_S)
     await until(lambda: one.ups == 2)
     assert one.downs == 1
     assert "has ended (it hung)" in caplog.text

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import socket
 from collections import Counter
 from typing import Any
 
@@ -20,6 +21,7 @@ from tests.support.until import until
 from tests.support.websocket import TEXT, Client, ClosedByServer, frame
 
 CALLS = 2000
+BUFFER_BYTES = 16_384
 
 
 def call(service: str, id: Any, **more: Any) -> bytes:
@@ -76,10 +78,18 @@ async def test_answers_that_are_never_read(place: Place, monkeypatch: pytest.Mon
     monkeypatch.setattr(turns, "UNREAD_S", 0.0)
     client = await place.client()
     await client.done()
-    asking = asyncio.create_task(write(client, b"".join(call("/nobody", n) for n in range(20 * CALLS))))
+    connection = place.session.peer.connection
+    transport: Any = client.writer.transport
+    transport.pause_reading()
+    ours = client.writer.get_extra_info("socket")
+    for sock, buffer in ((ours, socket.SO_RCVBUF), (connection._socket, socket.SO_SNDBUF)):
+        sock.setsockopt(socket.SOL_SOCKET, buffer, BUFFER_BYTES)  # they would hold megabytes of answers
+    asking = asyncio.create_task(write(client, b"".join(call("/nobody", n) for n in range(4 * CALLS))))
     await until(lambda: not place.server.sessions)
+    assert connection._close_reason == "answers are not read"
     with contextlib.suppress(ConnectionError):
         await asking
+    transport.resume_reading()
     with pytest.raises(ClosedByServer):
         while True:
             await client.receive()

@@ -19,7 +19,7 @@ __all__ = ["HelperProcess", "Unfit"]
 
 log = logging.getLogger("ropeway.dds")
 
-_READY_S: Final = 20.0  # of which the self-test takes 5 at most; the rest is for a machine that is busy
+_READY_S: Final = 60.0  # of which the self-test takes 20 at most; the rest is for a small machine that is busy
 _PING_S: Final = 2.0
 _SILENCE_S: Final = 10.0  # a helper that answers no ping for so long hangs
 _STOP_S: Final = 2.0
