@@ -350,10 +350,10 @@ ENDPOINTS_PER_NODE: Final = 4_096
 BROUGHT_TOPICS_PER_NODE: Final = 10_000
 """The same of a node that brings values of a time when the server was away: as many as a local server keeps."""
 
-# ── groups ──────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── Groups ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 HEDGED_BYTES: Final = 32 << 20
-"""Messages of one topic that are kept until their answer comes or is late. Above, no second member is asked for them."""
+"""Messages of one topic that are kept until they are answered. Above, no second member is asked for them."""
 
 STATE_LEASE_S: Final = 3_600.0
 """Time for which a robot's gateway may give a machine of its group a state."""

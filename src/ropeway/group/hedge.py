@@ -32,7 +32,7 @@ class Policy(enum.Enum):
 
 
 class HedgeDelay:
-    """How long the first member has for its answer before a second is asked, too."""
+    """Tells how long the first member has for its answer before a second is asked, too."""
 
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler = scheduler
