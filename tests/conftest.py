@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import tempfile
 from collections.abc import AsyncIterator, Callable, Generator, Iterator
 from contextlib import AsyncExitStack
 from pathlib import Path
@@ -90,6 +91,17 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
 def dds_isolation() -> Iterator[None]:
     """Participants of this process, and of those it starts, discover each other and no other test run."""
     with isolated_dds():
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_directories() -> Iterator[None]:
+    """Gateways of this test run, and of the processes that it starts, leave nothing in the user's directories."""
+    with tempfile.TemporaryDirectory(prefix="rw-") as directory, pytest.MonkeyPatch.context() as patch:
+        for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME"):
+            place = Path(directory) / name.split("_")[1].lower()
+            place.mkdir(mode=0o700)
+            patch.setenv(name, str(place))
         yield
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import importlib.metadata
 import json
+import os
 import re
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,10 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import aiofastnet
+import httpx
 import pytest
 import zenoh
 from rosbags.rosbag1 import Reader, Writer
 
+from ropeway.control.app import PEER
+from ropeway.control.server import ControlServer
 from ropeway.listener.connection import Connection, Limits
 from ropeway.listener.websocket import connect, listen
 from ropeway.networks.dds import DdsGraph, library
@@ -30,7 +35,7 @@ from tests.support.until import until
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "internals.md").read_text()
-PINNED = ("cyclonedds", "picows", "aiofastnet", "rosbags", "eclipse-zenoh")
+PINNED = ("cyclonedds", "picows", "aiofastnet", "rosbags", "eclipse-zenoh", "uvicorn")
 
 
 @contextmanager
@@ -184,3 +189,25 @@ async def test_zenoh_links() -> None:
         assert [(event.kind, str(event.link.dst)) for event in events] == [(zenoh.SampleKind.PUT, where)]
         listener.undeclare()
         transports.undeclare()
+
+
+async def test_uvicorn(tmp_path: Path) -> None:
+    """The control API is served by uvicorn's protocol, which tells the application who asks."""
+    with relied_on("uvicorn", "uvicorn"), socket.socket(socket.AF_UNIX) as bound:
+        path = str(tmp_path / "canary.sock")
+        bound.bind(path)
+        bound.listen()
+
+        async def app(scope: Any, receive: Any, send: Any) -> None:
+            body = str(scope[PEER].uid).encode()
+            await send(
+                {"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"%d" % len(body))]}
+            )
+            await send({"type": "http.response.body", "body": body})
+
+        server = ControlServer(app)
+        await server.listen(bound)
+        async with httpx.AsyncClient(transport=httpx.AsyncHTTPTransport(uds=path)) as client:
+            assert (await client.get("http://x/")).text == str(os.geteuid())
+            assert server.connections == 1
+        await server.close()

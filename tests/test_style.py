@@ -208,6 +208,7 @@ ALLOWED_BROAD = {
         "store/store.py:_tell",
     },
     "whoever waits for the outcome gets the error": {
+        "gateway/process/worker.py:_answer",
         "graph/actions/client.py:_follow",
         "graph/actions/client.py:_negotiate",
         "hub/actions.py:_wait",

@@ -37,6 +37,10 @@
     │   └── ValueRefused          a value that is not kept: too big, too many, or older than what is there
     ├── WaitTimeout               what a program waits for has not come in time; also a TimeoutError
     ├── MissingExtra              a part of the package that is not installed
+    ├── ControlError              the control API of a running gateway
+    │   ├── ControlUnavailable    its socket cannot be had, or nobody answers there
+    │   │   └── NameTaken         another gateway that runs has the name
+    │   └── ControlRefused        an answer that is an error: not allowed, not there, changed meanwhile
     ├── AccessDenied              a role, a glob or a limit of the server does not allow it
     └── BagUnreadable             a recording that is missing, damaged or of an unknown kind
 
@@ -46,6 +50,7 @@ An error carries what a program needs as attributes and says in its text what a 
 from __future__ import annotations
 
 import enum
+from collections.abc import Mapping
 from typing import Any
 
 from ropeway.limits import SHOWN_TEXT_CHARACTERS
@@ -58,6 +63,9 @@ __all__ = [
     "CallTimeout",
     "ConfigError",
     "ConnectFailed",
+    "ControlError",
+    "ControlRefused",
+    "ControlUnavailable",
     "ConversionError",
     "DecodeError",
     "GoalRejected",
@@ -72,6 +80,7 @@ __all__ = [
     "LinkError",
     "MessageTooBig",
     "MissingExtra",
+    "NameTaken",
     "NotServed",
     "OutboxFull",
     "OverlayError",
@@ -375,6 +384,40 @@ class AccessDenied(RopewayError):
     def __init__(self, verb: str, name: str, rule: str) -> None:
         self.verb, self.name, self.rule = verb, name, rule
         super().__init__(f"{verb.replace('_', ' ')} {name}: not allowed: {rule}")
+
+
+class ControlError(RopewayError):
+    """The control API of a running gateway."""
+
+
+class ControlUnavailable(ControlError):
+    """A socket that cannot be had, or where nobody answers. ``where`` is its path or address."""
+
+    def __init__(self, where: str, reason: str) -> None:
+        self.where, self.reason = where, reason
+        super().__init__(f"{where}: {reason}")
+
+
+class NameTaken(ControlUnavailable):
+    """Raised where another gateway that runs has the name."""
+
+
+class ControlRefused(ControlError):
+    """An answer of the control API that is an error.
+
+    ``status`` is that of HTTP; ``details`` are what programs need; ``headers`` are sent with the answer.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        text: str,
+        details: Mapping[str, Any] | None = None,
+        *,
+        headers: Mapping[str, str] | None = None,
+    ) -> None:
+        self.status, self.text, self.details, self.headers = status, text, dict(details or {}), dict(headers or {})
+        super().__init__(text)
 
 
 class BagUnreadable(RopewayError):

@@ -360,3 +360,32 @@ STATE_LEASE_S: Final = 3_600.0
 
 STATE_CHARACTERS: Final = 256
 """A state, and the name of its group."""
+
+# ── The control API ────────────────────────────────────────────────────────────────────────────────────────────────
+
+CONTROL_CONNECTIONS: Final = 128
+"""Connections to the control API at a time: a dashboard has one or two for each gateway. More are closed unread."""
+
+CONTROL_HEAD_BYTES: Final = 16 << 10
+"""The head of a request: as long as at the listeners."""
+
+CONTROL_BODY_BYTES: Final = 16 << 20
+"""The body of a request. A configuration with 1,000 routes has 400 KiB."""
+
+CONTROL_BODIES_BYTES: Final = 64 << 20
+"""The bodies of all requests that are read or worked on at a time: more have to wait for their turn."""
+
+CONTROL_REQUEST_S: Final = 10.0
+"""Time in which a request has to come whole, head and body."""
+
+CONTROL_READER_BYTES: Final = 1 << 20
+"""Events that wait for one reader of the stream. A slower one is dropped: it can ask again from where it was."""
+
+CONTROL_READER_S: Final = 30.0
+"""Time for which a reader of the stream may take nothing of what is sent to it, comments included."""
+
+CONTROL_EVENT_BYTES: Final = 16 << 10
+"""The data of one event. A longer one is told without its data."""
+
+CONTROL_EVENTS_KEPT: Final = 1_000
+"""Events that a gateway remembers, for readers that come later."""

@@ -15,6 +15,7 @@ __all__ = ["app", "main"]
 
 VERBS = {
     "run": "ropeway.cli.run",
+    "status": "ropeway.cli.status",
     "server": "ropeway.cli.server",
     "config": "ropeway.cli.config",
     "topic": "ropeway.cli.topic",

@@ -39,7 +39,8 @@ def run_command(
 
     loaded = load(config)
     try:
-        run(serve(Serving(loaded, level, for_s or None, period if as_json else None, up=lambda _: _greet(loaded))))
+        period_s = period if as_json else None
+        run(serve(Serving(loaded, level, for_s or None, period_s, up=lambda _: _greet(loaded), control=True)))
     except KeyboardInterrupt:  # before the handler was there: nothing had been started
         return
 

@@ -8,15 +8,16 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import importlib
 import logging
 import math
 import os
 import signal
 import sys
-from collections.abc import Callable
-from contextlib import AbstractAsyncContextManager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway.cli.notify import Notifier, notifying
 from ropeway.cli.printer import Printer
@@ -34,11 +35,20 @@ log = logging.getLogger("ropeway")
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
+class Reloading(Protocol):
+    """Reads files again: a gateway, a supervisor, or the manager of either."""
+
+    def reload(self) -> None:
+        """Read certificates and tokens again. Raises ``ConfigError``."""
+        ...
+
+
 @dataclass(frozen=True)
 class Serving:
     """Says how a gateway is run: for how long, how often it prints its status as JSON, and what it says once it is up.
 
-    ``beside`` is entered with the gateway and left before it ends.
+    ``beside`` is entered with the gateway and left before it ends. ``control``: others may see and change it over its
+    control API, as its configuration says.
     ``retry_s``: an address that is taken is tried again after so many seconds, for ever; ``None`` gives up at once.
     """
 
@@ -49,13 +59,14 @@ class Serving:
     retry_s: float | None = None
     up: Callable[[Gateway | Supervisor], None] | None = None
     beside: Callable[[Any], AbstractAsyncContextManager[None]] | None = None
+    control: bool = False
 
 
 async def serve(serving: Serving) -> None:
     """Run until the time is over, or a signal ends it in order. Raises ``RopewayError`` if it cannot be brought up."""
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
-    running: list[Gateway | Supervisor] = []
+    running: list[Reloading] = []
     notifier = Notifier()
 
     def stopped() -> None:
@@ -93,7 +104,7 @@ def _on_terminal() -> bool:
     return any(os.isatty(number) for number in range(3))
 
 
-def _reload(running: list[Any]) -> str:
+def _reload(running: Sequence[Reloading]) -> str:
     """Read the files again, and return what came of it."""
     for gateway in running:
         try:
@@ -117,12 +128,25 @@ async def _brought_up(serving: Serving, notifier: Notifier) -> Gateway | Supervi
         await asyncio.sleep(serving.retry_s)
 
 
-async def _run(serving: Serving, running: list[Gateway | Supervisor], notifier: Notifier) -> None:
+async def _managed(serving: Serving, gateway: Gateway | Supervisor, stack: AsyncExitStack) -> Reloading:
+    """Begin to serve the control API where it is wanted; return what reads files again."""
+    if not (serving.control and serving.config.gateway.control.enabled):
+        return gateway
+    control = await asyncio.to_thread(importlib.import_module, "ropeway.control.control")  # 0.2 s for HTTP
+    from ropeway.control.manager import Manager
+
+    manager = Manager(gateway)
+    stack.push_async_callback(manager.close)
+    await stack.enter_async_context(control.Control(manager))
+    return manager
+
+
+async def _run(serving: Serving, running: list[Reloading], notifier: Notifier) -> None:
     loop = asyncio.get_running_loop()
-    async with contextlib.AsyncExitStack() as stack:
+    async with AsyncExitStack() as stack:
         gateway = await _brought_up(serving, notifier)
         stack.push_async_exit(gateway.__aexit__)
-        running.append(gateway)
+        running.append(await _managed(serving, gateway, stack))
         if serving.beside is not None:
             await stack.enter_async_context(serving.beside(gateway))
         if serving.up is not None:

@@ -86,6 +86,7 @@ def _role(name: str, config: RoleConfig) -> Role:
         bytes_per_s=config.bytes_per_s,
         max_message_bytes=config.max_message_bytes,
         max_clients=config.max_clients,
+        control=frozenset(config.control),
     )
 
 

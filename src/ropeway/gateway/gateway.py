@@ -6,7 +6,7 @@ import asyncio
 import logging
 import os
 import ssl
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,7 +25,9 @@ from ropeway.gateway.credentials import Credentials, read_credentials
 from ropeway.gateway.process.allocator import FreedMemory, keep_freed_memory
 from ropeway.gateway.process.counts import summed
 from ropeway.gateway.process.open_files import make_room
+from ropeway.gateway.process.questions import Question
 from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote, shown_address
+from ropeway.gateway.route import RouteStatus, RunningRoute
 from ropeway.gateway.tls import server_context, trusted_files
 from ropeway.graph.layout_border import Distributed
 from ropeway.hub.hub import Hub, View
@@ -263,7 +265,7 @@ class Gateway:
                 bridge = make_bridge(route, view, remote.graph, self._keeper(route))
                 await bridge.start()
                 stack.push_async_callback(bridge.close)
-                remote.bridges.append((route, bridge))
+                remote.running[route.key] = RunningRoute(route, bridge)
             if group is not None:
                 await group.listen(self._view(stack, views, config.graph or self.config.gateway.graphs[0], config))
                 stack.push_async_callback(group.close)
@@ -407,6 +409,14 @@ class Gateway:
             remote.renew(credentials)
         log.info("%s has read its certificates and tokens again", settings.name)
 
+    def routes(self) -> list[RouteStatus]:
+        """Return how every route is."""
+        return [row for remote in self.remotes for row in remote.routes()]
+
+    async def ask(self, question: Question, params: Mapping[str, Any]) -> list[Any]:
+        """Return the answer to a question as the only one in a list, as a ``Supervisor`` has one of each worker."""
+        return [await question(self, params)]
+
     def status(self) -> dict[str, Any]:
         """Return the state of everything as JSON."""
         return {
@@ -428,7 +438,7 @@ class Gateway:
                 for listener in server.listeners
             ],
             "remotes": [remote.status() for remote in self.remotes],
-            "routes": [row for remote in self.remotes for row in remote.routes()],
+            "routes": [row.to_json() for row in self.routes()],
             "memory": self.budget.status(),
             "access": summed([self._entrance.status(), *(server.status() for server in self.servers)]),
             "sessions": [session.status() for server in self.servers for session in server.sessions],

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.bridge.action import ActionBridge
-from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
-from ropeway.gateway.config.config import Route
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.credentials import Credentials
+from ropeway.gateway.route import RouteStatus, RunningRoute
 from ropeway.graph.base import Graph
-from ropeway.graph.link_parts import Encoded, LinkedPublisher, LinkStatistics
 from ropeway.listener.http import without_token
 from ropeway.networks.rosbridge.client import RosbridgeGraph
 
@@ -23,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "NO_CREDENTIALS",
-    "Bridge",
     "IortRemote",
     "LinkRemote",
     "OverlayRemote",
@@ -33,8 +29,6 @@ __all__ = [
     "overlay_state",
     "shown_address",
 ]
-
-Bridge = TopicBridge | ServiceBridge | ActionBridge
 
 
 NO_CREDENTIALS: Final = Credentials()
@@ -47,7 +41,7 @@ class Remote:
 
     def __init__(self, config: RemoteConfig, credentials: Credentials = NO_CREDENTIALS) -> None:
         self.config, self.credentials = config, credentials
-        self.bridges: list[tuple[Route, Bridge]] = []
+        self.running: dict[str, RunningRoute] = {}  # by the keys of routes
 
     @property
     def state(self) -> str:
@@ -66,13 +60,14 @@ class Remote:
     def _renew(self, credentials: Credentials, anew: bool) -> None:
         """Hand new credentials on; with ``anew``, a connection that stands is made again."""
 
-    def routes(self) -> list[dict[str, Any]]:
-        """Return one row per bridge."""
-        return [_route(route, bridge, self.state) for route, bridge in self.bridges]
+    def routes(self) -> list[RouteStatus]:
+        """Return how every route is."""
+        state = self.state
+        return [running.status(state) for running in self.running.values()]
 
     def topics(self) -> list[TopicBridge]:
         """Return the bridges that are metered."""
-        return [bridge for _, bridge in self.bridges if isinstance(bridge, TopicBridge)]
+        return [running.bridge for running in self.running.values() if isinstance(running.bridge, TopicBridge)]
 
 
 class LinkRemote(Remote):
@@ -154,11 +149,11 @@ class OverlayRemote(Remote):
             **({} if self.automatic is None else {"automatic": self.automatic.status()}),
         }
 
-    def routes(self) -> list[dict[str, Any]]:
-        """Return one row per bridge, including those made automatically."""
+    def routes(self) -> list[RouteStatus]:
+        """Return how every route is, including those made automatically."""
         found = super().routes()
         if self.automatic is not None:
-            found += [_route(route, bridge, self.state) for route, bridge in self.automatic.bridges()]
+            found += [RunningRoute(*pair).status(self.state) for pair in self.automatic.bridges()]
         return found
 
     def topics(self) -> list[TopicBridge]:
@@ -201,53 +196,4 @@ def link_status(graph: RosbridgeGraph) -> dict[str, Any]:
         "complaints": {}
         if peer is None
         else {f"{kind} {topic}".strip(): n for (kind, topic), n in peer.fault_log.counts.items()},
-    }
-
-
-def _route(route: Route, bridge: Bridge, state: str) -> dict[str, Any]:
-    """Return one row of the table of routes."""
-    common = {
-        "path": route.path,
-        "operation": route.operation,
-        "name": route.name,
-        "remote_name": route.remote_name,
-        "address": shown_address(route.remote),
-        "type": route.type,
-        "state": bridge.state if state == "connected" else state,
-    }
-    if isinstance(bridge, TopicBridge):
-        return common | _topic(route, bridge)
-    return common | {
-        "error": bridge.error or (f"offered by {bridge.taken_by}" if bridge.taken_by else ""),
-        "encoding": bridge.encoding,
-        "requests": sum(bridge.counts.values()),
-        "under_way": bridge.under_way,
-        "ended": dict(bridge.counts),
-        "took_ms": None if bridge.took_s is None else round(1e3 * bridge.took_s, 3),
-    }
-
-
-def _topic(route: Route, bridge: TopicBridge) -> dict[str, Any]:
-    meter = bridge.meter
-    drops: dict[str, int] = {reason.value: n for reason, n in bridge.drops.items() if n}
-    delay, encoding = meter.delay_s, route.delivery.encoding
-    publisher: object = bridge.publisher
-    subscription: object = bridge.subscription
-    link = publisher.statistics() if isinstance(publisher, LinkedPublisher) else LinkStatistics()
-    if link.encoding is not None:
-        encoding = link.encoding
-    elif isinstance(subscription, Encoded):
-        encoding = subscription.encoding
-    drops.update(link.lost)
-    if delay is None:
-        delay = link.delay_s
-    return {
-        "error": bridge.error or link.refused,
-        "encoding": encoding,
-        "messages": meter.messages,
-        "bytes": meter.bytes,
-        "rate_hz": round(meter.rate_hz, 2),
-        "bandwidth_bps": round(meter.rate_bps),
-        "delay_ms": None if delay is None else round(1e3 * delay, 3),
-        "drops": drops,
     }

@@ -23,7 +23,7 @@ from typing import Final
 from ropeway.errors import AccessDenied
 from ropeway.listener.globs import Globs
 
-__all__ = ["EVERYTHING", "VERBS", "Access", "Globs", "Role"]
+__all__ = ["CONTROL_RIGHTS", "EVERYTHING", "VERBS", "Access", "Globs", "Role"]
 
 log = logging.getLogger("ropeway.server")
 
@@ -36,6 +36,9 @@ VERBS: Final = (
     "advertise_action",
 )
 """The things that a client may want to do with a topic, a service or an action."""
+
+CONTROL_RIGHTS: Final = frozenset(("observe", "configure", "operate"))
+"""The rights at the control API: see it, change its configuration, and act on it (end a session)."""
 
 _QUIET_S: Final = 60.0
 _KNOWN_LIMIT: Final = 1024  # decisions that are remembered per client
@@ -63,7 +66,8 @@ class Role:
     """The rights of a role's clients. ``allow`` and ``deny`` have patterns by verb; limits are ``None`` for no limit.
 
     ``messages_per_s`` and ``bytes_per_s`` bound what a client sends, on average over a second;
-    ``max_message_bytes`` one message, and ``max_clients`` how many clients have the role at a time.
+    ``max_message_bytes`` one message, and ``max_clients`` how many clients have the role at a time. ``control`` are
+    the rights at the control API.
     """
 
     name: str
@@ -73,6 +77,7 @@ class Role:
     bytes_per_s: float | None = None
     max_message_bytes: int | None = None
     max_clients: int | None = None
+    control: frozenset[str] = frozenset()
 
     def rule_against(self, verb: str, name: str, *, own: bool = False) -> str:
         """Return what of this role forbids it, ``""`` where nothing does; ``own`` is a service of our rosapi."""
@@ -98,7 +103,7 @@ class Role:
         }
 
 
-EVERYTHING: Final = Role("all", dict.fromkeys(VERBS, ("*",)))
+EVERYTHING: Final = Role("all", dict.fromkeys(VERBS, ("*",)), control=CONTROL_RIGHTS)
 """The role of everybody where no authentication is asked for."""
 
 

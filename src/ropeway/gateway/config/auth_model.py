@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import (
     AfterValidator,
@@ -186,6 +186,9 @@ class RoleConfig(Patterns):
     bytes_per_s: Rate | None = Field(None, description="how much a client may send; default: no limit")
     max_message_bytes: int | None = Field(None, ge=1024, description="a longer message closes its connection")
     max_clients: int | None = Field(None, ge=0, description="how many clients may have the role at a time")
+    control: Many[Literal["observe", "configure", "operate"]] = Field(
+        (), description="what it may do at the control API: see, change the configuration, act on sessions"
+    )
 
 
 class AuthConfig(Model):

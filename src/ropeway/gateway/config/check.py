@@ -112,7 +112,7 @@ def _objects(value: object) -> Iterable[tuple[int, Mapping[str, Any]]]:
 def _sense(full: Mapping[str, Any]) -> list[Problem]:
     gateway = full.get("gateway")
     gateway = gateway if isinstance(gateway, Mapping) else {}
-    problems = [*_listeners(gateway), *_auth(gateway), *_store(gateway, full.get("remotes"))]
+    problems = [*_listeners(gateway), *_auth(gateway), *_control(gateway), *_store(gateway, full.get("remotes"))]
     graphs = gateway.get("graphs")
     if graphs is None:
         try:
@@ -135,6 +135,21 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
             else:
                 first_seen[key] = where
     return problems
+
+
+def _control(gateway: Mapping[str, Any]) -> Iterable[Problem]:
+    """Check that nobody without credentials changes the gateway over TCP."""
+    control, auth = gateway.get("control"), gateway.get("auth")
+    listen = control.get("listen") if isinstance(control, Mapping) else None
+    if not listen:
+        return
+    if not isinstance(auth, Mapping) or not (auth.get("tokens") or auth.get("certificates")):
+        yield (
+            "gateway.control.listen",
+            "needs gateway.auth with tokens or certificates; without, the API is on the UNIX socket of its user only",
+        )
+    if gateway.get("tls") is None and any(str(url).startswith("https:") for url in _list(listen)):
+        yield "gateway.control.listen", "https:// needs gateway.tls with a certificate and its key"
 
 
 def _graphs(gateway: Mapping[str, Any], addresses: list[Any]) -> Iterable[Problem]:

@@ -17,6 +17,7 @@ from pydantic import (
 from ropeway.budget import ACCOUNT_BYTES, PROCESS_BYTES, Budget
 from ropeway.gateway.config.address import default_graph, parse_graph, parse_listen
 from ropeway.gateway.config.auth_model import AuthConfig, GlobsConfig, Secret
+from ropeway.gateway.config.control_model import ControlConfig, ControlItem
 from ropeway.gateway.config.fields import ExistingPath, Many, Model
 from ropeway.gateway.config.graph_model import Distro, GraphConfig, GraphItem
 from ropeway.gateway.config.group_model import Addresses, AnycastConfig
@@ -247,6 +248,10 @@ class GatewayConfig(Model):
     )
     clients: ClientsConfig = Field(
         default_factory=lambda: ClientsConfig.model_validate({}), description="how rosbridge clients are served"
+    )
+    control: ControlItem = Field(
+        default_factory=lambda: ControlConfig.model_validate({}),
+        description="how the running gateway is seen and changed; false: not at all",
     )
     workers: Annotated[
         Annotated[int, Field(ge=0, le=_MAX_WORKERS)] | Literal["per-remote"], BeforeValidator(_workers)

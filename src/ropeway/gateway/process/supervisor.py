@@ -6,13 +6,10 @@ The supervisor only places slices, starts workers and adds up what they tell; no
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import os
 import signal
-import sys
-import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 from ropeway import aio
@@ -20,6 +17,8 @@ from ropeway.errors import GraphUnavailable
 from ropeway.gateway.config.config import Config
 from ropeway.gateway.process.counts import summed
 from ropeway.gateway.process.ports import check_free
+from ropeway.gateway.process.questions import Question
+from ropeway.gateway.process.worker_process import Spare, WorkerProcess
 from ropeway.tasks import Supervised, end, failing
 
 __all__ = ["Supervisor", "slices"]
@@ -27,10 +26,8 @@ __all__ = ["Supervisor", "slices"]
 log = logging.getLogger("ropeway.gateway")
 
 _START_S: Final = 60.0  # for the next worker: 1 s, but many that start on a busy computer slow each other
-_STOP_S: Final = 3.0
+_ASK_S: Final = 30.0  # a worker that is busy with images answers within one
 _STEADY_S: Final = 5.0  # several times what a worker takes to start and to fail for a reason of its own
-_PAUSE_S: Final = 1.0
-_LONGEST_PAUSE_S: Final = 10.0
 
 
 def slices(config: Config) -> list[tuple[str, Config]]:
@@ -44,125 +41,6 @@ def slices(config: Config) -> list[tuple[str, Config]]:
         return parts
     count = max(int(workers), 1)
     return [(f"worker{n}", config.slice(active[n::count], listen=bool(config.gateway.listen))) for n in range(count)]
-
-
-class Spare:
-    """A process that has loaded everything and waits for its order, so that a worker that falls is back at once."""
-
-    def __init__(self) -> None:
-        self._process: asyncio.subprocess.Process | None = None
-        self._lock = asyncio.Lock()
-
-    @property
-    def pid(self) -> int | None:
-        """The process that waits; None where there is none yet."""
-        return None if self._process is None else self._process.pid
-
-    async def take(self) -> asyncio.subprocess.Process:
-        """Return the spare process, or start a new one."""
-        async with self._lock:
-            process, self._process = self._process, None
-        return process if process is not None and process.returncode is None else await self._start()
-
-    async def renew(self) -> None:
-        """See that there is a spare."""
-        async with self._lock:
-            if self._process is None or self._process.returncode is not None:
-                self._process = await self._start()
-
-    @staticmethod
-    async def _start() -> asyncio.subprocess.Process:
-        return await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "ropeway.gateway.process.worker",
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            limit=64 << 20,
-        )
-
-    async def close(self) -> None:
-        """End it."""
-        if self._process is not None:
-            process, self._process = self._process, None
-            await _end(process)
-
-
-class WorkerProcess:
-    """A process and its slice."""
-
-    def __init__(self, name: str, order: dict[str, Any], spare: Spare, *, steady_s: float) -> None:
-        self.name = name
-        self.status: dict[str, Any] = {}
-        self.starts = 0
-        self.process: asyncio.subprocess.Process | None = None
-        self.ready = asyncio.Event()
-        self.error = ""
-        self._order = order
-        self._spare = spare
-        self._steady_s = steady_s
-
-    async def run(self) -> None:
-        """Keep the process running until cancelled."""
-        short_lives = 0
-        while True:
-            began = time.monotonic()
-            self.starts += 1
-            await self._once()
-            if self.error and self.starts == 1:
-                self.ready.set()
-                return
-            self.status = {}
-            short_lives = short_lives + 1 if time.monotonic() - began < self._steady_s else 0
-            # One accident soon after the start is none of its own fault.
-            pause_s = min(_PAUSE_S * 2 ** (short_lives - 2), _LONGEST_PAUSE_S) if short_lives > 1 else 0.0
-            why = f" ({self.error})" if self.error else ""
-            when = f" in {pause_s:g} s" if pause_s else ""
-            log.warning("worker %s ended%s; it is started again%s", self.name, why, when)
-            await asyncio.sleep(pause_s)
-
-    async def _once(self) -> None:
-        process = self.process = await self._spare.take()
-        assert process.stdin is not None
-        assert process.stdout is not None
-        try:
-            process.stdin.write(json.dumps(self._order).encode() + b"\n")
-            await process.stdin.drain()
-            async for line in process.stdout:
-                await self._told(line)
-            await process.wait()
-        except (BrokenPipeError, ConnectionResetError):
-            await process.wait()
-        finally:
-            await _end(process)
-
-    async def _told(self, line: bytes) -> None:
-        try:
-            message = json.loads(line)
-        except ValueError:
-            message = None
-        if not isinstance(message, dict):  # a library that prints
-            log.info("worker %s: %s", self.name, line.decode(errors="replace").rstrip())
-            return
-        self.status = message.get("status", self.status)
-        self.error = message.get("error", self.error)
-        if "ready" in message:
-            self.error = ""
-            self.ready.set()
-            await self._spare.renew()
-
-
-async def _end(process: asyncio.subprocess.Process) -> None:
-    if process.returncode is not None:
-        return
-    if process.stdin is not None:
-        process.stdin.close()  # the worker takes this as the word to stop
-    try:
-        async with aio.timeout(_STOP_S):
-            await process.wait()
-    except TimeoutError:
-        process.kill()
-        await process.wait()
 
 
 class Supervisor:
@@ -234,6 +112,10 @@ class Supervisor:
         for worker in self.workers:
             if worker.process is not None and worker.process.returncode is None and worker.ready.is_set():
                 worker.process.send_signal(signal.SIGHUP)
+
+    async def ask(self, question: Question, params: Mapping[str, Any], *, timeout_s: float = _ASK_S) -> list[Any]:
+        """Return the answers of all workers to a question. Raises what one of them raises."""
+        return list(await asyncio.gather(*(w.ask(question, params, timeout_s=timeout_s) for w in self.workers)))
 
     def status(self) -> dict[str, Any]:
         """Return what all workers report, as if they were one gateway."""

@@ -1,7 +1,9 @@
 """A worker process: runs one slice of a configuration that comes on standard input, until that ends.
 
-Lines of JSON on standard output tell the supervisor: ``{"ready": true}`` once, then ``{"status": {...}}`` about once
-a second, or ``{"error": "..."}`` before a failed start ends the process.
+Lines of JSON come in: first the order, then questions, ``{"id": 1, "ask": "module:function", "params": {...}}``. Lines
+of JSON on standard output tell the supervisor: ``{"ready": true}`` once, then ``{"status": {...}}`` about once a
+second, or ``{"error": "..."}`` before a failed start ends the process; and for each question ``{"answer": 1, "value":
+...}``, or ``"error"`` with its text.
 """
 
 from __future__ import annotations
@@ -16,10 +18,13 @@ import sys
 from typing import Any
 
 from ropeway import aio
-from ropeway.errors import ConfigError, RopewayError
+from ropeway.errors import ConfigError, ControlRefused, RopewayError
 from ropeway.gateway.config.config import parse
 from ropeway.gateway.gateway import Gateway
+from ropeway.gateway.process.questions import find_question
+from ropeway.gateway.process.worker_process import LINE_BYTES
 from ropeway.logs import LimitedHandler, line_format
+from ropeway.tasks import Chores, describe
 
 __all__ = ["main"]
 
@@ -40,6 +45,27 @@ def _reload(gateway: Gateway) -> None:
         log.error("SIGHUP: nothing has changed: %s", error)
 
 
+async def _listen(gateway: Gateway, stdin: asyncio.StreamReader, chores: Chores) -> None:
+    """Answer questions until standard input ends."""
+    while line := await stdin.readline():
+        message = json.loads(line)
+        chores.start(_answer(gateway, message), f"question {message['ask']}")
+
+
+async def _answer(gateway: Gateway, message: dict[str, Any]) -> None:
+    number = message["id"]
+    try:
+        _say({"answer": number, "value": await find_question(message["ask"])(gateway, message["params"])})
+    except ConfigError as error:
+        _say({"answer": number, "error": str(error), "problems": error.problems})
+    except ControlRefused as error:
+        _say({"answer": number, "error": error.text, "status": error.status})
+    except Exception as error:  # whoever asks is told, and the worker goes on
+        if not isinstance(error, RopewayError):
+            log.exception("question %s failed", message["ask"])
+        _say({"answer": number, "error": describe(error)})
+
+
 async def _run(order: dict[str, Any], stdin: asyncio.StreamReader) -> int:
     gateway = Gateway(
         parse(order["config"], order.get("source", "")),
@@ -52,10 +78,13 @@ async def _run(order: dict[str, Any], stdin: asyncio.StreamReader) -> int:
             asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, _reload, gateway)
             _say({"ready": True})
             gc.freeze()  # as ``ropeway run`` does
-            gone = asyncio.create_task(stdin.read())
+            chores = Chores()
+            gone = asyncio.create_task(_listen(gateway, stdin, chores))
             while not gone.done():
                 _say({"status": gateway.status()})
                 await asyncio.wait([gone], timeout=_STATUS_S)
+            await chores.close()
+            await gone
     except RopewayError as error:
         _say({"error": str(error)})
         return 1
@@ -63,7 +92,7 @@ async def _run(order: dict[str, Any], stdin: asyncio.StreamReader) -> int:
 
 
 async def _main() -> int:
-    reader = asyncio.StreamReader(limit=64 << 20)
+    reader = asyncio.StreamReader(limit=LINE_BYTES)
     loop = asyncio.get_running_loop()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
     line = await reader.readline()

@@ -1,0 +1,131 @@
+"""The control API of a running gateway: its sockets, its server and its manager, as one thing to enter and leave."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import ssl
+from contextlib import AsyncExitStack
+from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import urlsplit
+
+from ropeway.control.admission import AnyAdmission, TcpAdmission, UnixAdmission
+from ropeway.control.app import make_app
+from ropeway.control.claim import SocketClaim
+from ropeway.control.place import own_directory, socket_path
+from ropeway.control.server import ControlServer
+from ropeway.errors import ConnectFailed, ControlError, NameTaken
+from ropeway.gateway.auth import make_door
+from ropeway.gateway.tls import server_context
+
+if TYPE_CHECKING:
+    from ropeway.control.manager import Manager
+
+__all__ = ["Control"]
+
+log = logging.getLogger("ropeway.control")
+
+_MOST_OF_A_NAME: Final = 100
+_BACKLOG: Final = 64
+
+
+class Control:
+    """Serves the control API of ``manager`` while it is entered.
+
+    A name that another gateway has is an error only where the configuration asks for it; else a number is put behind
+    it. What goes wrong with a socket that nobody asked for is a warning: data flows without.
+    """
+
+    def __init__(self, manager: Manager) -> None:
+        self.manager = manager
+        self.name = ""
+        self.addresses: list[str] = []  # over TCP
+        self._admission: TcpAdmission | None = None
+        self._stack = AsyncExitStack()
+
+    def status(self) -> dict[str, Any]:
+        """Return where the API is, and who was refused over TCP, as JSON."""
+        refused = {} if self._admission is None else self._admission.entrance.status()
+        return {"name": self.name, "listen": self.addresses, **refused}
+
+    async def __aenter__(self) -> Control:
+        """Begin to serve. Raises ``ControlError`` or ``ConnectFailed`` where what was asked for cannot be had."""
+        async with AsyncExitStack() as stack:
+            await self._bring_up(stack)
+            self._stack = stack.pop_all()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """End it."""
+        await self._stack.aclose()
+
+    async def _bring_up(self, stack: AsyncExitStack) -> None:
+        settings = self.manager.config.gateway
+        control = settings.control
+        if not control.enabled:
+            return
+        try:
+            claim = self._claim(control.name or settings.name, asked=control.name is not None)
+        except ControlError as error:
+            if "control" in settings.model_fields_set:
+                raise
+            log.warning('%s; nobody can see or change this gateway ("control": false says that is meant)', error)
+            return
+        stack.callback(claim.close)
+        await self._serve(stack, UnixAdmission(), claim.socket)
+        if control.listen:
+            admission = self._admission = TcpAdmission(make_door(settings))
+            self.manager.on_door(admission.renew)
+            for url in control.listen:
+                bound = _bind(url)
+                stack.callback(bound.close)
+                context = server_context(settings.tls) if url.startswith("https:") else None
+                await self._serve(stack, admission, bound, context)
+                host, port = bound.getsockname()[:2]
+                self.addresses.append(f"{url.partition(':')[0]}://{host}:{port}")
+        log.info("ropeway status %s shows this gateway (%s)", self.name, claim.path)
+
+    async def _serve(
+        self,
+        stack: AsyncExitStack,
+        admission: AnyAdmission,
+        bound: socket.socket,
+        context: ssl.SSLContext | None = None,
+    ) -> None:
+        server = ControlServer(make_app(self.manager, admission))
+        stack.push_async_callback(server.close)
+        await server.listen(bound, context=context)
+
+    def _claim(self, name: str, *, asked: bool) -> SocketClaim:
+        directory = own_directory()
+        number = 1
+        while True:
+            self.name = name if number == 1 else f"{name}-{number}"
+            try:
+                return SocketClaim(socket_path(directory, self.name))
+            except NameTaken:
+                if asked or number == _MOST_OF_A_NAME:
+                    raise
+            number += 1
+
+
+def _bind(url: str) -> socket.socket:
+    """Return a socket that listens at an address over TCP. Raises ``ConnectFailed``."""
+    parts = urlsplit(url)
+    host, port = parts.hostname or "", parts.port or 0
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        bound = socket.socket(family, kind, protocol)
+        try:
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            bound.setblocking(False)
+            bound.bind(address)
+            bound.listen(_BACKLOG)
+        except OSError:
+            bound.close()
+            raise
+    except OSError as error:
+        raise ConnectFailed(url, f"cannot listen: {error.strerror or error}", retryable=False) from None
+    return bound

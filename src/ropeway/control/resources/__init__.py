@@ -1,0 +1,1 @@
+"""The resources of the control API, one file per subject; each has its table as ``resources``."""

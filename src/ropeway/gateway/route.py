@@ -1,0 +1,158 @@
+"""A route of a running gateway: the bridge that carries it out, and the one place that says how it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from ropeway.bridge.action import ActionBridge
+from ropeway.bridge.service import ServiceBridge
+from ropeway.bridge.topic import TopicBridge
+from ropeway.gateway.config.config import Route
+from ropeway.graph.link_parts import Encoded, LinkedPublisher, LinkStatistics
+from ropeway.listener.http import without_token
+
+if TYPE_CHECKING:
+    from contextlib import AsyncExitStack
+
+__all__ = ["Bridge", "CallFigures", "RouteStatus", "RunningRoute", "TopicFigures", "paused_status"]
+
+Bridge = TopicBridge | ServiceBridge | ActionBridge
+
+_CONNECTED: Final = "connected"
+PAUSED: Final = "paused"
+"""The state of a route that the configuration has with ``"active": false``."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicFigures:
+    """The figures of a topic. ``drops`` counts messages that were not passed on, by reason."""
+
+    messages: int = 0
+    bytes: int = 0
+    rate_hz: float = 0.0
+    bandwidth_bps: int = 0
+    delay_ms: float | None = None
+    drops: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class CallFigures:
+    """The figures of a service or an action: ``ended`` counts calls by how they ended."""
+
+    requests: int = 0
+    under_way: int = 0
+    ended: Mapping[str, int] = field(default_factory=dict)
+    took_ms: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RouteStatus:
+    """The state of a route. ``key`` stays the same while operation, address, names and type do.
+
+    ``state`` is ``active``, ``idle`` (nobody reads), ``waiting``, ``failed``, ``paused``, or that of the link where it
+    is not connected; ``error`` says why.
+    """
+
+    key: str
+    kind: str
+    path: str
+    operation: str
+    name: str
+    remote_name: str
+    address: str
+    type: str
+    state: str
+    error: str = ""
+    encoding: str = ""
+    figures: TopicFigures | CallFigures | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the row of the table of routes: all of it on one level."""
+        row = {key: getattr(self, key) for key in _PLAIN}
+        if self.figures is not None:
+            row.update(asdict(self.figures))
+        return row
+
+
+_PLAIN: Final = tuple(key for key in RouteStatus.__dataclass_fields__ if key != "figures")
+
+
+class RunningRoute:
+    """A route and its bridge. ``stack`` has what ends with it alone."""
+
+    __slots__ = ("bridge", "route", "stack")
+
+    def __init__(self, route: Route, bridge: Bridge, stack: AsyncExitStack | None = None) -> None:
+        self.route, self.bridge, self.stack = route, bridge, stack
+
+    def status(self, link_state: str = _CONNECTED) -> RouteStatus:
+        """Return how the route is, while the link that it goes over is in ``link_state``."""
+        bridge = self.bridge
+        figures: TopicFigures | CallFigures
+        if isinstance(bridge, TopicBridge):
+            error, encoding, figures = _topic(self.route, bridge)
+        else:
+            error = bridge.error or (f"offered by {bridge.taken_by}" if bridge.taken_by else "")
+            encoding, figures = bridge.encoding, _calls(bridge)
+        state = bridge.state if link_state == _CONNECTED else link_state
+        return _status(self.route, state, error, encoding, figures)
+
+
+def paused_status(route: Route) -> RouteStatus:
+    """Return how a route is that the configuration has, and that does not run."""
+    return _status(route, PAUSED, "", route.delivery.encoding, None)
+
+
+def _status(
+    route: Route, state: str, error: str, encoding: str, figures: TopicFigures | CallFigures | None
+) -> RouteStatus:
+    return RouteStatus(
+        key=route.key,
+        kind=route.kind,
+        path=route.path,
+        operation=route.operation,
+        name=route.name,
+        remote_name=route.remote_name,
+        address=",".join(map(without_token, route.remote.addresses)),
+        type=route.type,
+        state=state,
+        error=error,
+        encoding=encoding,
+        figures=figures,
+    )
+
+
+def _calls(bridge: ServiceBridge | ActionBridge) -> CallFigures:
+    return CallFigures(
+        requests=sum(bridge.counts.values()),
+        under_way=bridge.under_way,
+        ended=dict(bridge.counts),
+        took_ms=None if bridge.took_s is None else round(1e3 * bridge.took_s, 3),
+    )
+
+
+def _topic(route: Route, bridge: TopicBridge) -> tuple[str, str, TopicFigures]:
+    meter = bridge.meter
+    drops: dict[str, int] = {reason.value: n for reason, n in bridge.drops.items() if n}
+    delay, encoding = meter.delay_s, route.delivery.encoding
+    publisher: object = bridge.publisher
+    subscription: object = bridge.subscription
+    link = publisher.statistics() if isinstance(publisher, LinkedPublisher) else LinkStatistics()
+    if link.encoding is not None:
+        encoding = link.encoding
+    elif isinstance(subscription, Encoded):
+        encoding = subscription.encoding
+    drops.update(link.lost)
+    if delay is None:
+        delay = link.delay_s
+    figures = TopicFigures(
+        messages=meter.messages,
+        bytes=meter.bytes,
+        rate_hz=round(meter.rate_hz, 2),
+        bandwidth_bps=round(meter.rate_bps),
+        delay_ms=None if delay is None else round(1e3 * delay, 3),
+        drops=drops,
+    )
+    return bridge.error or link.refused, encoding, figures
