@@ -22,7 +22,7 @@ from ropeway.control.caller import Caller
 from ropeway.control.openapi import document
 from ropeway.control.resource import Answer, ControlRequest, Resource, collect
 from ropeway.errors import ConfigError, ControlRefused, RopewayError
-from ropeway.gateway.config.check import json_path
+from ropeway.gateway.config.shape import json_path
 from ropeway.limits import CONTROL_BODIES_BYTES, CONTROL_BODY_BYTES, CONTROL_READER_S, CONTROL_REQUEST_S
 from ropeway.tasks import describe
 

@@ -10,18 +10,18 @@ from collections.abc import Iterable, Mapping
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.errors import ConnectFailed, GraphUnavailable
+from ropeway.errors import ConnectFailed
 from ropeway.extras import require
 from ropeway.gateway.auth import make_door
 from ropeway.gateway.bridges import make_bridge
 from ropeway.gateway.config.address import is_iort, is_loopback, is_secure
 from ropeway.gateway.config.config import Config, Route
-from ropeway.gateway.config.graph_model import GraphConfig
 from ropeway.gateway.config.iort_model import StoreConfig
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.overlay_model import OVERLAY
 from ropeway.gateway.config.type_hints import learn_types, type_hints
 from ropeway.gateway.credentials import Credentials, read_credentials
+from ropeway.gateway.local_networks import open_network
 from ropeway.gateway.process.allocator import FreedMemory, keep_freed_memory
 from ropeway.gateway.process.counts import summed
 from ropeway.gateway.process.open_files import make_room
@@ -34,7 +34,6 @@ from ropeway.hub.hub import Hub, View
 from ropeway.listener.connection import Limits
 from ropeway.listener.entrance import Entrance
 from ropeway.listener.http import without_token
-from ropeway.networks.factory import open_graph
 from ropeway.networks.rosbridge.client import RosbridgeGraph
 from ropeway.tasks import Supervised, failing
 from ropeway.types import TypeRegistry
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
     from ropeway.gateway.group import GroupRemote
     from ropeway.gateway.last_value import LastValue
     from ropeway.gateway.nodes import Nodes
-    from ropeway.graph.base import Graph
     from ropeway.listener.listener import Listener
     from ropeway.networks.overlay.graph import OverlayGraph
     from ropeway.networks.overlay.node import OverlayNode
@@ -56,8 +54,6 @@ __all__ = ["Gateway"]
 log = logging.getLogger("ropeway.gateway")
 
 _METERS_S: Final = 1.0
-_MASTER_S: Final = 30.0
-_MASTER_PAUSE_S: Final = 0.5
 
 _NEED_DISCOVERY: Final = ("subscribe", "reserve-service", "reserve-action")  # what is there matters
 
@@ -119,7 +115,8 @@ class Gateway:
         self._entrance.door = make_door(settings)
         self._tls, self._trusted = server_context(settings.tls), trusted_files(settings.tls)
         for network in settings.networks:
-            url, graph = network.address, await self._open_graph(network)
+            url = network.address
+            graph = await open_network(network, registry=self.registry, name=self._node, gateway_id=self.gateway_id)
             stack.push_async_callback(graph.close)
             hub = self.hubs[url] = Hub(graph, gateway_id=self.gateway_id)
             await hub.open()
@@ -178,29 +175,6 @@ class Gateway:
                 log.warning('%s; going on without it, since "listen" names none ([] asks for none)', error)
             if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
                 log.warning("%s: tokens are sent unencrypted here; wss:// would encrypt them", url)
-
-    async def _open_graph(self, network: GraphConfig) -> Graph:
-        """Open one of our graphs, waiting for a ROS 1 master that starts a little later than its robot's gateway."""
-        loop, url = asyncio.get_running_loop(), network.address
-        deadline = loop.time() + (_MASTER_S if url.partition(":")[0] == "ros1" else 0.0)
-        waits = False
-        while True:
-            try:
-                return await open_graph(
-                    url,
-                    registry=self.registry,
-                    name=self._node,
-                    gateway_id=self.gateway_id,
-                    distro=network.distro,
-                    types=network.types,
-                )
-            except GraphUnavailable as error:
-                if loop.time() >= deadline:
-                    raise
-                if not waits:
-                    log.warning("%s; waiting for it, %g s at most", error, _MASTER_S)
-                    waits = True
-            await asyncio.sleep(_MASTER_PAUSE_S)
 
     async def _open_store(self, stack: AsyncExitStack) -> Store:
         from ropeway.store import Store, default_path, make_backend, make_mirror
