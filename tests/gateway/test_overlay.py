@@ -216,7 +216,7 @@ async def test_a_group_of_members(overlay: Overlay) -> None:
         return found
 
     await until(lambda: sum(member["here"] for member in group()["members"].values()) == 2)
-    input = await robot.create_publisher("/input", STRING)
+    input = await robot.create_publisher("/input", STRING, QoS(depth=50))
     await until(lambda: input.subscribers)
     for number in range(20):
         input.publish(sample(str(number)))

@@ -86,13 +86,16 @@ class Hostile:
 
     def advert(self, number: int, kind: str = "publisher") -> bytes:
         """Make a sealed advertisement."""
+        return make_advert(self.endpoint(number, kind), self.identity, self.key)
+
+    def endpoint(self, number: int, kind: str = "publisher") -> Advertisement:
+        """Make up an endpoint."""
         name, about = f"/t{number}", Metadata()
         secret = global_name(self.secret, "topic" if kind == "publisher" else "service", name, _STRING, about)
         since = time.time_ns()
-        advert = Advertisement(
+        return Advertisement(
             kind, secret, os.urandom(16), self.me, name, _STRING, QoS(), "cdr", about, since, since + 10**18
         )
-        return make_advert(advert, self.identity, self.key)
 
 
 Attack = Callable[[Hostile, int], Awaitable[int]]
@@ -100,9 +103,10 @@ Attack = Callable[[Hostile, int], Awaitable[int]]
 
 
 async def _adverts(evil: Hostile, number: int) -> int:
-    raws = [evil.advert(100 * number + n) for n in range(100)]
-    for raw in raws:
-        evil.graph.node.membership.advertise(os.urandom(16), raw)
+    adverts = [evil.endpoint(100 * number + n) for n in range(100)]
+    raws = [make_advert(advert, evil.identity, evil.key) for advert in adverts]
+    for advert, raw in zip(adverts, raws, strict=True):
+        evil.graph.node.membership.advertise(advert, raw)
     await asyncio.sleep(0.05)
     return sum(map(len, raws))
 

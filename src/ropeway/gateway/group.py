@@ -173,7 +173,8 @@ class OverlayGroupRemote(GroupRemote):
         from ropeway.networks.overlay.graph.pool import OverlayPool  # loads Zenoh, which other groups do not need
 
         assert config.anycast is not None
-        roster = OverlayPool(overlay, config.anycast.members or ("*",))
+        answers = _exchanges(config.anycast.responses, routes)
+        roster = OverlayPool(overlay, config.anycast.members or ("*",), answers)
         super().__init__(config, routes, registry, gateway, members={}, roster=roster)
         self.overlay = overlay
 

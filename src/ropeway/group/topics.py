@@ -36,12 +36,16 @@ class GroupPublisher(GroupPart[Publisher]):
         self.type, self.qos = (type, qos) if first is None else (first.type, first.qos)
         self._exchange, self._stamp = exchange, stamp
         self._demand: list[Callable[[int], None]] = []
+        self._closed = False
         self._timers: set[asyncio.TimerHandle] = set()
         self._held_bytes = 0
         self._numbers = itertools.count()
 
     def publish(self, sample: Sample) -> None:
         """Give the message to whoever is in use, and to a second where the policy says so."""
+        if self._closed:
+            self._group.drops[self.topic, Undelivered.CLOSED] += 1
+            return
         names = self._due()
         if not names:
             self._group.drops[self.topic, Undelivered.NOBODY] += 1
@@ -124,6 +128,7 @@ class GroupPublisher(GroupPart[Publisher]):
         self._timers.clear()
         self._held_bytes = 0
         self._demand.clear()
+        self._closed = True
         await super().close()
 
 

@@ -38,9 +38,11 @@ class Advertisement:
 
     ``kind``: ``publisher``, ``subscription``, ``service`` or ``client``; ``global_name`` 32 bytes, ``endpoint`` and
     ``gateway`` 16; ``name`` and ``type`` those of ROS; ``qos`` ``None`` for services and for readers that take what is
-    offered; ``since_ns`` and ``expires_ns`` are times (``time.time_ns``). Two things are told beside the advertisement:
-    ``node``, the name of the node that has it, for people; and ``target``, the gateway that it is for, ``b""`` for all.
-    What a publisher with a target sends goes to that gateway alone.
+    offered; ``since_ns`` and ``expires_ns`` are times (``time.time_ns``).
+
+    Three things are told beside the advertisement: ``node``, the name of the node that has it, for people; ``target``,
+    the gateway that it is for, ``b""`` for all; and ``answers``, the topic on which the target answers what is
+    published, ``""`` for none. What a publisher with a target sends goes to that gateway alone.
     """
 
     kind: str
@@ -56,6 +58,7 @@ class Advertisement:
     expires_ns: int
     node: str = ""
     target: bytes = b""
+    answers: str = ""
 
 
 def advert_key(name_secret: bytes) -> AESGCM:

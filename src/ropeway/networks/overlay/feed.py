@@ -76,6 +76,9 @@ class FeedReader(Protocol):
     def history(self) -> bool:
         """Whether earlier messages are wanted."""
 
+    def joined(self, stream: PublisherStream) -> None:
+        """Note that a publisher has given its key."""
+
     def received(self, stream: PublisherStream, items: Sequence[PacketItem]) -> None:
         """Take messages, in order."""
 
@@ -162,6 +165,10 @@ class PublisherStream:
 
     # ── readers ────────────────────────────────────────────────────────────────────────────────────────────────
 
+    def reads(self, reader: FeedReader) -> bool:
+        """Return whether a reader gets what comes."""
+        return self.readers.get(reader) is not None
+
     def join(self, reader: FeedReader) -> None:
         """Add a reader, from what the publisher sends once it knows of this reader."""
         if reader not in self.readers:
@@ -181,6 +188,7 @@ class PublisherStream:
             history = reader.history and latched
             follower = Follower(reliable=reliable, history=history, start=newest, held=self._feed.held)
         self.readers[reader] = follower
+        reader.joined(self)
         self._recover(reader, follower)
 
     def _recover(self, reader: FeedReader, follower: Follower) -> None:

@@ -19,6 +19,7 @@ from typing import Any, Final
 from ropeway.errors import CallError, SealError
 from ropeway.graph.signal import Signal
 from ropeway.limits import OVERLAY_GATEWAYS_PER_MEMBER, OVERLAY_LIST_BYTES, OVERLAY_STRANGERS
+from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.announcement import NoteKey, note_key_id
 from ropeway.networks.overlay.asked import Asked
 from ropeway.networks.overlay.crypto.certificate import Certificate
@@ -27,7 +28,7 @@ from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.fabric import Fabric, Handle
 from ropeway.networks.overlay.known_gateway import SHAPES as _SHAPES
 from ropeway.networks.overlay.known_gateway import KnownGateway, gateway_of, read_told
-from ropeway.networks.overlay.own_adverts import OwnAdverts, read_raws, with_notes
+from ropeway.networks.overlay.own_adverts import Notes, OwnAdverts, notes_of, read_raws, with_notes
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.networks.overlay.rib import Rib
 from ropeway.tasks import Supervised, background, describe, end
@@ -122,12 +123,9 @@ class Membership:
 
     # ── what we tell ───────────────────────────────────────────────────────────────────────────────────────────
 
-    def advertise(self, endpoint: bytes, raw: bytes, node: str = "", target: bytes = b"") -> None:
-        """Tell the others of an endpoint, with everything else that changes in this turn of the loop.
-
-        With ``target`` it is for that gateway alone.
-        """
-        self._own.add(endpoint, raw, node, target, hidden=self.aims(target))
+    def advertise(self, advert: Advertisement, raw: bytes) -> None:
+        """Tell the others of an endpoint, with everything else that changes in this turn of the loop."""
+        self._own.add(advert, raw, hidden=self.aims(advert.target))
         self._schedule()
 
     def withdraw(self, endpoint: bytes) -> None:
@@ -310,7 +308,7 @@ class Membership:
             return
         known.version = body["v"]
         found = self._rib.read_all(gateway, known.certificate, raws)
-        found = with_notes(found, body.get("x"), body.get("to"), self._fabric.gateway)
+        found = with_notes(found, notes_of(body), self._fabric.gateway)
         self._rib.apply(gateway, known.certificate, found, body["del"])
 
     def _turned_over(self, raw: bytes, gateway: bytes, known: KnownGateway) -> bool:
@@ -383,8 +381,7 @@ class Membership:
         if others >= OVERLAY_GATEWAYS_PER_MEMBER:
             raise SealError(Refusal.NO_RIGHT, f"{certificate.name} has {others} gateways already")
         raws: list[Any] = []
-        nodes: dict[Any, Any] = {}
-        targets: dict[Any, Any] = {}
+        beside: Notes = ({}, {}, {})
         left = hello["of"] + int(hello.get("at", 0))
         for answer in answers[1:]:
             body = notes.open(answer, gateway, "adverts", _SHAPES["adverts"], lambda _: certificate)
@@ -393,12 +390,12 @@ class Membership:
             mine, others = read_raws(body, "a", self._fabric.gateway)
             raws += mine
             left -= len(mine) + others
-            nodes |= body["x"] if isinstance(body.get("x"), dict) else {}
-            targets |= body["to"] if isinstance(body.get("to"), dict) else {}
+            for all_of_them, some in zip(beside, notes_of(body), strict=True):
+                all_of_them.update(some)
         if left:
             raise SealError(Refusal.TRUNCATED, "a list")
         found = await asyncio.to_thread(self._rib.read_all, gateway, certificate, raws)
-        adverts = with_notes(found, nodes, targets, self._fabric.gateway)
+        adverts = with_notes(found, beside, self._fabric.gateway)
         if self._known.get(gateway) is not known:
             return None
         first = known.certificate is None

@@ -20,6 +20,7 @@ from ropeway.errors import CallFailed, IdentityError, NotServed, RopewayError, S
 from ropeway.limits import OVERLAY_CRL_BYTES, OVERLAY_MESSAGE_BYTES
 from ropeway.networks.overlay.advert import VERB_OF, Advertisement, advert_key, make_advert
 from ropeway.networks.overlay.asked import Asked
+from ropeway.networks.overlay.askers import Askers
 from ropeway.networks.overlay.bypass import Bypass
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.identity import Identity
@@ -122,6 +123,7 @@ class OverlayNode:
         self.receipts = Receipts(self.fabric, self.rpc, self.membership.certificate, self.refused)
         self.bypass = Bypass(self.fabric, self.links.client_config, self.routers, self._copy_came)
         self.sources: dict[bytes, PublisherSource] = {}
+        self.askers: dict[str, Askers] = {}
         self.on_granted: dict[bytes, Callable[[Sequence[bytes]], None]] = {}
         self.providers: dict[bytes, Provider] = {}
         self.feeds: dict[bytes, Feed] = {}
@@ -291,7 +293,7 @@ class OverlayNode:
                 Refusal.NO_RIGHT, f"the certificate of {self.identity.name} has no right to {verb} {advert.name}"
             )
         raw = make_advert(advert, self.identity, self._advert_key)
-        self.membership.advertise(advert.endpoint, raw, advert.node, advert.target)
+        self.membership.advertise(advert, raw)
 
     def withdraw(self, endpoint: bytes) -> None:
         """Tell everybody that it is gone."""

@@ -7,7 +7,7 @@ it and ignores the advertisement, or, if it is an older member as well, is refus
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -16,10 +16,13 @@ from ropeway.limits import NAME_CHARACTERS
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.refusal import Refusal
 
-__all__ = ["OwnAdverts", "read_raws", "with_notes"]
+__all__ = ["Notes", "OwnAdverts", "notes_of", "read_raws", "with_notes"]
 
 _CHUNK: Final = 500  # advertisements in one note
 _GATEWAY_BYTES: Final = 16
+
+Notes = tuple[dict[Any, Any], dict[Any, Any], dict[Any, Any]]
+"""Told beside advertisements: nodes, targets and topics of answers, by endpoint; not checked yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +30,7 @@ class _Own:
     raw: bytes  # sealed
     node: str
     target: bytes
+    answers: str  # the topic on which what is published is answered
     hidden: bool  # from all but its target
 
 
@@ -39,9 +43,10 @@ class OwnAdverts:
         self._added: dict[bytes, _Own] = {}
         self._removed: list[bytes] = []
 
-    def add(self, endpoint: bytes, raw: bytes, node: str = "", target: bytes = b"", *, hidden: bool = False) -> None:
-        """Add an advertisement by ``node``; with ``target``, for that gateway alone, ``hidden`` from all others."""
-        self._own[endpoint] = self._added[endpoint] = _Own(raw, node, target, hidden)
+    def add(self, advert: Advertisement, raw: bytes, *, hidden: bool = False) -> None:
+        """Add an advertisement, ``raw`` as it is told; ``hidden`` from all but its target."""
+        own = _Own(raw, advert.node, advert.target, advert.answers, hidden)
+        self._own[advert.endpoint] = self._added[advert.endpoint] = own
 
     def remove(self, endpoint: bytes) -> bool:
         """Remove an advertisement; return whether there was one."""
@@ -79,6 +84,7 @@ def _told(adverts: list[tuple[bytes, _Own]]) -> dict[str, Any]:
     more: dict[str, Any] = {
         "x": {endpoint: own.node for endpoint, own in adverts if own.node},
         "to": {endpoint: own.target for endpoint, own in adverts if own.target},
+        "re": {endpoint: own.answers for endpoint, own in adverts if own.answers},
         "at": [[own.target, own.raw] for _, own in adverts if own.hidden],
     }
     return {"a": [own.raw for _, own in adverts if not own.hidden], **{key: part for key, part in more.items() if part}}
@@ -98,26 +104,32 @@ def read_raws(body: dict[str, Any], plain: str, me: bytes) -> tuple[list[Any], i
     return [*body[plain], *mine], len(hidden) - len(mine)
 
 
-def with_notes(
-    found: Iterable[Advertisement | SealError], nodes: object, targets: object, me: bytes
-) -> list[Advertisement | SealError]:
-    """Return advertisements with what was told beside them: the names of the nodes that have them, and the targets.
+def notes_of(body: Mapping[str, Any]) -> Notes:
+    """Return what is told beside advertisements: their nodes, targets and topics of answers, by endpoint."""
+    nodes, targets, answers = (part if isinstance(part := body.get(key), dict) else {} for key in ("x", "to", "re"))
+    return nodes, targets, answers
+
+
+def with_notes(found: Iterable[Advertisement | SealError], notes: Notes, me: bytes) -> list[Advertisement | SealError]:
+    """Return advertisements with what was told beside them.
 
     Those for another gateway than ``me`` are left out; notes that are not as they should be are ignored.
     """
-    known = nodes if isinstance(nodes, dict) else {}
-    to = targets if isinstance(targets, dict) else {}
+    nodes, targets, answers = notes
     read: list[Advertisement | SealError] = []
     for advert in found:
         if not isinstance(advert, Advertisement):
             read.append(advert)
             continue
-        node, target = known.get(advert.endpoint, ""), to.get(advert.endpoint, b"")
+        node, target = nodes.get(advert.endpoint, ""), targets.get(advert.endpoint, b"")
+        topic = answers.get(advert.endpoint, "")
         if type(target) is bytes and len(target) == _GATEWAY_BYTES:
             if target != me:
                 continue
             advert = replace(advert, target=target)
         if isinstance(node, str) and 0 < len(node) <= NAME_CHARACTERS:
             advert = replace(advert, node=node)
+        if isinstance(topic, str) and 0 < len(topic) <= NAME_CHARACTERS:
+            advert = replace(advert, answers=topic)
         read.append(advert)
     return read

@@ -31,6 +31,7 @@ class Rib:
         self._refused = refused
         self._adverts: dict[bytes, dict[bytes, Advertisement]] = {}  # gateway, endpoint
         self._names: dict[tuple[bytes, str], dict[bytes, Advertisement]] = {}  # global name and kind, endpoint
+        self._asking: dict[str, dict[bytes, Advertisement]] = {}  # topic of answers, endpoint
         self._callbacks: list[OnChange] = []
 
     def on_change(self, callback: OnChange) -> Callable[[], None]:
@@ -98,6 +99,8 @@ class Rib:
                 return
             known[advert.endpoint] = advert
             self._names.setdefault((advert.global_name, advert.kind), {})[advert.endpoint] = advert
+            if advert.answers:
+                self._asking.setdefault(advert.answers, {})[advert.endpoint] = advert
             self._tell(advert, True)
 
     def _remove(self, gateway: bytes, endpoint: bytes) -> None:
@@ -108,6 +111,11 @@ class Rib:
         del same[endpoint]
         if not same:
             del self._names[advert.global_name, advert.kind]
+        if advert.answers:
+            asking = self._asking[advert.answers]
+            del asking[endpoint]
+            if not asking:
+                del self._asking[advert.answers]
         self._tell(advert, False)
 
     def _tell(self, advert: Advertisement, added: bool) -> None:
@@ -119,6 +127,10 @@ class Rib:
     def by_name(self, global_name: bytes, kind: str) -> list[Advertisement]:
         """Return the advertisements of a global name."""
         return list(self._names.get((global_name, kind), {}).values())
+
+    def asking(self, topic: str) -> set[bytes]:
+        """Return the gateways that want answers on a topic to what they publish for us alone."""
+        return {advert.gateway for advert in self._asking.get(topic, {}).values()}
 
     def all(self, kind: str) -> list[Advertisement]:
         """Return all advertisements of one kind."""

@@ -20,7 +20,7 @@ from ropeway.networks.overlay.graph.pool import OverlayPool
 from ropeway.networks.overlay.known_gateway import KnownGateway
 from ropeway.networks.overlay.membership import Membership
 from ropeway.networks.overlay.node import OverlayNode
-from ropeway.qos import LATCHED
+from ropeway.qos import LATCHED, QoS
 from tests.networks.overlay.conftest import Site
 from tests.networks.overlay.conftest import site as site
 from tests.networks.overlay.fleet import member
@@ -29,6 +29,7 @@ from tests.support.messages import STRING, sample
 from tests.support.services import ADD, addends, total
 from tests.support.until import until
 
+DEEP = QoS(depth=500)  # what waits for its turn is not replaced
 FIBONACCI = "example_interfaces/action/Fibonacci"
 
 
@@ -87,7 +88,8 @@ class Team:
     async def robot(self, **options: Any) -> Group:
         patterns = options.pop("members", ("*",))
         common = OverlayGraph(OverlayNode(member("robot"), routers=[self.site.endpoint], listen=()))
-        group = Group({}, roster=OverlayPool(common, patterns), **{"exchanges": {"/input": "/output"}, **options})
+        exchanges = options.pop("exchanges", {"/input": "/output"})
+        group = Group({}, roster=OverlayPool(common, patterns, exchanges), exchanges=exchanges, **options)
         await group.open()
         self.site.stack.push_async_callback(group.close)
         return group
@@ -111,7 +113,7 @@ async def test_one_of_two(team: Team) -> None:
     await team.machine()
     group = await team.robot()
     heard: list[str] = []
-    input = await group.create_publisher("/input", STRING)
+    input = await group.create_publisher("/input", STRING, DEEP)
     await group.create_subscription("/output", STRING, None, lambda batch: heard.extend(map(text, batch)))
     await until(lambda: input.subscribers == 1 and len(group.scheduler.here) == 2)
     for number in range(50):
@@ -129,7 +131,7 @@ async def test_nothing_is_fetched_by_others(team: Team) -> None:
     packets: list[str] = []
     end = second.graph.node.fabric.subscribe("rw/d/*/*", lambda key, payload, mark: packets.append(key))
     group = await team.robot(members=[first.name])
-    input = await group.create_publisher("/input", STRING)
+    input = await group.create_publisher("/input", STRING, DEEP)
     await until(lambda: input.subscribers == 1)
     for number in range(20):
         input.publish(sample(str(number)))
@@ -165,7 +167,7 @@ async def test_a_switch_in_a_burst(team: Team) -> None:
     """A switch in the middle of a burst loses nothing, repeats nothing and keeps the order at each member."""
     machines = [await team.machine(), await team.machine()]
     group = await team.robot(exchanges={})
-    input = await group.create_publisher("/input", STRING)
+    input = await group.create_publisher("/input", STRING, DEEP)
     await ready(group, 2)
     await until(lambda: all(part.subscribers == 1 for part in input._parts.values()))
     for number in range(200):
@@ -221,7 +223,7 @@ async def test_a_member_that_lacks_a_name(team: Team) -> None:
     whole, part = await team.machine(), await team.machine()
     await part.service.close()
     group = await team.robot()
-    input, client = await group.create_publisher("/input", STRING), await group.create_client("/add", ADD)
+    input, client = await group.create_publisher("/input", STRING, DEEP), await group.create_client("/add", ADD)
     await until(lambda: group.scheduler.here == [whole.name] and input.subscribers == 1)
     await whole.graph.close()
     await until(lambda: group.scheduler.here == [part.name])
@@ -234,7 +236,7 @@ async def test_a_member_that_lacks_a_name(team: Team) -> None:
 async def test_nobody_and_then_somebody(team: Team) -> None:
     """Without members messages are dropped and counted, and a call waits for the first that comes."""
     group = await team.robot()
-    input, client = await group.create_publisher("/input", STRING), await group.create_client("/add", ADD)
+    input, client = await group.create_publisher("/input", STRING, DEEP), await group.create_client("/add", ADD)
     assert input.subscribers == 0
     assert client.available is False
     input.publish(sample("lost"))
@@ -251,7 +253,7 @@ async def test_patterns(team: Team) -> None:
     await team.machine("edge")
     await team.machine("toy")
     group = await team.robot(members=["edge*", "cloud*"])
-    await group.create_publisher("/input", STRING)
+    await group.create_publisher("/input", STRING, DEEP)
     await ready(group, 1)
     assert group.scheduler.here[0].startswith("edge")
 
@@ -274,7 +276,7 @@ async def test_older_members(team: Team, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.undo()
     new = await team.machine()
     group = await team.robot()
-    input = await group.create_publisher("/input", STRING)
+    input = await group.create_publisher("/input", STRING, DEEP)
     await ready(group, 3)
     await until(lambda: all(part.subscribers == 1 for part in input._parts.values()))
     for machine in (*old, new):
@@ -284,3 +286,30 @@ async def test_older_members(team: Team, monkeypatch: pytest.MonkeyPatch) -> Non
         await until(lambda machine=machine: len(machine.heard) == 10)
     for machine in (*old, new):
         assert machine.heard == [f"{machine.name} {number}" for number in range(10)]
+
+
+async def test_answers_go_to_who_asked(team: Team) -> None:
+    """Of two robots that use one machine each gets the answers to its own requests; who only reads gets them all."""
+    machine = await team.machine()
+    heard: dict[str, list[str]] = {"a": [], "b": [], "viewer": []}
+    viewer = await team.site.join()
+    await viewer.create_subscription("/output", STRING, None, lambda batch: heard["viewer"].extend(map(text, batch)))
+    inputs = {}
+    for name in ("a", "b"):
+        group = await team.robot()
+        inputs[name] = await group.create_publisher("/input", STRING, DEEP)
+        await group.create_subscription(
+            "/output", STRING, None, lambda batch, name=name: heard[name].extend(map(text, batch))
+        )
+    answers = machine.output._answers
+    await until(lambda: answers is not None and len(list(answers.ready())) == 2 and machine.output.subscribers == 3)
+    await until(lambda: all(input.subscribers == 1 for input in inputs.values()))
+    for number in range(10):
+        for name, input in inputs.items():
+            input.publish(sample(f"{name}{number}"))
+            await until(lambda name=name, number=number: len(heard[name]) == number + 1)
+    for name in inputs:
+        assert heard[name] == [f"{name}{number} by {machine.name}" for number in range(10)]
+    await until(lambda: len(heard["viewer"]) == 20)
+    machine.output.publish(sample("unasked"))
+    await until(lambda: all(words[-1] == "unasked" for words in heard.values()))

@@ -36,6 +36,7 @@ from ropeway.networks.overlay.graph.subscription import OverlaySubscription
 from ropeway.networks.overlay.names import Metadata, global_name
 from ropeway.networks.overlay.node import OverlayNode, new_endpoint
 from ropeway.qos import DEFAULT, QoS
+from ropeway.tasks import Chores
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
 
@@ -82,6 +83,8 @@ class OverlayGraph(ComposingGraph):
         self._clients: dict[bytes, OverlayClient] = {}
         self._matched: dict[bytes, list[OverlayPublisher | OverlaySubscription | OverlayClient]] = {}
         self._stop: Callable[[], None] | None = None
+        self.answers: dict[str, str] = {}  # topics on which what is published for one gateway is answered
+        self.closing = Chores()
 
     # ── life ───────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -93,6 +96,7 @@ class OverlayGraph(ComposingGraph):
     async def _close_parts(self) -> None:
         for parts in (self._clients, self._services, self._publishers, self._subscriptions):
             await asyncio.gather(*(part.close() for part in parts.values()))
+        await self.closing.wait()
 
     async def _leave(self) -> None:
         if self._stop is not None:
@@ -172,7 +176,16 @@ class OverlayGraph(ComposingGraph):
     ) -> OverlayPublisher:
         """Publish ``topic``. Raises ``GraphUnavailable`` where our certificate does not allow it."""
         self._check(topic, type)
-        advert = self._advert("publisher", resolve_name(topic), canonical_name(type, "msg"), qos or DEFAULT, delivery)
+        return self._publish(topic, type, qos or DEFAULT, delivery, self.target)
+
+    def publish_to(self, target: bytes, topic: str, type: str, qos: QoS, delivery: Delivery) -> OverlayPublisher:
+        """Publish ``topic`` for one gateway alone."""
+        return self._publish(topic, type, qos, delivery, target)
+
+    def _publish(self, topic: str, type: str, qos: QoS, delivery: Delivery, target: bytes) -> OverlayPublisher:
+        name = resolve_name(topic)
+        advert = self._advert("publisher", name, canonical_name(type, "msg"), qos, delivery)
+        advert = replace(advert, target=target, answers=self.answers.get(name, "") if target else "")
         publisher = OverlayPublisher(self, advert, delivery)
         self._advertise(advert)
         self._publishers[advert.endpoint] = publisher
@@ -264,6 +277,10 @@ class OverlayGraph(ComposingGraph):
             self.node.follow(feed)
         for part in list(self._matched.get(advert.global_name, ())):
             part.rematch()
+        if advert.answers:
+            for publisher in list(self._publishers.values()):
+                if publisher.topic == advert.answers:
+                    publisher.rematch()
         self._tell(advert, added)
 
     def _tell(self, advert: Advertisement, added: bool) -> None:

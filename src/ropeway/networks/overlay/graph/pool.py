@@ -34,13 +34,16 @@ class OverlayPool:
     """The gateways that offer what a group asks for, found on the graph ``common``: a roster of the group.
 
     A gateway counts if a pattern of ``members`` fits the name in its certificate. One that offers at least one of the
-    names is a member, kept ready; those are used that offer as many of the names as any.
+    names is a member, kept ready; those are used that offer as many of the names as any. ``answers`` has the topics
+    that are answered, each with that on which the answers come.
     """
 
-    def __init__(self, common: OverlayGraph, members: Sequence[str] = ("*",)) -> None:
+    def __init__(
+        self, common: OverlayGraph, members: Sequence[str] = ("*",), answers: Mapping[str, str] | None = None
+    ) -> None:
         self.common: Graph = common
         self.changed = Signal()
-        self._graph, self._patterns = common, tuple(members)
+        self._graph, self._patterns, self._answers = common, tuple(members), dict(answers or {})
         self._wanted: Counter[Wanted] = Counter()
         self._members: dict[bytes, MemberGraph] = {}
         self._stop: Callable[[], None] | None = None
@@ -100,7 +103,8 @@ class OverlayPool:
             self._members.pop(gateway).set_reached(False)
         for gateway in offers.keys() - self._members.keys():
             if len(self._members) < OVERLAY_POOL_GATEWAYS:
-                self._members[gateway] = MemberGraph(self._graph, gateway, self._name(gateway))
+                member = self._members[gateway] = MemberGraph(self._graph, gateway, self._name(gateway))
+                member.answers = self._answers
         doubted = self._graph.node.membership.doubted
         there = {gateway for gateway in self._members if not doubted(gateway)}
         most = max((offers[gateway] for gateway in there), default=0)

@@ -14,7 +14,7 @@ from ropeway.graph.parts import PublisherBase
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.copies import Copies
 from ropeway.networks.overlay.feed import data_key
-from ropeway.networks.overlay.graph.host import OverlayHost
+from ropeway.networks.overlay.graph.answers import AnsweringHost, AnswerPublishers
 from ropeway.networks.overlay.graph.packing import TopicPacking
 from ropeway.networks.overlay.packet_item import RELAYED, PacketItem
 from ropeway.networks.overlay.publisher_source import PublisherSource
@@ -47,7 +47,7 @@ class OverlaySending(Protocol):
         ...
 
 
-class OverlayPublisherHost(OverlayHost, Protocol):
+class OverlayPublisherHost(AnsweringHost, Protocol):
     """The services of a graph for its publishers."""
 
     @property
@@ -75,6 +75,7 @@ class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
         self.key = data_key(advert.global_name, advert.endpoint, target if node.membership.aims(target) else b"")
         self._granted: set[bytes] = set()
         self._readers: dict[bytes, bytes] = {}  # endpoint: gateway
+        self._answers = None if advert.target else AnswerPublishers(graph, advert, delivery, self.rematch)
         self._had_readers = False
         self._short: zenoh.KeyExpr | None = None
         qos = advert.qos
@@ -121,6 +122,8 @@ class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
             return
         if sample.seq == SEQ_NONE:
             sample = self._numbered(sample, self.advert.endpoint)
+        if self._answers:
+            self._answers.publish(sample)
         if self._readers:
             self._graph.sender.put(self.queue, sample)
         elif self.qos.transient_local or (self._had_readers and self.qos.reliable):
@@ -144,6 +147,10 @@ class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
 
     def rematch(self) -> None:
         """Match the publisher with its readers anew."""
+        alone: set[bytes] = set()
+        if self._answers is not None and not self.closed:
+            self._answers.refresh()
+            alone.update(self._answers.ready())
         found = {
             advert.endpoint: advert.gateway
             for advert in self._graph.node.rib.by_name(self.advert.global_name, "subscription")
@@ -151,19 +158,25 @@ class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
         }
         if len(self._granted) > _REMEMBERED:  # those that were here and may come back
             self._granted &= found.keys()
-        readers = {endpoint: gateway for endpoint, gateway in found.items() if endpoint in self._granted}
+        readers = {
+            endpoint: gateway
+            for endpoint, gateway in found.items()
+            if endpoint in self._granted and gateway not in alone
+        }
+        self.set_subscribers(len(readers) + len(alone))
         if readers == self._readers:
             return
         self._readers = readers
         self._had_readers = self._had_readers or bool(readers)
         self._graph.sender.aim(self.queue, frozenset(readers.values()))
-        self.set_subscribers(len(readers))
 
     async def close(self) -> None:
         """Withdraw the topic."""
         if self.closed:
             return
         self.closed = True
+        if self._answers is not None:
+            self._answers.close()
         await self._graph.sender.flush(self.queue)
         self._graph.remove_publisher(self)
         if self._short is not None:
