@@ -15,8 +15,8 @@ import zenoh
 
 from ropeway.errors import CallFailed, GraphUnavailable, IdentityError
 from ropeway.graph.calls import Request
+from ropeway.networks.overlay.data_key import data_key
 from ropeway.networks.overlay.fabric import Fabric
-from ropeway.networks.overlay.feed import data_key
 from ropeway.networks.overlay.graph import OverlayGraph
 from ropeway.networks.overlay.names import global_name
 from ropeway.networks.overlay.refusal import Refusal

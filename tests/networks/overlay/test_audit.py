@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ropeway.networks.overlay.audit import Verdict, captured, verdicts
 from ropeway.networks.overlay.crypto.seal import Sealer
 from ropeway.networks.overlay.crypto.trust import Trust
-from ropeway.networks.overlay.feed import data_key
+from ropeway.networks.overlay.data_key import data_key
 from ropeway.networks.overlay.fleet import Fleet
 from ropeway.networks.overlay.refusal import Refusal
 from tests.networks.overlay.fleet import fleet, member

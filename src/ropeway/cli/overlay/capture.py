@@ -20,7 +20,7 @@ from ropeway.cli.session import SpinOption, full_name
 from ropeway.limits import OVERLAY_ROUTED_BYTES
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.audit import captured
-from ropeway.networks.overlay.feed import data_key
+from ropeway.networks.overlay.data_key import data_key
 
 __all__ = ["app"]
 

@@ -28,6 +28,7 @@ from ropeway.limits import (
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.seal import Grant, Opener
+from ropeway.networks.overlay.data_key import data_key, publisher_of
 from ropeway.networks.overlay.fabric import Fabric, Handle
 from ropeway.networks.overlay.follower import Follower
 from ropeway.networks.overlay.held_bytes import HeldBytes
@@ -40,7 +41,7 @@ from ropeway.networks.overlay.refusal import Refusal
 from ropeway.networks.overlay.rpc import RemoteError, Rpc
 from ropeway.tasks import Chores, background, describe, end
 
-__all__ = ["Feed", "FeedReader", "PublisherStream", "data_key", "read_item"]
+__all__ = ["Feed", "FeedReader", "PublisherStream", "read_item"]
 
 log = logging.getLogger("ropeway.overlay")
 
@@ -48,19 +49,9 @@ _ASK_S: Final = 2.0
 _AGAIN_S: Final = 1.0
 _SPACING_S: Final = 0.5  # between two requests for keys: packets that name keys nobody has cost no more than that
 _REMEMBERED: Final = 4096
-_ENDPOINT: Final = 3  # its place in a key
 _COPIES: Final = 256  # of one publisher: half a second of 500 messages a second
 _SEALED_BYTES: Final = OVERLAY_BATCH_BYTES  # what a packet may have beside its largest message
 _ITEM_BYTES: Final = 256  # what a message costs beside its payload
-
-
-def data_key(name: bytes, endpoint: bytes | None = None, target: bytes = b"") -> str:
-    """Return the key under which a publisher puts the data of a name, all of it or that for one gateway, ``target``.
-
-    ``None`` stands for all publishers.
-    """
-    key = f"rw/d/{name.hex()}/{'*' if endpoint is None else endpoint.hex()}"
-    return f"{key}/{target.hex()}" if target else key
 
 
 class FeedReader(Protocol):
@@ -373,8 +364,7 @@ class Feed:
 
     def _came(self, key: str, payload: zenoh.ZBytes, attachment: zenoh.ZBytes | None) -> None:
         """Take a packet; runs in Zenoh's thread."""
-        endpoint = key.split("/")[_ENDPOINT]
-        stream = self.streams.get(bytes.fromhex(endpoint)) if _is_hex(endpoint) else None
+        stream = self.streams.get(publisher_of(key))
         if stream is None or not stream.readers:
             return
         mark = Mark.read(bytes(attachment)) if attachment is not None else None
@@ -448,7 +438,3 @@ def _history(answer: Any) -> list[bytes]:
     if not isinstance(answer, list) or any(type(raw) is not bytes for raw in answer):
         raise SealError(Refusal.MALFORMED, "a history")
     return answer
-
-
-def _is_hex(text: str) -> bool:
-    return len(text) == 32 and all(c in "0123456789abcdef" for c in text)

@@ -13,7 +13,7 @@ from ropeway.graph.link_parts import LinkStatistics
 from ropeway.graph.parts import PublisherBase
 from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.copies import Copies
-from ropeway.networks.overlay.feed import data_key
+from ropeway.networks.overlay.data_key import data_key
 from ropeway.networks.overlay.graph.answers import AnsweringHost, AnswerPublishers
 from ropeway.networks.overlay.graph.packing import TopicPacking
 from ropeway.networks.overlay.packet_item import RELAYED, PacketItem
