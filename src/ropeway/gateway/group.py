@@ -7,11 +7,14 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway.errors import RopewayError
 from ropeway.gateway.config.config import Route
 from ropeway.gateway.config.group_model import AnycastConfig
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.policy import policies_of
 from ropeway.gateway.credentials import Credentials
+from ropeway.gateway.group_commands import GroupCommands
+from ropeway.gateway.group_services import GroupServices
 from ropeway.gateway.group_states import GroupStates
 from ropeway.gateway.remote import NO_CREDENTIALS, Remote, link_state, link_status, overlay_state, shown_address
 from ropeway.graph.base import Graph, Sample, Subscription
@@ -48,8 +51,8 @@ class GroupRemote(Remote):
     ) -> None:
         super().__init__(config, credentials)
         anycast = config.anycast or AnycastConfig.model_validate({})
-        title = config.title or shown_address(config)
-        self.states = GroupStates(policies_of(config, gateway), self, registry, group=title)
+        title, policies = config.title or shown_address(config), policies_of(config, gateway)
+        self.states = GroupStates(policies, self, registry, group=title)
         self.graph = Group(
             name=title,
             exchanges=_exchanges(anycast.pairs, routes),
@@ -60,17 +63,26 @@ class GroupRemote(Remote):
             **options,
         )
         self.graph.on_decision = self.states.changed
+        self.commands = GroupCommands(self.graph, dict(policies.machines))
+        self._services = GroupServices(self.commands, registry, f"/{gateway}/anycast") if config.anycast else None
         self._latency_topic = anycast.latency_topic
         self._latencies: Subscription | None = None
 
     async def listen(self, view: Graph) -> None:
-        """Read the topic of the local graph that tells latencies, where the configuration names one."""
+        """Begin with what the local graph has to do with the group: services for nodes, parameters, latencies."""
         self.states.start(view)
+        if self._services is not None:
+            try:
+                await self._services.open(view)
+            except RopewayError as error:  # another group has the names, or the graph takes no services
+                log.warning("%s: no services for nodes: %s", self.graph.name, error)
         if self._latency_topic is not None:
             self._latencies = await view.create_subscription(self._latency_topic, _LATENCY_TYPE, None, self._measured)
 
     async def close(self) -> None:
-        """Read it no longer, and tell no states."""
+        """End it."""
+        if self._services is not None:
+            await self._services.close()
         await self.states.close()
         if self._latencies is not None:
             await self._latencies.close()
