@@ -70,6 +70,12 @@ DEFINITIONS_PER_CONNECTION: Final = 512
 DEFINITIONS_PER_GATEWAY: Final = 4_096
 """Definitions that all clients together may tell; they are forgotten with the client that told them."""
 
+DEFINITIONS_ASKED: Final = 4_096
+"""Types that nodes are asked about, and requests that are remembered. A robot with everything installed has 300."""
+
+DESCRIPTION_TRIES: Final = 3
+"""How often a node is asked for the definition of a type before it is believed not to tell."""
+
 FIELDS_PER_CONNECTION: Final = 10_000
 """Fields and constants in all definitions that one client may tell. 300 types have about 3,000."""
 

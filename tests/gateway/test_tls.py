@@ -50,7 +50,9 @@ class Authority:
         self._key = ec.generate_private_key(ec.SECP256R1())
         self._subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
         builder = self._builder(self._subject, self._key)
-        certificate = builder.add_extension(x509.BasicConstraints(True, None), True).sign(self._key, hashes.SHA256())
+        usage = x509.KeyUsage(True, *[False] * 4, True, True, False, False)  # signs messages, certificates and lists
+        builder = builder.add_extension(x509.BasicConstraints(True, None), True).add_extension(usage, True)
+        certificate = builder.sign(self._key, hashes.SHA256())
         self.file = self._write(f"{name}.pem", certificate.public_bytes(serialization.Encoding.PEM))
 
     def _builder(
@@ -64,6 +66,8 @@ class Authority:
             .serial_number(x509.random_serial_number())
             .not_valid_before(NOW - 2 * DAY)
             .not_valid_after(end)
+            .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), False)
+            .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), False)
         )
 
     def _write(self, name: str, data: bytes) -> str:

@@ -48,6 +48,10 @@ class JumpingLoop(asyncio.SelectorEventLoop):
         future.add_done_callback(self._returned)
         return future
 
+    async def shutdown_default_executor(self, timeout: float | None = None) -> None:
+        """Wait for the threads of the executor; the time that they may take would be over at once."""
+        await super().shutdown_default_executor()
+
     def _returned(self, _: object) -> None:
         self.errands -= 1
 

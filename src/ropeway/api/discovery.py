@@ -28,8 +28,12 @@ async def type_of(view: View, kind: str, name: str, given: str, timeout_s: float
     Raises ``WaitTimeout`` if nobody does in time, ``TypeConflict`` if it has several types, ``GraphUnavailable`` if the
     graph is closed meanwhile.
     """
-    if given:
-        return canonical_name(given, _MIDDLE[kind])
+    type = canonical_name(given, _MIDDLE[kind]) if given else await _discovered(view, kind, name, timeout_s)
+    await view.learn(type)
+    return type
+
+
+async def _discovered(view: View, kind: str, name: str, timeout_s: float | None) -> str:
     events = cast("AsyncGenerator[GraphEvent, Any]", view.changes())
     async with contextlib.aclosing(events):
         try:

@@ -19,6 +19,7 @@ from ropeway.errors import GraphUnavailable, InvalidName
 from ropeway.graph.base import Graph, NodeInfo, TopicInfo, resolve_name
 from ropeway.graph.calls import ActionInfo, ServiceInfo
 from ropeway.graph.peer_answer import Telling
+from ropeway.graph.type_inquiry import Learning
 from ropeway.qos import DEFAULT, PROFILES, QoS
 from ropeway.tasks import end
 from ropeway.types import TypeRegistry
@@ -49,6 +50,8 @@ __all__ = [
 T = TypeVar("T")
 P = TypeVar("P", ServiceInfo, ActionInfo)
 
+_LEARN_S: Final = 1.0  # who can tell a definition is discovered within this time
+_LOOK_S: Final = 0.1
 _QUIET_S: Final = 0.3  # no news for so long: what is there has been discovered
 _LINK_S: Final = 5.0  # a link with a router is there within this time, or not at all
 
@@ -85,6 +88,17 @@ class OpenGraph:
 
     graph: Graph
     registry: TypeRegistry
+
+    async def know(self, type: str, spin_time_s: float = _LEARN_S) -> None:
+        """Ask the network for the definition of a type that is not known here, for a moment."""
+        if self.registry.has(type) or not isinstance(self.graph, Learning):
+            return
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + spin_time_s
+        known = await self.graph.learn(type)
+        while not known and loop.time() < deadline:
+            await asyncio.sleep(_LOOK_S)
+            known = await self.graph.learn(type)
 
 
 def default_graph(environ: Mapping[str, str] = os.environ) -> str:

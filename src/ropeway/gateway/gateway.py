@@ -236,6 +236,7 @@ class Gateway:
             views: dict[str, View] = {}
             for route in mine:
                 view = self._view(stack, views, route.graph, config)
+                view.hub.advisers[remote.graph] = None
                 bridge = make_bridge(route, view, remote.graph, self._keeper(route))
                 await bridge.start()
                 stack.push_async_callback(bridge.close)

@@ -21,6 +21,7 @@ from ropeway.graph.base import (
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ServiceInfo
 from ropeway.graph.changes import Changes
 from ropeway.graph.kept import Kept
+from ropeway.graph.type_inquiry import TypeInquiry
 from ropeway.logs import failed
 from ropeway.types import TypeRegistry
 
@@ -77,6 +78,7 @@ class ComposingGraph(GraphBase):
         self._turn = asyncio.Lock()
         self._parts: Kept[Any] = Kept()
         self._actions: Kept[ComposedActionClient | ComposedActionServer] = Kept()
+        self._inquiry: TypeInquiry | None = None
 
     async def open(self) -> None:
         """See ``Graph.open``."""
@@ -94,6 +96,9 @@ class ComposingGraph(GraphBase):
         async with self._turn:
             if not self._is_open:
                 return
+            inquiry, self._inquiry = self._inquiry, None
+            if inquiry is not None:
+                await inquiry.close()
             await self._actions.close()
             await self._close_parts()
             self._is_open = False
@@ -105,6 +110,16 @@ class ComposingGraph(GraphBase):
 
     async def _leave(self) -> None:
         raise NotImplementedError
+
+    def _ask_for_types(self) -> None:
+        """Ask the nodes of the network from now on for definitions that are not known here."""
+        if self._registry is not None:
+            self._inquiry = TypeInquiry(self, self._registry)
+            self._inquiry.start()
+
+    async def learn(self, type: str) -> bool:
+        """See ``Learning.learn``."""
+        return self._inquiry is not None and await self._inquiry.learn(type)
 
     def _check_open(self) -> None:
         if not self._is_open:

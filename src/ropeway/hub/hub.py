@@ -32,6 +32,7 @@ from ropeway.graph.changes import Changes
 from ropeway.graph.deduplication import Seen
 from ropeway.graph.graph_base import GraphBase
 from ropeway.graph.kept import Kept
+from ropeway.graph.type_inquiry import learn
 from ropeway.hub.actions import ViewActionClient, ViewActionServer
 from ropeway.hub.calls import ViewClient, ViewService
 from ropeway.hub.shared_calls import HubCalls
@@ -61,6 +62,7 @@ class Hub:
         self.retired: dict[str, Seen] = {}  # what publishers gave that were transient local and have closed
         self._seen: dict[str, tuple[Seen, Seen]] = {}
         self.calls = HubCalls(graph, gateway_id)
+        self.advisers: dict[Graph, None] = {}  # other graphs that may know the types of what is bridged here
 
     async def open(self) -> None:
         """Watch for other gateways from now on."""
@@ -265,6 +267,10 @@ class View(GraphBase):
                 subscriptions=tuple(self._seen(e, (name, False) in mine) for e in info.subscriptions),
             )
         return out
+
+    async def learn(self, type: str) -> bool:
+        """See ``Learning.learn``."""
+        return await learn(type, self.hub.graph, *self.hub.advisers)
 
     def types(self, topic: str) -> tuple[str, ...]:
         """Return the types that one topic has now."""

@@ -155,7 +155,7 @@ class Definition:
         return self.fields
 
     def same_layout(self, other: Definition) -> bool:
-        """Return whether messages of both are the same bytes with the same field names."""
+        """Return whether messages of both are the same bytes with the same field names, whatever their bounds."""
         mine, theirs = self.wire_fields, other.wire_fields
         return len(mine) == len(theirs) and all(
             a.name == b.name and _plain(a.type) == _plain(b.type) for a, b in zip(mine, theirs, strict=True)
@@ -181,7 +181,9 @@ class Definition:
 
 
 def _plain(type: FieldType) -> FieldType:
-    return FieldType("uint8", type.bound, type.kind, type.size) if type.base == "char" else type
+    """Return the type without what changes no byte: bounds, and the name ``char`` for ``uint8``."""
+    base = "uint8" if type.base == "char" else type.base
+    return FieldType(base, kind=type.kind, size=type.size if type.kind == "array" else 0)
 
 
 def _literal(value: object) -> str:

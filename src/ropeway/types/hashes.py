@@ -11,9 +11,9 @@ from ropeway.errors import InvalidDefinition
 from ropeway.limits import DEFINITION_NESTING
 from ropeway.types.definition import HEADER, TIMES, Definition, Field, FieldType
 
-__all__ = ["definition_md5", "interface_members", "rihs01"]
+__all__ = ["ARRAY", "BOUNDED", "TYPE_IDS", "UNBOUNDED", "definition_md5", "interface_members", "rihs01"]
 
-_TYPE_IDS: Final = {
+TYPE_IDS: Final = {
     "message": 1,
     "int8": 2,
     "uint8": 3,
@@ -33,7 +33,9 @@ _TYPE_IDS: Final = {
     "bounded string": 21,
     "bounded wstring": 22,
 }
-_ARRAY, _BOUNDED, _UNBOUNDED = 48, 96, 144
+ARRAY: Final = 48
+BOUNDED: Final = 96
+UNBOUNDED: Final = 144
 
 Members = Callable[[str], Sequence[tuple[str, FieldType]]]
 
@@ -76,13 +78,13 @@ def _describe(name: str, type: FieldType) -> dict[str, Any]:
     kind = "message" if type.is_message else f"bounded {type.base}" if type.bound else type.base
     offset = 0
     if type.kind == "array":
-        offset = _ARRAY
+        offset = ARRAY
     elif type.kind == "sequence":
-        offset = _BOUNDED if type.size else _UNBOUNDED
+        offset = BOUNDED if type.size else UNBOUNDED
     return {
         "name": name,
         "type": {
-            "type_id": offset + _TYPE_IDS[kind],
+            "type_id": offset + TYPE_IDS[kind],
             "capacity": type.size,
             "string_capacity": type.bound,
             "nested_type_name": type.base if type.is_message else "",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
-from ropeway.types.definition import TIMES, Definition, Field, short_name
+from ropeway.errors import InvalidDefinition
+from ropeway.types.definition import PRIMITIVES, TIMES, Definition, Field, FieldType, canonical_name, short_name
+from ropeway.types.interfaces import concatenated
 
-__all__ = ["IDL_NAMES", "typedefs"]
+__all__ = ["IDL_NAMES", "full_text_of", "typedefs"]
 
 IDL_NAMES: Final = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
 """How rosbridge spells the primitive types that IDL names otherwise."""
@@ -36,6 +38,46 @@ def typedefs(
             }
         )
     return found
+
+
+def full_text_of(name: str, parts: Sequence[object]) -> str:
+    """Return the concatenated definition of ``name``, given the ``TypeDef`` objects of each of its parts.
+
+    A message has one part, a service two, an action three; the first object of a part is the part itself. Constants and
+    bounds are not told. Raises ``InvalidDefinition``.
+    """
+    main: list[str] = []
+    below: dict[str, str] = {}
+    needed: set[str] = set()
+    try:
+        for objects in parts:
+            told = [(canonical_name(each["type"]), _told_fields(each)) for each in objects]  # type: ignore[attr-defined]
+            texts = [(each, "".join(f"{type.spelled()} {field}\n" for field, type in fields)) for each, fields in told]
+            needed.update(type.base for _, fields in told for _, type in fields if type.is_message)
+            main.append(texts[0][1])
+            below.update(texts[1:])
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise InvalidDefinition(name, f"it is told in a way that cannot be read: {error!r}") from None
+    if missing := needed.difference(below, TIMES):
+        raise InvalidDefinition(name, f"nobody tells what {min(missing)} is, of which it is made")
+    return concatenated("---\n".join(main), ((each, text) for each, text in below.items() if each != name))
+
+
+def _told_fields(told: dict[str, Any]) -> list[tuple[str, FieldType]]:
+    columns = (told["fieldnames"], told["fieldtypes"], told["fieldarraylen"])
+    return [(field.removeprefix("_"), _told_type(type, length)) for field, type, length in zip(*columns, strict=True)]
+
+
+def _told_type(spelled: str, length: int) -> FieldType:
+    base = _BASES.get(spelled, spelled)
+    kind = "scalar" if length < 0 else "array" if length else "sequence"
+    return FieldType(base if base in PRIMITIVES else canonical_name(base), kind=kind, size=max(length, 0))
+
+
+_BASES: Final = {
+    **{idl: name for name, idl in IDL_NAMES.items() if name != "char"},
+    **{time.rpartition("/")[2].lower(): time for time in TIMES},  # as ROS 1 spells them
+}
 
 
 def _spelled(field: Field, ros1: bool) -> str:

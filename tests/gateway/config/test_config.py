@@ -534,6 +534,7 @@ def test_typos_at_the_top_are_understood() -> None:
         ("a.yaml", "gateway:\n  name: a\n  name: b\n", "line 3 column 3: not YAML: the key 'name' stands twice"),
         ("a.yml", "a: !!python/name:os.system\n", "could not determine a constructor"),
         ("a.conf", "[" * 100_000, "nested too deeply"),
+        ("a.conf", "[" * 3000 + "]" * 3000, "nested too deeply"),
     ],
 )
 def test_malformed_files(tmp_path: Path, name: str, text: str, words: str) -> None:

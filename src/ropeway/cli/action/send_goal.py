@@ -205,6 +205,7 @@ def send_goal_command(
     async def main() -> Outcome:
         async with open_session(graph, types) as session:
             full = canonical_name(type, "action")
+            await session.know(full)
             teller = (JsonTeller if as_json else TextTeller)(session.registry, full)
             return await send_goal(session, name, full, fields, teller, timeout_s=timeout, feedback=feedback)
 

@@ -96,6 +96,7 @@ def call_command(
         async with open_session(graph, types) as session:
             registry = session.registry
             full = canonical_name(type, "srv")
+            await session.know(full)
             ask, read = registry.codec(f"{full}_Request"), registry.codec(f"{full}_Response")
 
             def asking(request: bytes) -> None:

@@ -115,6 +115,8 @@ class _Gateway:
     def __init__(self, url: str, token: str, ca: str) -> None:
         self._url, self._token = url, token
         context = ssl.create_default_context(cafile=ca or None) if url.startswith("https") else None
+        if context is not None and ca:  # Python 3.13 demands more of certificates than authorities of one's own put in
+            context.verify_flags &= ~ssl.VERIFY_X509_STRICT
         self._opener = build_opener(_NoRedirects, HTTPSHandler(context=context))
 
     def _ask(self, path: str, method: str = "GET", timeout_s: float | None = _TIMEOUT_S) -> Any:

@@ -167,6 +167,7 @@ def pub(
     async def main() -> None:
         async with open_session(graph, types) as session:
             full = session.registry.canonical(type)
+            await session.know(full)
             codec = session.registry.codec(full)
 
             def told(number: int, payload: bytes) -> None:

@@ -27,7 +27,9 @@ WindowOption = Annotated[int, typer.Option("--window", "-w", min=1, help="How ma
 async def resolve_type(session: OpenGraph, topic: str, given: str, spin_time_s: float) -> str:
     """Return the type as given or as discovered, or exit with a sentence if neither gives it."""
     if given:
-        return session.registry.canonical(given)
+        type = session.registry.canonical(given)
+        await session.know(type)
+        return type
     found = await find_topic(session.graph, topic, spin_time_s)
     if found is None:
         complain(f"WARNING: topic [{topic}] does not appear to be published yet")
@@ -36,6 +38,7 @@ async def resolve_type(session: OpenGraph, topic: str, given: str, spin_time_s: 
         fail(f"{topic} has several types ({', '.join(found.types)}); name one after the topic")
     if not found.type:
         fail(f"{session.graph.name} does not tell the type of {topic}; name it after the topic")
+    await session.know(found.type)
     return found.type
 
 

@@ -70,8 +70,10 @@ def read_json(text: str, source: str = "") -> Any:
 
     Raises ``ConfigError`` naming line and column, or the path of a key that stands twice.
     """
+    problems: list[tuple[str, str]] = []
     try:
         value = json.loads(text, object_pairs_hook=_pairs, parse_constant=_no_constant)
+        _find_repeated(value, "", problems)
     except json.JSONDecodeError as error:
         where = f"line {error.lineno} column {error.colno}"
         raise ConfigError([(where, f"not JSON: {error.msg[:1].lower()}{error.msg[1:]}")], source) from error
@@ -79,8 +81,6 @@ def read_json(text: str, source: str = "") -> Any:
         raise ConfigError([(_TOP, f"not JSON: {error}")], source) from error
     except RecursionError as error:
         raise ConfigError([(_TOP, "nested too deeply")], source) from error
-    problems: list[tuple[str, str]] = []
-    _find_repeated(value, "", problems)
     if problems:
         raise ConfigError(problems, source)
     return value

@@ -22,6 +22,7 @@ from ropeway.graph.base import (
 from ropeway.graph.calls import ActionInfo, ServiceHandler, ServiceInfo
 from ropeway.graph.graph_base import ComposingGraph
 from ropeway.graph.layout_border import Border
+from ropeway.graph.type_answers import offer_descriptions
 from ropeway.networks.dds.client import DdsClient
 from ropeway.networks.dds.discovery import DdsDiscovery
 from ropeway.networks.dds.domain import MAX_DOMAIN
@@ -142,6 +143,9 @@ class DdsGraph(ComposingGraph):
             )
             rpc = FastRpc(self.name, self.domain, profile, gateway_id=self.gateway_id, around=around)
             self.helper = self._fast = FastHelper(rpc, participant)
+        self._ask_for_types()
+        if self.gateway_id and self._registry is not None:
+            await offer_descriptions(self._serve_alone, self.node, self._registry)
         log.info("%s: joined as node %s", self.name, self.node)
 
     async def _close_parts(self) -> None:
@@ -204,12 +208,19 @@ class DdsGraph(ComposingGraph):
         served = DdsService(self, service, type, handler)
         await served.get_help()
         try:
-            await self._attach(served)
+            await self._serve(served)
         except BaseException:
             await served.end_help()
             raise
-        self._parts.add(served)
         return served
+
+    async def _serve_alone(self, service: str, type: str, handler: ServiceHandler) -> None:
+        """Serve what nodes of other middlewares seldom call: no helper is started for it."""
+        await self._serve(DdsService(self, service, type, handler))
+
+    async def _serve(self, served: DdsService) -> None:
+        await self._attach(served)
+        self._parts.add(served)
 
     def topics(self) -> dict[str, TopicInfo]:
         """Return every ROS topic in the domain, ours included."""

@@ -296,6 +296,7 @@ class Fleet:
             .add_extension(_usage(authority=False), critical=True)
             .add_extension(x509.ExtendedKeyUsage(uses), critical=False)
             .add_extension(x509.SubjectAlternativeName([x509.DNSName(name)]), critical=False)
+            .add_extension(_issued_by(self.ca), critical=False)
         )
         if role == "member":
             built = built.add_extension(x509.UnrecognizedExtension(RIGHTS, rights.to_json()), critical=False)
@@ -371,6 +372,11 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
     )
 
 
+def _issued_by(ca: x509.Certificate) -> x509.AuthorityKeyIdentifier:
+    """Return the extension that names the authority's key, which strict verifiers ask for (Python since 3.13)."""
+    return x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.public_key())  # type: ignore[arg-type]
+
+
 def _crl(
     ca: x509.Certificate, key: PrivateKey, number: int, serials: Collection[int], denied: Sequence[str] = ()
 ) -> x509.CertificateRevocationList:
@@ -381,6 +387,7 @@ def _crl(
         .last_update(now - _BACKDATED)
         .next_update(now + datetime.timedelta(days=_CRL_DAYS))
         .add_extension(x509.CRLNumber(number), critical=False)
+        .add_extension(_issued_by(ca), critical=False)
         .add_extension(x509.UnrecognizedExtension(DENIED, json.dumps(list(denied)).encode()), critical=False)
     )
     for serial in serials:

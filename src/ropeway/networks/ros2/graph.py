@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, Final, TypeVar
 
-from ropeway.errors import GraphUnavailable, InvalidName
+from ropeway.errors import GraphUnavailable, InvalidName, UnknownType
 from ropeway.graph.base import (
     NO_HINTS,
     Delivery,
@@ -21,6 +22,7 @@ from ropeway.graph.base import (
 from ropeway.graph.calls import ProviderInfo, ServiceHandler, ServiceInfo
 from ropeway.graph.graph_base import ComposingGraph
 from ropeway.graph.layout_border import Border
+from ropeway.graph.type_answers import offer_descriptions
 from ropeway.networks.ros2.client import Ros2Client
 from ropeway.networks.ros2.discovery import Ros2Discovery
 from ropeway.networks.ros2.environment import MAX_DOMAIN
@@ -91,6 +93,10 @@ class Ros2Graph(ComposingGraph):
         self._readers = Ros2Readers(self, participant, self._discovery, self._origins)
         self._readers.on_closed = self._parts.discard
         self._participant = participant
+        self._ask_for_types()
+        if self._gateway_id:
+            with contextlib.suppress(UnknownType):  # Humble has no such service
+                await offer_descriptions(self.create_service, self.node, self.registry)
         log.info("%s: joined as node %s over %s", self.name, self.node, participant.rmw)
 
     async def _leave(self) -> None:

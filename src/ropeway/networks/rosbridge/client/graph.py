@@ -30,6 +30,7 @@ from ropeway.listener.http import without_token
 from ropeway.listener.websocket import connect
 from ropeway.networks.rosbridge.client.actions import RemoteActionClient
 from ropeway.networks.rosbridge.client.calls import Calls
+from ropeway.networks.rosbridge.client.definitions import RemoteDefinitions
 from ropeway.networks.rosbridge.client.echoes import EchoFilter
 from ropeway.networks.rosbridge.client.mirror import RemoteMirror
 from ropeway.networks.rosbridge.client.parts import RemotePublisher, RemoteSubscription
@@ -50,7 +51,6 @@ from ropeway.networks.rosbridge.protocol.records import Arrival
 from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import Supervised, end
 from ropeway.types import TypeRegistry
-from ropeway.types.told_types import DefinitionTeller
 
 __all__ = ["LinkState", "RosbridgeGraph"]
 
@@ -114,7 +114,7 @@ class RosbridgeGraph(GraphBase):
         self._noted_types: set[str] = set()
         self.plain_server = PlainServer(shown, self.registry)
         self.spelling = Spelling(self, ros1)
-        self.teller = DefinitionTeller(self.registry, graph=True)
+        self.teller = RemoteDefinitions(self)
         self._traffic = (0, 0)
         self._rosapi_error = ""
         self._wants_calls = False  # somebody asked what is served there
@@ -230,10 +230,11 @@ class RosbridgeGraph(GraphBase):
         self._keeper.set_state(LinkState.CONNECTED)
         chores = Supervised(partial(self._chores, peer), f"chores {self.name}").start()
         second = Supervised(partial(keep_second, peer, self._second), f"second connection {self.name}").start()
+        types = Supervised(self.teller.follow, f"definitions from {self.name}").start()
         try:
             code, reason = await connection.wait_closed()
         finally:
-            await end(second, chores)
+            await end(second, chores, types)
             self._traffic = (self._traffic[0] + connection.bytes_in, self._traffic[1] + connection.bytes_out)
             self._keeper.rtt_s = peer.rtt_s or 0.0
             self.peer = None
@@ -361,6 +362,10 @@ class RosbridgeGraph(GraphBase):
         made = RemoteActionServer(self.calls, resolve_name(action), full, handlers, delivery)
         self.calls.add(made, self.calls.servers)
         return made
+
+    async def learn(self, type: str) -> bool:
+        """See ``Learning.learn``."""
+        return await self.teller.learn(type)
 
     def topics(self) -> dict[str, TopicInfo]:
         """Return what the far graph showed last; empty without ``watch`` or with the connection down."""

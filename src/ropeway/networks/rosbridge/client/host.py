@@ -30,7 +30,11 @@ class LinkGraph(Host, Protocol):
     mirror: RemoteMirror
     plain_server: PlainServer
     spelling: Spelling
-    teller: DefinitionTeller
+
+    @property
+    def teller(self) -> DefinitionTeller:
+        """Return who tells the definitions of the far side."""
+        ...
 
     @property
     def last_error(self) -> str:

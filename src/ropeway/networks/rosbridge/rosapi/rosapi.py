@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.errors import CallFailed, NotServed, TypesError, ValueMismatch
+from ropeway.errors import CallFailed, InvalidTypeName, NotServed, TypesError, ValueMismatch
 from ropeway.graph.layout_border import Distributed
 from ropeway.listener.globs import Globs
 from ropeway.networks.rosbridge.rosapi.definition_texts import Ros1Texts, Texts
 from ropeway.networks.rosbridge.rosapi.master_params import MasterParams, ParameterServer
 from ropeway.networks.rosbridge.rosapi.params import Params
 from ropeway.networks.rosbridge.rosapi.snapshot import GraphSnapshot
+from ropeway.types.described import DESCRIPTION_SERVICE, DESCRIPTION_TYPE, answer_for
 from ropeway.types.rosbridge import ROSBRIDGE_INTERFACES
 
 if TYPE_CHECKING:
@@ -74,6 +76,12 @@ _PARTS: Final = {
     "action_result_details": ("action", "_Result"),
     "action_feedback_details": ("action", "_Feedback"),
 }
+_DEFINING: Final = {
+    "message_details": ("type", "msg"),
+    DESCRIPTION_SERVICE: ("type_name", "msg"),
+    **{service: ("type", kind) for service, (kind, _) in _PARTS.items()},
+}
+"""The services that tell definitions, with the field that names the type, and its middle part if it has none."""
 _ROS1_TIMES: Final = ("time", "duration")
 
 
@@ -113,6 +121,8 @@ class Rosapi:
         self._answers: dict[str, _Answer] = {
             name: getattr(self, f"_{name}", None) or self._details(name) for name in SERVICES
         }
+        # For gateways, which need more than the original tells: bounds and constants. It is not listed.
+        self._answers[DESCRIPTION_SERVICE] = partial(answer_for, registry)
 
     def serves(self, name: str) -> bool:
         """Return whether a service is answered here: ``/rosapi/topics``, or ``rosapi/topics``."""
@@ -136,7 +146,20 @@ class Rosapi:
         answer = self._answers.get(service)
         if answer is None:
             raise NotServed(name if name.startswith("/") else f"/{name}")
-        return partial(answer, self._request(name, SERVICES[service], args))
+        request = self._request(name, SERVICES.get(service, DESCRIPTION_TYPE), args)
+        if service in _DEFINING:
+            field, kind = _DEFINING[service]
+            if not self._registry.has(request[field], kind):
+                return partial(self._learned, answer, request, request[field], kind)
+        return partial(answer, request)
+
+    async def _learned(self, answer: _Answer, request: Mapping[str, Any], type: str, kind: str) -> Values:
+        """Answer once the network was asked for a definition that is not known."""
+        with contextlib.suppress(InvalidTypeName):
+            await self._view.learn(self._registry.canonical(type, kind))
+        found = answer(request)
+        assert isinstance(found, dict)
+        return found
 
     async def close(self) -> None:
         """Let go of the graph; calls under way fail."""

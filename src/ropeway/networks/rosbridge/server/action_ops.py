@@ -29,9 +29,9 @@ from ropeway.networks.rosbridge.server.bodies import (
     codec_of,
     decode_args,
     failure_note,
+    known_type_of,
     passage,
     text_of,
-    type_of,
 )
 from ropeway.tasks import Chores, end
 
@@ -139,7 +139,7 @@ class ActionOps:
         session = self.session
         name = session.names.resolve(op.action)
         session.access.check("advertise_action", name)
-        type = type_of(session, op.type, "action")
+        type = await known_type_of(session, op.type, "action")
         if type.split("/")[1] != "action":
             raise InvalidTypeName(op.type)
         session.learn(type, op.ropeway)
@@ -236,7 +236,7 @@ class SentGoal:
         extra = op.ropeway or {}
         name = session.names.resolve(op.name)
         session.access.check("send_action_goal", name)
-        type = type_of(session, op.action_type, "action")
+        type = await known_type_of(session, op.action_type, "action")
         if type.split("/")[1] != "action":
             raise InvalidTypeName(op.action_type)
         session.learn(type, extra)

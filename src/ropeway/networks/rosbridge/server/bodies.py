@@ -16,7 +16,18 @@ if TYPE_CHECKING:
     from ropeway.networks.rosbridge.server.host import SessionHost
     from ropeway.types import MessageCodec
 
-__all__ = ["answer_encoding", "codec_of", "decode_args", "decode_body", "failure_note", "passage", "text_of", "type_of"]
+__all__ = [
+    "answer_encoding",
+    "codec_of",
+    "decode_args",
+    "decode_body",
+    "failure_note",
+    "known_type_of",
+    "learn_type",
+    "passage",
+    "text_of",
+    "type_of",
+]
 
 
 def type_of(session: SessionHost, name: str, kind: str) -> str:
@@ -32,6 +43,19 @@ def type_of(session: SessionHost, name: str, kind: str) -> str:
         if len(parts) == 3 and parts[1] != kind and registry.has(f"{parts[0]}/{kind}/{parts[2]}"):
             return registry.canonical(f"{parts[0]}/{kind}/{parts[2]}", kind)
     return registry.canonical(name, kind)
+
+
+async def known_type_of(session: SessionHost, name: str, kind: str) -> str:
+    """Return the same, and ask the network for the definition where it is not known. Raises ``InvalidTypeName``."""
+    type = type_of(session, name, kind)
+    await learn_type(session, type)
+    return type
+
+
+async def learn_type(session: SessionHost, type: str) -> None:
+    """Ask the network for a definition that is not known; gateways do without, and ask when they need it."""
+    if not session.gateway and not session.registry.has(type):
+        await session.view.learn(type)
 
 
 def codec_of(session: SessionHost, type: str) -> MessageCodec | None:

@@ -33,9 +33,9 @@ from ropeway.networks.rosbridge.server.bodies import (
     decode_args,
     decode_body,
     failure_note,
+    known_type_of,
     passage,
     text_of,
-    type_of,
 )
 from ropeway.networks.rosbridge.server.rosapi_calls import RosapiCalls
 from ropeway.tasks import end
@@ -251,7 +251,7 @@ class ServiceOps:
         session = self.session
         name = session.names.resolve(op.service)
         session.access.check("advertise_service", name)
-        type = type_of(session, op.type, "srv")
+        type = await known_type_of(session, op.type, "srv")
         if type.split("/")[1] != "srv":
             raise InvalidTypeName(op.type)
         session.learn(type, op.ropeway)

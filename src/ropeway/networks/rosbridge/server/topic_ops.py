@@ -13,7 +13,7 @@ from ropeway.limits import DEPTH_PER_CLIENT_SAMPLES, IDS_PER_TOPIC, TOPICS_PER_C
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROSGW
 from ropeway.networks.rosbridge.protocol.records import Arrival
-from ropeway.networks.rosbridge.server.bodies import type_of
+from ropeway.networks.rosbridge.server.bodies import known_type_of
 from ropeway.networks.rosbridge.server.registrations import add_id, id_key, remove_request
 from ropeway.networks.rosbridge.server.topic_channels import REGISTRATION_BYTES, TopicIn, TopicOut, topic_status
 from ropeway.networks.rosbridge.server.topic_errors import TopicTypeConflict, UnknownTopicError
@@ -156,7 +156,7 @@ class TopicOps:
         session = self.session
         name = session.names.resolve(op.topic)
         session.access.check("publish", name)
-        type = type_of(session, op.type, "msg")
+        type = await known_type_of(session, op.type, "msg")
         session.learn(type, op.ropeway)
         known = self.inputs.get(op.topic) if number is None else self.input_channels.get(number)
         if known is not None and known.publisher is not None and known.topic == op.topic:
@@ -291,7 +291,7 @@ class TopicOps:
         if not op.type and not self._types(name):
             self._wait_for_type(op)
             return
-        type = type_of(session, op.type, "msg") if op.type else self._inferred(op.topic)
+        type = await known_type_of(session, op.type or self._inferred(op.topic), "msg")
         session.learn(type, op.ropeway)
         self._check_type(name, type)
         qos = self._asked_qos(op.qos) if op.qos is not None else None
