@@ -16,9 +16,7 @@ from ropeway.graph.base import Graph
 from ropeway.graph.calls import ActionHandlers, Client, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.types import TypeRegistry
 from tests.support.until import PATIENCE_S, until
-
-from .test_gateway import World, url
-from .test_gateway import world as world  # the fixture
+from tests.support.world import World, url
 
 pytestmark = pytest.mark.jumping
 

@@ -15,9 +15,9 @@ from ropeway.graph.calls import Request
 from ropeway.networks import open_graph
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.types import TypeRegistry
-from tests.gateway.test_gateway import World, url
 from tests.support.services import ADD, addends, total
 from tests.support.until import until
+from tests.support.world import World, url
 
 FRAME = "sensor_msgs/msg/CompressedImage"
 FOUND = "geometry_msgs/msg/PointStamped"

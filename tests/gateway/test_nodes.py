@@ -25,12 +25,12 @@ from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.networks.rosbridge.client import RosbridgeGraph
 from ropeway.qos import LATCHED, QoS
 from ropeway.types import TypeRegistry
-from tests.gateway.test_gateway import World
 from tests.iort.servers import Raw, serving
 from tests.support.clock import Stopwatch
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, joined, sample, text
 from tests.support.until import until
+from tests.support.world import World
 
 TWIST = "geometry_msgs/msg/Twist"
 registry = TypeRegistry()

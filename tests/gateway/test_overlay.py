@@ -20,10 +20,9 @@ from tests.networks.overlay.fleet import member
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample
 from tests.support.until import PATIENCE_S, until
+from tests.support.world import World
 
 from .test_calls import ADD, FIBONACCI, add, pair, sequence, total
-from .test_gateway import World
-from .test_gateway import world as world
 
 
 class Overlay:

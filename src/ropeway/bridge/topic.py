@@ -12,7 +12,7 @@ from dataclasses import replace
 from ropeway.bridge.upkeep import RETRY_S, Upkeep
 from ropeway.delivery.passage import Keep, Passage
 from ropeway.delivery.pipeline import build
-from ropeway.graph.base import NO_HINTS, Delivery, Graph, Publisher, Subscription
+from ropeway.graph.base import NO_HINTS, Delivery, Graph, Publisher, Subscription, look_up
 from ropeway.qos import DEFAULT, QoS, common_qos
 
 __all__ = ["TopicBridge"]
@@ -92,7 +92,7 @@ class TopicBridge:
     def _source_qos(self) -> QoS:
         if self._asked is not None:
             return self._asked
-        known = self.source.topics().get(self.source_topic)
+        known = look_up(self.source, "topic", self.source_topic)
         offered = [p.qos for p in known.publishers if not p.local] if known is not None else []
         if offered:
             qos = common_qos(offered)

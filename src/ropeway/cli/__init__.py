@@ -28,6 +28,7 @@ VERBS = {
     "name": "ropeway.cli.name",
     "overlay": "ropeway.cli.overlay",
     "router": "ropeway.cli.router",
+    "explain": "ropeway.cli.explain",
     "predict": "ropeway.cli.predict",
     "play": "ropeway.cli.play",
     "demo": "ropeway.cli.demo",

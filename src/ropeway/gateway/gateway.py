@@ -21,6 +21,7 @@ from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.overlay_model import OVERLAY
 from ropeway.gateway.config.type_hints import learn_types, type_hints
 from ropeway.gateway.credentials import Credentials, read_credentials
+from ropeway.gateway.explain import Explanation, RouteWatch, explain
 from ropeway.gateway.local_networks import open_network
 from ropeway.gateway.process.allocator import FreedMemory, keep_freed_memory
 from ropeway.gateway.process.counts import summed
@@ -58,6 +59,10 @@ _METERS_S: Final = 1.0
 _NEED_DISCOVERY: Final = ("subscribe", "reserve-service", "reserve-action")  # what is there matters
 
 
+def _watches(routes: Iterable[Route]) -> bool:
+    return any(route.operation in _NEED_DISCOVERY for route in routes)
+
+
 class Gateway:
     """Runs a configuration: ``async with Gateway(config) as gateway: await gateway.wait()``.
 
@@ -91,6 +96,7 @@ class Gateway:
         self._tls: ssl.SSLContext | None = None
         self._trusted = b""
         self._entrance = Entrance()
+        self._watch = RouteWatch(lambda: self.remotes)
 
     async def __aenter__(self) -> Gateway:
         """Bring everything up. Raises ``RopewayError`` if a graph or a listener cannot be had; nothing stays up."""
@@ -132,6 +138,7 @@ class Gateway:
         await self._bring_up_nodes(stack)
         await self._bring_up_remotes(stack, limits)
         stack.push_async_callback(Supervised(self._update_meters, "gateway meters").start().close)
+        stack.push_async_callback(Supervised(self._watch.run, "gateway routes").start().close)
 
     async def _bring_up_server(self, stack: AsyncExitStack, limits: Limits) -> None:
         """Listen for rosbridge clients and gateways."""
@@ -281,13 +288,21 @@ class Gateway:
 
     def _link(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> LinkRemote:
         shown = read_credentials(config, index)
-        return LinkRemote(config, self._link_graph(config, config.address, shown, routes, limits), shown)
+        graph = self._link_graph(config, config.address, shown, limits, watch=_watches(routes))
+        return LinkRemote(config, graph, shown, make_onlooker=lambda: self._onlooker(config, index, limits))
+
+    def _onlooker(self, config: RemoteConfig, index: int, limits: Limits) -> RosbridgeGraph:
+        shown = read_credentials(config, index)
+        return self._link_graph(config, config.address, shown, limits, watch=True, looks_on=True)
 
     def _group(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> GroupRemote:
         from ropeway.gateway.group import LinkGroupRemote  # most gateways have no group
 
         shown = read_credentials(config, index)
-        links = {without_token(url): self._link_graph(config, url, shown, routes, limits) for url in config.addresses}
+        watch = _watches(routes)
+        links = {
+            without_token(url): self._link_graph(config, url, shown, limits, watch=watch) for url in config.addresses
+        }
         return LinkGroupRemote(config, links, routes, self.registry, shown, self.config.gateway.name)
 
     def _overlay_group(self, config: RemoteConfig, routes: list[Route]) -> GroupRemote:
@@ -296,7 +311,14 @@ class Gateway:
         return OverlayGroupRemote(config, self._overlay_graph(config), routes, self.registry, self.config.gateway.name)
 
     def _link_graph(
-        self, config: RemoteConfig, url: str, shown: Credentials, routes: list[Route], limits: Limits
+        self,
+        config: RemoteConfig,
+        url: str,
+        shown: Credentials,
+        limits: Limits,
+        *,
+        watch: bool,
+        looks_on: bool = False,
     ) -> RosbridgeGraph:
         return RosbridgeGraph(
             url,
@@ -306,9 +328,9 @@ class Gateway:
             headers=shown.headers,
             gateway_id=self.gateway_id,
             name=self.config.gateway.name,
-            wait=False,
-            watch=any(r.operation in _NEED_DISCOVERY for r in routes),
-            ask_rosapi=False,
+            wait=looks_on,
+            watch=watch,
+            ask_rosapi=looks_on,
             ros1=None if config.ros is None else config.ros == 1,
             network=make_network(self.registry, config.distro, config.types, label=without_token(url)),
         )
@@ -391,6 +413,10 @@ class Gateway:
     async def ask(self, question: Question, params: Mapping[str, Any]) -> list[Any]:
         """Return the answer to a question as the only one in a list, as a ``Supervisor`` has one of each worker."""
         return [await question(self, params)]
+
+    async def explain(self, name: str, to: str = "") -> list[Explanation]:
+        """Explain why a name crosses to a remote or does not; see ``ropeway.gateway.explain``."""
+        return await explain(self.remotes, name, to)
 
     def status(self) -> dict[str, Any]:
         """Return the state of everything as JSON."""

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway import aio
 from ropeway.bridge.topic import TopicBridge
+from ropeway.errors import RopewayError
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.credentials import Credentials
 from ropeway.gateway.route import RouteStatus, RunningRoute
@@ -27,9 +31,12 @@ __all__ = [
     "link_state",
     "link_status",
     "overlay_state",
+    "route_row",
     "shown_address",
 ]
 
+
+_LOOK_S: Final = 2.0  # somebody waits for an explanation
 
 NO_CREDENTIALS: Final = Credentials()
 
@@ -60,25 +67,54 @@ class Remote:
     def _renew(self, credentials: Credentials, anew: bool) -> None:
         """Hand new credentials on; with ``anew``, a connection that stands is made again."""
 
+    def joined(self) -> list[RunningRoute]:
+        """Return every route with its bridge."""
+        return list(self.running.values())
+
     def routes(self) -> list[RouteStatus]:
         """Return how every route is."""
         state = self.state
-        return [running.status(state) for running in self.running.values()]
+        return [running.status(state) for running in self.joined()]
 
     def topics(self) -> list[TopicBridge]:
         """Return the bridges that are metered."""
-        return [running.bridge for running in self.running.values() if isinstance(running.bridge, TopicBridge)]
+        return [running.bridge for running in self.joined() if isinstance(running.bridge, TopicBridge)]
+
+    async def look(self, stack: AsyncExitStack) -> Graph | None:
+        """Return a graph that shows what the remote has, open as long as ``stack``; ``None`` where ours shows it."""
+        return None
 
 
 class LinkRemote(Remote):
     """A gateway or a rosbridge server at an address."""
 
-    def __init__(self, config: RemoteConfig, graph: RosbridgeGraph, credentials: Credentials) -> None:
+    def __init__(
+        self,
+        config: RemoteConfig,
+        graph: RosbridgeGraph,
+        credentials: Credentials,
+        *,
+        make_onlooker: Callable[[], RosbridgeGraph] | None = None,
+    ) -> None:
         super().__init__(config, credentials)
         self.graph: RosbridgeGraph = graph
+        self._make_onlooker = make_onlooker
 
     def _renew(self, credentials: Credentials, anew: bool) -> None:
         self.graph.renew(credentials.context, credentials.headers, anew=anew)
+
+    async def look(self, stack: AsyncExitStack) -> Graph | None:
+        """See ``Remote.look``: a connection of its own is told what is there, as far as the remote lets us see it."""
+        if self._make_onlooker is None:
+            return None
+        onlooker = self._make_onlooker()
+        stack.push_async_callback(onlooker.close)
+        try:
+            async with aio.timeout(_LOOK_S):
+                await onlooker.open()
+        except (RopewayError, TimeoutError):
+            return None
+        return onlooker
 
     @property
     def state(self) -> str:
@@ -149,19 +185,10 @@ class OverlayRemote(Remote):
             **({} if self.automatic is None else {"automatic": self.automatic.status()}),
         }
 
-    def routes(self) -> list[RouteStatus]:
-        """Return how every route is, including those made automatically."""
-        found = super().routes()
-        if self.automatic is not None:
-            found += [RunningRoute(*pair).status(self.state) for pair in self.automatic.bridges()]
-        return found
-
-    def topics(self) -> list[TopicBridge]:
-        """Return the bridges that are metered."""
-        found = super().topics()
-        if self.automatic is not None:
-            found += [bridge for _, bridge in self.automatic.bridges()]
-        return found
+    def joined(self) -> list[RunningRoute]:
+        """Return every route with its bridge, including those made automatically."""
+        made = [] if self.automatic is None else self.automatic.bridges()
+        return super().joined() + [RunningRoute(*pair) for pair in made]
 
 
 def shown_address(config: RemoteConfig) -> str:

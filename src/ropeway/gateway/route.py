@@ -10,13 +10,14 @@ from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
 from ropeway.gateway.config.config import Route
-from ropeway.graph.link_parts import Encoded, LinkedPublisher, LinkStatistics
+from ropeway.graph.base import look_up
+from ropeway.graph.link_parts import Encoded, LinkedPublisher, LinkStatistics, Refusable
 from ropeway.listener.http import without_token
 
 if TYPE_CHECKING:
     from contextlib import AsyncExitStack
 
-__all__ = ["Bridge", "CallFigures", "RouteStatus", "RunningRoute", "TopicFigures", "paused_status"]
+__all__ = ["Bridge", "CallFigures", "Doubt", "RouteStatus", "RunningRoute", "TopicFigures", "paused_status"]
 
 Bridge = TopicBridge | ServiceBridge | ActionBridge
 
@@ -27,8 +28,13 @@ PAUSED: Final = "paused"
 
 @dataclass(frozen=True, slots=True)
 class TopicFigures:
-    """The figures of a topic. ``drops`` counts messages that were not passed on, by reason."""
+    """The figures of a topic. ``drops`` counts messages that were not passed on, by reason.
 
+    ``publishers`` are those on the side that it comes from, ``readers`` those on the other, ``None`` where nobody tells.
+    """
+
+    publishers: int = 0
+    readers: int | None = None
     messages: int = 0
     bytes: int = 0
     rate_hz: float = 0.0
@@ -52,7 +58,7 @@ class RouteStatus:
     """The state of a route. ``key`` stays the same while operation, address, names and type do.
 
     ``state`` is ``active``, ``idle`` (nobody reads), ``waiting``, ``failed``, ``paused``, or that of the link where it
-    is not connected; ``error`` says why.
+    is not connected; ``error`` says why. ``reason`` says why nothing crosses though nothing has failed.
     """
 
     key: str
@@ -65,6 +71,7 @@ class RouteStatus:
     type: str
     state: str
     error: str = ""
+    reason: str = ""
     encoding: str = ""
     figures: TopicFigures | CallFigures | None = None
 
@@ -79,13 +86,25 @@ class RouteStatus:
 _PLAIN: Final = tuple(key for key in RouteStatus.__dataclass_fields__ if key != "figures")
 
 
-class RunningRoute:
-    """A route and its bridge. ``stack`` has what ends with it alone."""
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """A reason why nothing crosses; one that is ``certain`` stays until somebody changes something."""
 
-    __slots__ = ("bridge", "route", "stack")
+    reason: str
+    certain: bool
+
+
+class RunningRoute:
+    """A route and its bridge. ``stack`` has what ends with it alone.
+
+    ``doubt`` is kept by whoever watches the route.
+    """
+
+    __slots__ = ("bridge", "doubt", "route", "stack")
 
     def __init__(self, route: Route, bridge: Bridge, stack: AsyncExitStack | None = None) -> None:
         self.route, self.bridge, self.stack = route, bridge, stack
+        self.doubt: Doubt | None = None
 
     def status(self, link_state: str = _CONNECTED) -> RouteStatus:
         """Return how the route is, while the link that it goes over is in ``link_state``."""
@@ -96,8 +115,13 @@ class RunningRoute:
         else:
             error = bridge.error or (f"offered by {bridge.taken_by}" if bridge.taken_by else "")
             encoding, figures = bridge.encoding, _calls(bridge)
-        state = bridge.state if link_state == _CONNECTED else link_state
-        return _status(self.route, state, error, encoding, figures)
+        if link_state != _CONNECTED:
+            return _status(self.route, link_state, error, encoding, figures)
+        doubt = self.doubt
+        if doubt is None:
+            return _status(self.route, bridge.state, error, encoding, figures)
+        error = error or (doubt.reason if doubt.certain else "")
+        return _status(self.route, bridge.state, error, encoding, figures, doubt.reason)
 
 
 def paused_status(route: Route) -> RouteStatus:
@@ -106,7 +130,12 @@ def paused_status(route: Route) -> RouteStatus:
 
 
 def _status(
-    route: Route, state: str, error: str, encoding: str, figures: TopicFigures | CallFigures | None
+    route: Route,
+    state: str,
+    error: str,
+    encoding: str,
+    figures: TopicFigures | CallFigures | None,
+    reason: str = "",
 ) -> RouteStatus:
     return RouteStatus(
         key=route.key,
@@ -119,6 +148,7 @@ def _status(
         type=route.type,
         state=state,
         error=error,
+        reason=reason,
         encoding=encoding,
         figures=figures,
     )
@@ -147,7 +177,10 @@ def _topic(route: Route, bridge: TopicBridge) -> tuple[str, str, TopicFigures]:
     drops.update(link.lost)
     if delay is None:
         delay = link.delay_s
+    known = look_up(bridge.source, "topic", bridge.source_topic)
     figures = TopicFigures(
+        publishers=0 if known is None else sum(not end.local for end in known.publishers),
+        readers=None if bridge.publisher is None else bridge.publisher.subscribers,
         messages=meter.messages,
         bytes=meter.bytes,
         rate_hz=round(meter.rate_hz, 2),
@@ -155,4 +188,5 @@ def _topic(route: Route, bridge: TopicBridge) -> tuple[str, str, TopicFigures]:
         delay_ms=None if delay is None else round(1e3 * delay, 3),
         drops=drops,
     )
-    return bridge.error or link.refused, encoding, figures
+    refused = link.refused or (subscription.refused if isinstance(subscription, Refusable) else "")
+    return bridge.error or refused, encoding, figures

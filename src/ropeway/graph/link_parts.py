@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
-__all__ = ["Contended", "Encoded", "LinkStatistics", "LinkedPublisher"]
+__all__ = ["Contended", "Encoded", "LinkStatistics", "LinkedPublisher", "Refusable"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +39,15 @@ class Encoded(Protocol):
     @property
     def encoding(self) -> str:
         """The encoding of messages, or of requests and answers."""
+
+
+@runtime_checkable
+class Refusable(Protocol):
+    """Depends on a far side that may refuse it."""
+
+    @property
+    def refused(self) -> str:
+        """The reason why the far side refuses it, ``""`` if it does not."""
 
 
 @runtime_checkable

@@ -19,7 +19,6 @@ from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import (
     NO_HINTS,
     Delivery,
-    EndpointInfo,
     Graph,
     GraphEvent,
     NodeInfo,
@@ -253,20 +252,29 @@ class View(GraphBase):
 
     def topics(self) -> dict[str, TopicInfo]:
         """Return the topics of the graph; what other views created does not count as local."""
-        topics = self.hub.graph.topics()
         mine = {
-            (p.topic, isinstance(p, ViewPublisher))
-            for p in self._parts
-            if isinstance(p, (ViewPublisher, ViewSubscription))
+            (part.topic, isinstance(part, ViewPublisher))
+            for part in self._parts
+            if isinstance(part, (ViewPublisher, ViewSubscription))
         }
-        out: dict[str, TopicInfo] = {}
-        for name, info in topics.items():
-            out[name] = replace(
-                info,
-                publishers=tuple(self._seen(e, (name, True) in mine) for e in info.publishers),
-                subscriptions=tuple(self._seen(e, (name, False) in mine) for e in info.subscriptions),
-            )
-        return out
+        return {
+            name: _as_seen(info, publishes=(name, True) in mine, reads=(name, False) in mine)
+            for name, info in self.hub.graph.topics().items()
+        }
+
+    def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
+        """See ``Graph.look_up``; what other views created does not count as local."""
+        info = self.hub.graph.look_up(kind, name)
+        if isinstance(info, TopicInfo):
+            return _as_seen(info, publishes=self._has(ViewPublisher, name), reads=self._has(ViewSubscription, name))
+        if isinstance(info, ServiceInfo):
+            return _shared(info, any(part.service == name for part in self._parts if isinstance(part, ViewService)))
+        if isinstance(info, ActionInfo):
+            return _shared(info, any(part.action == name for part in self._parts if isinstance(part, ViewActionServer)))
+        return None
+
+    def _has(self, kind: type[ViewPublisher | ViewSubscription], topic: str) -> bool:
+        return any(part.topic == topic for part in self._parts if isinstance(part, kind))
 
     async def learn(self, type: str) -> bool:
         """See ``Learning.learn``."""
@@ -283,10 +291,6 @@ class View(GraphBase):
     def action_types(self, action: str) -> tuple[str, ...]:
         """Return the types that one action has now."""
         return self.hub.graph.types_of("action", action)
-
-    @staticmethod
-    def _seen(endpoint: EndpointInfo, mine: bool) -> EndpointInfo:
-        return replace(endpoint, local=mine) if endpoint.local else endpoint
 
     def services(self) -> dict[str, ServiceInfo]:
         """Return every service on the graph; what other views offer does not count as local."""
@@ -309,6 +313,15 @@ class View(GraphBase):
 
 _Part = ViewPublisher | ViewSubscription | ViewClient | ViewService | ViewActionClient | ViewActionServer
 _Info = TypeVar("_Info", ServiceInfo, ActionInfo)
+
+
+def _as_seen(info: TopicInfo, *, publishes: bool, reads: bool) -> TopicInfo:
+    """Return a topic as a view sees it that ``publishes`` or ``reads`` it itself, or leaves that to other views."""
+    return replace(
+        info,
+        publishers=tuple(replace(end, local=publishes) if end.local else end for end in info.publishers),
+        subscriptions=tuple(replace(end, local=reads) if end.local else end for end in info.subscriptions),
+    )
 
 
 def _shared(info: _Info, mine: bool) -> _Info:

@@ -371,6 +371,10 @@ class RosbridgeGraph(GraphBase):
         """Return what the far graph showed last; empty without ``watch`` or with the connection down."""
         return dict(self.mirror.topics)
 
+    def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
+        """See ``Graph.look_up``."""
+        return self.mirror.topics.get(name) if kind == "topic" else super().look_up(kind, name)
+
     @property
     def untold(self) -> str:
         """See ``Telling.untold``."""

@@ -1,0 +1,49 @@
+"""``ropeway explain``: why does it not cross?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ropeway.cli.console import print_json
+from ropeway.cli.session import JsonOption, full_name
+
+__all__ = ["app"]
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command("explain")
+def explain_command(
+    name: Annotated[str, typer.Argument(help="A topic, service or action, such as /odom.", show_default=False)],
+    config: Annotated[
+        Path, typer.Argument(help="A gateway's configuration, JSON or YAML; its route is tried.", show_default=False)
+    ],
+    to: Annotated[
+        str, typer.Option("--to", help="Only this remote: a part of its address, title or name.", show_default=False)
+    ] = "",
+    spin_time: Annotated[
+        float, typer.Option("--spin-time", min=0.5, help="Seconds to wait at most for discovery and for the link.")
+    ] = 3.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Say why NAME crosses or does not: each step from who publishes it to who reads it, on both ends.
+
+    The exit status is 0 if it crosses and 1 if it does not.
+    """
+    from ropeway.cli.explain.trial import try_out
+    from ropeway.cli.explain.words import lines
+    from ropeway.cli.logs import set_up
+    from ropeway.cli.loop import run
+
+    set_up("error")  # what goes wrong is what is explained
+    found = [explanation.to_json() for explanation in run(try_out(config, full_name(name), to, spin_time))]
+    if as_json:
+        print_json(found)
+    else:
+        for line in lines(found):
+            typer.echo(line)
+    if not all(explanation["crosses"] for explanation in found):
+        raise typer.Exit(1)

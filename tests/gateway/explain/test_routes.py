@@ -1,0 +1,158 @@
+"""Routes of running gateways are explained on both ends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from ropeway.gateway.explain import Explanation, Subject
+from ropeway.gateway.gateway import Gateway
+from ropeway.qos import DEFAULT, QoS
+from tests.support.inbox import Inbox
+from tests.support.messages import STRING, sample
+from tests.support.until import until
+from tests.support.world import World, url
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+TOKEN = "for-tests-only"
+
+
+def item(name: str, type: str = STRING, **more: Any) -> dict[str, Any]:
+    """Make a route."""
+    return {"name": name, "type": type, **more}
+
+
+def failures(explanation: Explanation) -> dict[Subject, str]:
+    """Return what is in the way."""
+    return {finding.subject: finding.text for finding in explanation.findings if finding.ok is False}
+
+
+async def only(gateway: Gateway, name: str, to: str = "") -> Explanation:
+    """Explain what has one route."""
+    (found,) = await gateway.explain(name, to)
+    return found
+
+
+async def connected(gateway: Gateway) -> None:
+    """Wait for the links."""
+    await until(lambda: all(remote.state == "connected" for remote in gateway.remotes))
+
+
+async def test_what_crosses(world: World) -> None:
+    """A topic that crosses has nothing in its way, from the publisher here to the reader there."""
+    cloud = await world.gateway("cloud", [])
+    robot = await world.gateway("robot", [{"address": url(cloud), "publish": [item("/chatter")]}])
+    here, there = await world.robot("robot"), await world.robot("cloud")
+    inbox = Inbox()
+    await there.create_subscription("/chatter", STRING, QoS(), inbox)
+    publisher = await here.create_publisher("/chatter", STRING)
+    await until(lambda: publisher.subscribers == 1)
+    publisher.publish(sample("hello"))
+    await inbox.wait(1)
+    found = await only(robot, "/chatter")
+    assert found.crosses
+    assert (found.source, found.target, found.path) == (here.name, url(cloud), "remotes[0].publish[0]")
+    assert [finding.subject for finding in found.findings] == [
+        Subject.SOURCE,
+        Subject.TYPE,
+        Subject.QOS,
+        Subject.LINK,
+        Subject.RIGHTS,
+        Subject.READERS,
+        Subject.TYPE,
+        Subject.TRAFFIC,
+    ]
+    assert found.to_json()["findings"][-1]["text"].startswith("1 messages")
+
+
+async def test_mistakes_of_the_configuration(world: World) -> None:
+    """A misspelt name, another type and a QoS that nobody offers are each told."""
+    cloud = await world.gateway("cloud", [])
+    routes = [item("/odomm", ODOMETRY), item("/odom"), item("/scan", qos={"reliability": "reliable"})]
+    robot = await world.gateway("robot", [{"address": url(cloud), "publish": routes}])
+    here = await world.robot("robot")
+    await here.create_publisher("/odom", ODOMETRY)
+    await here.create_publisher("/scan", STRING, QoS(reliability="best_effort"))
+    await connected(robot)
+    assert "did you mean /odom?" in failures(await only(robot, "/odomm"))[Subject.SOURCE]
+    assert f"published as {ODOMETRY}" in failures(await only(robot, "/odom"))[Subject.TYPE]
+    assert "RELIABILITY" in failures(await only(robot, "/scan"))[Subject.QOS]
+
+
+async def test_the_far_end(world: World) -> None:
+    """The remote's half is asked over the link: who reads there, as what, or that nobody does."""
+    cloud = await world.gateway("cloud", [])
+    robot = await world.gateway("robot", [{"address": url(cloud), "publish": [item("/odom")]}])
+    here, there = await world.robot("robot"), await world.robot("cloud")
+    await here.create_publisher("/odom", STRING)
+    await connected(robot)
+    assert "nobody reads /odom" in failures(await only(robot, "/odom"))[Subject.READERS]
+    await there.create_subscription("/odom", ODOMETRY, DEFAULT, lambda _: None)
+    found = failures(await only(robot, "/odom"))
+    assert f"read as {ODOMETRY}" in found[Subject.TYPE]
+    assert "the route says" in found[Subject.TYPE]
+
+
+async def test_the_other_way(world: World) -> None:
+    """A topic that is fetched is looked for at the remote."""
+    cloud = await world.gateway("cloud", [])
+    robot = await world.gateway("robot", [{"address": url(cloud), "subscribe": [item("/cmd", remote_name="/cmd_vel")]}])
+    here, there = await world.robot("robot"), await world.robot("cloud")
+    await here.create_subscription("/cmd", STRING, QoS(), Inbox())
+    await there.create_publisher("/cmd_val", STRING)
+    await connected(robot)
+    found = await only(robot, "/cmd_vel")
+    assert found.target == here.name
+    assert "did you mean /cmd_val?" in failures(found)[Subject.SOURCE]
+
+
+async def test_a_link_that_is_down(world: World) -> None:
+    """A link that cannot be made is told with the reason, once."""
+    robot = await world.gateway("robot", [{"address": "ws://127.0.0.1:1", "publish": [item("/odom")]}])
+    here = await world.robot("robot")
+    await here.create_publisher("/odom", STRING)
+    await until(lambda: bool(robot.status()["remotes"][0]["error"]))
+    found = failures(await only(robot, "/odom"))
+    assert "refused" in found[Subject.LINK]
+    assert Subject.RIGHTS not in found
+
+
+@pytest.mark.parametrize("operation", ["publish", "subscribe"])
+async def test_rights(
+    world: World,
+    monkeypatch: pytest.MonkeyPatch,
+    operation: str,
+) -> None:
+    """What the remote denies is told with the rule that denies it."""
+    monkeypatch.setenv("ROPEWAY_TEST_TOKEN", TOKEN)
+    token = {"env": "ROPEWAY_TEST_TOKEN"}
+    auth = {"tokens": [{"token": token, "role": "guest"}], "roles": {"guest": {"publish": ["/a"], "subscribe": ["/a"]}}}
+    cloud = await world.gateway("cloud", [], auth=auth)
+    robot = await world.gateway("robot", [{"address": url(cloud), "token": token, operation: [item("/secret")]}])
+    here = await world.robot("robot")
+    await here.create_publisher("/secret", STRING)
+    await here.create_subscription("/secret", STRING, QoS(), Inbox())
+    await connected(robot)
+    await until(lambda: bool(robot.status()["routes"][0]["error"]))
+    assert "guest" in failures(await only(robot, "/secret"))[Subject.RIGHTS]
+
+
+async def test_services(world: World) -> None:
+    """A service that nobody serves at the remote is told."""
+    cloud = await world.gateway("cloud", [])
+    service = item("/add", "example_interfaces/srv/AddTwoInts")
+    robot = await world.gateway("robot", [{"address": url(cloud), "reserve-service": [service]}])
+    there = await world.robot("cloud")
+    await there.create_publisher("/other", STRING)
+    await connected(robot)
+    assert failures(await only(robot, "/add"))[Subject.SOURCE].startswith("nobody serves /add")
+
+
+async def test_names_without_a_route(world: World) -> None:
+    """A name that no route carries, and a remote that is not there, are told with the nearest."""
+    cloud = await world.gateway("cloud", [])
+    robot = await world.gateway("robot", [{"address": url(cloud), "title": "cloud", "publish": [item("/odom")]}])
+    assert 'did you mean "/odom"?' in failures(await only(robot, "/odmo"))[Subject.ROUTE]
+    assert "no remote is called clout" in failures(await only(robot, "/odom", "clout"))[Subject.ROUTE]
+    assert (await only(robot, "/odom", "cloud")).path == "remotes[0].publish[0]"
