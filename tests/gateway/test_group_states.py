@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from tests.gateway.test_gateway import World
 from tests.gateway.test_group import Edge, Robot, edges_of
 from tests.graph.parameter_node import ParameterNode
 from tests.support.until import until
+from tests.support.world import World
 
 STATES = {
     "standby": None,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Final
+
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
@@ -9,9 +12,15 @@ from ropeway.delivery.passage import Keep
 from ropeway.gateway.config.config import Route
 from ropeway.graph.base import Graph
 
-__all__ = ["make_bridge", "make_topic_bridge"]
+__all__ = ["INWARD", "fetch", "make_bridge", "make_topic_bridge"]
 
-_INWARD = ("subscribe", "reserve-service", "reserve-action")
+INWARD: Final = ("subscribe", "reserve-service", "reserve-action")
+"""Operations whose source is the remote: what is there matters."""
+
+
+def fetch(routes: Iterable[Route]) -> bool:
+    """Return whether any of these routes has its source at the remote."""
+    return any(route.operation in INWARD for route in routes)
 
 
 def make_bridge(
@@ -44,12 +53,12 @@ def make_topic_bridge(route: Route, local: Graph, remote: Graph, keep: Keep | No
         route.type,
         qos=route.qos,
         delivery=route.delivery,
-        limit=route.operation not in _INWARD,
+        limit=route.operation not in INWARD,
         keep=keep,
     )
 
 
 def _ends(route: Route, local: Graph, remote: Graph) -> tuple[Graph, Graph, str, str]:
-    if route.operation in _INWARD:
+    if route.operation in INWARD:
         return remote, local, route.remote_name, route.name
     return local, remote, route.name, route.remote_name

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ropeway.errors import ConnectFailed
 from ropeway.extras import require
 from ropeway.gateway.auth import make_door
-from ropeway.gateway.bridges import make_bridge
+from ropeway.gateway.bridges import fetch, make_bridge
 from ropeway.gateway.config.address import is_iort, is_loopback, is_secure
 from ropeway.gateway.config.config import Config, Route
 from ropeway.gateway.config.iort_model import StoreConfig
@@ -55,12 +55,6 @@ __all__ = ["Gateway"]
 log = logging.getLogger("ropeway.gateway")
 
 _METERS_S: Final = 1.0
-
-_NEED_DISCOVERY: Final = ("subscribe", "reserve-service", "reserve-action")  # what is there matters
-
-
-def _watches(routes: Iterable[Route]) -> bool:
-    return any(route.operation in _NEED_DISCOVERY for route in routes)
 
 
 class Gateway:
@@ -288,7 +282,7 @@ class Gateway:
 
     def _link(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> LinkRemote:
         shown = read_credentials(config, index)
-        graph = self._link_graph(config, config.address, shown, limits, watch=_watches(routes))
+        graph = self._link_graph(config, config.address, shown, limits, watch=fetch(routes))
         return LinkRemote(config, graph, shown, make_onlooker=lambda: self._onlooker(config, index, limits))
 
     def _onlooker(self, config: RemoteConfig, index: int, limits: Limits) -> RosbridgeGraph:
@@ -299,10 +293,8 @@ class Gateway:
         from ropeway.gateway.group import LinkGroupRemote  # most gateways have no group
 
         shown = read_credentials(config, index)
-        watch = _watches(routes)
-        links = {
-            without_token(url): self._link_graph(config, url, shown, limits, watch=watch) for url in config.addresses
-        }
+        graphs = (self._link_graph(config, url, shown, limits, watch=fetch(routes)) for url in config.addresses)
+        links = {graph.name: graph for graph in graphs}
         return LinkGroupRemote(config, links, routes, self.registry, shown, self.config.gateway.name)
 
     def _overlay_group(self, config: RemoteConfig, routes: list[Route]) -> GroupRemote:

@@ -31,7 +31,6 @@ __all__ = [
     "link_state",
     "link_status",
     "overlay_state",
-    "route_row",
     "shown_address",
 ]
 

@@ -30,7 +30,7 @@ PAUSED: Final = "paused"
 class TopicFigures:
     """The figures of a topic. ``drops`` counts messages that were not passed on, by reason.
 
-    ``publishers`` are those on the side that it comes from, ``readers`` those on the other, ``None`` where nobody tells.
+    ``publishers`` are on the side that it comes from, ``readers`` on the other, ``None`` where nobody tells.
     """
 
     publishers: int = 0

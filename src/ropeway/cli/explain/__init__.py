@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from ropeway.cli.asking import CaOption, TokenOption, WhereOption
 from ropeway.cli.console import print_json
 from ropeway.cli.session import JsonOption, full_name
 
@@ -19,27 +20,31 @@ app = typer.Typer(add_completion=False)
 def explain_command(
     name: Annotated[str, typer.Argument(help="A topic, service or action, such as /odom.", show_default=False)],
     config: Annotated[
-        Path, typer.Argument(help="A gateway's configuration, JSON or YAML; its route is tried.", show_default=False)
-    ],
+        Path | None,
+        typer.Argument(
+            help="A gateway's configuration, JSON or YAML: its route is tried. Without it, a running gateway is asked.",
+            show_default=False,
+        ),
+    ] = None,
     to: Annotated[
         str, typer.Option("--to", help="Only this remote: a part of its address, title or name.", show_default=False)
     ] = "",
+    where: WhereOption = "",
     spin_time: Annotated[
-        float, typer.Option("--spin-time", min=0.5, help="Seconds to wait at most for discovery and for the link.")
+        float, typer.Option("--spin-time", min=0.5, help="Seconds to try at most, for discovery and the link.")
     ] = 3.0,
     as_json: JsonOption = False,
+    token: TokenOption = "",
+    ca: CaOption = "",
 ) -> None:
     """Say why NAME crosses or does not: each step from who publishes it to who reads it, on both ends.
 
     The exit status is 0 if it crosses and 1 if it does not.
     """
-    from ropeway.cli.explain.trial import try_out
     from ropeway.cli.explain.words import lines
-    from ropeway.cli.logs import set_up
-    from ropeway.cli.loop import run
 
-    set_up("error")  # what goes wrong is what is explained
-    found = [explanation.to_json() for explanation in run(try_out(config, full_name(name), to, spin_time))]
+    topic = full_name(name)
+    found = _tried(config, topic, to, spin_time) if config is not None else _asked(where, topic, to, token, ca)
     if as_json:
         print_json(found)
     else:
@@ -47,3 +52,20 @@ def explain_command(
             typer.echo(line)
     if not all(explanation["crosses"] for explanation in found):
         raise typer.Exit(1)
+
+
+def _tried(config: Path, name: str, to: str, spin_time_s: float) -> list[dict[str, Any]]:
+    from ropeway.cli.explain.trial import try_out
+    from ropeway.cli.logs import set_up
+    from ropeway.cli.loop import run
+
+    set_up("error")  # what goes wrong is what is explained
+    return [explanation.to_json() for explanation in run(try_out(config, name, to, spin_time_s))]
+
+
+def _asked(where: str, name: str, to: str, token: str, ca: str) -> list[dict[str, Any]]:
+    from ropeway.control.client import ControlClient
+
+    with ControlClient.find(where, token=token, ca=ca) as client:
+        found: list[dict[str, Any]] = client.get("/v1/explain", name=name, to=to)
+    return found

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
-from typing import Final
 
 from ropeway.bridge.topic import TopicBridge
+from ropeway.gateway.bridges import INWARD
 from ropeway.gateway.config.config import Route
 from ropeway.gateway.config.suggest import did_you_mean
 from ropeway.gateway.explain.ends import publishers, readers, servers
@@ -15,10 +15,7 @@ from ropeway.gateway.remote import Remote, shown_address
 from ropeway.gateway.route import Bridge, RunningRoute
 from ropeway.graph.base import Graph
 
-__all__ = ["INWARD", "explain", "explain_route", "reason_of", "without_route"]
-
-INWARD: Final = ("subscribe", "reserve-service", "reserve-action")
-"""Operations whose source is the remote."""
+__all__ = ["explain", "explain_route", "reason_of", "without_route"]
 
 
 async def explain(remotes: Sequence[Remote], name: str, to: str = "") -> list[Explanation]:
