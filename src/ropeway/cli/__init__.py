@@ -29,6 +29,7 @@ VERBS = {
     "overlay": "ropeway.cli.overlay",
     "router": "ropeway.cli.router",
     "explain": "ropeway.cli.explain",
+    "anycast": "ropeway.cli.anycast",
     "predict": "ropeway.cli.predict",
     "play": "ropeway.cli.play",
     "demo": "ropeway.cli.demo",
