@@ -186,10 +186,12 @@ def simulate(
     skip_s: float = 1.0,
     change: Callable[[], None] | None = None,
     change_at: float = 0.0,
+    luck_s: float = 0.0,
 ) -> Outcome:
-    """Run a greedy sender for a while."""
+    """Run a greedy sender for a while; its first round trip was shorter than others by ``luck_s``."""
     clock = Clock()
     tcp, model = Tcp(clock, path, congestion), LinkModel()
+    tcp.rtt -= luck_s
     waits: list[float] = []
     unsent: list[int] = []
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from ropeway.delivery.pacing.competition import Competition, Situation
 
 PACE = 1e6
@@ -28,6 +30,17 @@ def test_a_queue_of_ours() -> None:
     assert others.tested
     assert others.advise(situation(40_000, 0.02)) is None
     assert not others.tested
+
+
+def test_after_a_test() -> None:
+    """Once a queue has proved to be ours, the window is what would have left the queue that we want, at once."""
+    others = Competition()
+    assert others.advise(situation(115_000, 0.025, base_s=0.1)) is not None
+    advice = others.advise(situation(57_500, 0.001, base_s=0.1))
+    assert advice is not None
+    assert advice.window_bytes == pytest.approx(115_000 * 0.105 / 0.125)
+    assert advice.base_s is None
+    assert others.advise(situation(96_600, 0.005, base_s=0.1)) is None
 
 
 def test_a_queue_of_others() -> None:

@@ -101,7 +101,11 @@ class Competition:
         self._crowded = self._crowded + 1 if crowded else 0
         if now.queue_s > max(2 * now.target_s, now.long_s):
             return self._tested(now)
-        self._test = None
+        test, self._test = self._test, None
+        if test is not None and self._held is None:  # it was ours: back to what would have left the queue that we want
+            fitting = test.window_bytes * (now.base_s + now.target_s) / (now.base_s + test.queue_s)
+            if fitting > now.window_bytes:
+                return Advice(fitting)
         return self._crowd(now)
 
     # ── long queues ────────────────────────────────────────────────────────────────────────────────────────────

@@ -43,6 +43,9 @@ _SHORTEST_ROUND_S: Final = 0.01  # below, a round trip says more of the processo
 _SHORTEST_ROUND_SEGMENTS: Final = 16  # with fewer the smoothed round trip is still that of before
 _LONGEST_ROUND_TRIPS: Final = 4
 _BASE_MEMORY_S: Final = 5.0  # the shortest round trip is that of five to ten seconds
+_SMOOTHING_SEGMENTS: Final = 16  # after so many little is left of the first round trip in a smoothed one
+_LUCK: Final = 2.0  # deviations, by which it may have been shorter than the others
+_MOST_LUCK: Final = 0.2  # of it: more is a queue
 _DRAIN_ROUNDS: Final = 3
 _LEAST_DRAINED: Final = 0.5  # of the window is used while we look for the shortest round trip
 _CUT: Final = 0.8  # of the window is left after a cut that should show
@@ -119,9 +122,11 @@ class LinkModel:
         self._unsent_s = _UNSENT_S
         self._by_kernel = False  # it, and not the window, holds back what is sent
         self._largest_bytes = 0.0  # of what was handed over at once
+        self._segment_bytes = 1
         self._least_bytes = _LEAST_WINDOW_BYTES
         self._quiet = 0
         self._base_slots = [float("inf"), float("inf")]  # the shortest of the slot before and of this one
+        self._smooth_from: int | None = None
         self._slot_ends_s = float("-inf")
         self._held_in_slot = False
         self._drain_rounds = 0
@@ -167,7 +172,7 @@ class LinkModel:
         pace, base_s = self.pace.bytes_per_s, self.base_rtt_s or 0.0
         target_s = max(_LEAST_QUEUE_S, min(_QUEUE_SHARE * base_s, _MOST_QUEUE_S))
         if pace is not None:  # segments go and are told of in pairs
-            target_s = max(target_s, max(self._traits.part_bytes, self._least_bytes) / pace)
+            target_s = max(target_s, max(self._traits.part_bytes, self._segment_bytes) / pace)
         return target_s + self._traits.slack_s
 
     @property
@@ -181,10 +186,9 @@ class LinkModel:
         pace = self.wanted_bps
         if pace is None or self.starting:
             return _SHORTEST_LOOK_S
-        excess = max(
-            self._unsent_bytes - self.unsent_limit_bytes // 2,
-            self.outstanding_bytes - self._allowed_bytes + max(self.unsent_limit_bytes // 2, 1),
-        )
+        half = self.unsent_limit_bytes // 2
+        step = min(half, max(int(pace * _UNSENT_S / 2), self._segment_bytes))
+        excess = max(self._unsent_bytes - half, self.outstanding_bytes - self._allowed_bytes + step)
         return min(max(excess / pace, _SHORTEST_LOOK_S), _LONGEST_LOOK_S)
 
     @property
@@ -204,12 +208,14 @@ class LinkModel:
     def observe(self, reading: LinkReading) -> None:
         """Take a reading: learn from it, and set ``room_bytes``."""
         now = reading.now_s
+        self._segment_bytes = reading.segment_bytes
         self._least_bytes = max(_LEAST_WINDOW_BYTES, 2 * reading.segment_bytes)
         self.window_bytes = max(self.window_bytes, self._least_bytes)
         self._unsent_bytes = reading.unsent_bytes
         self.outstanding_bytes = reading.in_flight_bytes + reading.unsent_bytes
         if reading.rtt_s > 0:
             self._note_round_trip(reading.rtt_s, now)
+            self._smooth(reading)
             self._cut_at_once(reading.rtt_s)
         held = self.room_bytes <= 0  # there was more to send than we let out
         far = (self.base_rtt_s or 0.0) >= _LONG_ROUND_TRIP_S
@@ -247,6 +253,17 @@ class LinkModel:
         before_s, self.base_rtt_s = self.base_rtt_s, min(slots)
         if before_s is not None and self.base_rtt_s > before_s + _LONG_QUEUE * _MOST_QUEUE_S:
             self._take(self._others.hold(now, self.pace.bytes_per_s or 0.0, before_s, self.base_rtt_s))
+
+    def _smooth(self, reading: LinkReading) -> None:
+        """Forget the first round trip once there are enough to smooth: it is a single one, and may have been lucky."""
+        base_s = self.base_rtt_s
+        if self._smooth_from is None:
+            self._smooth_from = reading.delivered_bytes + _SMOOTHING_SEGMENTS * reading.segment_bytes
+        elif base_s is not None and 0 <= self._smooth_from <= reading.delivered_bytes:
+            self._smooth_from = -1
+            luck_s = min(_LUCK * reading.rtt_deviation_s, _MOST_LUCK * base_s)
+            self.base_rtt_s = max(base_s, min(reading.rtt_s, base_s + luck_s))
+            self._base_slots = [self.base_rtt_s, self.base_rtt_s]
 
     # ── rounds ─────────────────────────────────────────────────────────────────────────────────────────────────
 
