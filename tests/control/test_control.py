@@ -15,6 +15,7 @@ import pytest
 
 from ropeway import aio, limits
 from ropeway.control import app as app_module
+from ropeway.control import place
 from ropeway.control import server as server_module
 from ropeway.control.client import find_target, fleet
 from ropeway.errors import ControlUnavailable, NameTaken
@@ -210,8 +211,9 @@ async def test_two_gateways_of_one_name(begin: Begin) -> None:
         await begin(control={"name": "twin"})
 
 
-async def test_switched_off(begin: Begin) -> None:
+async def test_switched_off(begin: Begin, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """With "control": false there is no socket, and a client says that nobody of the name runs."""
+    monkeypatch.setattr(place, "_private_directory", lambda: tmp_path)  # where gateways of this user may run
     with pytest.raises(ControlUnavailable, match=r"no gateway runs here"):
         await begin(name="silent", control=False)
 

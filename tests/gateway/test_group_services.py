@@ -13,9 +13,9 @@ import pytest
 from ropeway.graph.base import Sample
 from ropeway.graph.calls import Request
 from ropeway.types import TypeRegistry
-from tests.gateway.test_gateway import World, url
 from tests.gateway.test_group import Edge, Robot, edges_of
 from tests.support.until import until
+from tests.support.world import World, url
 
 REGISTRY = TypeRegistry()
 POLICY = {"robot": "robot", "m0": "service", "m1": "standby"}

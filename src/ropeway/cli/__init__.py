@@ -16,6 +16,8 @@ __all__ = ["app", "main"]
 VERBS = {
     "run": "ropeway.cli.run",
     "status": "ropeway.cli.status",
+    "events": "ropeway.cli.events",
+    "session": "ropeway.cli.client_sessions",
     "server": "ropeway.cli.server",
     "config": "ropeway.cli.config",
     "topic": "ropeway.cli.topic",

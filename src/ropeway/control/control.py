@@ -11,12 +11,14 @@ from urllib.parse import urlsplit
 
 from ropeway.control.admission import AnyAdmission, TcpAdmission, UnixAdmission
 from ropeway.control.app import make_app
+from ropeway.control.changes import StateChanges, states_of
 from ropeway.control.claim import SocketClaim
 from ropeway.control.place import own_directory, socket_path
 from ropeway.control.server import ControlServer
 from ropeway.errors import ConnectFailed, ControlError, NameTaken
 from ropeway.gateway.auth import make_door
 from ropeway.gateway.tls import server_context
+from ropeway.tasks import Supervised
 
 if TYPE_CHECKING:
     from ropeway.control.manager import Manager
@@ -83,6 +85,8 @@ class Control:
                 await self._serve(stack, admission, bound, context)
                 host, port = bound.getsockname()[:2]
                 self.addresses.append(f"{url.partition(':')[0]}://{host}:{port}")
+        states = StateChanges(lambda: states_of(self.manager.running), self.manager.events.tell)
+        stack.push_async_callback(Supervised(states.run, "changes of state").start().close)
         log.info("ropeway status %s shows this gateway (%s)", self.name, claim.path)
 
     async def _serve(

@@ -47,6 +47,9 @@ class Limits:
     budget: Budget = field(default_factory=Budget, compare=False)
 
 
+_AGENT_CHARACTERS: Final = 200  # of what a client calls itself
+
+
 class Connection(WSListener):
     """A WebSocket connection.
 
@@ -72,6 +75,7 @@ class Connection(WSListener):
         self.on_closed: Callable[[int, str], None] = _ignore_close
         self.on_look: Callable[[], None] = _nothing
         self.bytes_in = self.bytes_out = self.frames_in = self.frames_out = 0
+        self.since_s = time.time()
         self.secure = False
         self.handshake: HttpRequest | None = None
         self.grant: object = None
@@ -92,6 +96,20 @@ class Connection(WSListener):
         self.closed = False  # nothing can be sent or received any more
         self._closed = asyncio.Event()
         self._closing: asyncio.TimerHandle | None = None
+
+    def status(self) -> dict[str, Any]:
+        """Return who is on the other side, since when, and how many bytes went both ways, as JSON.
+
+        ``agent`` is what the client calls itself, ``""`` where it does not.
+        """
+        headers = {} if self.handshake is None else self.handshake.headers
+        return {
+            "peer": self.peer,
+            "since": round(self.since_s, 3),
+            "agent": headers.get("user-agent", "")[:_AGENT_CHARACTERS],
+            "bytes_in": self.bytes_in,
+            "bytes_out": self.bytes_out,
+        }
 
     # ── sending ────────────────────────────────────────────────────────────────────────────────────────────────
 

@@ -11,7 +11,6 @@ import yaml
 from ropeway.errors import ConfigError
 from ropeway.gateway.config import config
 from ropeway.gateway.config.policy import policies_of
-from ropeway.gateway.config.yaml_text import read_yaml
 
 LISTING = """
   # III.B

@@ -323,16 +323,13 @@ class Session:
 
     def status(self) -> dict[str, Any]:
         """Return what the client does here, for people and programs."""
-        connection = self.peer.connection
         return {
             **self.state.status(),
-            "peer": connection.peer,
+            **self.peer.connection.status(),
             "gateway": self.remote.get("name", ""),
             "dialect": self.peer.dialect.name,
             "role": self.access.role.name,
             "denied": dict(self.access.denied),
-            "bytes_in": connection.bytes_in,
-            "bytes_out": connection.bytes_out,
             "complaints": {f"{kind} {topic}".strip(): n for (kind, topic), n in self.peer.fault_log.counts.items()},
             "topics": list(self.topics.status()),
             "services": list(self.services.status()),

@@ -1,0 +1,123 @@
+"""Makes tables of the status of a gateway."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Final
+
+from rich.markup import escape
+
+from ropeway.cli.fitting_table import FittingTable
+
+__all__ = ["duration", "session_table", "tables"]
+
+_GOOD: Final = ("active", "connected")
+_BAD: Final = ("failed", "waiting to retry", "closed")
+
+
+def tables(status: Mapping[str, Any]) -> Iterator[FittingTable]:
+    """Yield the tables: links, routes, and clients where there are any."""
+    remotes, routes, sessions = status["remotes"], status["routes"], status["sessions"]
+    yield _links(status["name"], remotes)
+    if routes:
+        yield _routes(routes)
+    if sessions:
+        yield session_table(sessions)
+
+
+def _links(name: str, remotes: Iterable[Mapping[str, Any]]) -> FittingTable:
+    table = FittingTable(
+        f"{escape(name)}: links",
+        *("remote", "state", "round trip ms", "Mbit/s", "in MB", "out MB", "connections", "error"),
+        dispensable=("connections", "in MB", "out MB", "Mbit/s", "round trip ms"),
+        text=("remote", "state", "error"),
+    )
+    for remote in remotes:
+        for link in remote.get("members") or (remote,):
+            table.add_row(
+                escape(link.get("address", "")),
+                _state(link.get("state", "")),
+                _number(link.get("rtt_ms")),
+                _number(link.get("pace_bps"), 1e-6),
+                _number(link.get("bytes_in"), 1e-6),
+                _number(link.get("bytes_out"), 1e-6),
+                str(link.get("connections", "-")),
+                escape(link.get("error", "")),
+            )
+    return table
+
+
+def _routes(routes: Iterable[Mapping[str, Any]]) -> FittingTable:
+    table = FittingTable(
+        "routes",
+        *("route", "name", "state", "from", "to", "Hz", "ms", "Mbit/s", "drops", "encoding", "why"),
+        dispensable=("encoding", "Mbit/s", "from", "to", "drops", "ms", "route"),
+        text=("route", "name", "state", "encoding", "why"),
+    )
+    for route in routes:
+        table.add_row(
+            route["operation"],
+            escape(route["name"]),
+            _state(route["state"]),
+            str(route.get("publishers", "-")),
+            _count(route.get("readers")),
+            _number(route.get("rate_hz")),
+            _number(route.get("delay_ms", route.get("took_ms"))),
+            _number(route.get("bandwidth_bps"), 1e-6),
+            str(sum(route.get("drops", {}).values())),
+            route.get("encoding", ""),
+            escape(route["error"] or route.get("reason", "")),
+        )
+    return table
+
+
+def session_table(sessions: Iterable[Mapping[str, Any]]) -> FittingTable:
+    """Make the table of clients."""
+    table = FittingTable(
+        "clients",
+        *("client", "kind", "role", "for", "topics", "services", "in MB", "out MB", "denied", "agent"),
+        dispensable=("agent", "denied", "in MB", "out MB", "services", "role"),
+        text=("client", "kind", "role", "agent"),
+    )
+    for session in sessions:
+        table.add_row(
+            escape(session["peer"]),
+            escape(f"gateway {session['gateway']}" if session["gateway"] else session["dialect"]),
+            escape(session["role"]),
+            duration(time.time() - session["since"]),
+            str(len(session["topics"])),
+            str(len(session["services"])),
+            _number(session["bytes_in"], 1e-6),
+            _number(session["bytes_out"], 1e-6),
+            str(sum(session["denied"].values())),
+            escape(session["agent"]),
+        )
+    return table
+
+
+def duration(seconds: float) -> str:
+    """Return a time span in its two largest units."""
+    whole = max(int(seconds), 0)
+    days, hours, minutes = whole // 86400, whole // 3600 % 24, whole // 60 % 60
+    if days:
+        return f"{days} d {hours} h"
+    if hours:
+        return f"{hours} h {minutes} min"
+    return f"{minutes} min {whole % 60} s" if minutes else f"{whole} s"
+
+
+def _state(state: str) -> str:
+    colour = "green" if state in _GOOD else "red" if state in _BAD else "yellow"
+    return f"[{colour}]{escape(state)}[/{colour}]"
+
+
+def _number(value: float | None, factor: float = 1.0) -> str:
+    if value is None:
+        return "-"
+    shown = value * factor
+    return f"{shown:.0f}" if shown >= 100 else f"{shown:.1f}" if shown >= 1 or not shown else f"{shown:.2g}"
+
+
+def _count(value: int | None) -> str:
+    return "?" if value is None else str(value)
