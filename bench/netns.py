@@ -23,9 +23,10 @@ class Process:
         self, namespace: str | None, *args: str, quiet: bool = True, program: str = sys.executable, **environment: str
     ) -> None:
         prefix = ["ip", "netns", "exec", namespace] if namespace else []
+        compiled = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}  # as what pip installs is
         self._popen = subprocess.Popen(
             [*prefix, program, *args],
-            env={**os.environ, **environment},
+            env={**compiled, **environment},
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL if quiet else None,
             stdin=subprocess.PIPE,

@@ -305,8 +305,10 @@ def rate(as_json: bool, count: int) -> None:
         with tempfile.TemporaryDirectory() as directory:
             server = start_gateway(config(directory, "127.0.0.1"))
             more = ("--nodes", str(nodes), "--count", str(count // nodes))
+            Process(None, *ME, "flood", "--nodes", "1", "--count", "1").finish(300)
+            began_s = server.cpu_s()  # what it took to start is no cost of a publication
             found = json.loads(Process(None, *ME, "flood", *more, quiet=False).finish(300))
-            rows.append([nodes, found["rate"], 1e6 * server.cpu_s() / count])
+            rows.append([nodes, found["rate"], 1e6 * (server.cpu_s() - began_s) / count])
             server.stop()
     heads = ["nodes", "acknowledged /s (>= 20000)", "server CPU us each"]
     table("acknowledged publications, SQLite", heads, rows, as_json=as_json)

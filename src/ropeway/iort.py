@@ -202,6 +202,8 @@ class Packet:
 
 def escape(text: str) -> str:
     """Return a name or a value of a head as it stands in a packet of the upgrade."""
+    if text.isalnum():
+        return text
     if "~" in text:
         text = text.replace("~", "~0")
     for plain, escaped in (("/", "~1"), ("%", "~2"), (",", "~3"), ("=", "~4")):
@@ -212,8 +214,6 @@ def escape(text: str) -> str:
 
 def unescape(text: str) -> str:
     """Undo ``escape``."""
-    if "~" not in text:
-        return text
     for escaped, plain in (("~4", "="), ("~3", ","), ("~2", "%"), ("~1", "/"), ("~0", "~")):
         text = text.replace(escaped, plain)
     return text
@@ -310,7 +310,9 @@ def _parse(body: bytes) -> Union[Packet, Fault]:
 
 
 def _parse_upgrade(parts: List[bytes], count: int) -> Union[Packet, Fault]:
-    id, system, topic = (unescape(part.decode()) for part in parts[:3])
+    id, system, topic = parts[0].decode(), parts[1].decode(), parts[2].decode()
+    if "~" in id or "~" in system or "~" in topic:
+        id, system, topic = unescape(id), unescape(system), unescape(topic)
     if not id or not system or not topic:
         return Fault("malformed", "identifier, system and topic may not be empty; a dash stands for none")
     head: Dict[str, str] = {}
@@ -322,7 +324,7 @@ def _parse_upgrade(parts: List[bytes], count: int) -> Union[Packet, Fault]:
             key, equals, value = item.partition("=")
             if not equals or not key:
                 return Fault("malformed", "a head is key=value,key=value")
-            head[key] = unescape(value)
+            head[key] = unescape(value) if "~" in value else value
     data = b""
     if count > 5:
         data = parts[5]

@@ -57,6 +57,8 @@ class Member(Protocol):
 class _Presence:
     """Holds what one member has in the space."""
 
+    __slots__ = ("endpoints", "id", "watches")
+
     def __init__(self, id: str) -> None:
         self.id = id
         self.endpoints: dict[tuple[str, str, str], MemberEndpoint] = {}

@@ -663,3 +663,19 @@ async def test_port_taken() -> None:
         with pytest.raises(ConnectFailed, match=r":\d+: cannot listen"):
             async with serving(port=served.port):
                 pass
+
+
+async def test_nodes_for_whom_nothing_waits_hold_nothing() -> None:
+    """Thousands of nodes that were answered share what is empty, and have no queues of their own."""
+    async with serving() as served:
+        nodes = [await Raw.connect(served.port) for _ in range(2)]
+        for node in nodes:
+            assert (await node.ask(request("+pub", 1, "A", "pose", b"1"))).op == "+ok"
+            assert (await node.ask(request("+sub", 2, "A", "speed"))).op == "+ok"
+        first, second = served.server.sessions
+        assert first._items is second._items
+        assert not first._items
+        assert first._pushes._outbox is None
+        assert not hasattr(first, "__dict__")
+        for node in nodes:
+            await node.close()

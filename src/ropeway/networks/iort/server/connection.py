@@ -5,13 +5,15 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from typing import cast
+from typing import Final, cast
 
 from ropeway.delivery.pacing.flow import Flow
 from ropeway.iort import Fault, Packet, Parser
 from ropeway.limits import NODE_UNREAD_BYTES
 
 __all__ = ["NodeConnection"]
+
+_NOTHING: Final[deque[Packet | Fault]] = deque(maxlen=0)  # of all nodes: an empty deque of each takes 0.6 kB
 
 
 class NodeConnection(asyncio.Protocol):
@@ -21,13 +23,29 @@ class NodeConnection(asyncio.Protocol):
     in, and with it bigger ones.
     """
 
+    __slots__ = (
+        "_flow",
+        "_heard",
+        "_items",
+        "_looking",
+        "_out",
+        "_out_bytes",
+        "_parser",
+        "_paused",
+        "_scheduled",
+        "began",
+        "last_heard",
+        "transport",
+        "trusted",
+    )
+
     def __init__(self, max_packet_bytes: int) -> None:
         self.transport: asyncio.Transport | None = None
         self.trusted = False
         self.last_heard = time.monotonic()
         self.began: float | None = None  # when the packet that is coming in began
         self._parser = Parser(max_packet_bytes)
-        self._items: deque[Packet | Fault] = deque()  # what came, while the node does not read our answers
+        self._items = _NOTHING  # what came, while the node does not read our answers
         self._out: list[bytes] = []
         self._out_bytes = 0
         self._scheduled = False
@@ -96,7 +114,11 @@ class NodeConnection(asyncio.Protocol):
 
     def _take(self, data: bytes) -> None:
         self.last_heard = now = time.monotonic()
-        self._items += self._parser.feed(data)
+        items = self._parser.feed(data)
+        if items:
+            if self._items is _NOTHING:
+                self._items = deque()
+            self._items += items
         self.began = (self.began or now) if self._parser.unfinished else None
         self._work()
 
@@ -107,6 +129,8 @@ class NodeConnection(asyncio.Protocol):
             self.came(items.popleft())
             if self._out_bytes > NODE_UNREAD_BYTES:
                 self.flush()
+        if not items:
+            self._items = _NOTHING
         self.flush()
         if self.transport is None:
             return

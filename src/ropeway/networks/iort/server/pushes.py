@@ -27,8 +27,10 @@ class _Push:
 class Pushes:
     """Keeps what waits; ``superseded`` is called for each value that gave way to another."""
 
+    __slots__ = ("_outbox", "_queues", "_superseded")
+
     def __init__(self, superseded: Callable[[], None]) -> None:
-        self._outbox: Outbox[_Push] = Outbox()
+        self._outbox: Outbox[_Push] | None = None  # 2.5 kB, and most of thousands of nodes never have anything waiting
         self._queues: dict[tuple[str, str], Queue[_Push]] = {}
         self._superseded = superseded
 
@@ -39,29 +41,33 @@ class Pushes:
     @property
     def bytes(self) -> int:
         """The number of bytes that wait."""
-        return self._outbox.bytes
+        return 0 if self._outbox is None else self._outbox.bytes
 
     def put(self, entry: Entry, latest: bool) -> None:
         """Let a value wait, in the place of the one of its topic that waits."""
         key = entry.key
+        if self._outbox is None:
+            self._outbox = Outbox()
+        outbox = self._outbox
         queue = self._queues.get(key)
         if queue is None:
-            queue = self._queues[key] = self._outbox.open(Queue(key, depth=1))
+            queue = self._queues[key] = outbox.open(Queue(key, depth=1))
         elif queue.waiting:
             self._superseded()
-        self._outbox.put(queue, _Push(entry, latest))
-        while self._outbox.bytes > NODE_WAITING_BYTES and len(self._queues) > 1:
+        outbox.put(queue, _Push(entry, latest))
+        while outbox.bytes > NODE_WAITING_BYTES and len(self._queues) > 1:
             self._drop(next(other for other in self._queues if other != key))
             self._superseded()
 
     def take(self) -> tuple[Entry, bool] | None:
         """Take the value whose turn it is: topics share by bytes."""
-        taken = self._outbox.take(_LANE, 0)
-        if taken is None:
+        outbox = self._outbox
+        taken = None if outbox is None else outbox.take(_LANE, 0)
+        if outbox is None or taken is None:
             return None
         queue, push = taken
-        self._outbox.served(queue, len(push.payload))
-        self._outbox.done(queue)
+        outbox.served(queue, len(push.payload))
+        outbox.done(queue)
         self._drop(push.entry.key)
         return push.entry, push.latest
 
@@ -71,4 +77,6 @@ class Pushes:
             self._drop(key)
 
     def _drop(self, key: tuple[str, str]) -> None:
-        self._outbox.close(self._queues.pop(key))
+        queue = self._queues.pop(key)
+        if self._outbox is not None:
+            self._outbox.close(queue)

@@ -94,6 +94,7 @@ class IortServer:
             handshake_s=_HANDSHAKE_S,
             context=ssl_context if parts.scheme == "iorts" else None,
             reuse_port=reuse_port,
+            many=True,
         )
         self.listeners.append(listener)
         if self._ticker is None:

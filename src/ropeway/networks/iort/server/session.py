@@ -37,6 +37,26 @@ _IDENTIFIER_CHARACTERS: Final = 40  # of one that is shown in the status
 class IortSession(NodeConnection):
     """The conversation with one node, which is a member of the space."""
 
+    __slots__ = (
+        "_login",
+        "_named",
+        "_pushes",
+        "_visit",
+        "_watching",
+        "_wrong_tokens",
+        "access",
+        "identifier",
+        "kind",
+        "node",
+        "origin",
+        "peer",
+        "pings",
+        "server",
+        "space",
+        "superseded",
+        "upgraded",
+    )
+
     def __init__(self, server: NodesHost[IortSession], visit: Visit) -> None:
         super().__init__(min(server.max_packet_bytes, HTTP_HEAD_BYTES))  # until it is let in
         self.server, self.space = server, server.space
