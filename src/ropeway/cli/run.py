@@ -48,7 +48,7 @@ def run_command(
 def _greet(config: Config) -> None:
     from ropeway.planning.configured import unfitting
 
-    listen = ", ".join(config.gateway.listen) or "nowhere"
+    listen = ", ".join(config.gateway.listen) or 'nowhere ("listen" names no port)'
     remotes = sum(remote.active for remote in config.remotes)
     log.info(
         "%s is on %s, listens at %s, and has %d route(s) to %d remote(s)",

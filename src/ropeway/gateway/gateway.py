@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.errors import ConnectFailed
 from ropeway.extras import require
 from ropeway.gateway.auth import make_door
 from ropeway.gateway.bridges import fetch, make_bridge
@@ -77,7 +76,6 @@ class Gateway:
         self.registry = registry or TypeRegistry()
         self.gateway_id = gateway_id or os.urandom(8).hex()
         self.hubs: dict[str, Hub] = {}
-        self._without_listener = False  # the default one, whose port is taken
         self.servers: list[RosbridgeServer] = []
         self.remotes: list[Remote] = []
         self.node: OverlayNode | None = None
@@ -167,13 +165,7 @@ class Gateway:
         for url in links:
             secure = self._tls if is_secure(url) else None
             address = url + settings.clients.path.removesuffix("/")
-            try:
-                await server.listen(address, ssl_context=secure, reuse_port=self._reuse_port)
-            except ConnectFailed as error:
-                if not self.config.only_dials:
-                    raise
-                self._without_listener = True
-                log.warning('%s; going on without it, since "listen" names none ([] asks for none)', error)
+            await server.listen(address, ssl_context=secure, reuse_port=self._reuse_port)
             if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
                 log.warning("%s: tokens are sent unencrypted here; wss:// would encrypt them", url)
 
@@ -373,7 +365,7 @@ class Gateway:
         reasons = [f"{url} is not open" for url in settings.graphs if url not in self.hubs]
         up = sum(len(server.listeners) for server in self.servers)
         up += 0 if self.nodes is None else len(self.nodes.server.listeners)
-        if up < len(settings.listen) and not self._without_listener:
+        if up < len(settings.listen):
             reasons.append(f"{up} of {len(settings.listen)} listeners are up")
         return reasons
 

@@ -95,11 +95,6 @@ class Config:
             or any(route.store for route in self.routes())
         )
 
-    @property
-    def only_dials(self) -> bool:
-        """Whether nobody asked for a listener and there is somebody to dial, so that the default one may be missing."""
-        return "listen" not in self.gateway.model_fields_set and bool(self.remotes)
-
     def slice(self, remotes: Iterable[int], *, listen: bool = True) -> Config:
         """Return the part of this configuration for a worker: only the remotes with these indexes stay active.
 
@@ -146,4 +141,7 @@ def parse(obj: object, source: str = "", *, directory: str | Path = ".") -> Conf
     document, problems = check(obj, Path(directory))
     if document is None or problems:
         raise ConfigError(problems, source)
-    return Config(document.gateway, document.remotes, source)
+    gateway = document.gateway
+    if "listen" not in gateway.model_fields_set and any(remote.active for remote in document.remotes):
+        gateway = gateway.model_copy(update={"listen": ()})  # it only dials: no port is opened that nobody asked for
+    return Config(gateway, document.remotes, source)

@@ -230,7 +230,7 @@ class GatewayConfig(Model):
     listen: Many[Annotated[str, AfterValidator(parse_listen)]] = Field(
         ("ws://127.0.0.1:9090",),
         description="where other gateways and rosbridge clients connect (ws, wss) and IoRT nodes (iort, iorts); "
-        "[] for nowhere",
+        "[] for nowhere, which is the default where active remotes are named",
     )
     insecure: bool = Field(False, description="true allows listeners that other machines reach without authentication")
     tls: ListenTls | None = Field(None, description="for wss:// listeners")
