@@ -25,7 +25,7 @@ from ropeway.graph.type_inquiry import TypeInquiry
 from ropeway.logs import failed
 from ropeway.types import TypeRegistry
 
-__all__ = ["ComposingGraph", "GraphBase"]
+__all__ = ["ComposingGraph", "GraphBase", "NetworkGraph"]
 
 log = logging.getLogger("ropeway.graph")
 
@@ -64,21 +64,17 @@ class GraphBase(Graph):
         return known.types if known is not None else ()
 
 
-class ComposingGraph(GraphBase):
-    """A graph whose network has topics and services only, and composes actions of them.
+class NetworkGraph(GraphBase):
+    """A graph whose network is joined with ``open`` and left with ``close``, in turn.
 
-    It is opened and closed in turn. A network joins in ``_join`` and leaves in ``_leave``, after all parts that it
-    has added to ``_parts`` have closed, those of actions first.
+    A network joins in ``_join`` and leaves in ``_leave``, after all parts that it has added to ``_parts`` have closed.
     """
 
-    def __init__(self, name: str, registry: TypeRegistry | None = None) -> None:
+    def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._registry = registry
         self._is_open = False
         self._turn = asyncio.Lock()
         self._parts: Kept[Any] = Kept()
-        self._actions: Kept[ComposedActionClient | ComposedActionServer] = Kept()
-        self._inquiry: TypeInquiry | None = None
 
     async def open(self) -> None:
         """See ``Graph.open``."""
@@ -96,20 +92,40 @@ class ComposingGraph(GraphBase):
         async with self._turn:
             if not self._is_open:
                 return
-            inquiry, self._inquiry = self._inquiry, None
-            if inquiry is not None:
-                await inquiry.close()
-            await self._actions.close()
+            await self._close_composed()
             await self._close_parts()
             self._is_open = False
             await self._leave()
             self._changes.close()
+
+    async def _close_composed(self) -> None:
+        """Close what is made of other parts, before those."""
 
     async def _close_parts(self) -> None:
         await self._parts.close()
 
     async def _leave(self) -> None:
         raise NotImplementedError
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise GraphUnavailable(self.name, "is not open; call open() first")
+
+
+class ComposingGraph(NetworkGraph):
+    """A graph whose network has topics and services only, and composes actions of them; those close first."""
+
+    def __init__(self, name: str, registry: TypeRegistry | None = None) -> None:
+        super().__init__(name)
+        self._registry = registry
+        self._actions: Kept[ComposedActionClient | ComposedActionServer] = Kept()
+        self._inquiry: TypeInquiry | None = None
+
+    async def _close_composed(self) -> None:
+        inquiry, self._inquiry = self._inquiry, None
+        if inquiry is not None:
+            await inquiry.close()
+        await self._actions.close()
 
     def _ask_for_types(self) -> None:
         """Ask the nodes of the network from now on for definitions that are not known here."""
@@ -120,10 +136,6 @@ class ComposingGraph(GraphBase):
     async def learn(self, type: str) -> bool:
         """See ``Learning.learn``."""
         return self._inquiry is not None and await self._inquiry.learn(type)
-
-    def _check_open(self) -> None:
-        if not self._is_open:
-            raise GraphUnavailable(self.name, "is not open; call open() first")
 
     @property
     def registry(self) -> TypeRegistry:

@@ -6,13 +6,13 @@ import asyncio
 import contextlib
 import gc
 import socket
-from collections import Counter
 from collections.abc import AsyncIterator
 from urllib.parse import urlsplit
 
 import pytest
 
 from ropeway.errors import GraphUnavailable
+from ropeway.networks.ros1.graph import Ros1Graph
 from ropeway.networks.ros1.master import master_uri
 from ropeway.networks.ros1.node import Ros1Node, is_loopback, our_host
 from ropeway.networks.ros1.xmlrpc import XmlRpcClient
@@ -100,7 +100,7 @@ async def test_shutdown(join: Join, client: XmlRpcClient) -> None:
 @pytest.mark.parametrize("turns", range(5))
 async def test_who_comes_at_the_end(turns: int, recwarn: pytest.WarningsRecorder) -> None:
     """Whoever connects while a node leaves finds the connection closed, and nothing of it is left open."""
-    node = Ros1Node("ros1:here", "/near", "http://127.0.0.1:9", Ros1Types(TypeRegistry()), Counter())
+    node = Ros1Node(Ros1Graph("http://127.0.0.1:9"), "/near", "http://127.0.0.1:9", Ros1Types(TypeRegistry()))
     await node.open()
     ports = (node.port, urlsplit(node.uri).port or 0)
     peers = [socket.create_connection(("127.0.0.1", port)) for port in ports for _ in range(5)]

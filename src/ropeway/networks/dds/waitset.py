@@ -1,9 +1,7 @@
 """The one thread of a participant: it waits for DDS, takes, and hands over to the event loop.
 
 The thread sleeps in a WaitSet. What triggers runs its handler there; handlers ``push`` batches for functions of the
-loop, and however many batches are pushed, at most one wake-up of the loop is under way. What waits for the loop is
-bounded in messages and bytes: beyond the bound ``room`` is false, handlers leave their data with DDS, and are run
-again when the loop has caught up.
+loop. Where there is no ``room`` they leave their data with DDS, and are run again when the loop has caught up.
 """
 
 from __future__ import annotations
@@ -18,6 +16,7 @@ from collections.abc import Callable
 from typing import Any, Final, TypeVar
 
 from ropeway.errors import GraphUnavailable
+from ropeway.graph.hand_over import HandOver
 from ropeway.networks.dds.raw import INFINITY, check, lib
 from ropeway.tasks import keep_running
 
@@ -25,8 +24,6 @@ __all__ = ["Pump", "run_in_thread"]
 
 log = logging.getLogger("ropeway.dds")
 
-_LIMIT_SAMPLES: Final = 4096
-_LIMIT_BYTES: Final = 32 << 20
 _MAX_TRIGGERS: Final = 256
 _GUARD_KEY: Final = 0
 _LONGEST_PAUSE_S: Final = 2.0  # calls of the loop wait for the thread
@@ -34,7 +31,7 @@ _LONGEST_PAUSE_S: Final = 2.0  # calls of the loop wait for the thread
 T = TypeVar("T")
 
 
-class Pump:
+class Pump(HandOver):
     """Runs handlers in a thread of its own and functions on ``loop``.
 
     ``setup`` runs first in the thread and gives the participant's entity; ``teardown`` runs last. ``start`` and
@@ -42,14 +39,12 @@ class Pump:
     """
 
     def __init__(self, name: str, setup: Callable[[], int], teardown: Callable[[], None]) -> None:
-        self._name = name
+        super().__init__(name)
         self._setup, self._teardown = setup, teardown
-        self._loop = asyncio.get_running_loop()
         self._thread = threading.Thread(target=self._main, name=f"ropeway {name}", daemon=True)
         self._started: asyncio.Future[None] = self._loop.create_future()
         self._stopped: asyncio.Future[None] = self._loop.create_future()
         self._stopped.add_done_callback(lambda _: self._run_calls())  # one that came as the thread ended
-        self._stopping = False
         self._ending = threading.Event()
         self._waitset = 0
         self._guard = 0
@@ -57,11 +52,6 @@ class Pump:
         self._handlers: dict[int, tuple[Callable[[], None], int]] = {}
         self._calls: deque[Callable[[], None]] = deque()
         self._backlog: dict[Callable[[], None], None] = {}
-        self._out: deque[tuple[Callable[[list[Any]], None], list[Any], int, int]] = deque()
-        self._scheduled = False
-        self._pushed_samples = self._pushed_bytes = 0
-        self._drained_samples = self._drained_bytes = 0
-        self._starved = False
 
     # On the loop ------------------------------------------------------------------------------------------------
 
@@ -121,34 +111,9 @@ class Pump:
 
     # In the thread ----------------------------------------------------------------------------------------------
 
-    @property
-    def room(self) -> bool:
-        """Whether more may be pushed; a handler that finds it false asks for ``again``."""
-        samples, size = self.space()
-        return samples > 0 and size > 0
-
-    def space(self) -> tuple[int, int]:
-        """Return how many more samples and bytes may be pushed."""
-        return (
-            _LIMIT_SAMPLES - self._pushed_samples + self._drained_samples,
-            _LIMIT_BYTES - self._pushed_bytes + self._drained_bytes,
-        )
-
     def again(self, handler: Callable[[], None]) -> None:
         """Run ``handler`` once there is room."""
         self._backlog[handler] = None
-
-    def push(self, function: Callable[[list[Any]], None], batch: list[Any], samples: int = 0, size: int = 0) -> None:
-        """Run ``function(batch)`` on the loop; batches pushed for one function are joined while they wait."""
-        self._pushed_samples += samples
-        self._pushed_bytes += size
-        self._out.append((function, batch, samples, size))
-        if not self._scheduled:
-            self._scheduled = True
-            try:
-                self._loop.call_soon_threadsafe(self._drain)
-            except RuntimeError:  # the loop was closed under an open graph
-                self._stopping = True
 
     def _main(self) -> None:
         try:
@@ -236,30 +201,6 @@ class Pump:
     def _wake(self) -> None:
         if self._guard:
             lib.set_guardcondition(self._guard, True)
-
-    def _drain(self) -> None:
-        self._scheduled = False
-        out = self._out
-        joined: dict[Callable[[list[Any]], None], list[Any]] = {}
-        samples = size = 0
-        for _ in range(len(out)):
-            function, batch, count, byte_count = out.popleft()
-            samples += count
-            size += byte_count
-            known = joined.get(function)
-            if known is None:
-                joined[function] = batch
-            else:
-                known.extend(batch)
-        for function, batch in joined.items():
-            try:
-                function(batch)
-            except Exception:  # of one taker; the others get what is theirs
-                log.exception("%s: delivering %d items failed", self._name, len(batch))
-        self._drained_samples += samples
-        self._drained_bytes += size
-        if self._starved and not self._stopping:
-            self._wake()
 
     async def _join(self) -> None:
         await asyncio.shield(self._stopped)

@@ -21,6 +21,7 @@ from ropeway.errors import (
 )
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Goal, GoalStatus, Outcome
+from ropeway.graph.signal import Signal
 from ropeway.logs import failed
 from ropeway.networks.ros1.action_endpoints import ActionTypes, RawSubscription, publish_raw, subscribe_raw
 from ropeway.networks.ros1.action_wire import (
@@ -109,7 +110,7 @@ class Ros1ActionClient:
         self._publishers: list[RawPublisher] = []
         self._subscriptions: list[RawSubscription] = []
         self._goals: dict[str, Ros1Goal] = {}
-        self._pulse = asyncio.Event()
+        self._changed = Signal()
         self._gone: asyncio.TimerHandle | None = None
         self._joined: asyncio.TimerHandle | None = None
         self._joined_s = 0.0
@@ -144,10 +145,10 @@ class Ros1ActionClient:
         for goal in list(self._goals.values()):
             if not goal.accepted.done():
                 why = f"the client of {self.action} was closed in mid-call"
-                goal.refuse(GraphUnavailable(self._node.graph, why))
+                goal.refuse(GraphUnavailable(self._node.graph.name, why))
             goal.finish(Outcome(GoalStatus.ABORTED, None, "the action client was closed"))
         self._goals.clear()
-        self._tell()
+        self._changed.notify()
         for publisher in self._publishers:
             await publisher.close()
         for subscription in self._subscriptions:
@@ -172,29 +173,20 @@ class Ros1ActionClient:
     async def wait_available(self, timeout_s: float) -> bool:
         """See ``ActionClient``."""
         self._check()
-        try:
-            async with aio.timeout(timeout_s):
-                while not self.closed and not self.available:
-                    await self._pulse.wait()
-        except TimeoutError:
-            return False
+        await self._changed.wait_for(lambda: self.closed or self.available, timeout_s)
         return self.available
-
-    def _tell(self) -> None:
-        pulse, self._pulse = self._pulse, asyncio.Event()
-        pulse.set()
 
     def _links_changed(self) -> None:
         loop = asyncio.get_running_loop()
         if self._complete:
             if self._joined is None:
                 self._joined_s = loop.time() + _JOINED_S
-                self._joined = loop.call_at(self._joined_s, self._tell)
+                self._joined = loop.call_at(self._joined_s, self._changed.notify)
             return
         if self._joined is not None:
             self._joined.cancel()
             self._joined = None
-        self._tell()
+        self._changed.notify()
         if self._gone is None and not self.closed and self._goals:
             self._gone = loop.call_later(_GONE_S, self._check_gone)
 
@@ -209,7 +201,7 @@ class Ros1ActionClient:
 
     def _check(self) -> None:
         if self.closed:
-            raise GraphUnavailable(self._node.graph, f"the client of {self.action} is closed")
+            raise GraphUnavailable(self._node.graph.name, f"the client of {self.action} is closed")
 
     # ── goals ──────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -334,7 +326,7 @@ class Ros1ActionClient:
             goal.on_feedback(payload)
         except Exception:  # a callback is somebody else's code
             self._lost("feedback", Undelivered.CALLBACK)
-            failed(log, "%s: a callback for feedback of %s failed", self._node.graph, self.action)
+            failed(log, "%s: a callback for feedback of %s failed", self._node.graph.name, self.action)
 
     def _lost(self, topic: str, why: Undelivered) -> None:
-        self._node.drops[f"{self.action}/{topic}", why] += 1
+        self._node.graph.drops[f"{self.action}/{topic}", why] += 1

@@ -78,10 +78,10 @@ class RawSubscription:
                 self._take(raw, batch.link.caller)
             except DecodeError as error:
                 node = self._reader.node
-                node.drops[self.topic, Undelivered.DECODE] += 1
+                node.graph.drops[self.topic, Undelivered.DECODE] += 1
                 if not self._blamed:
                     self._blamed = True
-                    log.warning("%s: a message of %s is unreadable: %s", node.graph, self.topic, error)
+                    log.warning("%s: a message of %s is unreadable: %s", node.graph.name, self.topic, error)
 
     def links_changed(self) -> None:
         """Take a change of connections; see ``Consumer``."""
@@ -97,7 +97,7 @@ async def publish_raw(keeper: MasterRegistration, topic: str, type: str, qos: Qo
     node = keeper.node
     stamped = node.types.definition(type).name != "actionlib_msgs/msg/GoalID"
     writer = writer_of(node, topic, node.types.message(type))
-    made = RawPublisher(writer, qos, stamped=stamped)
+    made = RawPublisher(writer, type, qos, stamped=stamped)
     if not writer.registered:
         await keeper.register(writer)
     return made

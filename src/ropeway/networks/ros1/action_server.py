@@ -210,7 +210,7 @@ class Ros1ActionServer:
         return self._types.of_result.to_ros1(self._types.no_result if payload is None else bytes(payload))
 
     def _send_feedback(self, tracked: _Tracked, payload: bytes) -> None:
-        drops, topic = self._node.drops, f"{self.action}/feedback"
+        drops, topic = self._node.graph.drops, f"{self.action}/feedback"
         if tracked.code.final:
             drops[topic, Undelivered.CLOSED] += 1
             return

@@ -13,14 +13,14 @@ from ropeway.errors import (
     CallFailed,
     CallTimeout,
     ConnectFailed,
-    GraphUnavailable,
     InvalidFrame,
     NotServed,
     ProviderLost,
     TypesError,
 )
-from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Request
-from ropeway.graph.local_calls import InFlight
+from ropeway.graph.calls import Request
+from ropeway.graph.host import Host
+from ropeway.graph.parts import ClientBase
 from ropeway.networks.ros1.service_probe import Stream, connect
 from ropeway.networks.ros1.tcpros import encode_header, read_frame, read_header
 from ropeway.networks.ros1.xmlrpc import close_streams
@@ -42,7 +42,7 @@ class _Gone(Exception):
     """The provider that was looked up is not there (any more)."""
 
 
-class Ros1Client:
+class Ros1Client(ClientBase[Host]):
     """A service called on a ``Ros1Graph``: see ``ropeway.graph.calls.Client``."""
 
     def __init__(
@@ -54,12 +54,11 @@ class Ros1Client:
         request: Converter,
         response: Converter,
     ) -> None:
-        self.service, self.type = service, type
-        self.closed = False
+        super().__init__(node.graph, service, type)
+        self.changed = keeper.changed
         self._node, self._keeper = node, keeper
         self._request, self._response = request, response
         self._ros1 = node.types.service(type)
-        self._under_way = InFlight()
         self._api: str | None = None
         self._providers: list[str] = []  # who served it when it was looked up
         self._looking: asyncio.Lock = asyncio.Lock()
@@ -70,32 +69,17 @@ class Ros1Client:
         """Whether another node serves it, as of the last poll of the master."""
         return not self.closed and self._keeper.picture.served(self.service)
 
-    async def wait_available(self, timeout_s: float) -> bool:
-        """See ``Client``."""
+    async def _call(self, request: Request, timeout_s: float) -> bytes:
+        reached = [False]
         try:
             async with aio.timeout(timeout_s):
-                while not self.closed and not self.available:
-                    await self._keeper.changed()
-        except TimeoutError:
-            return False
-        return self.available
-
-    async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
-        """See ``Client``."""
-        if self.closed:
-            raise GraphUnavailable(self._node.graph, f"the client of {self.service} is closed")
-        reached = [False]
-        limit = aio.timeout(timeout_s)
-        try:
-            async with limit:
-                with self._under_way.call():
-                    return await self._call(request, reached)
+                return await self._reach(request, reached)
         except TimeoutError:
             if reached[0]:
                 raise CallTimeout(self.service, timeout_s) from None
             raise NotServed(self.service) from None
 
-    async def _call(self, request: Request, reached: list[bool]) -> bytes:
+    async def _reach(self, request: Request, reached: list[bool]) -> bytes:
         try:
             raw = self._request.to_ros1(request.payload)
         except TypesError as error:
@@ -111,7 +95,7 @@ class Ros1Client:
                 continue  # it may have moved
             with contextlib.suppress(TimeoutError):
                 async with aio.timeout(_LOOK_AGAIN_S):
-                    await self._keeper.changed()
+                    await self.changed.wait()
 
     async def _stream(self) -> Stream:
         """Return a connection that has completed its handshake.
@@ -198,14 +182,7 @@ class Ros1Client:
         except TypesError as error:
             raise CallFailed(self.service, str(error)) from None
 
-    async def close(self) -> None:
-        """See ``Client``."""
-        if self.closed:
-            return
-        self.closed = True
-        self._keeper.tell()
-        why = f"the client of {self.service} was closed in mid-call"
-        await self._under_way.fail(GraphUnavailable(self._node.graph, why))
+    async def _leave(self) -> None:
         await close_streams(self._forget())
 
     def _forget(self) -> list[asyncio.StreamWriter]:

@@ -17,8 +17,7 @@ from ropeway.graph.base import (
     resolve_name,
 )
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ProviderInfo, ServiceHandler, ServiceInfo
-from ropeway.graph.changes import Changes
-from ropeway.graph.graph_base import GraphBase
+from ropeway.graph.graph_base import NetworkGraph
 from ropeway.networks.ros1.action_client import Ros1ActionClient
 from ropeway.networks.ros1.action_server import Ros1ActionServer
 from ropeway.networks.ros1.client import Ros1Client
@@ -43,7 +42,7 @@ _ALIVE_S: Final = 1.0
 _US: Final = (ProviderInfo(local=True),)
 
 
-class Ros1Graph(GraphBase):
+class Ros1Graph(NetworkGraph):
     """The ROS 1 network of the master at ``uri`` (``http://host:port``; left out: ``ROS_MASTER_URI``).
 
     ``name`` is the node's name; where a living node has it already, a few letters are added. ``poll_s``: how often
@@ -65,19 +64,14 @@ class Ros1Graph(GraphBase):
         self._spelling = Ros1Spelling(self._types)
         self._node: Ros1Node | None = None
         self._keeper: MasterRegistration | None = None
-        self._parts: list[Any] = []
 
     @property
     def ros1_spelling(self) -> Ros1Spelling:
         """The spelling of this network's messages for rosbridge clients."""
         return self._spelling
 
-    async def open(self) -> None:
-        """Join the network. Raises ``GraphUnavailable`` if the master does not answer."""
-        if self._node is not None:
-            return
-        node = Ros1Node(self.name, self._node_name, self.uri, self._types, self.drops)
-        self._changes = Changes()
+    async def _join(self) -> None:
+        node = Ros1Node(self, self._node_name, self.uri, self._types)
         keeper = MasterRegistration(node, self._changes, self._poll_s)
         try:
             await node.open()
@@ -99,18 +93,15 @@ class Ros1Graph(GraphBase):
             await slave_call(node.rpc, other, "getPid", node.name, timeout_s=_ALIVE_S)
             node.name = node.master.caller = f"{node.name}_{secrets.token_hex(2)}"
 
-    async def close(self) -> None:
-        """Leave the network with everything that was created here."""
-        node, keeper = self._node, self._keeper
-        if node is None or keeper is None:
-            return
-        self._node = self._keeper = None
-        await keeper.stop()
-        for part in self._parts:
-            await part.close()
-        self._parts.clear()
-        await node.close()
-        self._changes.close()
+    async def _close_parts(self) -> None:
+        if self._keeper is not None:
+            await self._keeper.stop()
+        await super()._close_parts()
+
+    async def _leave(self) -> None:
+        node, self._node, self._keeper = self._node, None, None
+        if node is not None:
+            await node.close()
 
     @property
     def node(self) -> str:
@@ -123,12 +114,9 @@ class Ros1Graph(GraphBase):
         return self._keeper is not None and self._keeper.up
 
     def _opened(self) -> tuple[Ros1Node, MasterRegistration]:
-        if self._node is None or self._keeper is None:
-            raise GraphUnavailable(self.name, "is not open; call open() first")
+        self._check_open()
+        assert self._node is not None and self._keeper is not None
         return self._node, self._keeper
-
-    def _keep(self, part: Any) -> None:
-        self._parts = [*(each for each in self._parts if not each.closed), part]
 
     # ── topics ─────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -142,7 +130,7 @@ class Ros1Graph(GraphBase):
         converter = self._types.converter(full)
         writer = writer_of(node, name, self._types.message(full))
         publisher = Ros1Publisher(writer, full, qos or DEFAULT, converter)
-        self._keep(publisher)
+        self._parts.add(publisher)
         if not writer.registered:
             await keeper.register(writer)
         return publisher
@@ -160,7 +148,7 @@ class Ros1Graph(GraphBase):
         node, keeper = self._opened()
         reader = reader_of(node, resolve_name(topic), self.registry.canonical(type))
         subscription = Ros1Subscription(reader, qos, callback)
-        self._keep(subscription)
+        self._parts.add(subscription)
         if not reader.registered:
             await keeper.register(reader)
         return subscription
@@ -173,7 +161,7 @@ class Ros1Graph(GraphBase):
         name, full = resolve_name(service), self.registry.canonical(type, "srv")
         request, response = (self._types.converter(f"{full}{end}") for end in ("_Request", "_Response"))
         client = Ros1Client(node, keeper, name, full, request, response)
-        self._keep(client)
+        self._parts.add(client)
         return client
 
     async def create_service(
@@ -190,7 +178,7 @@ class Ros1Graph(GraphBase):
         if door.services and door.services[0].type != full:
             raise TypeConflict(name, door.services[0].type, full)
         made = Ros1Service(door, full, request, response, handler)
-        self._keep(made)
+        self._parts.add(made)
         if not door.registered:
             await keeper.register(door)
         return made
@@ -199,7 +187,7 @@ class Ros1Graph(GraphBase):
         """Use ``action``; ``delivery`` has no meaning here."""
         _, keeper = self._opened()
         client = Ros1ActionClient(keeper, resolve_name(action), self.registry.canonical(type, "action"))
-        self._keep(client)
+        self._parts.add(client)
         await client.open()
         return client
 
@@ -209,7 +197,7 @@ class Ros1Graph(GraphBase):
         """Serve ``action``; ``delivery`` has no meaning here."""
         _, keeper = self._opened()
         server = Ros1ActionServer(keeper, resolve_name(action), self.registry.canonical(type, "action"), handlers)
-        self._keep(server)
+        self._parts.add(server)
         await server.open()
         return server
 
@@ -235,7 +223,7 @@ class Ros1Graph(GraphBase):
             return {}
         shown = self._keeper.picture.actions()
         for part in self._parts:
-            if isinstance(part, Ros1ActionServer) and not part.closed:
+            if isinstance(part, Ros1ActionServer):
                 there = shown[part.action].servers if part.action in shown else ()
                 if not any(server.local for server in there):
                     shown[part.action] = ActionInfo(part.action, (part.type,), (*there, *_US))

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ropeway import aio
 from ropeway.errors import ConnectFailed, TypesError
 from ropeway.graph.changes import Changes
+from ropeway.graph.signal import Signal
 from ropeway.networks.ros1.master import MasterRefused
 from ropeway.networks.ros1.reader import TopicReader
 from ropeway.networks.ros1.service import ServiceDoor
@@ -49,12 +50,13 @@ class MasterRegistration:
         self.node = node
         self.up = False
         self._first_name = node.name
-        self.picture = Ros1Snapshot(node.graph, lambda: node.name, self._profile)
+        self.picture = Ros1Snapshot(node.graph.name, lambda: node.name, self._profile)
         self._changes = changes
         self._poll_s = poll_s
         self._task: Supervised | None = None
         self._wake = asyncio.Event()
-        self._pulse = asyncio.Event()
+        self.changed = Signal()
+        """Notified whenever the picture changes, and as the keeper stops."""
         self._service_types: dict[tuple[str, tuple[str, ...]], str] = {}
         self._unknown: dict[tuple[str, ...], int] = {}  # what nobody could tell: in how many polls to ask again
         self._asking: dict[tuple[str, ...], asyncio.Task[None]] = {}
@@ -69,22 +71,13 @@ class MasterRegistration:
         await self._look()
         self.node.on_update = self._wake.set
         self.node.on_shutdown = self._asked_to_leave
-        self._task = Supervised(self._run, f"master of {self.node.graph}").start()
+        self._task = Supervised(self._run, f"master of {self.node.graph.name}").start()
 
     async def stop(self) -> None:
         """Stop polling the master."""
         await end(self._task, *self._asking.values())
         self._task = None
-        self.tell()
-
-    async def changed(self) -> None:
-        """Wait until the picture changes, or the keeper stops."""
-        await self._pulse.wait()
-
-    def tell(self) -> None:
-        """Wake all who wait for a change."""
-        pulse, self._pulse = self._pulse, asyncio.Event()
-        pulse.set()
+        self.changed.notify()
 
     async def _run(self) -> None:
         while True:
@@ -98,10 +91,10 @@ class MasterRegistration:
             except (ConnectFailed, MasterRefused) as error:
                 if self.up or not self._said:
                     self._said = str(error)
-                    log.warning("%s: the master does not answer, waiting for it: %s", self.node.graph, error)
+                    log.warning("%s: the master does not answer, waiting for it: %s", self.node.graph.name, error)
                 self.up = False
             except Exception:  # whatever a master answers, it is asked again
-                log.exception("%s: the state of the master could not be used", self.node.graph)
+                log.exception("%s: the state of the master could not be used", self.node.graph.name)
 
     async def _look(self) -> None:
         if self._rename:
@@ -110,7 +103,7 @@ class MasterRegistration:
         registered = [part for part in self._parts() if part.registered]
         publishers, subscribers, services = await self.node.master.system_state()
         if not self.up and self._said:
-            log.info("%s: the master answers again", self.node.graph)
+            log.info("%s: the master answers again", self.node.graph.name)
             self._said = ""
         self.up = True
         state = State(publishers, subscribers, services)
@@ -123,9 +116,9 @@ class MasterRegistration:
         if reason.startswith("[") and not reason.startswith(f"[{node.name}]"):
             return  # that was our name before
         if "new node registered" not in reason:
-            log.warning("%s: a request to shut down is ignored: %s", node.graph, reason)
+            log.warning("%s: a request to shut down is ignored: %s", node.graph.name, reason)
             return
-        log.warning("%s: another node is called %s now; we take a new name", node.graph, node.name)
+        log.warning("%s: another node is called %s now; we take a new name", node.graph.name, node.name)
         self._rename = True
         self._wake.set()
 
@@ -153,7 +146,7 @@ class MasterRegistration:
     async def _renew(self, registered: list[Part], state: State) -> None:
         lost = [part for part in registered if part.registered and not self._is_known(part, state)]
         if lost:
-            log.warning("%s: the master has forgotten us; we register again", self.node.graph)
+            log.warning("%s: the master has forgotten us; we register again", self.node.graph.name)
             self.node.epoch += 1
             for part in lost:
                 part.registered = False
@@ -199,7 +192,7 @@ class MasterRegistration:
             else:
                 await node.master.register_service(part.name, node.service_api, node.uri)
         except (ConnectFailed, MasterRefused) as error:
-            log.info("%s: a registration failed and is tried again: %s", node.graph, error)
+            log.info("%s: a registration failed and is tried again: %s", node.graph.name, error)
             return
         part.registered = True
         self._wake.set()
@@ -224,7 +217,7 @@ class MasterRegistration:
         for event in events:
             self._changes.emit(event)
         if events or before != state:
-            self.tell()
+            self.changed.notify()
 
     def _ask(self, state: State) -> None:
         """Ask nodes for the types of services, and for definitions that nobody here knows."""
@@ -258,13 +251,13 @@ class MasterRegistration:
         self._unknown[key] = _ASK_AGAIN
         if len(self._unknown) > 4096:
             self._unknown.clear()
-        self._asking[key] = background(self._asked(key, ask), f"{' '.join(key)} of {self.node.graph}")
+        self._asking[key] = background(self._asked(key, ask), f"{' '.join(key)} of {self.node.graph.name}")
 
     async def _asked(self, key: tuple[str, ...], ask: Callable[[], Any]) -> None:
         try:
             await ask()
         except Exception as error:  # whatever a node answers, it is asked again
-            log.debug("%s: %s is not known: %s", self.node.graph, " ".join(key), describe(error), exc_info=error)
+            log.debug("%s: %s is not known: %s", self.node.graph.name, " ".join(key), describe(error), exc_info=error)
         finally:
             self._asking.pop(key, None)
 

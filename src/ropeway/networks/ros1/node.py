@@ -7,11 +7,11 @@ import ipaddress
 import logging
 import os
 import socket
-from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol
 
-from ropeway.graph.base import Undelivered, new_origin
+from ropeway.graph.base import new_origin
+from ropeway.graph.host import Host
 from ropeway.limits import ROS1_NEWCOMERS
 from ropeway.networks.ros1.master import Master
 from ropeway.networks.ros1.tcpros import TcprosConnection
@@ -68,10 +68,8 @@ class Ros1Node:
     ``epoch`` counts how often the master has forgotten us: what was connected before that may live on unregistered.
     """
 
-    def __init__(
-        self, graph: str, name: str, uri: str, types: Ros1Types, drops: Counter[tuple[str, Undelivered]]
-    ) -> None:
-        self.graph, self.name, self.types, self.drops = graph, name, types, drops
+    def __init__(self, graph: Host, name: str, uri: str, types: Ros1Types) -> None:
+        self.graph, self.name, self.types = graph, name, types
         self.rpc = XmlRpcClient()
         self.master = Master(uri, self.rpc, name)
         self.host = ""

@@ -101,7 +101,7 @@ class Publication:
             except (MasterRefused, ConnectFailed, OSError, TimeoutError, InvalidFrame) as error:
                 self._say(str(error) or "no answer in time")
             except Exception as error:  # whatever a publisher sends, it is asked again
-                log.debug("%s: %s from %s", self._reader.node.graph, self._reader.topic, self.uri, exc_info=error)
+                log.debug("%s: %s from %s", self._reader.node.graph.name, self._reader.topic, self.uri, exc_info=error)
                 self._say(f"it cannot be read: {describe(error)}", logging.WARNING)
             if self.orphan:
                 self._reader.forget(self)
@@ -139,7 +139,7 @@ class Publication:
     def _say(self, text: str, level: int = logging.INFO) -> None:
         if text != self._said:
             self._said = text
-            log.log(level, "%s: %s from %s: %s", self._reader.node.graph, self._reader.topic, self.uri, text)
+            log.log(level, "%s: %s from %s: %s", self._reader.node.graph.name, self._reader.topic, self.uri, text)
 
     def made(self, connection: TcprosConnection) -> None:
         """See ``tcpros.Receiver``."""
@@ -281,10 +281,10 @@ class TopicReader:
                     converter = self._converter = self.node.types.converter(self.type)
                 payload = converter.from_ros1(raw)
             except TypesError as error:
-                self.node.drops[self.topic, Undelivered.DECODE] += 1
+                self.node.graph.drops[self.topic, Undelivered.DECODE] += 1
                 if not self._blamed:
                     self._blamed = True
-                    log.warning("%s: a message of %s is unreadable: %s", self.node.graph, self.topic, error)
+                    log.warning("%s: a message of %s is unreadable: %s", self.node.graph.name, self.topic, error)
                 continue
             if trace:
                 out.append(Sample(payload, self.type, stamp_ns, trace[:16], int.from_bytes(trace[16:], "little")))
@@ -303,7 +303,7 @@ class TopicReader:
         if len(wanted) > ROS1_PUBLISHERS_PER_TOPIC:
             kept_first = dict.fromkeys((*(uri for uri in wanted if uri in self._links), *wanted))
             wanted = dict.fromkeys(islice(kept_first, ROS1_PUBLISHERS_PER_TOPIC))
-            log.warning("%s: %s has more publishers than are read", self.node.graph, self.topic)
+            log.warning("%s: %s has more publishers than are read", self.node.graph.name, self.topic)
         for uri, link in list(self._links.items()):
             if uri in wanted:
                 link.orphan, link.epoch = False, self.node.epoch

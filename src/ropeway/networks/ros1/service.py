@@ -75,7 +75,7 @@ class _Caller:
                 if not self._persistent:
                     self._waiting.clear()
         except Exception as error:  # nobody shall wait for an answer that does not come
-            failed(log, "%s: a call of %s failed", self._door.node.graph, self.service.service)
+            failed(log, "%s: a call of %s failed", self._door.node.graph.name, self.service.service)
             self.connection.abort(describe(error))
         finally:
             self._work = None
@@ -89,7 +89,7 @@ class _Caller:
             response = await service.handler(Request(payload, caller=self._name))
             return True, service.response.to_ros1(bytes(response))
         except TypesError as error:
-            log.warning("%s: %s: %s", self._door.node.graph, service.service, error)
+            log.warning("%s: %s: %s", self._door.node.graph.name, service.service, error)
             return False, str(error).encode()
         except Exception as error:  # a handler is somebody else's code; its failure is this call's
             if not isinstance(error, RopewayError):
@@ -124,7 +124,7 @@ class ServiceDoor:
                 f"client [{caller}] wants service {self.name} to have md5sum {asked}, "
                 f"but it has {ours.md5} ({ours.name}). Dropping connection."
             )
-            log.warning("%s: %s", self.node.graph, text)
+            log.warning("%s: %s", self.node.graph.name, text)
             connection.refuse(text)
             return
         if len(self.callers) >= _CALLERS_LIMIT:
@@ -149,7 +149,7 @@ class ServiceDoor:
 
     def late(self) -> None:
         """Count an answer that nobody waited for."""
-        self.node.drops[self.name, Undelivered.LATE] += 1
+        self.node.graph.drops[self.name, Undelivered.LATE] += 1
 
     async def leave(self, service: Ros1Service) -> None:
         """Remove ``service``; when the last one leaves, the name is unregistered."""

@@ -44,5 +44,5 @@ async def probe_service(node: Ros1Node, service: str, api: str) -> str:
             finally:
                 writer.close()
     except (OSError, EOFError, ValueError, TimeoutError, InvalidFrame) as error:
-        log.debug("%s: the type of %s is not known: %s", node.graph, service, error)
+        log.debug("%s: the type of %s is not known: %s", node.graph.name, service, error)
         return ""

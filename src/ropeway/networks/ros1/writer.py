@@ -6,13 +6,15 @@ import logging
 import struct
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 from ropeway import aio
 from ropeway.errors import DecodeError, TypeConflict
 from ropeway.graph.base import SEQ_NONE, Sample, Undelivered, new_origin
 from ropeway.graph.history import History
+from ropeway.graph.host import Host
+from ropeway.graph.parts import PublisherBase
 from ropeway.networks.ros1.tcpros import TRACE, TRACE_BYTES, TcprosConnection
 from ropeway.qos import QoS
 from ropeway.types.ros1_convert import Converter
@@ -105,7 +107,7 @@ class TopicWriter:
                 f"Client [{caller}] wants topic {self.topic} to have datatype/md5sum [{type}/{asked}], "
                 f"but our version has [{ours.name}/{ours.md5}]. Dropping connection."
             )
-            log.warning("%s: %s", self.node.graph, text)
+            log.warning("%s: %s", self.node.graph.name, text)
             connection.refuse(text)
             return
         traced = fields.get(TRACE) == "1"
@@ -150,7 +152,7 @@ class TopicWriter:
 
     def dropped(self) -> None:
         """Count a message that a subscriber was too slow for."""
-        self.node.drops[self.topic, Undelivered.WRITE] += 1
+        self.node.graph.drops[self.topic, Undelivered.WRITE] += 1
 
     def left(self, link: _Link) -> None:
         """Remove a subscriber that has gone."""
@@ -160,8 +162,7 @@ class TopicWriter:
 
     def _tell(self) -> None:
         for user in self.users:
-            for callback in user.demand:
-                callback(len(self.links))
+            user.set_subscribers(len(self.links))
 
     async def finish(self) -> None:
         """Send what waits, then close all connections; a subscriber that does not read is cut off."""
@@ -177,17 +178,17 @@ class TopicWriter:
                 link.connection.abort()
 
 
-class RawPublisher:
+class RawPublisher(PublisherBase[Host]):
     """A user of a ``TopicWriter``, who publishes messages as ROS 1 serialises them.
 
     ``stamped``: the message begins with a header, whose ``seq`` is counted up.
     """
 
-    def __init__(self, writer: TopicWriter, qos: QoS, *, stamped: bool) -> None:
-        self.topic, self.qos, self.writer, self.stamped = writer.topic, qos, writer, stamped
+    def __init__(self, writer: TopicWriter, type: str, qos: QoS, *, stamped: bool) -> None:
+        super().__init__(writer.node.graph, writer.topic, type, qos)
+        self.writer, self.stamped = writer, stamped
         self.history = History(qos) if qos.transient_local else None
-        self.demand: list[Callable[[int], None]] = []
-        self.closed = False
+        self._subscribers = len(writer.links)
         self._origin, self._last = new_origin(), 0
         self._depth = 0 if qos.history == "keep_all" else qos.depth
         writer.users.append(self)
@@ -203,16 +204,6 @@ class RawPublisher:
             self.history.add(message)
         self.writer.send(message, self.stamped, self._depth)
 
-    @property
-    def subscribers(self) -> int:
-        """The number of nodes that read it now, ours not counted."""
-        return len(self.writer.links)
-
-    def on_demand(self, callback: Callable[[int], None]) -> None:
-        """Call with the number of subscribers, now and at each change."""
-        self.demand.append(callback)
-        callback(self.subscribers)
-
     async def close(self) -> None:
         """Withdraw the topic."""
         if self.closed:
@@ -226,8 +217,7 @@ class Ros1Publisher(RawPublisher):
     """A topic published on a ``Ros1Graph``: see ``ropeway.graph.base.Publisher``."""
 
     def __init__(self, writer: TopicWriter, type: str, qos: QoS, converter: Converter) -> None:
-        super().__init__(writer, qos, stamped=converter.stamped)
-        self.type = type
+        super().__init__(writer, type, qos, stamped=converter.stamped)
         self._converter = converter
         self._key = ("ros1", type)
         self._blamed = False
@@ -236,17 +226,17 @@ class Ros1Publisher(RawPublisher):
         """Send to every subscriber; what nobody reads and nothing keeps is not even converted."""
         writer = self.writer
         if self.closed:
-            writer.node.drops[self.topic, Undelivered.CLOSED] += 1
+            writer.node.graph.drops[self.topic, Undelivered.CLOSED] += 1
             return
         if not writer.links and self.history is None:
             return
         try:
             raw: bytes = sample.cached(self._key, lambda: self._converter.to_ros1(sample.payload))
         except DecodeError as error:
-            writer.node.drops[self.topic, Undelivered.ENCODE] += 1
+            writer.node.graph.drops[self.topic, Undelivered.ENCODE] += 1
             if not self._blamed:
                 self._blamed = True
-                log.warning("%s: a message of %s cannot be sent: %s", writer.node.graph, self.topic, error)
+                log.warning("%s: a message of %s cannot be sent: %s", writer.node.graph.name, self.topic, error)
             return
         self.publish_raw(raw, sample.origin, sample.seq)
 

@@ -1,9 +1,8 @@
 """The thread that waits for ROS 2 and hands over to the event loop.
 
 It sleeps in a wait set of rclpy. What is ready has its handler run there; handlers ``push`` batches for functions of
-the loop, and however many batches are pushed, at most one wake-up of the loop is under way. What waits for the loop
-is bounded in messages and bytes: beyond the bound, subscriptions are left out of the wait set, so that the
-middleware applies their profiles, until the loop has caught up.
+the loop. Where there is no ``room``, subscriptions are left out of the wait set, so that the middleware applies their
+profiles, until the loop has caught up.
 """
 
 from __future__ import annotations
@@ -12,19 +11,17 @@ import asyncio
 import contextlib
 import logging
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
+from ropeway.graph.hand_over import HandOver
 from ropeway.tasks import keep_running
 
 __all__ = ["Spinner"]
 
 log = logging.getLogger("ropeway.ros2")
 
-_LIMIT_SAMPLES: Final = 4096
-_LIMIT_BYTES: Final = 32 << 20
 _FOREVER: Final = -1
 
 
@@ -35,29 +32,23 @@ class _Entry:
     handler: Callable[[], None]
 
 
-class Spinner:
+class Spinner(HandOver):
     """Waits on ``subscription``, ``client`` and ``service`` handles of a context."""
 
     def __init__(self, name: str, context: Any) -> None:
         from rclpy.guard_condition import GuardCondition
         from rclpy.impl.implementation_singleton import rclpy_implementation
 
-        self._name, self._context = name, context
+        super().__init__(name)
+        self._context = context
         self._rclpy = rclpy_implementation
         self._guard = GuardCondition(None, None, context=context)
-        self._loop = asyncio.get_running_loop()
         self._thread = threading.Thread(target=self._main, name=f"ropeway {name}", daemon=True)
         self._ended: asyncio.Future[None] = self._loop.create_future()
-        self._stopping = False
         self._ending = threading.Event()
         self._entries: dict[int, _Entry] = {}
         self._version = 0
         self._lock = threading.Lock()
-        self._out: deque[tuple[Callable[[list[Any]], None], list[Any], int, int]] = deque()
-        self._scheduled = False
-        self._pushed_samples = self._pushed_bytes = 0
-        self._drained_samples = self._drained_bytes = 0
-        self._starved = False
 
     # On the loop ------------------------------------------------------------------------------------------------
 
@@ -69,7 +60,7 @@ class Spinner:
         """End the thread. What was pushed and not yet run is dropped."""
         self._stopping = True
         self._ending.set()
-        self._guard.trigger()
+        self._wake()
         await asyncio.shield(self._ended)
         self._thread.join()
         self._out.clear()
@@ -80,7 +71,7 @@ class Spinner:
         with self._lock:
             self._entries[handle.pointer] = _Entry(kind, handle, handler)
             self._version += 1
-        self._guard.trigger()
+        self._wake()
 
     def remove(self, handle: Any) -> None:
         """Forget a handle, which is destroyed next."""
@@ -89,32 +80,9 @@ class Spinner:
             for pointer in known:
                 del self._entries[pointer]
             self._version += 1
-        self._guard.trigger()
+        self._wake()
 
     # In the thread ----------------------------------------------------------------------------------------------
-
-    @property
-    def room(self) -> bool:
-        """Whether more may be pushed."""
-        return (
-            self._pushed_samples - self._drained_samples < _LIMIT_SAMPLES
-            and self._pushed_bytes - self._drained_bytes < _LIMIT_BYTES
-        )
-
-    def push(self, function: Callable[[list[Any]], None], batch: list[Any], samples: int = 0, size: int = 0) -> None:
-        """Run ``function(batch)`` on the loop; batches pushed for one function are joined while they wait.
-
-        Other threads may push, too, what does not count: no ``samples`` and no ``size``.
-        """
-        self._pushed_samples += samples
-        self._pushed_bytes += size
-        self._out.append((function, batch, samples, size))
-        if not self._scheduled:
-            self._scheduled = True
-            try:
-                self._loop.call_soon_threadsafe(self._drain)
-            except RuntimeError:  # the loop was closed under an open graph
-                self._stopping = True
 
     def _main(self) -> None:
         keep_running(self._run, f"{self._name}: the thread that waits for ROS 2", self._ending)
@@ -180,31 +148,8 @@ class Spinner:
                 self._entries.pop(entry.handle.pointer, None)
                 self._version += 1
 
-    # Between the two --------------------------------------------------------------------------------------------
-
-    def _drain(self) -> None:
-        self._scheduled = False
-        out = self._out
-        joined: dict[Callable[[list[Any]], None], list[Any]] = {}
-        samples = size = 0
-        for _ in range(len(out)):
-            function, batch, count, byte_count = out.popleft()
-            samples += count
-            size += byte_count
-            known = joined.get(function)
-            if known is None:
-                joined[function] = batch
-            else:
-                known.extend(batch)
-        for function, batch in joined.items():
-            try:
-                function(batch)
-            except Exception:  # of one taker; the others get what is theirs
-                log.exception("%s: delivering %d items failed", self._name, len(batch))
-        self._drained_samples += samples
-        self._drained_bytes += size
-        if self._starved and not self._stopping:
-            self._guard.trigger()
+    def _wake(self) -> None:
+        self._guard.trigger()
 
 
 def _resolve(future: asyncio.Future[None]) -> None:
