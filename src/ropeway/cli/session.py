@@ -18,7 +18,7 @@ from ropeway.cli.patience import patiently
 from ropeway.errors import GraphUnavailable, InvalidName
 from ropeway.graph.base import Graph, NodeInfo, TopicInfo, resolve_name
 from ropeway.graph.calls import ActionInfo, ServiceInfo
-from ropeway.graph.peer_answer import Telling
+from ropeway.graph.peer_answer import Settling, Telling
 from ropeway.graph.type_inquiry import Learning
 from ropeway.qos import DEFAULT, PROFILES, QoS
 from ropeway.tasks import end
@@ -194,7 +194,7 @@ async def discover(
                 async with aio.timeout(min(left, _QUIET_S)):
                     await news.wait()
             except TimeoutError:
-                if done is None and found and getattr(graph, "settled", True):
+                if done is None and found and (not isinstance(graph, Settling) or graph.settled):
                     return found
     finally:
         await end(listener)

@@ -47,7 +47,7 @@ def certificate_names(tls: ListenTls) -> frozenset[str]:
 def trusted_files(tls: ListenTls | RemoteTls | None) -> bytes:
     """Return what decides whose certificates are good: a digest of the authorities and of those they revoked."""
     digest = hashlib.sha256()
-    for path in () if tls is None else (tls.ca, getattr(tls, "crl", None)):
+    for path in () if tls is None else (tls.ca, tls.crl if isinstance(tls, ListenTls) else None):
         with contextlib.suppress(OSError):
             digest.update(b"" if path is None else Path(path).read_bytes())
     return digest.digest()

@@ -140,12 +140,14 @@ class Outcome:
     """The end of a goal: SUCCEEDED, CANCELED or ABORTED.
 
     ``payload`` is the CDR of ``pkg/action/Name_Result``, ``None`` where there is none (the graph sends the default
-    values then). ``text`` says why a goal was aborted, where anybody knows.
+    values then). ``text`` says why a goal was aborted, where anybody knows. ``rejected`` tells that it was never
+    accepted, on a network that says so at the end only.
     """
 
     status: GoalStatus
     payload: bytes | None = None
     text: str = ""
+    rejected: bool = False
 
 
 @runtime_checkable

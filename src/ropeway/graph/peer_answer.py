@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
-__all__ = ["Answering", "Answers", "Telling"]
+__all__ = ["Answering", "Answers", "Settling", "Telling"]
 
 
 @runtime_checkable
@@ -23,6 +23,15 @@ class Telling(Protocol):
     @property
     def untold(self) -> str:
         """The reason why the peer has not told what there is, ``""`` if it has."""
+
+
+@runtime_checkable
+class Settling(Protocol):
+    """A graph that knows whether there is more to come of what it discovers."""
+
+    @property
+    def settled(self) -> bool:
+        """Whether all that was seen has been told of in full."""
 
 
 class Answers:

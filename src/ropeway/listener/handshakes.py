@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ssl
 from collections.abc import Callable
 from typing import Any
 
@@ -58,7 +59,7 @@ def watch_handshakes(fault_log: FaultLog, port: int) -> Callable[[], None]:
 
 def explain_handshake(error: object) -> str:
     """Explain why a handshake failed, for whoever has to fix the client."""
-    reason = getattr(error, "reason", None)
+    reason = error.reason if isinstance(error, ssl.SSLError) else ""
     if reason in ("HTTP_REQUEST", "WRONG_VERSION_NUMBER"):
         return "a client speaks ws:// or http:// without TLS, and this listener wss:// or iorts://"
     if reason == "PEER_DID_NOT_RETURN_A_CERTIFICATE":

@@ -68,7 +68,7 @@ class StorePages:
         entry = self.store.get(system, topic)
         if entry is None:
             what = f"no value of {system}/{topic}" if self.store.has_system(system) else f"no value of {system}"
-            return reply(404, {"error": f"{what} is there"})
+            return _missing(what)
         if "history" in flags:
             return _Later(self._history(entry))
         if "raw" in flags:
@@ -92,7 +92,7 @@ class StorePages:
             if access.allows("subscribe", f"/{entry.system}/{entry.topic}")
         ]
         if not found and system != "*" and not self.store.has_system(system):
-            return reply(404, {"error": f"no value of {system} is there"})
+            return _missing(f"no value of {system}")
         return reply(200, found)
 
     async def _remove(self, system: str, topic: str) -> Response:
@@ -100,9 +100,7 @@ class StorePages:
             there = await self.store.remove(system, topic)
         except StoreUnavailable as error:
             return reply(503, {"error": str(error)})
-        return (
-            reply(200, {"removed": True}) if there else reply(404, {"error": f"no value of {system}/{topic} is there"})
-        )
+        return reply(200, {"removed": True}) if there else _missing(f"no value of {system}/{topic}")
 
     async def _history(self, entry: Entry) -> Response:
         try:
@@ -113,6 +111,10 @@ class StorePages:
 
 
 _BULK: Final = ("data", "base64")
+
+
+def _missing(what: str) -> Response:
+    return reply(404, {"error": f"{what} is there", "missing": True})
 
 
 def _about(entry: Entry) -> dict[str, str]:

@@ -26,11 +26,10 @@ __all__ = ["connect", "listen"]
 
 
 class _PicowsLog(LoggerAdapter):
-    """Drops picows' lines on what a peer did wrong: we log it with the peer's address."""
+    """Drops picows' errors: they are what a peer did wrong, which we log with its address. Its exceptions stay."""
 
     def error(self, msg: object, *args: object, **kwargs: Any) -> None:
-        if not str(msg).startswith("WS parser error"):
-            super().error(msg, *args, **kwargs)
+        """Drop the line."""
 
 
 logging.getLogger("ropeway.link.picows").setLevel(logging.ERROR)
@@ -80,14 +79,15 @@ async def connect(
         raise ConnectFailed(shown, "no answer in time") from None
     except ssl.SSLCertVerificationError as error:
         raise ConnectFailed(shown, _distrust(error), retryable=False) from None
+    except picows.WSHandshakeError as error:
+        if error.response is None:
+            raise ConnectFailed(shown, f"is not a WebSocket server ({error})") from None
+        status = int(error.response.status)
+        said = f": {_redirects(error.response)}" if 300 <= status < 400 else _said(error)
+        fatal = 300 <= status < 400 or status in (400, 401, 403, 404)
+        raise ConnectFailed(shown, f"answered HTTP {status}{said}", retryable=not fatal) from None
     except picows.WSError as error:
-        response = getattr(error, "response", None)
-        status = response.status.value if response is not None else None
-        if status is not None and 300 <= status < 400:
-            raise ConnectFailed(shown, f"answered HTTP {status}: {_redirects(response)}", retryable=False) from None
-        fatal = status in (400, 401, 403, 404)
-        what = f"answered HTTP {status}{_said(error)}" if status else f"is not a WebSocket server ({error})"
-        raise ConnectFailed(shown, what, retryable=not fatal) from None
+        raise ConnectFailed(shown, f"is not a WebSocket server ({error})") from None
     except OSError as error:
         raise ConnectFailed(shown, _reason(error)) from None
     if connection.closed or not connection.writable:  # picows takes a server that hangs up for one that answers
@@ -141,17 +141,17 @@ async def listen(
     )
 
 
-def _redirects(response: Any) -> str:
+def _redirects(response: picows.WSUpgradeResponse) -> str:
     """Say where an answer points to, which may be a host that only we can reach."""
     target = str(response.headers.get("Location", "elsewhere"))
     shown = target if target.isprintable() and len(target) <= 200 else "elsewhere"
     return f"it points to {shown}, which is not followed; write the address that is meant"
 
 
-def _said(error: picows.WSError) -> str:
+def _said(error: picows.WSHandshakeError) -> str:
     """Return the reason in an answer that is not a WebSocket, as other gateways give it."""
     try:
-        reason = json_value(getattr(error, "raw_body", None) or b"{}")["error"]
+        reason = json_value(error.raw_body or b"{}")["error"]
     except (ValueError, KeyError, TypeError):
         return ""
     return f": {reason}" if isinstance(reason, str) and reason.isprintable() and len(reason) <= 200 else ""

@@ -127,18 +127,20 @@ class _Gateway:
         except HTTPError as error:
             with error:
                 raw = error.read(_ERROR_BYTES)
+            missing = False
             try:
-                text = str(json.loads(raw)["error"])
+                said = json.loads(raw)
+                text, missing = str(said["error"]), said.get("missing") is True
             except (ValueError, KeyError, TypeError):
                 text = f"answered {error.code}"
                 if 300 <= error.code < 400:
                     text += "; that is not followed: write the address that is meant"
-            if error.code == 404 and text.startswith("no value"):
+            if missing:
                 return None
             hint = '; it keeps no values: it needs an iort:// listener, a store, or a topic with "store": true'
             raise ConnectFailed(self._url, text + (hint if error.code == 404 else "")) from error
         except (URLError, OSError) as error:
-            reason = getattr(error, "reason", error)
+            reason = error.reason if isinstance(error, URLError) else error
             raise ConnectFailed(self._url, f"{reason}; is a gateway running there? --at names another") from error
 
     def _json(self, path: str) -> Any:

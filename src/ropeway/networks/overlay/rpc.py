@@ -157,7 +157,8 @@ class Rpc:
         if not isinstance(answer, dict):
             raise SealError(Refusal.MALFORMED, "an answer")
         if "error" in answer:
-            raise RemoteError(str(answer["error"]), str(answer.get("text", "")))
+            text = str(answer.get("text", ""))
+            raise RemoteError(str(answer["error"]), text, str(answer.get("reason", text)))
         return answer.get("ok")
 
     async def _channel(self, gateway: bytes, timeout_s: float) -> SecureChannel:
@@ -240,8 +241,8 @@ class Rpc:
             asked.answer(_REFUSED)
             return
         self._inbound.move_to_end(channel.id)
-        if len(self._tasks) >= OVERLAY_REQUESTS or self._under_way_bytes + len(packet) > OVERLAY_REQUESTS_BYTES:
-            busy = {"error": "CallFailed", "text": f"busy with {len(self._tasks)} requests"}
+        if len(self._tasks.tasks) >= OVERLAY_REQUESTS or self._under_way_bytes + len(packet) > OVERLAY_REQUESTS_BYTES:
+            busy = {"error": "CallFailed", "text": f"busy with {len(self._tasks.tasks)} requests"}
             asked.answer(self._sealed(channel, busy, packet[:_ABOUT_BYTES]))
             return
         self._under_way_bytes += len(packet)
@@ -264,6 +265,8 @@ class Rpc:
             reply = {"error": "SealError", "text": str(error)}
         except RopewayError as error:
             reply = {"error": type(error).__name__, "text": str(error)}
+            if isinstance(error, ProviderLost):
+                reply["reason"] = error.reason
         except (KeyError, TypeError, ValueError) as error:  # of a member, but not in the form that we expect
             log.debug("overlay: a request of %s cannot be used", channel.peer.name, exc_info=error)
             self._refused(channel.peer.name, SealError(Refusal.MALFORMED))
@@ -286,8 +289,8 @@ class Rpc:
 
 
 class RemoteError(RopewayError):
-    """Raised for an error that the other side raised: ``word`` is its name."""
+    """Raised for an error that the other side raised: ``word`` is its name, ``reason`` that of ``ProviderLost``."""
 
-    def __init__(self, word: str, text: str) -> None:
-        self.word, self.text = word, text
+    def __init__(self, word: str, text: str, reason: str) -> None:
+        self.word, self.text, self.reason = word, text, reason
         super().__init__(text)

@@ -218,7 +218,7 @@ def _error(service: str, error: RemoteError, timeout_s: float) -> CallError:
     if error.word == "CallTimeout":
         return CallTimeout(service, timeout_s)
     if error.word == "ProviderLost":
-        return ProviderLost(service, error.text.removeprefix(f"{service} was not answered: "))
+        return ProviderLost(service, error.reason)
     if error.word == "GoalRejected":
         return GoalRejected(service)
     return CallFailed(service, error.text)
