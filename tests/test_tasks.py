@@ -122,10 +122,10 @@ async def test_one_chore_fails_alone(caplog: pytest.LogCaptureFixture) -> None:
     chores.start(fail(), "the bad one")
     await until(lambda: chores.failures == 1)
     assert "the bad one failed: ValueError: bad value" in caplog.messages
-    assert len(chores) == 1
+    assert len(chores.tasks) == 1
     await chores.close()
     assert ended.is_set()
-    assert len(chores) == 0
+    assert len(chores.tasks) == 0
 
 
 async def test_chores_are_waited_for_and_cancelled() -> None:

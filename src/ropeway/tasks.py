@@ -211,39 +211,36 @@ class Chores:
 
     def __init__(self) -> None:
         self.failures = 0
-        self._tasks: set[asyncio.Task[Any]] = set()
-
-    def __len__(self) -> int:
-        """Return how many are under way."""
-        return len(self._tasks)
+        self.tasks: set[asyncio.Task[Any]] = set()
+        """The tasks that are under way."""
 
     def start(self, work: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
         """Begin one."""
         task = asyncio.get_running_loop().create_task(work, name=name)
-        self._tasks.add(task)
+        self.tasks.add(task)
         task.add_done_callback(self._done)
         return task
 
     def cancel(self) -> None:
         """Cancel the chores under way."""
-        for task in self._tasks:
+        for task in self.tasks:
             task.cancel()
 
     async def wait(self, timeout_s: float | None = None) -> None:
         """Wait until those that are under way are done, or the time is over."""
-        if self._tasks:
-            await asyncio.wait(self._tasks, timeout=timeout_s)
+        if self.tasks:
+            await asyncio.wait(self.tasks, timeout=timeout_s)
 
     async def close(self) -> None:
         """End those that are under way, but for the one that asks."""
-        ending = [task for task in self._tasks if task is not asyncio.current_task()]
+        ending = [task for task in self.tasks if task is not asyncio.current_task()]
         for task in ending:
             task.cancel()
         if ending:
             await asyncio.wait(ending)
 
     def _done(self, task: asyncio.Task[Any]) -> None:
-        self._tasks.discard(task)
+        self.tasks.discard(task)
         if not task.cancelled() and task.exception() is not None:
             self.failures += 1
             tell_failure(task)
@@ -273,12 +270,9 @@ class Interruptible:
     block runs. A cancellation of the task from elsewhere stays a cancellation.
     """
 
-    __slots__ = ("_cancelling", "_error", "_task")
-
-    def __init__(self) -> None:
-        self._task: asyncio.Task[Any] | None = None
-        self._error: Exception | None = None
-        self._cancelling = 0
+    _task: asyncio.Task[Any] | None = None
+    _error: Exception | None = None
+    _cancelling = 0
 
     @property
     def mine(self) -> bool:

@@ -14,8 +14,8 @@ _MOST: Final = {
     "publish: socket to DDS writer": 10,
     "subscribe: DDS reader to socket": 19,
     "subscribe: socket to DDS writer": 10,
-    "reserve-service: there and back": 324,
-    "expose-service: there and back": 287,
+    "reserve-service: there and back": 149,
+    "expose-service: there and back": 141,
 }
 
 

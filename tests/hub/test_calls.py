@@ -149,6 +149,22 @@ async def test_failure_is_not_repeated(place: Place) -> None:
     assert len(runs) == 1
 
 
+async def test_a_long_answer_is_not_kept(place: Place) -> None:
+    """A call with a long answer does not run again, and its repetition is told that it was answered."""
+    runs = []
+
+    async def handler(request: Request) -> bytes:
+        runs.append(1)
+        return EMPTY + bytes(100_000)
+
+    await place.hub.view("provider").create_service("/s", TRIGGER, handler)
+    view, request = place.hub.view("a"), Request(EMPTY)
+    assert await call(view, "/s", request=request) == EMPTY + bytes(100_000)
+    with pytest.raises(CallFailed, match="this call was answered before"):
+        await call(view, "/s", request=request)
+    assert len(runs) == 1
+
+
 async def test_circles_end(place: Place) -> None:
     """A call that has passed this gateway before is refused."""
     await place.hub.view("provider").create_service("/s", TRIGGER, says(b""))  # type: ignore[arg-type]

@@ -61,8 +61,7 @@ def test_round_trips(name: str) -> None:
         assert same(message, decoded)
         assert codec.encode(decoded) == cdr
         assert codec.from_cbor(cbor2.loads(cbor2.dumps(codec.cbor(cdr)))) == cdr
-        assert codec.from_rosgw(cbor2.loads(cbor2.dumps(codec.rosgw(cdr)))) == cdr
-        assert codec.from_rosgw(cbor2.loads(cbor2.dumps(codec.cbor(cdr)))) == cdr
+        assert codec.from_cbor(cbor2.loads(cbor2.dumps(codec.rosgw(cdr)))) == cdr
         assert codec.from_ros1(codec.ros1(cdr)) == cdr
 
 
@@ -160,7 +159,7 @@ def test_hostile_values(name: str, data: st.DataObject) -> None:
                 break
             place = inner
         place[key] = data.draw(HOSTILE)
-    for write in (codec.encode, codec.from_json, codec.from_cbor, codec.from_rosgw):
+    for write in (codec.encode, codec.from_json, codec.from_cbor):
         with contextlib.suppress(ValueMismatch):
             codec.decode(write(message))
 
@@ -169,7 +168,7 @@ def test_hostile_values(name: str, data: st.DataObject) -> None:
 def test_hostile_messages(value: Any) -> None:
     """Any value in place of a message is either taken or a ValueMismatch."""
     for name in ("std_msgs/String", "std_msgs/Empty", "builtin_interfaces/Time", "std_msgs/Header", "nav_msgs/Path"):
-        for write in (REGISTRY.codec(name).encode, REGISTRY.codec(name).from_json, REGISTRY.codec(name).from_rosgw):
+        for write in (REGISTRY.codec(name).encode, REGISTRY.codec(name).from_json):
             with contextlib.suppress(ValueMismatch):
                 write(value)
 
@@ -421,7 +420,7 @@ def test_recorded_messages(recordings: Path) -> None:
             cdr = codec.encode(codec.decode(message.data))
             assert cdr.rstrip(b"\0") == message.data.rstrip(b"\0")
             assert codec.from_cbor(codec.cbor(cdr)) == cdr
-            assert codec.from_rosgw(codec.rosgw(cdr)) == cdr
+            assert codec.from_cbor(codec.rosgw(cdr)) == cdr
             assert codec.from_ros1(codec.ros1(cdr)) == cdr
             if len(cdr) < 500_000:
                 again = codec.from_json(json.loads(codec.json(cdr)))

@@ -24,7 +24,7 @@ def test_header_without_stamp() -> None:
         assert codec.header_stamp_ns(codec.from_json({"header": {"stamp": stamp}}, now_ns=lambda: NOW)) == 0
     assert codec.header_stamp_ns(codec.from_cbor({}, now_ns=lambda: NOW)) == NOW
     assert codec.header_stamp_ns(codec.encode({})) == 0
-    assert codec.header_stamp_ns(codec.from_rosgw({})) == 0
+    assert codec.header_stamp_ns(codec.encode({})) == 0
 
 
 def test_only_the_root_header() -> None:

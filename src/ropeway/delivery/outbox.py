@@ -302,6 +302,11 @@ class Outbox(Generic[M]):
             return queue, message
         return None
 
+    def passed(self, queue: Queue[M], size_bytes: int) -> None:
+        """Charge a topic for what was sent of it at once: nothing waited or was under way, so it was its turn."""
+        times, priority = self._times, queue.priority
+        queue.served = times[priority] = max(queue.served, times[priority]) + size_bytes / queue.weight
+
     def served(self, queue: Queue[M], size_bytes: int) -> None:
         """Charge a topic for the bytes that were sent of its message."""
         queue.served += size_bytes / queue.weight

@@ -32,22 +32,23 @@ class Border:
     def __init__(self, registry: object, network: TypeRegistry | None = None) -> None:
         self.ours = registry if isinstance(registry, TypeRegistry) else None
         self.network = network
-        self._touched: dict[str, bool] = {}
-        self._state = 0  # of our definitions
+        self.touched: dict[str, bool] = {}
+        """What ``touches`` returned for each type, as long as ``state`` is that of our definitions."""
+        self.state = 0
 
     def touches(self, type: str) -> bool:
         """Return whether messages of ``type`` may have to be translated."""
         ours = self.ours
         if ours is None:
             return False
-        if self._state != ours.changes:
-            self._state = ours.changes
-            self._touched.clear()
-        found = self._touched.get(type)
+        if self.state != ours.changes:
+            self.state = ours.changes
+            self.touched.clear()
+        found = self.touched.get(type)
         if found is None:
             others, network = ours.others, self.network
             differs = network is not None and network.differs(type)
-            found = self._touched[type] = differs or (others is not None and others.touches(type))
+            found = self.touched[type] = differs or (others is not None and others.touches(type))
         return found
 
     def incoming(self, type: str, payload: bytes, writer: TypeRegistry | None = None) -> bytes:
@@ -58,7 +59,7 @@ class Border:
         ours = self.ours
         if ours is None or writer is ours:
             return payload
-        untouched = self._touched.get(type) is False and self._state == ours.changes
+        untouched = self.touched.get(type) is False and self.state == ours.changes
         if untouched or not self.touches(type):
             return payload
         theirs = writer or self.network
@@ -82,7 +83,7 @@ class Border:
         ours = self.ours
         if ours is None:
             return payload
-        untouched = self._touched.get(type) is False and self._state == ours.changes
+        untouched = self.touched.get(type) is False and self.state == ours.changes
         if untouched or not self.touches(type):
             return payload
         theirs = self.network or reader

@@ -23,47 +23,48 @@ LEFT: Final = "who offered it has withdrawn it"
 class _Block(Interruptible):
     """A call among those that are under way."""
 
-    __slots__ = ("_blocks", "_ended")
-
-    def __init__(self, blocks: set[Interruptible], ended: asyncio.Event) -> None:
-        super().__init__()
-        self._blocks, self._ended = blocks, ended
-        blocks.add(self)
+    calls: InFlight
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        try:
+        calls = self.calls
+        calls.blocks.discard(self)
+        if calls.closed:
+            calls.ended.set()
+        if self._error is None:
+            self._task = None
+        else:
             super().__exit__(kind)
-        finally:
-            self._blocks.discard(self)
-            self._ended.set()
 
 
 class InFlight:
     """Calls under way, of a client or at a provider; ``fail`` ends them all, whoever waits for them."""
 
     def __init__(self) -> None:
-        self._blocks: set[Interruptible] = set()
-        self._ended = asyncio.Event()
+        self.blocks: set[Interruptible] = set()
+        self.ended = asyncio.Event()
         self.closed = False
 
     @property
     def busy(self) -> bool:
         """Whether a call is under way."""
-        return bool(self._blocks)
+        return bool(self.blocks)
 
     def call(self) -> Interruptible:
         """Return a block in which a call runs."""
-        return _Block(self._blocks, self._ended)
+        block = _Block()
+        block.calls = self
+        self.blocks.add(block)
+        return block
 
     async def fail(self, error: RopewayError) -> None:
         """End all calls with ``error``, and wait until they have ended."""
         self.closed = True
-        for block in list(self._blocks):
+        for block in list(self.blocks):
             if not block.mine:
                 block.interrupt(error)
-        while any(not block.mine for block in self._blocks):
-            self._ended.clear()
-            await self._ended.wait()
+        while any(not block.mine for block in self.blocks):
+            self.ended.clear()
+            await self.ended.wait()
 
 
 async def answer(name: str, running: InFlight, work: Awaitable[bytes], timeout_s: float) -> bytes:

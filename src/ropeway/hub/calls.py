@@ -20,11 +20,15 @@ from ropeway.graph.local_calls import LEFT, InFlight, answer
 from ropeway.hub.ownership import Claim, NameOwners
 from ropeway.tasks import end
 
-__all__ = ["NOBODY_S", "SharedClients", "SharedServices", "ViewClient", "ViewService", "either"]
+__all__ = ["NOBODY_S", "PendingCall", "SharedClients", "SharedServices", "ViewClient", "ViewService", "either"]
 
 log = logging.getLogger("ropeway.hub")
 
 NOBODY_S: Final = 1.0  # who calls a service that nobody serves learns it so soon, as from rosbridge
+
+
+PendingCall = asyncio.Future[bytes | Exception]
+"""A call that is under way, and what came of it."""
 
 
 class SharedClients(Protocol):
@@ -50,19 +54,18 @@ class SharedServices(SharedClients, Protocol):
 
     services: NameOwners[ViewService]
 
-    def known(self, request: Request) -> asyncio.Future[bytes | Exception] | None:
-        """Return the same call, where it was made before."""
+    def begin(self, name: str, request: Request) -> PendingCall | None:
+        """Note that a call is under way; return ``None`` where the same was made before.
+
+        Raises ``CallFailed`` for one that went in a circle.
+        """
         ...
 
-    def remember(self, request: Request) -> asyncio.Future[bytes | Exception]:
-        """Note that a call is under way, so that it is not made again."""
-        ...
-
-    def settle(self, request: Request, pending: asyncio.Future[bytes | Exception], how: bytes | BaseException) -> None:
+    def settle(self, request: Request, pending: PendingCall, how: bytes | BaseException) -> None:
         """Note how a call has ended."""
         ...
 
-    async def again(self, pending: asyncio.Future[bytes | Exception]) -> bytes:
+    async def again(self, request: Request) -> bytes:
         """Return the answer of a call that was made before."""
         ...
 
@@ -80,10 +83,7 @@ class ViewService:
         self.on_closed: Callable[[], None] | None = None
 
     async def _create(self) -> Service:
-        return await self._calls.graph.create_service(self.service, self.type, self._handle, delivery=self._delivery)
-
-    async def _handle(self, request: Request) -> bytes:
-        return await self._handler(request)
+        return await self._calls.graph.create_service(self.service, self.type, self._handler, delivery=self._delivery)
 
     @property
     def closed(self) -> bool:
@@ -101,7 +101,7 @@ class ViewService:
 
     async def answer(self, request: Request, timeout_s: float) -> bytes:
         """Answer a call from inside this process."""
-        return await answer(self.service, self._running, self._handle(request), timeout_s)
+        return await answer(self.service, self._running, self._handler(request), timeout_s)
 
     async def close(self) -> None:
         """Stop serving; calls under way fail, and the next claim to the name takes over."""
@@ -134,7 +134,7 @@ class ViewClient:
     @property
     def available(self) -> bool | None:
         """Whether a view or a provider on the network serves it."""
-        if self._provider() is not None:
+        if self._calls.services.holder(self.service) is not None:
             return True
         return self._inner.available if self._inner is not None else False
 
@@ -171,22 +171,24 @@ class ViewClient:
         """See ``Client``."""
         if self.closed:
             raise GraphUnavailable(self._calls.graph.name, f"the client of {self.service} is closed")
-        self._calls.check_circle(self.service, request.via)
         calls = self._calls
-        known = calls.known(request)
-        if known is not None:
-            return await calls.again(known)
-        pending = calls.remember(request)
+        pending = calls.begin(self.service, request)
+        if pending is None:
+            return await calls.again(request)
         try:
             with self._under_way.call():
-                response = await self._call(request, timeout_s)
+                inner = self._inner
+                if calls.services.holder(self.service) is None and inner is not None and inner.available is not False:
+                    response = await inner.call(request, timeout_s)
+                else:
+                    response = await self._find_and_call(request, timeout_s)
         except BaseException as error:
             calls.settle(request, pending, error)
             raise
         calls.settle(request, pending, response)
         return response
 
-    async def _call(self, request: Request, timeout_s: float) -> bytes:
+    async def _find_and_call(self, request: Request, timeout_s: float) -> bytes:
         loop = asyncio.get_running_loop()
         deadline = loop.time() + timeout_s
         await self.find(timeout_s)

@@ -14,7 +14,7 @@ from ropeway.graph.calls import (
     Request,
 )
 from ropeway.hub.actions import ViewActionServer
-from ropeway.hub.calls import ViewService
+from ropeway.hub.calls import PendingCall, ViewService
 from ropeway.hub.ownership import NameOwners
 from ropeway.tasks import Chores
 
@@ -51,7 +51,7 @@ class HubCalls:
         self._making: dict[tuple[str, str, str], asyncio.Future[None]] = {}
         self._idle: dict[tuple[str, str, str], None] = {}
         self._closers = Chores()
-        self._calls: OrderedDict[bytes, asyncio.Future[bytes | Exception]] = OrderedDict()
+        self._calls: OrderedDict[bytes, PendingCall] = OrderedDict()
         self.repeated = 0
 
     async def close(self) -> None:
@@ -128,18 +128,24 @@ class HubCalls:
         if self.gateway_id and self.gateway_id in via:
             raise CallFailed(name, f"the call of {name} went in a circle, through the gateways {', '.join(via)}")
 
-    def remember(self, request: Request) -> asyncio.Future[bytes | Exception]:
-        """Remember a call that is under way, so that it is not made again."""
+    def begin(self, name: str, request: Request) -> PendingCall | None:
+        """Remember a call that is under way; return ``None`` where the same was made before: it is not made again.
+
+        This is the one place where that is found out, whatever ways a call came. Raises ``CallFailed`` for a call that
+        went in a circle.
+        """
+        if self.gateway_id in request.via:
+            self.check_circle(name, request.via)
         calls = self._calls
+        if request.id in calls:
+            return None
         pending = calls[request.id] = asyncio.get_running_loop().create_future()
         while len(calls) > _REMEMBERED and next(iter(calls.values())).done():
             calls.popitem(last=False)
         return pending
 
-    def settle(self, request: Request, pending: asyncio.Future[bytes | Exception], how: bytes | BaseException) -> None:
-        """Record the end of a call. A call that was not carried out may be tried again; a long answer is not kept. What
-        was not carried out may be tried again; a long answer is not kept.
-        """
+    def settle(self, request: Request, pending: PendingCall, how: bytes | BaseException) -> None:
+        """Record the end of a call. One that was not carried out may be tried again; a long answer is not kept."""
         if isinstance(how, (NotServed, GraphUnavailable)):
             self._calls.pop(request.id, None)
         elif isinstance(how, bytes) and len(how) > _REMEMBERED_BYTES:
@@ -152,18 +158,15 @@ class HubCalls:
         else:
             pending.set_result(ProviderLost("", "the call was given up"))
 
-    async def again(self, pending: asyncio.Future[bytes | Exception]) -> bytes:
+    async def again(self, request: Request) -> bytes:
         """Return the answer of a call that was made before."""
         self.repeated += 1
+        pending = self._calls[request.id]
         await asyncio.wait({pending})
         how = pending.result()
         if isinstance(how, Exception):
             raise _bare(how)
         return how
-
-    def known(self, request: Request) -> asyncio.Future[bytes | Exception] | None:
-        """Return the earlier call with this id, if there is one."""
-        return self._calls.get(request.id)
 
 
 def _bare(error: Exception) -> Exception:

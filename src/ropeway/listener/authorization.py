@@ -142,7 +142,9 @@ class Access:
         """Check that the client may do this with ``name``; a denial is counted and logged, and raises
         ``AccessDenied``.
         """
-        rule = self._rule_against(verb, name)
+        rule = self._known.get((verb, name)) if self._ros1_actions is None else None
+        if rule is None:
+            rule = self._rule_against(verb, name)
         if rule:
             raise self._refused(verb, name, rule)
 

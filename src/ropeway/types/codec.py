@@ -165,10 +165,6 @@ class MessageCodec:
         """
         return self._read("rosgw", cdr)  # type: ignore[no-any-return]
 
-    def from_rosgw(self, value: Any) -> bytes:
-        """Encode a parsed CBOR value from a rosgw gateway as CDR. Raises ``ValueMismatch``."""
-        return self._encode(value)
-
     def ros1(self, cdr: bytes) -> bytes:
         """Serialise the message as ROS 1 does; headers get the ``seq`` 0. Raises ``DecodeError``."""
         message = self._read("object", cdr)
@@ -231,6 +227,14 @@ class MessageCodec:
 
     def fitting(self, cdr: bytes) -> bytes:
         """Return the message in our layout, even if another distribution wrote it. Raises ``DecodeError``."""
+        read = self._readers.get("object")
+        if read is not None and self.fields and cdr.__class__ is bytes and cdr[:2] == _LITTLE:
+            try:  # what fits is all there is to see, mostly
+                _, end = read(cdr, 4, len(cdr))
+                if end <= len(cdr) <= end + _PADDING_BYTES:
+                    return cdr
+            except (Short, struct.error, ValueError):
+                pass
         if not self.fields and len(cdr) == len(_CDR_HEADER):
             cdr = bytes(cdr) + b"\0"  # the byte of a message without fields, which some leave out
         try:

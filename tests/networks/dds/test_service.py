@@ -133,7 +133,7 @@ async def test_memory_is_bounded(join: Join, monkeypatch: pytest.MonkeyPatch) ->
     service = await (await join()).create_service("/add", ADD, Adder())
     service.on_samples([asked(i, addends(1)) for i in range(1, 50)])
     assert len(service._seen) == 10
-    await until(lambda: not service._serving)
+    await until(lambda: not service._serving.tasks)
     assert not service._paces
 
 
@@ -247,7 +247,7 @@ async def test_client_without_a_reader(
     await until(lambda: far.drops["/add", Undelivered.WRITE])
     assert "reads no answers" in caplog.text
     service.on_samples([asked(1, addends(1), CYCLONE)])
-    await until(lambda: len(adder.requests) == 2 and not service._serving)
+    await until(lambda: len(adder.requests) == 2 and not service._serving.tasks)
     assert far.drops["/add", Undelivered.WRITE] == 1
 
 

@@ -33,9 +33,10 @@ class AnswerPacing:
             self._tokens = min(_BURST, self._tokens + 1)
         self._open += 1
 
-    def went(self) -> None:
-        """Count a request that is done with."""
+    def went(self) -> bool:
+        """Count a request that is done with; return whether no other is under way."""
         self._open -= 1
+        return not self._open
 
     @property
     def idle(self) -> bool:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 from ropeway import aio
 from ropeway.errors import (
@@ -27,8 +28,8 @@ from ropeway.networks.dds.in_flight import InFlightRequests
 from ropeway.networks.dds.matching import paired
 from ropeway.networks.dds.records import MatchedEndpoint
 from ropeway.networks.dds.rpc import MAX_SEQ, RequestHeader, join, split
-from ropeway.networks.dds.service_endpoints import DdsCallHost, Ends
-from ropeway.networks.dds.vendors import speaks_header, vendor_name
+from ropeway.networks.dds.service_endpoints import LITTLE_ENDIAN, DdsCallHost, Ends
+from ropeway.networks.dds.vendors import HEADER_VENDOR, speaks_header, vendor_name
 from ropeway.tasks import background, end
 
 __all__ = ["DdsClient"]
@@ -45,6 +46,7 @@ _NOBODY_S: Final = 1.0
 _RETRY_S: Final = 0.005  # after a write that the network has no room for
 _CALLS_LIMIT: Final = 16_384
 _DEFERRED: Final = "/_action/get_result"
+_new: Final = tuple.__new__  # of named tuples, without a call of Python
 
 
 class _Call:
@@ -60,11 +62,6 @@ class _Call:
         if not self.outcome.done():
             self.outcome.set_result(outcome)
 
-    @property
-    def is_answered(self) -> bool:
-        outcome = self.outcome
-        return outcome.done() and not outcome.cancelled() and not isinstance(outcome.result(), TimeoutError)
-
 
 class DdsClient(Ends):
     """Calls ``service``: any number of calls at a time on one pair of endpoints.
@@ -75,6 +72,7 @@ class DdsClient(Ends):
 
     def __init__(self, graph: DdsCallHost, service: str, type: str) -> None:
         super().__init__(graph, service, type)
+        self._request_type, self._response_type = f"{self.type}_Request", f"{self.type}_Response"
         self.late = 0  # answers that nobody waited for any more, or that another server gave, too
         self._seq = 0
         self._calls: dict[int, _Call] = {}
@@ -82,6 +80,8 @@ class DdsClient(Ends):
         self._window = InFlightRequests(deferred=self.service.endswith(_DEFERRED))
         self._servers: dict[bytes, float] = {}  # ours to call, and when each was matched
         self._all_ours = False
+        self._ready_at = math.inf  # when a request may go to them
+        self._fresh_until = 0.0
         self._others: tuple[MatchedEndpoint, ...] = ()
         self._lost: set[bytes] = set()
         self._losing: asyncio.Task[None] | None = None
@@ -104,16 +104,23 @@ class DdsClient(Ends):
 
     async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
         """See ``Client``. ``CallFailed`` also where only servers of another mapping are there and nobody helps."""
-        self._check_open()
+        if self.closed:
+            raise self._is_closed()
         if self._waiting >= _CALLS_LIMIT:
             raise CallFailed(self.service, f"{self._waiting} calls of {self.service} are under way, which is the limit")
         self._waiting += 1
+        layouts = self._graph.layouts
         try:
-            payload = self._graph.layouts.write("server", self.service, f"{self.type}_Request", request.payload)
-            if payload is not request.payload:
-                request = replace(request, payload=payload)
-            response = await self._call(request, self._loop.time() + timeout_s)
-            return self._graph.layouts.read("server", self.service, f"{self.type}_Response", response)
+            payload = layouts.write("server", self.service, self._request_type, request.payload)
+            now = self._loop.time()
+            until = now + timeout_s
+            if now < self._ready_at or not (ticket := self._window.try_enter()):
+                ticket = await self._turn(until)
+            if ticket:
+                response = await self._ask(payload, until, ticket)
+            else:
+                response = await self._call_other(replace(request, payload=payload), until)
+            return layouts.read("server", self.service, self._response_type, response)
         except ValueMismatch as error:
             raise CallFailed(self.service, f"the server's layout cannot hold the request: {error}") from error
         except TimeoutError:
@@ -121,41 +128,50 @@ class DdsClient(Ends):
         finally:
             self._waiting -= 1
 
-    async def _call(self, request: Request, until: float) -> bytes:
-        while True:
-            if not await self._served(until):
-                return await self._call_other(request, until)
-            if self._window.is_free:
+    async def _turn(self, until: float) -> int:
+        """Wait for a server and for room at it; return the ticket, 0 where only those of another mapping serve."""
+        while await self._served(until):
+            async with aio.timeout_at(until):
                 ticket = await self._window.enter()
-            else:
-                async with aio.timeout_at(until):
-                    ticket = await self._window.enter()
             if self._servers:
-                break
+                return ticket
             self._window.leave(ticket, answered=False)
+        return 0
+
+    async def _ask(self, payload: bytes, until: float, ticket: int) -> bytes:
         seq = self._seq = self._seq % MAX_SEQ + 1
         call = self._calls[seq] = _Call(self._loop, set(self._servers))
+        outcome = call.outcome
+        answered = False
         try:
-            self._check_open()
-            message = join(RequestHeader(self._id, seq), request.payload)
-            await self._write(message, until)
-            for pause in _AGAIN_S if self._is_fresh() else ():
-                await asyncio.wait((call.outcome,), timeout=max(0.0, min(until - self._loop.time(), pause)))
-                if call.outcome.done() or not self._all_ours:
-                    break
-                await self._write(message, until)
+            if self.closed:
+                raise self._is_closed()
+            message = join(_new(RequestHeader, (self._id, seq)), payload)
+            if (reason := await self._writer.send(message)) is not None:
+                await self._send_again(message, reason, until)
+            if self._loop.time() < self._fresh_until:
+                await self._repeat(message, outcome, until)
             expiry = self._loop.call_at(until, call.finish, TimeoutError())
             try:
-                outcome = await call.outcome
+                how = await outcome
             finally:
                 expiry.cancel()
+            answered = not isinstance(how, TimeoutError)
         finally:
-            answered = call.is_answered
-            self._calls.pop(seq, None)
+            del self._calls[seq]
             self._window.leave(ticket, answered=answered)
-        if isinstance(outcome, bytes):
-            return outcome
-        raise outcome
+        if isinstance(how, bytes):
+            return how
+        raise how
+
+    async def _repeat(self, message: bytes, outcome: asyncio.Future[Any], until: float) -> None:
+        """Send a request again until it is answered: a server that was matched just now may have missed it."""
+        for pause in _AGAIN_S:
+            await asyncio.wait((outcome,), timeout=max(0.0, min(until - self._loop.time(), pause)))
+            if outcome.done() or not self._all_ours:
+                return
+            if (reason := await self._writer.send(message)) is not None:
+                await self._send_again(message, reason, until)
 
     async def _served(self, until: float) -> bool:
         """Wait for a server; false where there are only servers of another mapping."""
@@ -164,12 +180,11 @@ class DdsClient(Ends):
             self._check_open()
             now = self._loop.time()
             if self._servers:
-                ready = min(self._servers.values()) + (0.0 if self._all_ours else _SETTLE_S)
-                if ready <= now:
+                if self._ready_at <= now:
                     return True
                 if now >= until:
                     raise TimeoutError
-                await self._change(min(ready, until))
+                await self._change(min(self._ready_at, until))
             elif self._others and (self._graph.helper is not None or now >= nobody):
                 return False
             elif now >= nobody:
@@ -192,8 +207,9 @@ class DdsClient(Ends):
                 self._helped = await helper.create_client(self.service, self.type)
         return await self._helped.call(request, max(0.0, until - self._loop.time()))
 
-    async def _write(self, message: bytes, until: float) -> None:
-        while (reason := await self._writer.send(message)) is not None:
+    async def _send_again(self, message: bytes, reason: Undelivered | None, until: float) -> None:
+        """Send a request that was not sent for some ``reason``, once that is possible."""
+        while reason is not None:
             if reason is Undelivered.CLOSED:
                 self._check_open()
             if reason is not Undelivered.WRITE:
@@ -203,14 +219,14 @@ class DdsClient(Ends):
                 self._graph.drops[self.service, reason] += 1
                 raise TimeoutError
             await asyncio.sleep(_RETRY_S)
+            reason = await self._writer.send(message)
 
-    def _is_fresh(self) -> bool:
-        """Return whether all servers are Ropeway's, and one of them was matched just now."""
-        return self._all_ours and self._loop.time() - max(self._servers.values(), default=0.0) < _FRESH_S
+    def _is_closed(self) -> GraphUnavailable:
+        return GraphUnavailable(self._graph.name, f"the client of {self.service} is closed")
 
     def _check_open(self) -> None:
         if self.closed:
-            raise GraphUnavailable(self._graph.name, f"the client of {self.service} is closed")
+            raise self._is_closed()
 
     async def _change(self, until: float) -> None:
         """Wait for a change of the servers, at most until then."""
@@ -223,7 +239,7 @@ class DdsClient(Ends):
     def on_samples(self, batch: Sequence[Sample]) -> None:
         """Take the answers of servers, on the loop: to our requests and to those of every other client."""
         for sample in batch:
-            if not speaks_header(sample.origin):
+            if not sample.origin.startswith(HEADER_VENDOR):
                 continue
             reply = split(sample.payload)
             if reply is None:
@@ -237,7 +253,10 @@ class DdsClient(Ends):
                 log.debug("%s: %s: answer %d came late", self._graph.name, self.service, reply.header.seq)
                 continue
             try:
-                call.finish(self._graph.little_endian(f"{self.type}_Response", reply.payload))
+                payload = reply.payload
+                if payload[1] != LITTLE_ENDIAN:
+                    payload = self._graph.little_endian(self._response_type, payload)
+                call.finish(payload)
             except TypesError as error:
                 self._graph.drops[self.service, Undelivered.DECODE] += 1
                 call.finish(CallFailed(self.service, f"the answer cannot be read: {error}"))
@@ -253,6 +272,9 @@ class DdsClient(Ends):
         self._lost |= self._servers.keys() - mine.keys()
         self._servers = {guid: self._servers.get(guid, now) for guid in mine}
         self._all_ours = all(peer.ours for peer in mine.values())
+        matched = self._servers.values()
+        self._ready_at = min(matched, default=math.inf) + (0.0 if self._all_ours else _SETTLE_S)
+        self._fresh_until = max(matched, default=0.0) + _FRESH_S if self._all_ours else 0.0
         self._others = tuple(peer for guid, peer in found.items() if guid not in mine)
         if self._others and not mine and self._graph.helper is not None:
             self._graph.helper.wake()

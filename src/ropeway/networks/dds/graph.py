@@ -38,7 +38,7 @@ from ropeway.networks.dds.raw_endpoints import RawWriter
 from ropeway.networks.dds.readers import DdsReaders, DdsSubscription, Types
 from ropeway.networks.dds.records import Discovered
 from ropeway.networks.dds.service import DdsService
-from ropeway.networks.dds.service_endpoints import Ends
+from ropeway.networks.dds.service_endpoints import LITTLE_ENDIAN, Ends
 from ropeway.networks.dds.vendors import VendorHelper
 from ropeway.qos import DEFAULT, QoS, settled
 from ropeway.types import TypeRegistry
@@ -50,7 +50,6 @@ log = logging.getLogger("ropeway.dds")
 
 # Other vendors do not tell the depth of a writer; what is adopted keeps at least this many.
 _MIN_ADOPTED_DEPTH: Final = 10
-_LITTLE_ENDIAN: Final = 1
 
 T = TypeVar("T")
 Action = TypeVar("Action", ComposedActionClient, ComposedActionServer)
@@ -286,7 +285,7 @@ class DdsGraph(ComposingGraph):
 
     def little_endian(self, type: str, payload: bytes) -> bytes:
         """Convert CDR of ``type`` to our byte order. Raises ``DecodeError``, ``UnknownType``."""
-        if payload[1] == _LITTLE_ENDIAN:
+        if payload[1] == LITTLE_ENDIAN:
             return payload
         codec = self.registry.codec(type)
         return codec.encode(codec.decode(payload))

@@ -49,33 +49,35 @@ class InFlightRequests:
             self._timer.cancel()
         self._admit()
 
-    @property
-    def is_free(self) -> bool:
-        """Whether ``enter`` need not wait."""
-        return not self._queue and len(self._out) < self._limit
-
-    async def enter(self) -> int:
-        """Wait for room; gives the ticket for ``leave``."""
-        loop = asyncio.get_running_loop()
-        if not self.is_free:
-            place: asyncio.Future[None] = loop.create_future()
-            self._queue.append(place)
-            self._arm()
-            try:
-                await place
-            except asyncio.CancelledError:
-                if place in self._queue:
-                    self._queue.remove(place)
-                else:  # let in and cancelled at once
-                    self._admit()
-                raise
+    def try_enter(self, *, waited: bool = False) -> int:
+        """Return the ticket for ``leave``, or 0 where ``enter`` has to wait; it may not have to twice."""
+        if not waited and (self._queue or len(self._out) >= self._limit):
+            return 0
         self._next += 1
-        now = loop.time()
+        now = asyncio.get_running_loop().time()
         if not self._out:
             self._progress = now
         self._out[self._next] = now
-        self._admit()
+        if self._queue:
+            self._admit()
         return self._next
+
+    async def enter(self) -> int:
+        """Wait for room; return the ticket for ``leave``."""
+        if ticket := self.try_enter():
+            return ticket
+        place: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._queue.append(place)
+        self._arm()
+        try:
+            await place
+        except asyncio.CancelledError:
+            if place in self._queue:
+                self._queue.remove(place)
+            else:  # let in and cancelled at once
+                self._admit()
+            raise
+        return self.try_enter(waited=True)
 
     def leave(self, ticket: int, *, answered: bool) -> None:
         """Note that a request was answered, or is no longer waited for."""
@@ -85,7 +87,8 @@ class InFlightRequests:
             self._progress = now
             if began is not None:
                 self._slowest_s = max(self._slowest_s * _FORGET, now - began)
-        self._admit()
+        if self._queue:
+            self._admit()
 
     def _admit(self) -> None:
         """Let in the first in the queue; who enters lets in the next."""

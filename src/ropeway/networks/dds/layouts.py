@@ -76,14 +76,18 @@ class Layouts:
     def read(self, role: str, name: str, type: str, payload: bytes, guid: bytes | None = None) -> bytes:
         """Return what an endpoint in ``role`` of ``name`` has written, in our layout."""
         border = self._border
-        if not border.touches(type):
+        ours = border.ours
+        untouched = ours is None or (border.touched.get(type) is False and border.state == ours.changes)
+        if untouched or not border.touches(type):
             return payload
         return border.incoming(type, payload, self._owner(role, name, type, guid, given=False))
 
     def write(self, role: str, name: str, type: str, payload: bytes, guid: bytes | None = None) -> bytes:
         """Return a message of ours in the layout of the endpoints in ``role`` of ``name``. Raises ``ValueMismatch``."""
         border = self._border
-        if not border.touches(type):
+        ours = border.ours
+        untouched = ours is None or (border.touched.get(type) is False and border.state == ours.changes)
+        if untouched or not border.touches(type):
             return payload
         return border.outgoing(type, payload, self._owner(role, name, type, guid, given=True))
 

@@ -18,8 +18,8 @@ from ropeway.networks.dds.answer_pacing import AnswerPacing
 from ropeway.networks.dds.matching import paired
 from ropeway.networks.dds.records import MatchedEndpoint
 from ropeway.networks.dds.rpc import RequestHeader, join, split
-from ropeway.networks.dds.service_endpoints import DdsCallHost, Ends
-from ropeway.networks.dds.vendors import speaks_header, vendor_name
+from ropeway.networks.dds.service_endpoints import LITTLE_ENDIAN, DdsCallHost, Ends
+from ropeway.networks.dds.vendors import HEADER_VENDOR, vendor_name
 from ropeway.tasks import Chores
 
 __all__ = ["DdsService"]
@@ -31,6 +31,7 @@ _SEEN_LIMIT: Final = 8192  # requests that are known as such; more than can be u
 _MATCH_S: Final = 1.0  # how long an answer waits for its reader
 _SEND_S: Final = 5.0  # how long an answer waits for room on the network
 _RETRY_S: Final = 0.005
+_SHORTEST_BYTES: Final = 4  # of CDR: its header
 _QUIET_S: Final = 60.0
 _TEXTS: Final = (("success", "message"), ("successful", "reason"))
 
@@ -46,6 +47,7 @@ class DdsService(Ends):
 
     def __init__(self, graph: DdsCallHost, service: str, type: str, handler: ServiceHandler) -> None:
         super().__init__(graph, service, type)
+        self._request_type, self._response_type = f"{self.type}_Request", f"{self.type}_Response"
         self.ignored = 0  # requests of another mapping, which the graph's helper serves where there is one
         self._handler = handler
         self._helped: Service | None = None
@@ -79,7 +81,7 @@ class DdsService(Ends):
         if self.closed:
             return
         for sample in batch:
-            if not speaks_header(sample.origin):
+            if not sample.origin.startswith(HEADER_VENDOR):
                 self._ignore(sample.origin)
                 continue
             message = split(sample.payload)
@@ -111,7 +113,7 @@ class DdsService(Ends):
         if key in self._seen:
             log.debug("%s: %s: request %d came twice", self._graph.name, self.service, header.seq)
             return
-        if len(self._serving) >= _RUNNING_LIMIT:
+        if len(self._serving.tasks) >= _RUNNING_LIMIT:
             self._graph.drops[self.service, Undelivered.BACKLOG] += 1
             self._warn("%s requests are under way; more are dropped", _RUNNING_LIMIT)
             return
@@ -136,32 +138,27 @@ class DdsService(Ends):
     # Serving ----------------------------------------------------------------------------------------------------
 
     async def _serve(self, writer: bytes, header: RequestHeader, payload: bytes, pace: AnswerPacing) -> None:
+        graph = self._graph
+        reason, problem = Undelivered.DECODE, "a request cannot be read: %s"
         try:
-            await self._serve_at(pace, writer, header, payload)
-        finally:
-            pace.went()
-            if pace.idle and writer not in self._callers:
-                self._paces.pop(writer, None)
-
-    async def _serve_at(self, pace: AnswerPacing, writer: bytes, header: RequestHeader, payload: bytes) -> None:
-        try:
-            payload = self._graph.little_endian(f"{self.type}_Request", payload)
-        except TypesError as error:
-            self._graph.drops[self.service, Undelivered.DECODE] += 1
-            self._warn("a request cannot be read: %s", error)
-            return
-        request = Request(payload, id=_call_id(writer, header), caller=self._graph.node_of(writer))
-        try:
+            if payload[1] != LITTLE_ENDIAN:
+                payload = graph.little_endian(self._request_type, payload)
+            request = Request(payload, _call_id(writer, header), (), graph.node_of(writer))
+            reason, problem = Undelivered.ENCODE, "a request fails and cannot be answered: %s"
             response = await self.answer(request, writer)
         except TypesError as error:
-            self._graph.drops[self.service, Undelivered.ENCODE] += 1
-            self._warn("a request fails and cannot be answered: %s", error)
-            return
-        if writer not in self._callers and not await self._matched(writer):
-            return
-        if not self._callers[writer].ours:
-            await pace.turn()
-        await self._reply(join(header, response))
+            graph.drops[self.service, reason] += 1
+            self._warn(problem, error)
+        else:
+            if writer in self._callers or await self._matched(writer):
+                if not self._callers[writer].ours:
+                    await pace.turn()
+                message = join(header, response)
+                if (not_sent := await self._writer.send(message)) is not None:
+                    await self._send_again(message, not_sent)
+        finally:
+            if pace.went() and writer not in self._callers:
+                self._paces.pop(writer, None)
 
     async def _matched(self, writer: bytes) -> bool:
         """Wait until the one who asked reads answers; false for one that does not, or has left."""
@@ -183,44 +180,43 @@ class DdsService(Ends):
         ``ValueMismatch`` where the other layout cannot hold the response.
         """
         layouts, name = self._graph.layouts, self.service
-        payload = layouts.read("client", name, f"{self.type}_Request", request.payload, writer)
+        payload = layouts.read("client", name, self._request_type, request.payload, writer)
         if payload is not request.payload:
             request = replace(request, payload=payload)
-        return layouts.write("client", name, f"{self.type}_Response", await self._handled(request), writer)
-
-    async def _handled(self, request: Request) -> bytes:
         try:
             response = bytes(await self._handler(request))
-            if len(response) >= 4:
-                return response
-            text = f"a response of {len(response)} bytes is not CDR"
-            self._graph.drops[self.service, Undelivered.ENCODE] += 1
-            self._warn("answered with an empty response: %s", text)
+            if len(response) < _SHORTEST_BYTES:
+                self._graph.drops[self.service, Undelivered.ENCODE] += 1
+                response = self._failure(f"a response of {len(response)} bytes is not CDR", logged=True)
         except CallError as error:
-            text = str(error)
-            self._warn("answered with an empty response: %s", text)
+            response = self._failure(str(error), logged=True)
         except Exception as error:  # a handler is somebody else's code; its failure is this call's
-            text = str(error) or type(error).__name__
             self._graph.drops[self.service, Undelivered.CALLBACK] += 1
             failed(log, "%s: the handler of %s failed", self._graph.name, self.service)
-        return self._failure(text)
+            response = self._failure(str(error) or type(error).__name__)
+        return layouts.write("client", name, self._response_type, response, writer)
 
-    def _failure(self, text: str) -> bytes:
-        codec = self._graph.registry.codec(f"{self.type}_Response")
+    def _failure(self, text: str, *, logged: bool = False) -> bytes:
+        """Return the default response, with ``text`` where the type has a place for it."""
+        if logged:
+            self._warn("answered with an empty response: %s", text)
+        codec = self._graph.registry.codec(self._response_type)
         response = codec.default()
         for flag, message in _TEXTS:
             if response.get(flag) is False and response.get(message) == "":
                 response[message] = text
         return codec.encode(response)
 
-    async def _reply(self, message: bytes) -> None:
+    async def _send_again(self, message: bytes, reason: Undelivered | None) -> None:
+        """Send an answer that was not sent for some ``reason``, once that is possible."""
         until = self._loop.time() + _SEND_S
-        while (reason := await self._writer.send(message)) is not None:
+        while reason is not None:
             if reason is not Undelivered.WRITE or self._loop.time() >= until:
                 self._graph.drops[self.service, reason] += 1
                 self._warn("an answer was not sent: %s", reason.value)
                 return
             await asyncio.sleep(_RETRY_S)
+            reason = await self._writer.send(message)
 
     async def close(self) -> None:
         """See ``Service``: those who wait learn it from our leaving."""

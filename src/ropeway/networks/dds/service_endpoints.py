@@ -23,7 +23,10 @@ from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
 
-__all__ = ["DdsCallHost", "Ends"]
+__all__ = ["LITTLE_ENDIAN", "DdsCallHost", "Ends"]
+
+LITTLE_ENDIAN: Final = 1
+"""The second byte of CDR in our byte order."""
 
 # Volatile, as services of ROS 2 are; and nothing is replaced by something newer.
 _QOS: Final = QoS(history="keep_all")

@@ -11,18 +11,20 @@ from typing import Final, Protocol
 
 from ropeway.graph.calls import Client, Service, ServiceHandler
 
-__all__ = ["HELPER_MARK", "VendorHelper", "speaks_header", "vendor_name"]
+__all__ = ["HEADER_VENDOR", "HELPER_MARK", "VendorHelper", "speaks_header", "vendor_name"]
 
 HELPER_MARK: Final = "helper"
 """The USER_DATA key of endpoints that a ``VendorHelper`` makes: they are neither listed, called nor answered."""
 
-_CYCLONE: Final = b"\x01\x10"
-_NAMES: Final = {b"\x01\x10": "Cyclone DDS", b"\x01\x0f": "Fast DDS", b"\x01\x01": "RTI Connext"}
+HEADER_VENDOR: Final = b"\x01\x10"
+"""What the GUID of an endpoint begins with whose requests and replies begin with our header: Cyclone DDS."""
+
+_NAMES: Final = {HEADER_VENDOR: "Cyclone DDS", b"\x01\x0f": "Fast DDS", b"\x01\x01": "RTI Connext"}
 
 
 def speaks_header(guid: bytes) -> bool:
     """Return whether the requests and replies of an endpoint begin with our header."""
-    return guid.startswith(_CYCLONE)
+    return guid.startswith(HEADER_VENDOR)
 
 
 def vendor_name(guid: bytes) -> str:

@@ -109,7 +109,7 @@ class Ros2Service:
         for payload, header in batch:
             if self.closed:
                 return
-            if len(self._serving) >= _RUNNING_LIMIT:
+            if len(self._serving.tasks) >= _RUNNING_LIMIT:
                 self._refuse(header)
                 continue
             self._serving.start(self._serve(payload, header), f"serve {self.service}")

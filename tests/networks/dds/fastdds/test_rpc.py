@@ -194,7 +194,7 @@ async def test_server_killed(make: Make) -> None:
     call = asyncio.create_task(client.call(Request(number(1)), 30))
     await until(lambda: echo.requests)
     os.kill(far.helper.pid, signal.SIGKILL)
-    await until(lambda: not service._serving)
+    await until(lambda: not service._serving.tasks)
     echo.gate.set()
     with pytest.raises(ProviderLost):  # when the network has forgotten the one that was killed
         await call

@@ -87,7 +87,12 @@ async def test_goal_of_a_plain_server(stack: AsyncExitStack, fake: FakeServer) -
         ({"sequence": [1]}, None, True, Outcome(GoalStatus.SUCCEEDED, sequence(1))),  # as rosgw says it
         ({"sequence": [1]}, 0, True, Outcome(GoalStatus.ABORTED, sequence(1))),
         (None, 4, True, Outcome(GoalStatus.SUCCEEDED, sequence())),
-        ("Action goal was rejected", 0, False, Outcome(GoalStatus.ABORTED, None, "Action goal was rejected")),
+        (
+            "Action goal was rejected",
+            0,
+            False,
+            Outcome(GoalStatus.ABORTED, None, "Action goal was rejected", rejected=True),
+        ),
         ("No action server available", 0, False, Outcome(GoalStatus.ABORTED, None, "No action server available")),
         ("boom", 4, False, Outcome(GoalStatus.ABORTED, None, "boom")),
         ("enough", 5, False, Outcome(GoalStatus.CANCELED, None, "enough")),

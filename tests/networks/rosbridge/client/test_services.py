@@ -10,6 +10,7 @@ from typing import Any
 import cbor2
 import pytest
 
+from ropeway.bridge.service import ServiceBridge
 from ropeway.errors import (
     CallFailed,
     CallTimeout,
@@ -21,6 +22,8 @@ from ropeway.errors import (
 )
 from ropeway.graph.base import Delivery, Undelivered
 from ropeway.graph.calls import Request, new_id
+from ropeway.hub.hub import Hub
+from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.networks.rosbridge.client import LinkState, RosbridgeGraph, services
 from ropeway.networks.rosbridge.client.services import RemoteClient
 from ropeway.networks.rosbridge.protocol import ops
@@ -471,53 +474,36 @@ async def test_serves_on_a_gateway(stack: AsyncExitStack, far: ScriptedGateway) 
 
 
 async def test_the_same_call_runs_once(stack: AsyncExitStack, far: ScriptedGateway) -> None:
-    """A call that comes again, by another way or once more, gets the answer of the first and does not run."""
-    gate = Gate()
-    graph = await played(stack, far)
-    await graph.create_service("/add", ADD, gate)
+    """A call that comes again, over another link or once more, gets the answer of the first and does not run."""
+    other = ScriptedGateway(REGISTRY)
+    stack.push_async_callback(other.stop)
+    await other.start()
+    gate, local = Gate(), MemoryGraph("calls that run once")
+    await local.open()
+    stack.push_async_callback(local.close)
+    hub = Hub(local, gateway_id="us")
+    await hub.view("provider").create_service("/add", ADD, gate)
+    for gateway in (far, other):
+        bridge = ServiceBridge(hub.view("route"), await played(stack, gateway), "/add", "/add", ADD)
+        await bridge.start()
+        stack.push_async_callback(bridge.close)
+        await gateway.hear("advertise_service")
 
-    def send(id: str, call: str) -> None:
+    def send(gateway: ScriptedGateway, id: str, call: str) -> None:
         op = ops.CallService(id=id, service="/add", args=None, ropeway={"call": call * 32})
-        far.peer.send_op(op, payload=addends(1))
+        gateway.peer.send_op(op, payload=addends(1))
 
-    send("1", "a")
-    send("2", "a")
+    send(far, "1", "a")
+    send(other, "2", "a")
     await until(lambda: gate.seen)
     gate.open.set()
-    assert {r.id for r in await far.hear("service_response", 2)} == {"1", "2"}
-    send("3", "a")
-    send("4", "b")
-    replies = await far.hear("service_response", 4)
+    replies = [*await far.hear("service_response"), *await other.hear("service_response")]
+    send(far, "3", "a")
+    send(far, "4", "b")
+    replies += (await far.hear("service_response", 3))[1:]
+    assert {r.id for r in replies} == {"1", "2", "3", "4"}
     assert all(r.result and r.values == total(1) for r in replies)
     assert len(gate.seen) == 2
-
-
-async def test_failures_are_remembered(stack: AsyncExitStack, far: ScriptedGateway) -> None:
-    """A call that failed is not carried out again, unless it was never carried out; long answers are not kept."""
-    outcomes: list[bytes | Exception] = [CallFailed("/x", "no"), NotServed("/x"), answer("y" * 100_000)]
-
-    async def handler(request: Request) -> bytes:
-        outcome = outcomes.pop(0)
-        if isinstance(outcome, Exception):
-            raise outcome
-        return outcome
-
-    graph = await played(stack, far)
-    await graph.create_service("/x", TEXT, handler)
-
-    async def ask(call: str) -> Any:
-        count = len([o for o in far.heard if o.op == "service_response"])
-        note = {"call": call * 32}
-        far.peer.send_op(ops.CallService(id="", service="/x", args=None, ropeway=note), payload=text("q"))
-        return (await far.hear("service_response", count + 1))[-1]
-
-    for call, word, values in (("a", "failed", "no"), ("a", "failed", "no"), ("b", "not_served", None)):
-        reply = await ask(call)
-        assert reply.ropeway == {"error": word}
-        assert values in (None, reply.values)
-    assert (await ask("b")).values == answer("y" * 100_000)
-    assert (await ask("b")).values == "this call was answered before"
-    assert not outcomes
 
 
 async def test_refused(stack: AsyncExitStack, far: ScriptedGateway, caplog: pytest.LogCaptureFixture) -> None:

@@ -13,8 +13,6 @@ import pytest
 
 from ropeway.limits import SEARCHES_PER_CLIENT, WAITING_ANSWERS, WAITING_OPERATIONS
 from ropeway.networks.rosbridge.server import turns
-from ropeway.networks.rosbridge.server.rosapi_calls import RosapiCalls
-from ropeway.networks.rosbridge.server.service_ops import ServiceOps
 from tests.support.actions import FIBONACCI
 from tests.support.place import Place
 from tests.support.until import until
@@ -44,7 +42,7 @@ async def test_rosapi_is_answered_as_it_is_read(place: Place) -> None:
     most = [0, 0]
     answered = 0
     while answered < CALLS:
-        most = [max(most[0], session.services.questions), max(most[1], session.peer.sender.outbox.bytes)]
+        most = [max(most[0], session.turns.questions), max(most[1], session.peer.sender.outbox.bytes)]
         got = await client.json()
         assert got["id"] == answered
         assert got["result"] is True
@@ -66,7 +64,7 @@ async def test_refusals_that_are_not_read(place: Place, service: str) -> None:
     most = 0
     answers: Counter[int] = Counter()
     for _ in range(4 * CALLS):
-        most = max(most, session.peer.answers_waiting)
+        most = max(most, session.peer.op_sender.count)
         answers[(await client.json())["id"]] += 1
     await asking
     assert answers == Counter(range(4 * CALLS))
@@ -149,8 +147,6 @@ async def test_a_question_that_fails_unforeseen(place: Place, monkeypatch: pytes
     def broken() -> Any:
         raise RuntimeError("a fault of ours")
 
-    services: ServiceOps = place.session.services
-    calls: RosapiCalls = services._rosapi
     real = place.server.rosapi.question
     monkeypatch.setattr(
         place.server.rosapi, "question", lambda name, args: broken if "nodes" in name else real(name, args)
@@ -159,7 +155,7 @@ async def test_a_question_that_fails_unforeseen(place: Place, monkeypatch: pytes
     first, second = await client.json(), await client.json()
     assert (first["id"], first["values"]) == ("bad", "internal error")
     assert (second["id"], second["result"]) == ("good", True)
-    assert not len(calls)
+    assert not place.session.turns.questions
 
 
 async def test_depths_add_up(place: Place) -> None:

@@ -333,7 +333,7 @@ class FastService:
         """Handle a frame of the helper about this service."""
         if frame.op == Op.MATCHED:
             self.clients = frame.number
-        elif frame.op == Op.REQUEST and len(self._serving) >= _RUNNING_LIMIT:
+        elif frame.op == Op.REQUEST and len(self._serving.tasks) >= _RUNNING_LIMIT:
             self._leave_out(frame.number, Undelivered.BACKLOG)
         elif frame.op == Op.REQUEST:
             guid, _ = _request_head.unpack_from(frame.body)

@@ -12,6 +12,7 @@ from ropeway.errors import (
     CallError,
     CallFailed,
     CallTimeout,
+    GoalRejected,
     GraphUnavailable,
     LinkError,
     NotServed,
@@ -52,7 +53,7 @@ class RemoteGoal:
     ) -> None:
         loop = asyncio.get_running_loop()
         self.id = goal.id
-        self.wire_id = f"send_action_goal:{client.action}:{client.calls.next()}"
+        self.wire_id = f"send_action_goal:{client.action}:{next(client.calls.numbers)}"
         self.accepted: asyncio.Future[None] = loop.create_future()
         self._client = client
         self._on_feedback = on_feedback
@@ -77,7 +78,7 @@ class RemoteGoal:
         if not self.accepted.done():
             self.accepted.set_exception(error)
         else:
-            self.finish(Outcome(GoalStatus.ABORTED, None, str(error)))
+            self.finish(Outcome(GoalStatus.ABORTED, None, str(error), isinstance(error, GoalRejected)))
 
     def fed(self, op: ops.ActionFeedback) -> None:
         """Deliver a feedback."""
@@ -86,7 +87,8 @@ class RemoteGoal:
             return
         peer = self._peer
         try:
-            payload = client.calls.read(f"{client.type}_Feedback", op.values, op.compression, peer)
+            body = client.calls.bodies.of(f"{client.type}_Feedback")
+            payload = body.read(op.values, op.compression, peer.limit_bytes)
         except (TypesError, WireError) as error:
             client.calls.graph.drops[client.action, Undelivered.DECODE] += 1
             peer.fault_log.note("feedback", client.action, error)
@@ -108,11 +110,13 @@ class RemoteGoal:
                 return
             self.accept()
             status = status if status is not GoalStatus.SUCCEEDED else GoalStatus.ABORTED
-            self.finish(Outcome(status, None, op.values if isinstance(op.values, str) else str(error)))
+            text = op.values if isinstance(op.values, str) else str(error)
+            self.finish(Outcome(status, None, text, isinstance(error, GoalRejected)))
             return
         self.accept()
         try:
-            payload = client.calls.read(f"{client.type}_Result", op.values, op.compression, self._peer)
+            body = client.calls.bodies.of(f"{client.type}_Result")
+            payload = body.read(op.values, op.compression, self._peer.limit_bytes)
         except (TypesError, WireError) as error:
             self.finish(Outcome(GoalStatus.ABORTED, None, f"the result cannot be read: {error}"))
         else:
@@ -246,6 +250,7 @@ class RemoteActionClient:
         calls = self.calls
         made = RemoteGoal(self, goal, on_feedback, peer=peer, timeout_s=timeout_s)
         gateway = peer.dialect is ROPEWAY
+        body = calls.bodies.of(f"{self.type}_Goal")
         calls.goals[made.wire_id] = made
         try:
             peer.send_op(
@@ -257,9 +262,9 @@ class RemoteActionClient:
                     feedback=on_feedback is not None,
                     ropeway=call_note(goal, calls.graph.gateway_id, self.delivery.encoding) if gateway else None,
                 ),
-                payload=calls.written(f"{self.type}_Goal", goal.payload),
+                payload=body.written(goal.payload),
                 field="args",
-                codec=calls.codec(f"{self.type}_Goal"),
+                codec=body.codec,
                 encoding=self.encoding,
                 priority=lane(self.delivery),
                 on_unsent=made.refuse,

@@ -35,6 +35,7 @@ _REJECTED: Final = "Action goal was rejected"
 _TEXT_LIMIT: Final = 4096  # characters of what a peer says went wrong
 _NAME_LIMIT: Final = 200  # characters of an id or a name
 _VIA_LIMIT: Final = 64  # gateways
+_new: Final = tuple.__new__  # of named tuples, without a call of Python
 
 
 class CallNote(NamedTuple):
@@ -63,29 +64,39 @@ def read_note(note: Mapping[str, Any] | None) -> CallNote:
         id = bytes.fromhex(str(note.get("call", "")))
     except ValueError:
         id = b""
-    via = note.get("via")
-    via = tuple([v[:_NAME_LIMIT] for v in via if isinstance(v, str)]) if isinstance(via, (list, tuple)) else ()
+    via: list[str] = []
+    gateways = note.get("via")
+    for gateway in gateways if isinstance(gateways, (list, tuple)) else ():
+        if isinstance(gateway, str) and len(via) < _VIA_LIMIT:
+            via.append(gateway[:_NAME_LIMIT])
     caller, encoding = note.get("caller"), note.get("encoding")
-    return CallNote(
-        id if len(id) == 16 else new_id(),
-        via[:_VIA_LIMIT],
-        caller[:_NAME_LIMIT] if isinstance(caller, str) else "",
-        encoding if isinstance(encoding, str) else "auto",
+    return _new(
+        CallNote,
+        (
+            id if len(id) == 16 else new_id(),
+            tuple(via),
+            caller[:_NAME_LIMIT] if isinstance(caller, str) else "",
+            encoding if isinstance(encoding, str) else "auto",
+        ),
     )
 
 
-def failure(error: BaseException) -> tuple[str, str]:
-    """Return the word and the text for an error."""
-    return _WORDS.get(type(error), "failed"), str(error) or type(error).__name__
+def failure(error: BaseException) -> tuple[dict[str, Any], str]:
+    """Return the ``ropeway`` object and the text for an error."""
+    note = {"error": _WORDS.get(type(error), "failed")}
+    if isinstance(error, ProviderLost):
+        note["reason"] = error.reason
+    return note, str(error) or type(error).__name__
 
 
 def received(name: str, values: Any, note: Mapping[str, Any] | None, *, kind: str, timeout_s: float) -> CallError:
     """Return the error that a failed response or result reports; ``kind`` is ``service`` or ``action``."""
     text = values[:_TEXT_LIMIT] if isinstance(values, str) else ""
     text = text or f"{name} failed, and does not say why"
-    word = (note or {}).get("error")
+    note = note or {}
+    word, reason = note.get("error"), note.get("reason")
     if not isinstance(word, str):
-        word = _guess(name, text)
+        word, reason = _plain_failure(name, text)
     if word == "not_served":
         return NotServed(name, kind)
     if word == "timeout":
@@ -93,16 +104,16 @@ def received(name: str, values: Any, note: Mapping[str, Any] | None, *, kind: st
     if word == "rejected":
         return GoalRejected(name)
     if word == "lost":
-        _, mark, reason = text.partition(" was not answered: ")
-        return ProviderLost(name, reason if mark else text)
+        return ProviderLost(name, reason[:_TEXT_LIMIT] if isinstance(reason, str) else text)
     return CallFailed(name, text)
 
 
-def _guess(name: str, text: str) -> str:
-    if text.startswith(f"{name} was not answered: "):
-        return "lost"
+def _plain_failure(name: str, text: str) -> tuple[str, str]:
+    """Return the word and the reason for what a plain server says: its texts are all that its protocol has."""
+    if text.startswith(lost := str(ProviderLost(name, ""))):
+        return "lost", text[len(lost) :]
     if text == _TIMEOUT:
-        return "timeout"
+        return "timeout", ""
     if text == _REJECTED:
-        return "rejected"
-    return "not_served" if _NOT_SERVED.fullmatch(text) else "failed"
+        return "rejected", ""
+    return ("not_served" if _NOT_SERVED.fullmatch(text) else "failed"), ""

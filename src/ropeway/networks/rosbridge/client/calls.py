@@ -9,18 +9,16 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from ropeway import aio
-from ropeway.errors import GraphUnavailable, InvalidName, RopewayError, UnknownType
+from ropeway.errors import GraphUnavailable, InvalidName, RopewayError
 from ropeway.graph.base import NO_HINTS, Delivery, Undelivered
-from ropeway.networks.rosbridge.client.call_notes import read_note
+from ropeway.networks.rosbridge.client.bodies import Bodies
 from ropeway.networks.rosbridge.client.other_holder import OtherHolder
 from ropeway.networks.rosbridge.protocol import ops
-from ropeway.networks.rosbridge.protocol.codec import decode_value
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
 
 if TYPE_CHECKING:
     from ropeway.networks.rosbridge.client.host import LinkGraph
     from ropeway.networks.rosbridge.link.peer import Peer
-    from ropeway.types import MessageCodec
 
 __all__ = ["Calls", "RemoteCaller", "announced", "answer_encoding", "lane", "travelling"]
 
@@ -112,41 +110,23 @@ class Calls:
 
     def __init__(self, graph: LinkGraph) -> None:
         self.graph = graph
+        self.bodies = Bodies(graph)
         self.pending: dict[str, asyncio.Future[ops.ServiceResponse]] = {}
         self.goals: dict[str, GoalUnderWay] = {}
         self.services: dict[str, ServiceProvider] = {}
         self.servers: dict[str, ActionProvider] = {}
         self.clients: dict[RemoteCaller, None] = {}
         self.peer: Peer | None = None  # once it can be called
-        self._numbers = itertools.count(1)
+        self.numbers = itertools.count(1)
+        """Numbers that no call or goal of this graph has had."""
         self._changed = asyncio.Event()
         self._turns: dict[str, asyncio.Lock] = {}
 
     # ── for the parts ──────────────────────────────────────────────────────────────────────────────────────────
 
-    def next(self) -> int:
-        """Return a number that no call or goal of this graph has had."""
-        return next(self._numbers)
-
     def turn(self, service: str) -> asyncio.Lock:
         """Return the lock of a service whose peer answers one call at a time."""
         return self._turns.setdefault(service, asyncio.Lock())
-
-    def codec(self, type: str) -> MessageCodec | None:
-        """Return the codec of a type, ``None`` if its definition is unknown: gateways get raw bytes then."""
-        try:
-            return self.graph.spelling.codec(type)
-        except UnknownType:
-            return None
-
-    def read(self, type: str, value: object, encoding: str | None, peer: Peer) -> bytes:
-        """Decode a received value to CDR in our layout. Raises ``TypesError``, ``WireError``."""
-        payload = decode_value(value, encoding, self.codec(type), limit_bytes=peer.limit_bytes)
-        return self.graph.border.incoming(type, payload)
-
-    def written(self, type: str, payload: bytes) -> bytes:
-        """Return our CDR in the layout of the far graph. Raises ``ValueMismatch``."""
-        return self.graph.border.outgoing(type, payload)
 
     async def link(self, deadline: float) -> Peer:
         """Return the peer, as soon as it can be called.
@@ -215,7 +195,7 @@ class Calls:
         name, peer = self.graph.name, self.graph.peer
         if peer is None:
             raise GraphUnavailable(name, "is not connected")
-        id = f"call_service:{service}:{self.next()}"
+        id = f"call_service:{service}:{next(self.numbers)}"
         future: asyncio.Future[ops.ServiceResponse] = asyncio.get_running_loop().create_future()
         self.pending[id] = future
         try:
@@ -273,6 +253,7 @@ class Calls:
     def disconnected(self) -> None:
         """Fail everything under way: the link is gone, so it cannot be answered."""
         self.peer = None
+        self.bodies.clear()
         reason = f"the link to {self.graph.name} was lost"
         pending, self.pending = self.pending, {}
         for future in pending.values():
@@ -307,7 +288,7 @@ class Calls:
                 else:
                     self._unasked(op.action, op.id, peer)
             case ops.CallService():
-                if (service := self.services.get(op.name)) is not None:
+                if (service := self.services.get(op.service) or self.services.get(op.name)) is not None:
                     service.called(op, peer)
                 else:
                     text = f"Service {op.name} does not exist"
@@ -370,8 +351,8 @@ def answer_encoding(delivery: Delivery, peer: Peer, op: ops.CallService | ops.Se
     """Return the encoding for answers to a request: what the peer asked for, or between gateways what is configured."""
     if peer.dialect is not ROPEWAY:
         return op.compression or "none"
-    wanted = read_note(op.ropeway).encoding
-    return delivery.encoding if wanted == "auto" else wanted
+    wanted = (op.ropeway or {}).get("encoding")
+    return wanted if isinstance(wanted, str) and wanted != "auto" else delivery.encoding
 
 
 def lane(delivery: Delivery) -> int | None:

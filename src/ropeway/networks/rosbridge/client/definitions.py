@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, Protocol
 
 from ropeway.errors import RopewayError
@@ -16,7 +15,7 @@ from ropeway.types.told_types import DefinitionTeller
 
 if TYPE_CHECKING:
     from ropeway.networks.rosbridge.client.calls import Calls
-    from ropeway.networks.rosbridge.client.parts import RemotePublisher, RemoteSubscription
+    from ropeway.networks.rosbridge.client.topic_table import TopicTable
     from ropeway.networks.rosbridge.link.peer import Peer
     from ropeway.types import TypeRegistry
 
@@ -40,10 +39,7 @@ class AskingGraph(Protocol):
     registry: TypeRegistry
     peer: Peer | None
     calls: Calls
-
-    def parts(self) -> Sequence[RemotePublisher | RemoteSubscription]:
-        """Return the topics that are announced there."""
-        ...
+    table: TopicTable
 
 
 class RemoteDefinitions(DefinitionTeller):
@@ -89,6 +85,6 @@ class RemoteDefinitions(DefinitionTeller):
         """Ask for the type of each topic of the link that is not known, until the server can tell it."""
         self._refused.clear()
         while True:
-            for type in {part.type for part in self._graph.parts()}:
+            for type in {part.type for part in self._graph.table.parts()}:
                 await self.learn(type)
             await asyncio.sleep(_LOOK_S)

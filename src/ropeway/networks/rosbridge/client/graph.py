@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
-import itertools
 import logging
 import ssl
 import time
@@ -31,7 +29,7 @@ from ropeway.listener.websocket import connect
 from ropeway.networks.rosbridge.client.actions import RemoteActionClient
 from ropeway.networks.rosbridge.client.calls import Calls
 from ropeway.networks.rosbridge.client.definitions import RemoteDefinitions
-from ropeway.networks.rosbridge.client.echoes import EchoFilter
+from ropeway.networks.rosbridge.client.link_chores import LinkChores
 from ropeway.networks.rosbridge.client.mirror import RemoteMirror
 from ropeway.networks.rosbridge.client.parts import RemotePublisher, RemoteSubscription
 from ropeway.networks.rosbridge.client.plain_servers import PlainServer
@@ -41,7 +39,7 @@ from ropeway.networks.rosbridge.client.ros1_spelling import Spelling
 from ropeway.networks.rosbridge.client.second_connection import keep_second
 from ropeway.networks.rosbridge.client.servers import RemoteActionServer
 from ropeway.networks.rosbridge.client.services import RemoteClient, RemoteService
-from ropeway.networks.rosbridge.link.calls import OP_CHANNELS
+from ropeway.networks.rosbridge.client.topic_table import TopicTable
 from ropeway.networks.rosbridge.link.express import HEADER as EXPRESS_HEADER
 from ropeway.networks.rosbridge.link.peer import Peer, Wrapping
 from ropeway.networks.rosbridge.protocol import ops
@@ -56,8 +54,6 @@ __all__ = ["LinkState", "RosbridgeGraph"]
 
 log = logging.getLogger("ropeway.rosbridge")
 
-_CLOCK_S: Final = 1.0
-_ROSAPI_S: Final = 3.0
 _US: Final = ProviderInfo(local=True)
 
 
@@ -96,7 +92,6 @@ class RosbridgeGraph(GraphBase):
         ours = registry or TypeRegistry()
         self.registry = network or ours
         self.border = Border(ours, network)
-        self.echoes: dict[str, EchoFilter] = {}
         self.peer: Peer | None = None
         self.remote: dict[str, Any] = {}
         self.connections = 0
@@ -104,10 +99,7 @@ class RosbridgeGraph(GraphBase):
         self._headers = headers
         self.gateway_id, self._node_name = gateway_id, name
         self._wait, self._watch, self._plain = wait, watch, plain
-        self._ask_rosapi = ask_rosapi
-        self._numbers = itertools.count(1)
-        self._publishers: dict[int, RemotePublisher] = {}
-        self._subscriptions: dict[int, RemoteSubscription] = {}
+        self.table = TopicTable(shown)
         self.calls: Calls = Calls(self)
         self.mirror = RemoteMirror(shown, self._changes, self.calls.changed)
         self._keeper = Reconnect(shown, limits or Limits(), self._connect)
@@ -116,8 +108,7 @@ class RosbridgeGraph(GraphBase):
         self.spelling = Spelling(self, ros1)
         self.teller = RemoteDefinitions(self)
         self._traffic = (0, 0)
-        self._rosapi_error = ""
-        self._wants_calls = False  # somebody asked what is served there
+        self._chores = LinkChores(self, asks=watch and ask_rosapi)
 
     # ── opening, the connection, closing ───────────────────────────────────────────────────────────────────────
 
@@ -169,7 +160,7 @@ class RosbridgeGraph(GraphBase):
         if self._keeper.leaving:
             return
         self._keeper.leaving = True
-        for part in self.parts():
+        for part in self.table.parts():
             await part.close()
         await self.calls.close()
         self._keeper.set_state(LinkState.CLOSED)
@@ -215,11 +206,7 @@ class RosbridgeGraph(GraphBase):
             self.plain_server.greet(peer)
         log.info("%s: connected (%s)", self.name, peer.dialect.name)
         began = time.monotonic()
-        for part in self.parts():
-            try:
-                part.connected(peer)
-            except RopewayError as error:  # one topic that cannot go to this peer must not hold up the others
-                self._was_refused(part, str(error))
+        self.table.connected(peer)
         for provider in self.calls.providers():
             try:
                 provider.connected(peer)
@@ -228,7 +215,7 @@ class RosbridgeGraph(GraphBase):
         if peer.dialect is not ROPEWAY or peer.greeted:
             self.calls.ready(peer)
         self._keeper.set_state(LinkState.CONNECTED)
-        chores = Supervised(partial(self._chores, peer), f"chores {self.name}").start()
+        chores = Supervised(partial(self._chores.run, peer), f"chores {self.name}").start()
         second = Supervised(partial(keep_second, peer, self._second), f"second connection {self.name}").start()
         types = Supervised(self.teller.follow, f"definitions from {self.name}").start()
         try:
@@ -238,10 +225,8 @@ class RosbridgeGraph(GraphBase):
             self._traffic = (self._traffic[0] + connection.bytes_in, self._traffic[1] + connection.bytes_out)
             self._keeper.rtt_s = peer.rtt_s or 0.0
             self.peer = None
-            channels = [p.channel for p in self._publishers.values() if p.channel is not None]
-            self.plain_server.ended(peer, channels, time.monotonic() - began)
-            for part in self.parts():
-                part.disconnected()
+            self.plain_server.ended(peer, self.table.channels, time.monotonic() - began)
+            self.table.disconnected()
             self.calls.disconnected()
             self.mirror.clear()
         if not self._keeper.leaving:
@@ -257,29 +242,6 @@ class RosbridgeGraph(GraphBase):
             headers={**(self._headers or {}), EXPRESS_HEADER: peer.express.offered},
             on_connection=peer.express.attach,
         )
-
-    async def _chores(self, peer: Peer) -> None:
-        """Measure the clock of a gateway; ask a plain server for its topics."""
-        while True:
-            if peer.dialect is ROPEWAY:
-                peer.ping()
-                await asyncio.sleep(_CLOCK_S)
-            elif self._watch and self._ask_rosapi:
-                try:
-                    await self.mirror.ask_rosapi(self.calls.plain)
-                    self.spelling.seen(peer, [info.type for info in self.mirror.topics.values()])
-                    if self._wants_calls:
-                        await self.mirror.ask_calls(self.calls.plain)
-                    self._rosapi_error = ""
-                except GraphUnavailable as error:
-                    self._rosapi_error = f"it does not answer what is asked of rosapi: {error.reason}"
-                    log.debug("%s: %s", self.name, self._rosapi_error)
-                    self.mirror.filled.set()
-                await asyncio.sleep(_ROSAPI_S)
-            else:
-                self.mirror.filled.set()  # nobody will tell
-                await self.spelling.find_out(peer)
-                return
 
     @property
     def traffic(self) -> tuple[int, int]:
@@ -297,14 +259,7 @@ class RosbridgeGraph(GraphBase):
         self._check()
         name = resolve_name(topic)
         publisher = RemotePublisher(self, name, self.registry.canonical(type), qos or DEFAULT, delivery)
-        self._publishers[publisher.number] = publisher
-        self._note_echo(name)
-        if self.peer is not None:
-            try:
-                publisher.connected(self.peer)
-            except RopewayError:
-                del self._publishers[publisher.number]
-                raise
+        self.table.add_publisher(publisher, self.peer)
         return publisher
 
     async def create_subscription(
@@ -320,10 +275,7 @@ class RosbridgeGraph(GraphBase):
         self._check()
         name = resolve_name(topic)
         subscription = RemoteSubscription(self, name, self.registry.canonical(type), qos, callback, delivery)
-        self._subscriptions[subscription.number] = subscription
-        self._note_echo(name)
-        if self.peer is not None:
-            subscription.connected(self.peer)
+        self.table.add_subscription(subscription, self.peer)
         return subscription
 
     async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> RemoteClient:
@@ -380,17 +332,17 @@ class RosbridgeGraph(GraphBase):
         """See ``Telling.untold``."""
         if self.peer is None:
             return self.last_error or "it is not connected"
-        return self._rosapi_error if self.mirror.filled.is_set() else "it has not told yet what there is"
+        return self._chores.error if self.mirror.filled.is_set() else "it has not told yet what there is"
 
     def services(self) -> dict[str, ServiceInfo]:
         """Return what the far graph showed last, and what is served from here; a plain server is polled from now on."""
-        self._wants_calls = True
+        self._chores.wants_calls = True
         ours = (ServiceInfo(s.name, (s.type,), (_US,)) for s in self.calls.services.values())
         return {s.name: s for s in ours} | self.mirror.services
 
     def actions(self) -> dict[str, ActionInfo]:
         """Return what the far graph showed last, and what is served from here; a plain server is polled from now on."""
-        self._wants_calls = True
+        self._chores.wants_calls = True
         ours = (ActionInfo(s.name, (s.type,), (_US,)) for s in self.calls.servers.values())
         return {s.name: s for s in ours} | self.mirror.actions
 
@@ -401,31 +353,6 @@ class RosbridgeGraph(GraphBase):
     def _check(self) -> None:
         if not self._keeper.started or self.state is LinkState.CLOSED:
             raise GraphUnavailable(self.name, "is not open; call open() first")
-
-    def parts(self) -> list[RemotePublisher | RemoteSubscription]:
-        """Return the topics that are announced there."""
-        return [*self._publishers.values(), *self._subscriptions.values()]
-
-    def next_number(self) -> int:
-        """Return a free channel number."""
-        while True:
-            number = next(self._numbers) % OP_CHANNELS.start
-            if number and number not in self._publishers and number not in self._subscriptions:
-                return number
-
-    def forget(self, number: int, topic: str) -> None:
-        """See ``LinkGraph.forget``."""
-        self._publishers.pop(number, None)
-        self._subscriptions.pop(number, None)
-        self._note_echo(topic)
-
-    def _note_echo(self, topic: str) -> None:
-        published = any(p.topic == topic for p in self._publishers.values())
-        read = any(s.topic == topic for s in self._subscriptions.values())
-        if published and read:
-            self.echoes.setdefault(topic, EchoFilter())
-        else:
-            self.echoes.pop(topic, None)
 
     def type_note(self, type: str) -> dict[str, Any]:
         """Return what a gateway should know of a type: its hash, and once per connection its definition."""
@@ -441,64 +368,36 @@ class RosbridgeGraph(GraphBase):
 
     def operation(self, op: ops.Op) -> None:
         """Handle a rosbridge operation."""
+        peer = self.peer
+        if peer is None:
+            return
         if isinstance(op, ops.Publish):
-            found = False
-            for subscription in list(self._subscriptions.values()):
-                if subscription.topic == op.topic:
-                    found = True
-                    subscription.published(op)
-            if not found and self.peer is not None:
-                self.peer.fault_log.note("unknown topic", op.topic, "it was not subscribed to")
-        elif isinstance(op, ops.Png) and self.peer is not None:
-            self.peer.unpacked(unpack_png(op.data, limit_bytes=self.peer.limit_bytes), Wrapping.IMAGE)
-        elif self.peer is not None and not self.calls.operation(op, self.peer):
-            self.peer.fault_log.note("operation", "", f"{op.op} is not for a client")
+            self.table.published(op, peer)
+        elif isinstance(op, ops.Png):
+            peer.unpacked(unpack_png(op.data, limit_bytes=peer.limit_bytes), Wrapping.IMAGE)
+        elif not self.calls.operation(op, peer):
+            peer.fault_log.note("operation", "", f"{op.op} is not for a client")
 
     def control(self, message: Mapping[str, Any]) -> None:
         """Handle a message of the Ropeway dialect."""
-        op, number = message.get("op"), message.get("channel")
-        publisher = self._publishers.get(number) if isinstance(number, int) else None
-        subscription = self._subscriptions.get(number) if isinstance(number, int) else None
+        op = message.get("op")
         if op == "hello":
             self.remote = {k: message[k] for k in ("gateway", "name", "version") if isinstance(message.get(k), str)}
             if self.peer is not None:
                 self.calls.ready(self.peer)
-        elif self.calls.control(message):
-            return
-        elif op == "demand" and publisher is not None and isinstance(message.get("count"), int):
-            publisher.answers.tell("")
-            publisher.set_subscribers(message["count"])
-        elif op == "adopted" and subscription is not None:
-            subscription.answers.tell("")
-            if isinstance(message.get("qos"), Mapping):
-                with contextlib.suppress(ValueError):
-                    subscription.adopted(QoS.parse(message["qos"]))
-            subscription.learned(message)
-        elif op == "refused":
-            self._was_refused(publisher or subscription, str(message.get("reason", "")))
-        elif op == "stats" and publisher is not None:
-            delay = message.get("delay_ms")
-            publisher.remote_delay_s = delay / 1e3 if isinstance(delay, (int, float)) else None
         elif op == "graph":
             self.mirror.update(message)
-
-    def _was_refused(self, part: RemotePublisher | RemoteSubscription | None, reason: str) -> None:
-        if part is None or part.refused == reason:
-            return
-        if not part.answers.tell(reason):
-            log.warning("%s: %s was refused: %s", self.name, part.topic, reason)
+        elif not self.calls.control(message):
+            self.table.control(message)
 
     def arrived(self, channel: int, arrivals: Sequence[Arrival]) -> None:
         """Deliver messages that came on a channel."""
-        subscription = self._subscriptions.get(channel)
-        if subscription is not None:
-            subscription.arrived(arrivals)
-        elif self.peer is not None:
-            self.peer.fault_log.note("unknown topic", f"channel {channel}", "nobody subscribed to it")
+        if self.peer is not None:
+            self.table.arrived(channel, arrivals, self.peer)
 
     def takes(self, channel: int) -> bool:
         """Return whether somebody here reads a channel."""
-        return channel in self._subscriptions
+        return self.table.takes(channel)
 
     def lost(self, code: int, reason: str) -> None:
         """Disconnect all parts: the connection is gone, and ``Reconnect`` makes the next one."""

@@ -16,7 +16,21 @@ if TYPE_CHECKING:
     from ropeway.types import TypeRegistry
     from ropeway.types.told_types import DefinitionTeller
 
-__all__ = ["LinkGraph"]
+__all__ = ["LinkGraph", "LinkTopics"]
+
+
+class LinkTopics(Protocol):
+    """The topics of a link, as one of them sees the others; ``TopicTable`` has them."""
+
+    echoes: dict[str, EchoFilter]
+
+    def next_number(self) -> int:
+        """Return a channel number that is free."""
+        ...
+
+    def forget(self, number: int, topic: str) -> None:
+        """Remove a topic that was closed."""
+        ...
 
 
 class LinkGraph(Host, Protocol):
@@ -26,27 +40,23 @@ class LinkGraph(Host, Protocol):
     registry: TypeRegistry
     border: Border
     gateway_id: str
-    echoes: dict[str, EchoFilter]
     mirror: RemoteMirror
     plain_server: PlainServer
     spelling: Spelling
 
     @property
     def teller(self) -> DefinitionTeller:
-        """Return who tells the definitions of the far side."""
+        """The teller of the far side's definitions."""
+        ...
+
+    @property
+    def table(self) -> LinkTopics:
+        """The topics of the link."""
         ...
 
     @property
     def last_error(self) -> str:
         """Return why the last try to connect failed, ``""`` while connected."""
-        ...
-
-    def next_number(self) -> int:
-        """Return a channel number that is free."""
-        ...
-
-    def forget(self, number: int, topic: str) -> None:
-        """Remove a topic that was closed."""
         ...
 
     def type_note(self, type: str) -> dict[str, Any]:

@@ -13,15 +13,14 @@ from ropeway.errors import MessageTooBig, TypesError
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample, SampleCallback, Undelivered, new_origin
 from ropeway.graph.history import History
 from ropeway.graph.link_parts import LinkStatistics
-from ropeway.graph.parts import PublisherBase
+from ropeway.graph.parts import PublisherBase, SubscriptionBase
 from ropeway.graph.peer_answer import Answers
-from ropeway.logs import failed
 from ropeway.networks.rosbridge.client.host import LinkGraph
 from ropeway.networks.rosbridge.link.inbound import Inbound
 from ropeway.networks.rosbridge.protocol import codec as wire_codec
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROSBRIDGE, ROSGW
-from ropeway.qos import DEFAULT, QoS
+from ropeway.qos import QoS
 
 if TYPE_CHECKING:
     from ropeway.networks.rosbridge.link.peer import Channel, Peer
@@ -38,7 +37,7 @@ class RemotePublisher(PublisherBase[LinkGraph]):
     def __init__(self, graph: LinkGraph, topic: str, type: str, qos: QoS, delivery: Delivery) -> None:
         super().__init__(graph, topic, type, qos)
         self.graph, self.delivery = graph, delivery
-        self.number = graph.next_number()
+        self.number = graph.table.next_number()
         self.id = f"advertise:{topic}:{self.number}"
         self.channel: Channel | None = None
         self.lost: Counter[Lost] = Counter()
@@ -49,7 +48,6 @@ class RemotePublisher(PublisherBase[LinkGraph]):
         self._history = History(qos)
         self._latched = qos.transient_local
         self._translated = graph.border.touches(type)
-        self.closed = False
 
     def publish(self, sample: Sample) -> None:
         """Let a message wait for the link; with the link down it is lost and counted, unless it is latched."""
@@ -73,7 +71,7 @@ class RemotePublisher(PublisherBase[LinkGraph]):
             return
         elif self._subscribers == 0:
             return  # nobody reads it there
-        echo = self.graph.echoes.get(self.topic)
+        echo = self.graph.table.echoes.get(self.topic)
         if echo is not None:
             echo.sent(sample.payload)
         self.channel.put(sample)
@@ -166,7 +164,7 @@ class RemotePublisher(PublisherBase[LinkGraph]):
         if self.closed:
             return
         self.closed = True
-        self.graph.forget(self.number, self.topic)
+        self.graph.table.forget(self.number, self.topic)
         if self.channel is not None:
             peer = self.graph.peer
             assert peer is not None
@@ -177,7 +175,7 @@ class RemotePublisher(PublisherBase[LinkGraph]):
             peer.send(ops.Unadvertise(id=self.id, topic=self.topic))
 
 
-class RemoteSubscription(Inbound):
+class RemoteSubscription(Inbound, SubscriptionBase[LinkGraph]):
     """A topic that we read from the far graph."""
 
     def __init__(
@@ -189,26 +187,16 @@ class RemoteSubscription(Inbound):
         callback: SampleCallback,
         delivery: Delivery,
     ) -> None:
-        self._callback = callback
+        SubscriptionBase.__init__(self, graph, topic, type, qos, callback)
         self._translated = graph.border.touches(type)
-        super().__init__(type, None, self._translate if self._translated else callback, used="none")
-        self.topic, self.delivery = topic, delivery
-        self.graph = graph
-        self.number = graph.next_number()
+        Inbound.__init__(self, type, None, self._translate if self._translated else callback, used="none")
+        self.graph, self.delivery = graph, delivery
+        self.number = graph.table.next_number()
         self.id = f"subscribe:{topic}:{self.number}"
         self.answers = Answers()
-        self.asked = qos
-        self._qos = qos or DEFAULT
-        self._qos_callbacks: list[Callable[[QoS], None]] = []
         self._codec: MessageCodec | None = None
         self._plain_origin = new_origin()
         self._plain_seq = 0
-        self.closed = False
-
-    @property
-    def qos(self) -> QoS:
-        """The profile in use on the far graph, as far as it is known."""
-        return self._qos
 
     @property
     def encoding(self) -> str:
@@ -224,17 +212,10 @@ class RemoteSubscription(Inbound):
         """See ``Answering.on_answer``."""
         self.answers.on_answer(callback)
 
-    def on_qos(self, callback: Callable[[QoS], None]) -> None:
-        """Call with the profile, now and when the far graph adopts another."""
-        self._qos_callbacks.append(callback)
-        callback(self._qos)
-
     def adopted(self, qos: QoS) -> None:
         """Take the profile that the far graph uses."""
-        if self.asked is None and qos != self._qos:
-            self._qos = qos
-            for callback in self._qos_callbacks:
-                self.graph.guard(self.topic, callback, qos)
+        if self.asked is None:
+            self.set_qos(qos)
 
     def connected(self, peer: Peer) -> None:
         """Ask for the topic on a new connection."""
@@ -295,7 +276,7 @@ class RemoteSubscription(Inbound):
             self.unreadable(error)
             return
         self.used = _encoding_of(op, self.used)
-        echo = self.graph.echoes.get(self.topic)
+        echo = self.graph.table.echoes.get(self.topic)
         if echo is not None and echo.echoes(payload):
             return
         now = time.time_ns()
@@ -326,8 +307,7 @@ class RemoteSubscription(Inbound):
 
     def undelivered(self, batch: Sequence[Sample]) -> None:
         """See ``Inbound.undelivered``."""
-        self.graph.drops[self.topic, Undelivered.CALLBACK] += len(batch)
-        failed(log, "%s: a callback for %s failed", self.graph.name, self.topic)
+        self._callback_failed(batch)
 
     def _translate(self, batch: Sequence[Sample]) -> None:
         incoming = self.graph.border.incoming
@@ -338,7 +318,7 @@ class RemoteSubscription(Inbound):
         if self.closed:
             return
         self.closed = True
-        self.graph.forget(self.number, self.topic)
+        self.graph.table.forget(self.number, self.topic)
         if self._peer is not None:
             self._peer.forget_inbound(self.number)
             self._peer.send(ops.Unsubscribe(id=self.id, topic=self.topic))

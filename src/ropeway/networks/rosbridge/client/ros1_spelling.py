@@ -31,6 +31,14 @@ class AnnouncedTopic(Protocol):
         ...
 
 
+class AnnouncedTopics(Protocol):
+    """The topics that are announced to a server."""
+
+    def parts(self) -> Sequence[AnnouncedTopic]:
+        """Return them."""
+        ...
+
+
 class AnnouncedProvider(Protocol):
     """A service or an action that is announced to a server."""
 
@@ -64,8 +72,9 @@ class SpellingHost(Protocol):
         """Return the calls on the link."""
         ...
 
-    def parts(self) -> Sequence[AnnouncedTopic]:
-        """Return the topics that are announced."""
+    @property
+    def table(self) -> AnnouncedTopics:
+        """Return the topics of the link."""
         ...
 
 
@@ -79,7 +88,7 @@ class Spelling:
 
     def __init__(self, graph: SpellingHost, ros1: bool | None) -> None:
         self._graph = graph
-        self._ros1 = ros1
+        self.ros1 = ros1
 
     @cached_property
     def _theirs(self) -> Ros1Spelling:
@@ -90,7 +99,7 @@ class Spelling:
     def is_ros1(self) -> bool:
         """Whether the server belongs to ROS 1."""
         peer = self._graph.peer
-        return bool(self._ros1) and (peer is None or peer.dialect is not ROPEWAY)
+        return bool(self.ros1) and (peer is None or peer.dialect is not ROPEWAY)
 
     def codec(self, type: str) -> MessageCodec:
         """Return the codec for messages of a type as the server writes them. Raises ``TypesError``."""
@@ -102,7 +111,7 @@ class Spelling:
 
     async def find_out(self, peer: Peer) -> None:
         """Ask a rosbridge server once for its types."""
-        if self._ros1 is not None or not self._graph.plain_server.is_rosbridge:
+        if self.ros1 is not None or not self._graph.plain_server.is_rosbridge:
             return
         with contextlib.suppress(GraphUnavailable):
             types = (await self._graph.calls.plain("/rosapi/topics", {})).get("types")
@@ -111,13 +120,13 @@ class Spelling:
 
     def seen(self, peer: Peer, types: Iterable[str]) -> None:
         """Learn from the names of types which ROS it is."""
-        if self._ros1 is not None:
+        if self.ros1 is not None:
             return
         parts = {type.count("/") for type in types if type}
         if parts == {1}:
             self._turn(peer)
         elif 2 in parts:
-            self._ros1 = False
+            self.ros1 = False
 
     def read(self, peer: Peer, type: str, decode: Callable[[MessageCodec], bytes]) -> bytes:
         """Return what ``decode`` makes of a message.
@@ -127,7 +136,7 @@ class Spelling:
         try:
             return decode(self.codec(type))
         except TypesError as error:
-            if self._ros1 is not None:
+            if self.ros1 is not None:
                 raise
             try:
                 payload = decode(self._theirs.codec(type))
@@ -138,9 +147,9 @@ class Spelling:
 
     def _turn(self, peer: Peer) -> None:
         """Switch to ROS 1 and announce everything anew, since types have other names there."""
-        self._ros1 = True
+        self.ros1 = True
         log.info("%s: this is a rosbridge server of ROS 1", self._graph.name)
-        for part in self._graph.parts():
+        for part in self._graph.table.parts():
             part.announce_anew(peer)
         for provider in self._graph.calls.providers():
             provider.connected(peer)

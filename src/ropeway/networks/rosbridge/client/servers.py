@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import CallFailed, GoalRejected, LinkError, ProviderLost, RopewayError
 from ropeway.graph.base import Delivery, Undelivered
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, ServerGoal
 from ropeway.logs import failed
 from ropeway.networks.rosbridge.client.call_notes import failure, read_note
-from ropeway.networks.rosbridge.client.calls import announced, answer_encoding, lane, travelling
-from ropeway.networks.rosbridge.client.other_holder import OtherHolder
+from ropeway.networks.rosbridge.client.calls import answer_encoding
+from ropeway.networks.rosbridge.client.provider import LinkProvider
 from ropeway.networks.rosbridge.client.services import CALLS_LIMIT
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROSGW
@@ -27,6 +26,7 @@ __all__ = ["RemoteActionServer"]
 
 log = logging.getLogger("ropeway.rosbridge")
 
+_FAILED: Final[dict[str, Any]] = {"error": "failed"}
 _WITHDRAWN: Final = "who offered it has withdrawn it"
 
 
@@ -41,55 +41,25 @@ class _Goal:
         self.ended = False
 
 
-class RemoteActionServer:
+class RemoteActionServer(LinkProvider):
     """An action that we serve on the far graph."""
 
+    kind = "action"
+    parts = ("Goal", "Result", "Feedback")
+
     def __init__(self, calls: Calls, action: str, type: str, handlers: ActionHandlers, delivery: Delivery) -> None:
-        self.action = self.name = action
-        self.type, self.delivery = type, delivery
-        self.id = f"advertise_action:{action}:{calls.next()}"
-        self.held = OtherHolder(calls.graph.name, "action", action)
-        self.closed = False
-        self._calls, self._handlers = calls, handlers
-        self._peer: Peer | None = None
-        self._asked: str | None = None  # the encoding that the last goal asked for
+        super().__init__(calls, action, type, delivery)
+        self.action = action
+        self._handlers = handlers
         self._goals: dict[str, _Goal] = {}
         self._tasks = Chores()
-
-    @property
-    def encoding(self) -> str:
-        """The encoding of feedback and results."""
-        return travelling(self.delivery, self._peer, self._asked)
-
-    @property
-    def refused(self) -> str:
-        """The reason why the far gateway does not let us serve it now, ``""`` if it does."""
-        return self.held.by
-
-    def on_state(self, callback: Callable[[str], None]) -> None:
-        """Call with ``refused``, now and at each change."""
-        self.held.on_state(callback)
 
     # ── the connection ─────────────────────────────────────────────────────────────────────────────────────────
 
     def connected(self, peer: Peer) -> None:
         """Announce the action on a new connection. Raises ``UnknownType`` if the peer needs the definition."""
-        registry = self._calls.graph.registry
-        gateway = peer.dialect is ROPEWAY
-        if not gateway:
-            for part in ("Goal", "Result", "Feedback"):
-                registry.codec(f"{self.type}_{part}")
-        self._peer = peer
-        self.held.tell("")
-        peer.send(
-            ops.AdvertiseAction(
-                id=self.id,
-                action=self.action,
-                type=self.type,
-                compression=announced(self.delivery, peer),
-                ropeway=(self._calls.graph.type_note(self.type) or None) if gateway else None,
-            )
-        )
+        about = self._announcing(peer)
+        peer.send(ops.AdvertiseAction(action=self.action, type=self.type, **about))
 
     def disconnected(self) -> None:
         """Abort the goals: the connection is gone, so nobody follows them."""
@@ -141,7 +111,7 @@ class RemoteActionServer:
         if any(other.id == note.id for other in self._goals.values()):
             raise GoalRejected(self.action)  # the same goal, by another way
         goal.id = note.id
-        payload = self._calls.read(f"{self.type}_Goal", op.args, op.compression, goal.peer)
+        payload = self._calls.bodies.of(f"{self.type}_Goal").read(op.args, op.compression, goal.peer.limit_bytes)
         made = ServerGoal(payload, note.id, lambda data: self._feed(goal, data), note.via, note.caller)
         if self._handlers.accept is not None and not await self._handlers.accept(made):
             raise GoalRejected(self.action)
@@ -177,14 +147,15 @@ class RemoteActionServer:
         peer = goal.peer
         if goal.ended or not (goal.op.feedback or peer.dialect is ROSGW):  # which does not ask, and wants it
             return
+        body = self._calls.bodies.of(f"{self.type}_Feedback")
         try:
             peer.send_op(
                 ops.ActionFeedback(id=goal.op.id, action=goal.op.action, values=None),
-                payload=self._calls.written(f"{self.type}_Feedback", payload),
+                payload=body.written(payload),
                 field="values",
-                codec=self._calls.codec(f"{self.type}_Feedback"),
+                codec=body.codec,
                 encoding=answer_encoding(self.delivery, peer, goal.op),
-                priority=lane(self.delivery),
+                priority=self._lane,
             )
         except RopewayError as error:
             reason = Undelivered.WRITE if isinstance(error, LinkError) else Undelivered.ENCODE
@@ -196,33 +167,34 @@ class RemoteActionServer:
             return
         status = outcome.status if outcome.status.final else GoalStatus.ABORTED
         if outcome.payload is None:
-            self._end_empty(goal, status, "failed", outcome.text)
+            self._end_empty(goal, status, _FAILED, outcome.text)
             return
+        body = self._calls.bodies.of(f"{self.type}_Result")
         try:
             goal.peer.send_op(
                 self._result(goal, status, None),
-                payload=self._calls.written(f"{self.type}_Result", outcome.payload),
+                payload=body.written(outcome.payload),
                 field="values",
-                codec=self._calls.codec(f"{self.type}_Result"),
+                codec=body.codec,
                 encoding=answer_encoding(self.delivery, goal.peer, goal.op),
-                priority=lane(self.delivery),
-                on_unsent=lambda error: self._end_empty(goal, GoalStatus.ABORTED, "failed", str(error)),
+                priority=self._lane,
+                on_unsent=lambda error: self._end_empty(goal, GoalStatus.ABORTED, _FAILED, str(error)),
             )
             goal.ended = True
         except RopewayError as error:
-            self._end_empty(goal, GoalStatus.ABORTED, "failed", str(error))
+            self._end_empty(goal, GoalStatus.ABORTED, _FAILED, str(error))
 
     def _fail(self, goal: _Goal, error: BaseException) -> None:
-        word, text = failure(error)
+        note, text = failure(error)
         taken = goal.goal is not None
-        self._end_empty(goal, GoalStatus.ABORTED if taken else GoalStatus.UNKNOWN, word, text)
+        self._end_empty(goal, GoalStatus.ABORTED if taken else GoalStatus.UNKNOWN, note, text)
 
-    def _end_empty(self, goal: _Goal, status: GoalStatus, word: str, text: str) -> None:
+    def _end_empty(self, goal: _Goal, status: GoalStatus, note: dict[str, Any], text: str) -> None:
         """Tell of an end without a result: to gateways with the reason, to others with an empty one."""
         goal.ended = True
         if goal.peer.dialect is ROPEWAY:
             made = self._result(goal, status, text)
-            made.result, made.ropeway = False, {"error": word}
+            made.result, made.ropeway = False, note
         else:
             made = self._result(goal, status if status.final else GoalStatus.ABORTED, {})
         goal.peer.send_op(made)

@@ -138,7 +138,7 @@ class OpSender:
         self._waiting: dict[str, tuple[int, int]] = {}  # by id: the lane and how many
         self._room: asyncio.Future[None] | None = None  # of those who wait for it
         self.count = 0  # of operations that wait
-        self.on_gone: Callable[[], None] = _nothing  # one of them has gone
+        self.on_gone: Callable[[], None] | None = None  # one of them has gone
 
     @property
     def waiting_bytes(self) -> int:
@@ -172,7 +172,7 @@ class OpSender:
         if self.limit_bytes is not None and size > self.limit_bytes:
             raise MessageTooBig(size, self.limit_bytes)
         if self.records:
-            used = self._encoding(encoding, size)
+            used = "cbor-raw" if encoding == "auto" and size < _PACK_BYTES else self._encoding(encoding, size)
             write = _write_cbor
         else:
             dialect = self._sender.dialect
@@ -186,17 +186,25 @@ class OpSender:
                 return write(message, data, field, codec, used)
         else:
             data = write(message, payload, field, codec, used)
-        waiting = self.waiting_bytes
+        lane = _URGENT_LANE if priority is None and len(data) <= _BULK_BYTES else self._lane(priority, len(data))
+        channel = self._channels.get(lane) or self._open(lane)
+        if not self.count and make is None and len(data) <= SMALL_BYTES and self._sender.send_alone(channel, data):
+            return
+        waiting = self.waiting_bytes if self.count else 0
         if payload is not None and waiting and waiting + len(data) > WAITING_LIMIT_BYTES:
             raise OutboxFull(self._sender.connection.peer, waiting, WAITING_LIMIT_BYTES)
         id = message.get("id", ops.ABSENT)
         key = "" if id is ops.ABSENT or id is None else repr(id)
-        lane, count = self._waiting.get(key) or (self._lane(priority, len(data)), 0)  # behind the others of its id
+        behind = self._waiting.get(key)
+        if behind is None:
+            count = 0
+        else:  # behind the others of its id
+            lane, count = behind
+            channel = self._channels[lane]
         if key:
             self._waiting[key] = (lane, count + 1)
         self.count += 1
         text = write is _write_json
-        channel = self._channels.get(lane) or self._open(lane)
         channel.put(_Operation(data, make, key, fragment_size, on_unsent, text=text))
 
     def _encoding(self, encoding: str, size: int) -> str:
@@ -221,7 +229,8 @@ class OpSender:
 
     def _done(self, op: _Operation) -> None:
         self.count -= 1
-        self.on_gone()
+        if self.on_gone is not None:
+            self.on_gone()
         if self._room is not None and self.waiting_bytes <= ROOM_BYTES:
             self._room.set_result(None)
             self._room = None
@@ -231,10 +240,6 @@ class OpSender:
                 self._waiting[op.key] = (lane, count - 1)
             else:
                 del self._waiting[op.key]
-
-
-def _nothing() -> None:
-    """Do nothing: no callback was set."""
 
 
 def _write_json(
@@ -262,6 +267,8 @@ def _write_cbor(
 ) -> bytes:
     if payload is None:
         return cbor_dumps(message)
+    if encoding == "cbor-raw" and len(payload) < wire_codec.COPIED_BYTES:
+        return cbor_dumps({**message, "compression": encoding, field: payload})
     message = {**message, "compression": encoding}
     if encoding == "none":
         return cbor_dumps({**message, field: orjson.loads(wire_codec.encode_msg("none", payload, codec))})

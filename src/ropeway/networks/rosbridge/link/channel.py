@@ -63,6 +63,12 @@ class StreamSender(Protocol):
         """Let a message wait for its turn."""
         ...
 
+    def send_alone(self, stream: Stream[Any], body: bytes) -> bool:
+        """Send a small record at once where nothing waits and this turn of the event loop has sent nothing; return
+        whether it did.
+        """
+        ...
+
     def add(self, stream: Stream[Any]) -> None:
         """Make a stream ready to go out."""
         ...

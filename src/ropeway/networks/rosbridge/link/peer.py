@@ -24,7 +24,7 @@ from ropeway.networks.rosbridge.link.express import Express
 from ropeway.networks.rosbridge.link.sender import LinkSender, PlainSender, RecordSender
 from ropeway.networks.rosbridge.protocol import codec as wire_codec
 from ropeway.networks.rosbridge.protocol import ops
-from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, Dialect, by_subprotocol, detect
+from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY, ROSBRIDGE, Dialect, by_subprotocol, detect
 from ropeway.networks.rosbridge.protocol.fragment import Defragmenter
 from ropeway.networks.rosbridge.protocol.frames import loads
 from ropeway.networks.rosbridge.protocol.records import Arrival, RecordReader
@@ -111,7 +111,7 @@ class Peer:
         self.greeted = False  # a Ropeway gateway that has said hello
         self.takes_states = False  # it is a machine that holds the state that it is told
         self.heard_hello = asyncio.Event()
-        self._ops = OpSender(self.sender)
+        self.op_sender = OpSender(self.sender)
         self.on_invalid: Callable[[Mapping[str, Any], WireError], None] = self._invalid  # what is no operation
         self.rtt_s: float | None = None
         self.clock_offset_ns: int | None = None  # the peer's clock minus ours, once it is measured
@@ -186,7 +186,7 @@ class Peer:
         if self.connection.closed:
             return
         message = op.to_dict() if isinstance(op, ops.Operation) else dict(op)
-        sender = self._ops
+        sender = self.op_sender
         if self.dialect is ROPEWAY and not sender.records:  # a gateway that reads calls as text only
             if payload is not None:
                 message[field] = wire_codec.encode_value(payload, codec)
@@ -206,20 +206,9 @@ class Peer:
             on_unsent=on_unsent,
         )
 
-    @property
-    def answers_waiting(self) -> int:
-        """The number of calls and answers that wait for the link; ``on_answer_gone`` is called for each that
-        has gone.
-        """
-        return self._ops.count
-
-    def on_answer_gone(self, callback: Callable[[], None]) -> None:
-        """Call ``callback`` whenever a call or an answer has gone out."""
-        self._ops.on_gone = callback
-
     async def room_for_answers(self) -> None:
         """Wait while much waits for the peer: it reads slower than it asks."""
-        await self._ops.room()
+        await self.op_sender.room()
 
     def open_channel(
         self,
@@ -357,7 +346,8 @@ class Peer:
         except WireError as error:
             self.on_invalid(message, error)
             return
-        self.dialect = self.sender.dialect = detect(self.dialect, parsed)
+        if self.dialect is ROSBRIDGE:
+            self.dialect = self.sender.dialect = detect(self.dialect, parsed)
         try:
             if isinstance(parsed, ops.Fragment):
                 text = self._defragmenter.add(parsed)
@@ -374,8 +364,8 @@ class Peer:
     def _greeted(self, message: Mapping[str, Any]) -> None:
         self.greeted = True
         limit = message.get("limit_bytes")
-        self._ops.limit_bytes = limit if type(limit) is int and limit > 0 else None
-        self._ops.records = self._ops.records or message.get("calls") == _CALLS
+        self.op_sender.limit_bytes = limit if type(limit) is int and limit > 0 else None
+        self.op_sender.records = self.op_sender.records or message.get("calls") == _CALLS
         self.takes_states = message.get("states") is True
         secret = message.get("express")
         self.heard_hello.set()

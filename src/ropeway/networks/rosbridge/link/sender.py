@@ -30,6 +30,7 @@ __all__ = ["LinkSender", "PlainSender", "RecordSender"]
 _PART_MIN_BYTES: Final = 1400  # what a packet carries
 _PART_MAX_BYTES: Final = 1 << 20
 _PART_S: Final = 0.002  # a part takes about so long on the wire, so that an urgent message waits no longer
+_NO_ORIGIN: Final = bytes(16)
 _AHEAD_S: Final = 0.004  # before the end of a message the next is encoded, so that the link does not wait for it
 
 
@@ -51,6 +52,8 @@ class LinkSender:
         self.recent: deque[tuple[Stream[Any], Any]] | None = None
         self._loop = asyncio.get_running_loop()
         self._scheduled = self._pumping = False
+        self.unfinished = 0
+        """The number of messages, in all lanes, of which a part was sent."""
         self._encoding: set[asyncio.Future[object]] = set()
 
     def open(
@@ -95,6 +98,10 @@ class LinkSender:
             if at_once:
                 self.pump()
 
+    def send_alone(self, stream: Stream[Any], body: bytes) -> bool:
+        """See ``StreamSender.send_alone``; only records are sent so."""
+        return False
+
     def drop(self, stream: Stream[Any]) -> None:
         """Forget a stream; what waits of it is lost."""
         self.outbox.close(stream.queue)
@@ -111,7 +118,7 @@ class LinkSender:
         """Send while the link takes it. A call from inside goes on where it is."""
         if scheduled:
             self._scheduled = False
-        if not self._pumping:
+        if not self._pumping and (self.outbox.messages or self.unfinished):
             self._pumping = True
             try:
                 flow = self.flow
@@ -171,6 +178,7 @@ class PlainSender(LinkSender):
             return False
         if self._fragments:
             self.connection.send_text(self._fragments.popleft())
+            self.unfinished = bool(self._fragments)
             return True
         for lane in self.outbox.lanes():
             taken = self.take(lane)
@@ -211,6 +219,7 @@ class PlainSender(LinkSender):
         elif (fragment_size := stream.fragments(item)) is not None:
             self._fragments.extend(self._fragmenter.split(frame.data, fragment_size))
             self.connection.send_text(self._fragments.popleft())
+            self.unfinished = bool(self._fragments)
         else:
             self.connection.send_text(frame.data)
         self.outbox.served(stream.queue, len(frame.data))
@@ -238,13 +247,28 @@ class RecordSender(LinkSender):
         super().__init__(connection, fault_log, dialect)
         self._writer = RecordWriter()
         self._under_way: list[list[_Cursor]] = [[] for _ in range(LANES)]
-        self._parts = 0  # messages under way, in all lanes
 
     def drop(self, stream: Stream[Any]) -> None:
         """Forget a stream; what waits of it, or is half sent, is lost."""
         super().drop(stream)
         self.withdraw(stream)
         self.wake()  # others may have waited for this lane
+
+    def send_alone(self, stream: Stream[Any], body: bytes) -> bool:
+        """See ``StreamSender.send_alone``; the record has no origin, number or stamp."""
+        outbox = self.outbox
+        if self._scheduled or outbox.messages or self.unfinished or self.recent is not None or not self.flow.free:
+            return False
+        size = len(body)
+        out: list[bytes] = []
+        self._writer.message(out, stream.number, stream.ready, body, _NO_ORIGIN, 0, 0)
+        stream.sent += 1
+        stream.sent_bytes += size
+        outbox.passed(stream.queue, size + HEADER_BYTES)
+        self._scheduled = True
+        self._loop.call_soon(self.pump, True)
+        self.connection.send_binary(b"".join(out))
+        return True
 
     def withdraw(self, stream: Stream[Any]) -> None:
         """Stop sending the message of a stream that is under way, if there is one."""
@@ -257,9 +281,9 @@ class RecordSender(LinkSender):
         """Send small messages that go as they are, in one frame; if none is next, a part of a large one."""
         outbox, recent, write = self.outbox, self.recent, self._writer.message
         out: list[bytes] = []
-        if not outbox.messages and not self._parts:
+        if not outbox.messages and not self.unfinished:
             return False
-        if not self._parts:
+        if not self.unfinished:
             room = _PART_MIN_BYTES if outbox.messages == 1 else self._part_bytes()
             now_ns = time.time_ns()
             while outbox.messages and (taken := outbox.take_ready(room, HEADER_BYTES, now_ns)) is not None:
@@ -280,7 +304,7 @@ class RecordSender(LinkSender):
             if not out:
                 return False
         self.connection.send_binary(b"".join(out))
-        return bool(outbox.messages or self._parts)
+        return bool(outbox.messages or self.unfinished)
 
     def _gather(self, out: list[bytes]) -> None:
         """Gather one frame: whole messages, or a part of one."""
@@ -321,7 +345,7 @@ class RecordSender(LinkSender):
     def _next(self) -> _Cursor | None:
         """Return the message whose turn it is, and mark it as under way."""
         outbox = self.outbox
-        if not self._parts:
+        if not self.unfinished:
             for lane in outbox.lanes():
                 found = self._begin(lane)
                 if found is not None:
@@ -344,7 +368,7 @@ class RecordSender(LinkSender):
             stream, item, encoding = taken
             cursor = _Cursor(stream, item, encoding)
             self._under_way[lane].append(cursor)
-            self._parts += 1
+            self.unfinished += 1
             if stream.is_slow(item, encoding):
                 self._encode_in_thread(cursor)
                 continue
@@ -370,13 +394,13 @@ class RecordSender(LinkSender):
             stream, item, encoding = taken
             cursor = _Cursor(stream, item, encoding)
             self._under_way[lane].insert(0, cursor)  # it follows the current one
-            self._parts += 1
+            self.unfinished += 1
             self._encode_in_thread(cursor)
 
     def _end(self, cursor: _Cursor) -> None:
         queue = cursor.stream.queue
         self._under_way[queue.priority].remove(cursor)
-        self._parts -= 1
+        self.unfinished -= 1
         self.outbox.done(queue)
 
     def _encode_in_thread(self, cursor: _Cursor) -> None:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BINARY",
     "CBOR_RAW",
+    "COPIED_BYTES",
     "ENCODINGS",
     "ENCODING_NUMBERS",
     "LIMIT_BYTES",
@@ -74,11 +75,13 @@ NEEDS_CODEC: Final = frozenset(("none", "png", "cbor", "zip"))
 ENCODING_NUMBERS: Final = {name: number for number, name in enumerate(ENCODINGS)}
 CBOR_RAW: Final = ENCODING_NUMBERS["cbor-raw"]
 
+COPIED_BYTES: Final = 4096
+"""What is shorter is copied sooner than thought about."""
+
 LIMIT_BYTES: Final = 64 << 20
 """The largest message that is unpacked unless told otherwise."""
 
 _CDR: Final = b"\0\1"  # the representations that begin so: plain CDR, little-endian
-_COPIED_BYTES: Final = 4096  # what is shorter is copied sooner than thought about
 _LZ4: Final = b"\x04\x22\x4d\x18"
 _GROWTH_BYTES: Final = 1 << 20
 
@@ -270,7 +273,7 @@ def cbor_with_bytes(message: Mapping[str, Any], key: str, data: bytes) -> bytes:
     """Return the CBOR of a map with one more entry, a byte string, which is copied only once. At most 22
     other entries.
     """
-    if len(data) < _COPIED_BYTES:
+    if len(data) < COPIED_BYTES:
         return cbor_dumps({**message, key: data})
     coded = cbor_dumps(message)
     return b"".join((bytes((coded[0] + 1,)), coded[1:], cbor2.dumps(key), *_bytes(data)))
@@ -350,6 +353,15 @@ def decode_value(
     As ``decode_publish_msg``; besides, a list gives the fields in order, superfluous ones ignored, and nothing
     stands for an empty message.
     """
+    if (
+        value.__class__ is bytes
+        and value[:2] == _CDR
+        and compression != "zstd"
+        and codec is not None
+        and codec.variant == "ros2"
+        and len(value) <= limit_bytes
+    ):
+        return codec.fitting(value)
     if value is None:
         value = {}
     elif isinstance(value, (list, tuple)):

@@ -114,10 +114,9 @@ def detect(dialect: Dialect, op: Op) -> Dialect:
     """
     if dialect is not ROSBRIDGE:
         return dialect
-    compression = getattr(op, "compression", None)
+    compression, id = op.compression, op.id
     if compression is not None and (compression in _ROSGW_ONLY or op.op not in _COMPRESSION_OF_ROSBRIDGE):
         return ROSGW
-    id = getattr(op, "id", None)
     return ROSGW if isinstance(id, str) and _ROSGW_ID.fullmatch(id) else dialect
 
 

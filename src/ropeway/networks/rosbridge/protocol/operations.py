@@ -52,11 +52,19 @@ class Operation:
     op: ClassVar[str]
     KEYS: ClassVar[tuple[str, ...]]
     ROSGW_KEYS: ClassVar[tuple[str, ...]] = ()
+    id: Any
+    compression: str | None = None
+    ropeway: dict[str, Any] | None
+
+    @property
+    def about(self) -> tuple[str, str]:
+        """The kind (``topic``, ``service`` or ``action``) and the name of what it is about; empty for others."""
+        return "", ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object, or with a binary body the CBOR map."""
         cls = type(self)
-        rosgw = cls.ROSGW_KEYS and getattr(self, "compression", None) is not None
+        rosgw = cls.ROSGW_KEYS and self.compression is not None
         out: dict[str, Any] = {"op": cls.op}
         defaults = _DEFAULTS.get(cls) or _defaults(cls)
         for key in (*(cls.ROSGW_KEYS if rosgw else cls.KEYS), "ropeway"):
@@ -65,6 +73,42 @@ class Operation:
             if value is not default and (value != default or type(value) is not type(default)):
                 out[key] = value
         return out
+
+
+class TopicOperation(Operation):
+    """The base of operations on a topic."""
+
+    __slots__ = ()
+    topic: str
+
+    @property
+    def about(self) -> tuple[str, str]:
+        """See ``Operation.about``."""
+        return "topic", self.topic
+
+
+class ServiceOperation(Operation):
+    """The base of operations on a service."""
+
+    __slots__ = ()
+    service: str
+
+    @property
+    def about(self) -> tuple[str, str]:
+        """See ``Operation.about``."""
+        return "service", self.service
+
+
+class ActionOperation(Operation):
+    """The base of operations on an action."""
+
+    __slots__ = ()
+    action: str
+
+    @property
+    def about(self) -> tuple[str, str]:
+        """See ``Operation.about``."""
+        return "action", self.action
 
 
 def _defaults(cls: type[Operation]) -> dict[str, Any]:
@@ -76,7 +120,7 @@ _DEFAULTS: Final[dict[type[Operation], dict[str, Any]]] = {}
 
 
 @dataclass(slots=True, kw_only=True)
-class Advertise(Operation):
+class Advertise(TopicOperation):
     """I publish ``topic``. ``qos`` is rosbridge's object; ``latch`` and ``queue_size`` count only without it."""
 
     op: ClassVar[Literal["advertise"]] = "advertise"
@@ -92,7 +136,7 @@ class Advertise(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class Unadvertise(Operation):
+class Unadvertise(TopicOperation):
     """I publish ``topic`` no more; with an ``id``, only that registration ends."""
 
     op: ClassVar[Literal["unadvertise"]] = "unadvertise"
@@ -103,7 +147,7 @@ class Unadvertise(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class Publish(Operation):
+class Publish(TopicOperation):
     """A message: ``msg`` is an object, or bytes in the encodings of rosgw.
 
     ``type``, ``latch``, ``queue_size`` and ``qos`` count where the topic was not advertised.
@@ -123,7 +167,7 @@ class Publish(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class Subscribe(Operation):
+class Subscribe(TopicOperation):
     """Send me ``topic``.
 
     ``throttle_rate``: at most one message in so many milliseconds. ``queue_length``: so many may wait, 0 for none.
@@ -144,7 +188,7 @@ class Subscribe(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class Unsubscribe(Operation):
+class Unsubscribe(TopicOperation):
     """Send me ``topic`` no more; with an ``id``, only that subscription ends."""
 
     op: ClassVar[Literal["unsubscribe"]] = "unsubscribe"
@@ -155,7 +199,7 @@ class Unsubscribe(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class CallService(Operation):
+class CallService(ServiceOperation):
     """A request. ``service`` is as sent, perhaps with an old-style ``#id``; ``name`` is without.
 
     ``args`` is an object or a list of the fields' values. ``timeout`` in seconds, 0 and below for ever, ``None``
@@ -180,7 +224,7 @@ class CallService(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class ServiceResponse(Operation):
+class ServiceResponse(ServiceOperation):
     """An answer: ``values`` is the response, or with a false ``result`` a text that says what went wrong."""
 
     op: ClassVar[Literal["service_response"]] = "service_response"
@@ -195,7 +239,7 @@ class ServiceResponse(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class AdvertiseService(Operation):
+class AdvertiseService(ServiceOperation):
     """I answer calls of ``service``."""
 
     op: ClassVar[Literal["advertise_service"]] = "advertise_service"
@@ -208,7 +252,7 @@ class AdvertiseService(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class UnadvertiseService(Operation):
+class UnadvertiseService(ServiceOperation):
     """I answer calls of ``service`` no more."""
 
     op: ClassVar[Literal["unadvertise_service"]] = "unadvertise_service"
@@ -219,7 +263,7 @@ class UnadvertiseService(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class SendActionGoal(Operation):
+class SendActionGoal(ActionOperation):
     """A goal. ``action`` is as sent, perhaps with an old-style ``#id``; ``name`` is without."""
 
     op: ClassVar[Literal["send_action_goal"]] = "send_action_goal"
@@ -240,7 +284,7 @@ class SendActionGoal(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class CancelActionGoal(Operation):
+class CancelActionGoal(ActionOperation):
     """Stop the goal ``id``."""
 
     op: ClassVar[Literal["cancel_action_goal"]] = "cancel_action_goal"
@@ -256,7 +300,7 @@ class CancelActionGoal(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class ActionFeedback(Operation):
+class ActionFeedback(ActionOperation):
     """Reports the progress of a goal. ``goal_id`` and ``result`` are rosgw's."""
 
     op: ClassVar[Literal["action_feedback"]] = "action_feedback"
@@ -272,7 +316,7 @@ class ActionFeedback(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class ActionResult(Operation):
+class ActionResult(ActionOperation):
     """Reports the end of a goal: ``status`` as in action_msgs/GoalStatus (4 succeeded, 5 canceled, 6 aborted).
 
     With a false ``result`` there is no result and ``values`` is a text. ``goal_id`` is rosgw's.
@@ -292,7 +336,7 @@ class ActionResult(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class AdvertiseAction(Operation):
+class AdvertiseAction(ActionOperation):
     """I carry out goals of ``action``."""
 
     op: ClassVar[Literal["advertise_action"]] = "advertise_action"
@@ -305,7 +349,7 @@ class AdvertiseAction(Operation):
 
 
 @dataclass(slots=True, kw_only=True)
-class UnadvertiseAction(Operation):
+class UnadvertiseAction(ActionOperation):
     """I carry out goals of ``action`` no more."""
 
     op: ClassVar[Literal["unadvertise_action"]] = "unadvertise_action"
@@ -335,6 +379,7 @@ class Png(Operation):
     op: ClassVar[Literal["png"]] = "png"
     KEYS = ("data",)
     data: str
+    id: Any = ABSENT  # it has none of its own
     ropeway: dict[str, Any] | None = None
 
 

@@ -41,6 +41,7 @@ from ropeway.networks.rosbridge.protocol.operations import (
     Unsubscribe,
     present,
 )
+from ropeway.networks.rosbridge.protocol.plain_calls import plain_call, plain_response
 
 __all__ = [
     "ABSENT",
@@ -101,6 +102,11 @@ codecs.register_error("ropeway-json", _escape)
 def parse(message: Mapping[Any, Any]) -> Op:
     """Parse an operation from a JSON object or CBOR map. Raises ``InvalidOperation``."""
     op = message.get("op", ABSENT)
+    if op == "call_service":
+        if (call := plain_call(message)) is not None:
+            return call
+    elif op == "service_response" and (response := plain_response(message)) is not None:
+        return response
     read = _READERS.get(op) if isinstance(op, str) else None
     if read is not None:
         return read(_Fields(message, op))

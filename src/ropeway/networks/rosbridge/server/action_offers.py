@@ -12,7 +12,7 @@ from ropeway.limits import GOALS_PER_OFFERED_ACTION
 from ropeway.networks.rosbridge.client.call_notes import call_note, received
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.server.bodies import codec_of, decode_body, text_of
-from ropeway.networks.rosbridge.server.service_ops import tell_state
+from ropeway.networks.rosbridge.server.service_offers import tell_state
 from ropeway.tasks import end
 
 if TYPE_CHECKING:
@@ -157,9 +157,9 @@ class TakenGoal:
         await asyncio.wait(waited, return_when=asyncio.FIRST_COMPLETED)
         if self._answer.done():
             return self._answer.result()
-        text = self._outcome.result().text
-        if text and text != str(GoalRejected("")):
-            raise CallFailed(self._action.name, text)
+        outcome = self._outcome.result()
+        if outcome.text and not outcome.rejected:
+            raise CallFailed(self._action.name, outcome.text)
         return False
 
     async def run(self) -> Outcome:
@@ -201,8 +201,8 @@ class TakenGoal:
             status = GoalStatus.CANCELED if op.result and op.status == GoalStatus.CANCELED else GoalStatus.ABORTED
             if self._session.gateway and op.status in (GoalStatus.SUCCEEDED, GoalStatus.CANCELED):
                 status = GoalStatus(op.status)
-            text = str(received(name, op.values, op.ropeway, kind="action", timeout_s=0.0)) if op.values else ""
-            self.end(Outcome(status, None, text))
+            error = received(name, op.values, op.ropeway, kind="action", timeout_s=0.0) if op.values else None
+            self.end(Outcome(status, None, str(error or ""), isinstance(error, GoalRejected)))
             return
         try:
             payload = decode_body(self._session, op.values, op.compression, self._action.type + "_Result")

@@ -247,21 +247,24 @@ class SentGoal:
         op.args = None  # in CDR it takes least
         codecs = [codec_of(session, type + part) for part in ("_Result", "_Feedback")]
         encoding = answer_encoding(session, op)
-        with session.holding(len(payload)):
-            client = await self._client(name, type, found=bool(types))
+        goal = Goal(payload, *passage(session, extra))
+        session.requests_bytes += len(payload)
         try:
-            goal = await client.send_goal(
-                Goal(payload, **passage(session, extra)),
-                on_feedback=lambda payload: self._feedback(payload, codecs[1], encoding),
-                timeout_s=DEFAULT_TIMEOUT_S,
-            )
-            self._goal.set_result(goal)
-            if session.gateway:
-                session.peer.send_op({"op": "accepted", **_id(op)})
-            with session.holding(len(payload)):
-                outcome = await goal.result()
+            client = await self._client(name, type, found=bool(types))
+            try:
+                sent = await client.send_goal(
+                    goal,
+                    on_feedback=lambda payload: self._feedback(payload, codecs[1], encoding),
+                    timeout_s=DEFAULT_TIMEOUT_S,
+                )
+                self._goal.set_result(sent)
+                if session.gateway:
+                    session.peer.send_op({"op": "accepted", **_id(op)})
+                outcome = await sent.result()
+            finally:
+                await client.close()
         finally:
-            await client.close()
+            session.requests_bytes -= len(payload)
         self._result(outcome, type, codecs[0], encoding)
 
     async def _client(self, name: str, type: str, *, found: bool) -> ViewActionClient:
@@ -300,9 +303,8 @@ class SentGoal:
     def _result(self, outcome: Outcome, type: str, codec: Any, encoding: str) -> None:
         op, session = self.op, self._session
         payload = outcome.payload
-        rejected = GoalRejected(self.name)
-        if payload is None and outcome.text == str(rejected):  # from a network that tells it so late
-            raise rejected
+        if outcome.rejected:
+            raise GoalRejected(self.name)
         if payload is None and session.gateway:
             values = outcome.text or "the goal has no result"
             session.peer.send_op(

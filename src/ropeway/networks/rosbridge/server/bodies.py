@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ropeway.errors import DecodeError, TypesError, ValueMismatch
+from ropeway.graph.calls import new_id
 from ropeway.networks.rosbridge.client.call_notes import failure, read_note
 from ropeway.networks.rosbridge.protocol import codec as wire_codec
 from ropeway.networks.rosbridge.protocol.dialect import ROSBRIDGE
@@ -94,6 +95,10 @@ def decode_args(session: SessionHost, value: Any, compression: str | None, type:
 
     What is neither an object nor a list asks for nothing in particular, as rosbridge has it.
     """
+    if session.gateway and value.__class__ is bytes:
+        return wire_codec.decode_value(
+            value, compression, codec_of(session, type), limit_bytes=session.peer.limit_bytes
+        )
     if session.peer.dialect is ROSBRIDGE and not isinstance(value, (dict, list)):
         value = None
     return decode_body(session, value, compression, type)
@@ -113,13 +118,13 @@ def text_of(error: Exception) -> str:
 
 def failure_note(session: SessionHost, error: Exception) -> dict[str, Any] | None:
     """Return what a gateway is told besides the text."""
-    return {"error": failure(error)[0]} if session.gateway else None
+    return failure(error)[0] if session.gateway else None
 
 
-def passage(session: SessionHost, note: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the ``id``, ``via`` and ``caller`` of a request of a gateway; for other clients only the caller."""
+def passage(session: SessionHost, note: Mapping[str, Any] | None) -> tuple[bytes, tuple[str, ...], str]:
+    """Return the ``id``, ``via`` and ``caller`` of a request; those of other clients than gateways have a new id."""
     peer = session.peer.connection.peer
     if not session.gateway:
-        return {"caller": peer}
-    told = read_note(note)
-    return {"id": told.id, "via": told.via, "caller": told.caller or session.remote.get("name") or peer}
+        return new_id(), (), peer
+    id, via, caller, _ = read_note(note)
+    return id, via, caller or session.remote.get("name") or peer

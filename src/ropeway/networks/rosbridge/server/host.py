@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import AbstractAsyncContextManager, AbstractContextManager
+from contextlib import AbstractAsyncContextManager
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ropeway.networks.rosbridge.protocol import ops
@@ -42,19 +42,16 @@ class SessionHost(Protocol):
     view: View
     remote: dict[str, str]
     turns: Turns
-
-    @property
-    def gone(self) -> bool:
-        """Whether the client has left, so that nothing new begins."""
-        ...
+    gone: bool
+    """Whether the client has left, so that nothing new begins."""
+    codec: Callable[[str], MessageCodec]
+    """Returns the codec of messages for this client. Raises ``TypesError``."""
+    requests_bytes: int
+    """The bytes of the client's requests that are under way."""
 
     @property
     def is_ros1(self) -> bool:
         """Whether the client gets messages as ROS 1 writes them."""
-        ...
-
-    def holding(self, size: int) -> AbstractContextManager[None]:
-        """Count a request of the client that is under way."""
         ...
 
     def searching(self, name: str, timeout_s: float) -> AbstractAsyncContextManager[None]:
@@ -67,10 +64,6 @@ class SessionHost(Protocol):
 
     def inform(self, text: str, id: object = ops.ABSENT) -> None:
         """Log something that the client may want to know, and tell it, if it does."""
-        ...
-
-    def codec(self, type: str) -> MessageCodec:
-        """Return the codec of messages for this client. Raises ``TypesError``."""
         ...
 
     def knows(self, type: str) -> bool:

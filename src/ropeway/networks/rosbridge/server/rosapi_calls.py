@@ -38,14 +38,11 @@ class RosapiCalls:
         self._tasks = Chores()
         self._working = False
 
-    def __len__(self) -> int:
-        """Return how many are not answered."""
-        return len(self._waiting) + len(self._asking)
-
     def add(self, op: ops.CallService, question: Question) -> None:
         """Answer a call when it has its turn."""
         op.args = None  # the question has what is needed of it
         self._waiting.append((op, question))
+        self._turns.questions += 1
         if not self._working:
             self._working = True
             self._tasks.start(self._work(), "answers of rosapi")
@@ -53,6 +50,7 @@ class RosapiCalls:
     async def close(self) -> list[ops.CallService]:
         """Stop answering; return the calls that were not answered."""
         left = [*self._asking.values(), *(op for op, _ in self._waiting)]
+        self._turns.questions -= len(self._waiting)
         self._waiting.clear()
         await self._tasks.close()
         return left
@@ -61,6 +59,7 @@ class RosapiCalls:
         while self._waiting:
             await self._peer.room_for_answers()
             if self._waiting:  # else all were given up meanwhile
+                self._turns.questions -= 1
                 self._begin(*self._waiting.popleft())
                 self._turns.ease()
             await asyncio.sleep(0)  # others have their turn, however much this client asks for
@@ -70,6 +69,7 @@ class RosapiCalls:
         if inspect.iscoroutinefunction(question):
             task = self._tasks.start(self._ask(op, question), f"call of {op.service[:200]}")
             self._asking[task] = op
+            self._turns.questions += 1
             task.add_done_callback(self._asked)
             return
         try:
@@ -87,6 +87,7 @@ class RosapiCalls:
 
     def _asked(self, task: asyncio.Task[None]) -> None:
         self._asking.pop(task, None)
+        self._turns.questions -= 1
         self._turns.ease()
 
     def _answer(self, op: ops.CallService, values: Mapping[str, Any]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway import aio
@@ -39,14 +39,14 @@ __all__ = ["RosapiAnswers", "Session"]
 log = logging.getLogger("ropeway.server")
 
 _LONG_CODECS: Final = 1024  # codecs for clients that want texts for numbers of 64 bits
-_RATED: Final[Mapping[type, tuple[str, str]]] = {
-    ops.Publish: ("publish", "topic"),
-    ops.Advertise: ("publish", "topic"),
-    ops.Subscribe: ("subscribe", "topic"),
-    ops.CallService: ("call_service", "service"),
-    ops.AdvertiseService: ("advertise_service", "service"),
-    ops.SendActionGoal: ("send_action_goal", "action"),
-    ops.AdvertiseAction: ("advertise_action", "action"),
+_RATED: Final[Mapping[type, str]] = {
+    ops.Publish: "publish",
+    ops.Advertise: "publish",
+    ops.Subscribe: "subscribe",
+    ops.CallService: "call_service",
+    ops.AdvertiseService: "advertise_service",
+    ops.SendActionGoal: "send_action_goal",
+    ops.AdvertiseAction: "advertise_action",
 }
 
 
@@ -91,9 +91,10 @@ class Session:
         self.peer = Peer(connection, registry, self)
         self.peer.on_invalid = self.invalid
         self.gateway = self.peer.dialect is ROPEWAY
+        self.codec: Callable[[str], MessageCodec] = registry.codec if self.gateway else self._own_codec
         self.view = hub.view(connection.peer, echo=not self.gateway)
         self.remote: dict[str, str] = {}
-        self.turns = Turns(self.peer, lambda: self.services.questions)
+        self.turns = Turns(self.peer)
         self.topics = TopicOps(self, unregister_timeout_s=unregister_timeout_s, on_advertised=on_advertised)
         self.services = ServiceOps(self, call_timeout_s=call_timeout_s)
         self.actions = ActionOps(self, cancel_goals=cancel_goals or self.gateway)
@@ -101,12 +102,12 @@ class Session:
         self._watch: Watch | None = None
         self._teller = DefinitionTeller(registry)
         self.state = HeldState()
-        self._gone = False
-        self._requests_bytes = 0
+        self.gone = False
+        self.requests_bytes = 0
         self._searches = asyncio.Semaphore(SEARCHES_PER_CLIENT)  # for what nobody is known to serve
         hold = connection.account.hold
         hold("operations that wait", lambda: self.turns.bytes)
-        hold("requests under way", lambda: self._requests_bytes)
+        hold("requests under way", lambda: self.requests_bytes)
         hold("topics and what they keep", lambda: self.topics.held_bytes)
         hold("definitions", lambda: self._teller.held_bytes)
         query = connection.handshake.query if connection.handshake is not None else {}
@@ -134,14 +135,14 @@ class Session:
     async def run(self) -> None:
         """Carry out the client's operations until it leaves, then take back what it created."""
         try:
-            while not self._gone:
+            while not self.gone:
                 await self.turns.wait()
-                while self.turns.ready and not self._gone:
+                while self.turns.ready and not self.gone:
                     await self._carry_out(self.turns.waiting[0])
                     self.turns.done()
                     await asyncio.sleep(0)  # others have their turn, however much this client asks for
         finally:
-            self._gone = True
+            self.gone = True
             await self._leave()
             if not self.lingers:
                 await self.withdraw()
@@ -180,27 +181,23 @@ class Session:
         if self.access.limited and not self._within_rates(op):
             return
         turns = self.turns
-        if turns.waiting or turns.paused or not self._done_at_once(op):
-            turns.push(op)
-        turns.look()
-
-    def _done_at_once(self, op: ops.Op) -> bool:
         try:
-            return self._at_once(op)
+            if turns.waiting or turns.paused or not self._at_once(op):
+                turns.push(op)
         except (RopewayError, ValueError) as error:
             self._failed(op, error)
-            return True
+        turns.look()
 
     def _within_rates(self, op: ops.Op) -> bool:
         """Return whether the client keeps to the rates of its role; otherwise a request is refused, and all else
         dropped.
         """
-        verb, field = _RATED.get(type(op), ("", ""))
-        if not verb:
+        verb = _RATED.get(type(op))
+        if verb is None:
             return True  # an answer, or something taken back: others wait for it
         before, self._rated_bytes = self._rated_bytes, self.peer.connection.bytes_in
         try:
-            self.access.spend(verb, getattr(op, field), self._rated_bytes - before)
+            self.access.spend(verb, op.about[1], self._rated_bytes - before)
         except AccessDenied as error:
             if isinstance(op, ops.CallService):
                 self.services.refuse(op, error)
@@ -210,15 +207,6 @@ class Session:
                 self._failed(op, error)
             return False
         return True
-
-    @contextlib.contextmanager
-    def holding(self, size: int) -> Iterator[None]:
-        """Count a request of the client that is under way."""
-        self._requests_bytes += size
-        try:
-            yield
-        finally:
-            self._requests_bytes -= size
 
     @contextlib.asynccontextmanager
     async def searching(self, name: str, timeout_s: float) -> AsyncIterator[None]:
@@ -286,13 +274,8 @@ class Session:
 
     def lost(self, code: int, reason: str) -> None:
         """Begin to clean up: the connection is gone."""
-        self._gone = True
+        self.gone = True
         self.turns.wake()
-
-    @property
-    def gone(self) -> bool:
-        """Whether the client has left, so that nothing new begins."""
-        return self._gone
 
     # ── what is said of it ─────────────────────────────────────────────────────────────────────────────────────
 
@@ -385,27 +368,26 @@ class Session:
                 case ops.UnadvertiseAction():
                     await self.actions.unadvertise(op)
                 case _:
-                    self.complain(
-                        "operation", "", f"{op.op} is not served here", op.id if hasattr(op, "id") else ops.ABSENT
-                    )
+                    self.complain("operation", "", f"{op.op} is not served here", op.id)
         except (RopewayError, ValueError) as error:
             self._failed(op, error)
 
     def _failed(self, op: ops.Op | Retire, error: RopewayError | ValueError) -> None:
-        kind = next((k for k in ("topic", "service", "action") if hasattr(op, k)), "")
-        name = getattr(op, kind, "")
-        self.complain(op.op, name, error, getattr(op, "id", ops.ABSENT))
+        if isinstance(op, Retire):
+            self.complain(op.op, op.topic, error)
+            return
+        kind, name = op.about
+        self.complain(op.op, name, error, op.id)
         if not self.gateway:
             return
-        channel = (getattr(op, "ropeway", None) or {}).get("channel")
+        channel = (op.ropeway or {}).get("channel")
         if isinstance(channel, int):
             self.peer.send({"op": "refused", "channel": channel, "reason": str(error)})
         elif isinstance(op, (ops.AdvertiseService, ops.AdvertiseAction)):
             self.peer.send({"op": "refused", kind: name, "reason": str(error)})
 
-    def codec(self, type: str) -> MessageCodec:
-        """Return the codec of messages for this client. Raises ``TypesError``."""
-        codec = self.registry.codec(type) if self._ros1 is None or self.gateway else self._ros1.codec(type)
+    def _own_codec(self, type: str) -> MessageCodec:
+        codec = self.registry.codec(type) if self._ros1 is None else self._ros1.codec(type)
         if not self._long_texts:
             return codec
         known = self._long_codecs.get(type)

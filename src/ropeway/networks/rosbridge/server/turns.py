@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -33,16 +32,18 @@ class Retire:
 
 
 class Turns:
-    """Queues the operations of one client. ``questions`` returns how many calls of rosapi are not answered."""
+    """Queues the operations of one client."""
 
-    def __init__(self, peer: Peer, questions: Callable[[], int]) -> None:
+    def __init__(self, peer: Peer) -> None:
         self.waiting: deque[ops.Op | Retire] = deque()
+        self.questions = 0
+        """The number of calls of rosapi that are not answered."""
         self.paused = False
-        self._peer, self._questions = peer, questions
+        self._peer, self._answers = peer, peer.op_sender
         self._idle_bytes = 0  # what had been received before operations had to wait
         self._wake = asyncio.Event()
         self._moved_s = time.monotonic()  # when an answer went last
-        peer.on_answer_gone(self._answer_gone)
+        self._answers.on_gone = self._answer_gone
 
     @property
     def bytes(self) -> int:
@@ -68,7 +69,7 @@ class Turns:
     @property
     def ready(self) -> bool:
         """Whether an operation may run: none may while too many answers wait."""
-        return bool(self.waiting) and self._peer.answers_waiting <= WAITING_ANSWERS
+        return bool(self.waiting) and self._answers.count <= WAITING_ANSWERS
 
     def done(self) -> None:
         """Forget the first operation: it was carried out."""
@@ -78,10 +79,9 @@ class Turns:
     def look(self) -> None:
         """Stop reading the client's socket if too much waits."""
         if not self.paused and (
-            len(self.waiting) > WAITING_OPERATIONS
-            or self._heavy
-            or self._questions() > WAITING_OPERATIONS
-            or self._peer.answers_waiting > WAITING_ANSWERS
+            (self.waiting and (len(self.waiting) > WAITING_OPERATIONS or self._heavy))
+            or self.questions > WAITING_OPERATIONS
+            or self._answers.count > WAITING_ANSWERS
         ):
             self.paused = True
             self._peer.connection.pause_reading()
@@ -91,15 +91,15 @@ class Turns:
         if (
             self.paused
             and len(self.waiting) <= (0 if self._heavy else _RESUME_AT)
-            and self._questions() <= _RESUME_AT
-            and self._peer.answers_waiting <= WAITING_ANSWERS // 2
+            and self.questions <= _RESUME_AT
+            and self._answers.count <= WAITING_ANSWERS // 2
         ):
             self.paused = False
             self._peer.connection.resume_reading()
 
     def tick(self) -> None:
         """Close a client that takes none of many answers; called about once a second."""
-        if self.paused and self._peer.answers_waiting > WAITING_ANSWERS // 2:
+        if self.paused and self._answers.count > WAITING_ANSWERS // 2:
             if time.monotonic() - self._moved_s > UNREAD_S:
                 self._peer.connection.close(1008, "answers are not read")
         else:
