@@ -19,7 +19,8 @@ from ropeway.gateway.config.iort_model import StoreConfig
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.overlay_model import OVERLAY
 from ropeway.gateway.config.type_hints import learn_types, type_hints
-from ropeway.gateway.credentials import Credentials, read_credentials
+from ropeway.gateway.credentials import read_credentials
+from ropeway.gateway.dialler import Dialler
 from ropeway.gateway.explain import Explanation, RouteWatch, explain
 from ropeway.gateway.local_networks import open_network
 from ropeway.gateway.process.allocator import FreedMemory, keep_freed_memory
@@ -33,11 +34,9 @@ from ropeway.graph.layout_border import Distributed
 from ropeway.hub.hub import Hub, View
 from ropeway.listener.connection import Limits
 from ropeway.listener.entrance import Entrance
-from ropeway.listener.http import without_token
-from ropeway.networks.rosbridge.client import RosbridgeGraph
+from ropeway.networks.rosbridge.client.by_interface import InterfaceGraph
 from ropeway.tasks import Supervised, failing
 from ropeway.types import TypeRegistry
-from ropeway.types.variant import make_network
 
 if TYPE_CHECKING:
     from ropeway.gateway.group import GroupRemote
@@ -204,6 +203,7 @@ class Gateway:
                 log.warning("%s: tokens are sent unencrypted here; iorts:// would encrypt them", url)
 
     async def _bring_up_remotes(self, stack: AsyncExitStack, limits: Limits) -> None:
+        dialler = Dialler(self.registry, self.gateway_id, self.config.gateway.name, limits)
         routes: dict[int, list[Route]] = {}
         for route in self.config.routes():
             routes.setdefault(id(route.remote), []).append(route)
@@ -220,9 +220,11 @@ class Gateway:
             elif is_iort(config.address):
                 remote = self._iort_remote(config, index)
             elif len(config.addresses) > 1:
-                remote = group = self._group(config, index, mine, limits)
+                remote = group = self._group(config, index, mine, dialler)
+            elif len(config.interfaces) > 1:
+                remote = self._links(config, index, mine, dialler)
             else:
-                remote = self._link(config, index, mine, limits)
+                remote = self._link(config, index, mine, dialler)
             await remote.graph.open()
             stack.push_async_callback(remote.graph.close)
             self.remotes.append(remote)
@@ -272,52 +274,38 @@ class Gateway:
         maps = Maps([item.as_map() for item in config.maps])
         return IortRemote(config, IortGraph(link, name=config.address, maps=maps, registry=self.registry), link, shown)
 
-    def _link(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> LinkRemote:
+    def _link(self, config: RemoteConfig, index: int, routes: list[Route], dialler: Dialler) -> LinkRemote:
         shown = read_credentials(config, index)
-        graph = self._link_graph(config, config.address, shown, limits, watch=fetch(routes))
-        return LinkRemote(config, graph, shown, make_onlooker=lambda: self._onlooker(config, index, limits))
+        graph = dialler.graph(config, config.address, shown, watch=fetch(routes))
+        return LinkRemote(config, graph, shown, make_onlooker=lambda: self._onlooker(config, index, dialler))
 
-    def _onlooker(self, config: RemoteConfig, index: int, limits: Limits) -> RosbridgeGraph:
+    def _onlooker(self, config: RemoteConfig, index: int, dialler: Dialler) -> InterfaceGraph:
         shown = read_credentials(config, index)
-        return self._link_graph(config, config.address, shown, limits, watch=True, looks_on=True)
+        return dialler.graph(config, config.address, shown, watch=True, looks_on=True)
 
-    def _group(self, config: RemoteConfig, index: int, routes: list[Route], limits: Limits) -> GroupRemote:
+    def _group(self, config: RemoteConfig, index: int, routes: list[Route], dialler: Dialler) -> GroupRemote:
         from ropeway.gateway.group import LinkGroupRemote  # most gateways have no group
 
         shown = read_credentials(config, index)
-        graphs = (self._link_graph(config, url, shown, limits, watch=fetch(routes)) for url in config.addresses)
+        graphs = (dialler.graph(config, url, shown, watch=fetch(routes)) for url in config.addresses)
         links = {graph.name: graph for graph in graphs}
         return LinkGroupRemote(config, links, routes, self.registry, shown, self.config.gateway.name)
+
+    def _links(self, config: RemoteConfig, index: int, routes: list[Route], dialler: Dialler) -> Remote:
+        from ropeway.gateway.links import LinksRemote  # most gateways have one link
+
+        shown = read_credentials(config, index)
+        watch = fetch(routes)
+        links = {
+            name: dialler.graph(config, config.address, shown, watch=watch, interface=name)
+            for name in config.interfaces
+        }
+        return LinksRemote(config, links, self.registry, shown)
 
     def _overlay_group(self, config: RemoteConfig, routes: list[Route]) -> GroupRemote:
         from ropeway.gateway.group import OverlayGroupRemote
 
         return OverlayGroupRemote(config, self._overlay_graph(config), routes, self.registry, self.config.gateway.name)
-
-    def _link_graph(
-        self,
-        config: RemoteConfig,
-        url: str,
-        shown: Credentials,
-        limits: Limits,
-        *,
-        watch: bool,
-        looks_on: bool = False,
-    ) -> RosbridgeGraph:
-        return RosbridgeGraph(
-            url,
-            registry=self.registry,
-            limits=limits,
-            ssl_context=shown.context,
-            headers=shown.headers,
-            gateway_id=self.gateway_id,
-            name=self.config.gateway.name,
-            wait=looks_on,
-            watch=watch,
-            ask_rosapi=looks_on,
-            ros1=None if config.ros is None else config.ros == 1,
-            network=make_network(self.registry, config.distro, config.types, label=without_token(url)),
-        )
 
     def _overlay_graph(self, config: RemoteConfig) -> OverlayGraph:
         require("overlay", "the overlay")

@@ -185,7 +185,7 @@ class OverlayGroupRemote(GroupRemote):
         from ropeway.networks.overlay.graph.pool import OverlayPool  # loads Zenoh, which other groups do not need
 
         assert config.anycast is not None
-        answers = _exchanges(config.anycast.responses, routes)
+        answers = _exchanges(config.anycast.pairs, routes)
         roster = OverlayPool(overlay, config.anycast.members or ("*",), answers)
         super().__init__(config, routes, registry, gateway, members={}, roster=roster)
         self.overlay = overlay

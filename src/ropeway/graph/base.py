@@ -207,6 +207,7 @@ class Undelivered(enum.Enum):
     OUTDATED = "a newer request was answered before"
     STANDBY = "from a member of the group that is not in use"
     NOBODY = "no member of the group is there"
+    COPY = "the same came by another link"
 
 
 @dataclass(frozen=True, slots=True)

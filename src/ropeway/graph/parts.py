@@ -20,11 +20,17 @@ from ropeway.graph.signal import Signal
 from ropeway.logs import failed
 from ropeway.qos import DEFAULT, QoS, adopted
 
-__all__ = ["ClientBase", "PublisherBase", "SubscriptionBase"]
+__all__ = ["ClientBase", "PublisherBase", "SubscriptionBase", "numbered"]
 
 log = logging.getLogger("ropeway.graph")
 
 H = TypeVar("H", bound=Host)
+
+
+def numbered(sample: Sample, type: str, origin: bytes, last: int) -> Sample:
+    """Return a sample without a number (``SEQ_NONE``) as one that ``origin`` publishes first, after number ``last``."""
+    seq = max(time.time_ns(), last + 1)
+    return Sample(sample.payload, type, sample.stamp_ns or seq, origin, seq, sent_ns=sample.sent_ns)
 
 
 class PublisherBase(Generic[H]):
@@ -64,9 +70,9 @@ class PublisherBase(Generic[H]):
 
     def _numbered(self, sample: Sample, origin: bytes) -> Sample:
         """Return a sample without a number (``SEQ_NONE``) as one that ``origin`` publishes first."""
-        self._seq = max(time.time_ns(), self._seq + 1)
-        stamp_ns = sample.stamp_ns or self._seq
-        return Sample(sample.payload, self.type, stamp_ns, origin, self._seq, sent_ns=sample.sent_ns)
+        made = numbered(sample, self.type, origin, self._seq)
+        self._seq = made.seq
+        return made
 
 
 class SubscriptionBase(Generic[H]):

@@ -51,7 +51,7 @@ from ropeway.group.part import GroupPart
 from ropeway.group.roster import Roster
 from ropeway.group.scheduler import Options, Scheduler
 from ropeway.group.stamp import stamp_reader
-from ropeway.group.topics import GroupPublisher, GroupSubscription
+from ropeway.group.topics import GroupPublisher, GroupSubscription, Judge
 from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import Supervised, describe, end
 from ropeway.types import TypeRegistry
@@ -327,9 +327,7 @@ class Group(GraphBase):
     ) -> GroupSubscription:
         """See ``Graph.create_subscription``: every member is read, and what counts is handed on."""
         name = resolve_name(topic)
-        exchange = self._exchanges.get(name) or Exchange(self.scheduler)
-        stamp = stamp_reader(self.registry, type)
-        made = GroupSubscription(self, name, canonical_name(type, "msg"), callback, exchange, stamp)
+        made = GroupSubscription(self, name, canonical_name(type, "msg"), callback, self._judge(name, type, qos))
 
         async def make(member: str, graph: Graph) -> Subscription:
             arrived = functools.partial(made.arrived, member)
@@ -341,6 +339,11 @@ class Group(GraphBase):
             return made
 
         return await self._create(make, join, ("subscription", topic, type, delivery))
+
+    def _judge(self, topic: str, type: str, qos: QoS | None) -> Judge:
+        """Return what says which messages of a topic count."""
+        exchange, stamp = self._exchanges.get(topic) or Exchange(self.scheduler), stamp_reader(self.registry, type)
+        return lambda member, sample, now_s: exchange.came(member, stamp(sample.payload), now_s)
 
     async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> GroupClient:
         """See ``Graph.create_client``."""

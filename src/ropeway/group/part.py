@@ -19,6 +19,11 @@ class GroupPart(Generic[P]):
         self._group = group
         self._parts: dict[str, P] = dict(parts)
 
+    @property
+    def on(self) -> frozenset[str]:
+        """The members that it is on."""
+        return frozenset(self._parts)
+
     def add(self, name: str, part: P) -> None:
         """Take the part on a member that has come."""
         self._parts[name] = part

@@ -242,12 +242,12 @@ class Scheduler:
         self._members[name].window.add(now_s, latency_s)
         self._members[name].was(latency_s, self.bound.limit_s)
 
-    def switch(self, name: str, now_s: float) -> None:
+    def switch(self, name: str, now_s: float, why: str = "by hand") -> None:
         """Use ``name`` from the next request on, by hand. Raises ``KeyError`` for a member that is not there."""
         if not self._members[name].here:
             raise KeyError(name)
         self._profile = self._comparison = None
-        self._change(name, now_s, "by hand")
+        self._change(name, now_s, why)
         self._came_from = ""
 
     def step(self, now_s: float) -> None:

@@ -6,7 +6,8 @@ import asyncio
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 
-from ropeway.graph.base import Publisher, Sample, SampleCallback, Subscription, Undelivered
+from ropeway.graph.base import SEQ_NONE, Publisher, Sample, SampleCallback, Subscription, Undelivered, new_origin
+from ropeway.graph.parts import numbered
 from ropeway.group.chooser import Chooser
 from ropeway.group.exchange import Exchange
 from ropeway.group.part import GroupPart
@@ -14,7 +15,11 @@ from ropeway.group.stamp import StampReader
 from ropeway.limits import HEDGED_BYTES
 from ropeway.qos import QoS, common_qos
 
-__all__ = ["GroupPublisher", "GroupSubscription"]
+__all__ = ["GroupPublisher", "GroupSubscription", "Judge"]
+
+
+Judge = Callable[[str, Sample, float], "Undelivered | None"]
+"""Says why a message of a member that came at a time is dropped, ``None`` to deliver it."""
 
 
 class GroupPublisher(GroupPart[Publisher]):
@@ -40,6 +45,7 @@ class GroupPublisher(GroupPart[Publisher]):
         self._timers: set[asyncio.TimerHandle] = set()
         self._held_bytes = 0
         self._numbers = itertools.count()
+        self._origin, self._seq = new_origin(), 0
 
     def publish(self, sample: Sample) -> None:
         """Give the message to whoever is in use, and to a second where the policy says so."""
@@ -50,6 +56,9 @@ class GroupPublisher(GroupPart[Publisher]):
         if not names:
             self._group.drops[self.topic, Undelivered.NOBODY] += 1
             return
+        if sample.seq == SEQ_NONE:  # on all members it is the same message
+            sample = numbered(sample, self.type, self._origin, self._seq)
+            self._seq = sample.seq
         if self._exchange is not None and self._stamp is not None:
             key = (self.topic, next(self._numbers))
             stamp = self._stamp(sample.payload)
@@ -135,13 +144,10 @@ class GroupPublisher(GroupPart[Publisher]):
 class GroupSubscription(GroupPart[Subscription]):
     """A topic, read from every member."""
 
-    def __init__(
-        self, group: Chooser, topic: str, type: str, callback: SampleCallback, exchange: Exchange, stamp: StampReader
-    ) -> None:
+    def __init__(self, group: Chooser, topic: str, type: str, callback: SampleCallback, judge: Judge) -> None:
         super().__init__(group, {})
         self.topic, self.type = topic, type
-        self._callback = callback
-        self._exchange, self._stamp = exchange, stamp
+        self._callback, self._judge = callback, judge
         self._qos_callbacks: list[Callable[[QoS], None]] = []
 
     def add(self, name: str, part: Subscription) -> None:
@@ -156,7 +162,7 @@ class GroupSubscription(GroupPart[Subscription]):
         now = self._group.now()
         wanted = []
         for sample in batch:
-            why = self._exchange.came(name, self._stamp(sample.payload), now)
+            why = self._judge(name, sample, now)
             if why is None:
                 wanted.append(sample)
             else:

@@ -7,9 +7,11 @@ import os
 import socket
 import ssl
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 import picows
+from picows.url import WSParsedURL
 
 from ropeway import aio
 from ropeway.errors import ConnectFailed
@@ -17,6 +19,7 @@ from ropeway.fault_log import FaultLog
 from ropeway.listener.connection import Connection, Limits
 from ropeway.listener.http import HttpRequest, Response, reply, without_token
 from ropeway.listener.http_upgrade import Admission, Admit, Http, HttpUpgrade, Port
+from ropeway.listener.interface import dial_by
 from ropeway.listener.listener import Listener, open_listener
 from ropeway.listener.lobby import Lobby
 from ropeway.logs import LoggerAdapter
@@ -48,8 +51,9 @@ async def connect(
     ssl_context: ssl.SSLContext | None = None,
     headers: Mapping[str, str] | None = None,
     on_connection: Callable[[Connection], None] | None = None,
+    interface: str = "",
 ) -> Connection:
-    """Connect to a ``ws://`` or ``wss://`` URL.
+    """Connect to a ``ws://`` or ``wss://`` URL, by a network interface where one is named.
 
     ``on_connection`` is called before the first message: what the server says at once is lost without.
     Raises ``ConnectFailed``; its ``retryable`` is false for answers that another try will not change.
@@ -73,6 +77,7 @@ async def connect(
                 logger_name=_picows_log,
                 disconnect_on_exception=False,
                 enable_auto_pong=False,
+                socket_factory=partial(_dial_by, interface) if interface else None,
                 max_redirects=0,  # a token is for the host that was named, and only that host was to be reached
             )
     except TimeoutError:
@@ -96,6 +101,10 @@ async def connect(
             hint = "; does it ask for a certificate that it trusts (tls.certificate)?"
         raise ConnectFailed(shown, f"closed the connection during the handshake{hint}")
     return connection
+
+
+async def _dial_by(interface: str, url: WSParsedURL) -> socket.socket:
+    return await dial_by(interface, url.host, url.port)
 
 
 async def listen(

@@ -236,10 +236,28 @@ def _remote(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable
         elif remote.get("ros") == 1:
             yield f"{path}.{key}", 'a remote of ROS 1 has no layouts of ROS 2; leave this or "ros": 1 out'
     yield from _anycast(remote, path)
+    yield from _interfaces(remote, path, address)
     graph = _attempt(parse_graph, remote.get("graph"))
     if graph is not None and graphs and graph not in graphs:
         near = did_you_mean(graph, [g for g in graphs if isinstance(g, str)])
         yield f"{path}.graph", f"expected one of gateway.graphs ({', '.join(map(str, graphs))}), got {graph}{near}"
+
+
+def _interfaces(remote: Mapping[str, Any], path: str, address: str | None) -> Iterable[Problem]:
+    """Check that several links are those of one address."""
+    named = remote.get("interfaces")
+    count = len(named) if isinstance(named, list | tuple) else bool(named)
+    if named and (not isinstance(address, str) or not address.startswith("ws")):
+        yield (
+            f"{path}.interfaces",
+            "only ws:// and wss:// remotes have this key; for others the system decides",
+        )
+    if isinstance(named, list | tuple) and len(set(map(str, named))) < len(named):
+        yield f"{path}.interfaces", "the same interface twice; keep one"
+    if count > 1 and isinstance(remote.get("address"), list) and len(remote["address"]) > 1:
+        yield f"{path}.interfaces", "several links lead to one address; name one interface, or one address"
+    if remote.get("links") is not None and count < 2:
+        yield f"{path}.links", "needs several interfaces"
 
 
 def _anycast(remote: Mapping[str, Any], path: str) -> Iterable[Problem]:

@@ -51,12 +51,19 @@ __all__ = [
 _MIB: Final = 1 << 20
 _MAX_WORKERS: Final = 256
 _PART: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_INTERFACE: Final = re.compile(r"[A-Za-z0-9._:-]{1,45}")
 T = TypeVar("T")
 
 
 def _node_part(value: str) -> str:
     if not _PART.fullmatch(value):
         raise ValueError(f"expected letters, digits and _, not starting with a digit, got {show(value)}")
+    return value
+
+
+def _interface(value: str) -> str:
+    if not _INTERFACE.fullmatch(value):
+        raise ValueError(f"expected the name of a network interface such as wlan0, or its address, got {show(value)}")
     return value
 
 
@@ -158,6 +165,16 @@ class RemoteConfig(Model):
     )
     anycast: AnycastConfig | None = Field(
         None, description="of a group: which address gets a request; overlay: the members that offer the same are one"
+    )
+    interfaces: Many[Annotated[str, AfterValidator(_interface)]] = Field(
+        (),
+        description="ws, wss: network interfaces (wlan0), or addresses that they have, to dial by; several are used at "
+        "once",
+    )
+    links: Literal["best", "duplicate"] | None = Field(
+        None,
+        description="of several interfaces: best (default), the one that is quick and steady; duplicate: all at once, "
+        "and the first copy counts",
     )
     link: ExpectedLink | None = Field(
         None, description="what the link carries, for ropeway predict and for a warning where topics do not fit"

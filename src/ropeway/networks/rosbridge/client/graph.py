@@ -65,7 +65,7 @@ class RosbridgeGraph(GraphBase):
     publisher, subscription, service and action is announced again. ``watch`` asks the far side what it has: a
     gateway tells, a plain server is asked through rosapi (unless ``ask_rosapi`` is false). ``plain`` speaks
     rosbridge even to a gateway. ``ros1`` tells whether a plain server is one of ROS 1; left out, it is found out.
-    ``network`` has the types of the far side where they are known not to be those of ``registry``.
+    ``network`` has the types of the far side where they are known not to be those of ``registry``. ``dial`` connects.
     """
 
     kind = "rosbridge"
@@ -86,8 +86,9 @@ class RosbridgeGraph(GraphBase):
         plain: bool = False,
         ros1: bool | None = None,
         network: TypeRegistry | None = None,
+        dial: Callable[..., Awaitable[Connection]] = connect,
     ) -> None:
-        self._url = url
+        self._url, self._dial = url, dial
         super().__init__(shown := without_token(url))
         ours = registry or TypeRegistry()
         self.registry = network or ours
@@ -183,7 +184,7 @@ class RosbridgeGraph(GraphBase):
 
     async def _connect(self, limits: Limits) -> Callable[[], Awaitable[None]]:
         peers: list[Peer] = []
-        connection = await connect(
+        connection = await self._dial(
             self._url,
             limits=limits,
             subprotocols=() if self._plain else (ROPEWAY_SUBPROTOCOL,),
@@ -234,8 +235,8 @@ class RosbridgeGraph(GraphBase):
 
     async def _second(self, peer: Peer) -> Connection:
         """Open a second connection beside the one of ``peer``. Raises ``ConnectFailed``."""
-        return await connect(
-            self.name,
+        return await self._dial(
+            self._url,
             limits=self._keeper.limits,
             subprotocols=(ROPEWAY_SUBPROTOCOL,),
             ssl_context=self._ssl,

@@ -114,6 +114,7 @@ class Peer:
         self.op_sender = OpSender(self.sender)
         self.on_invalid: Callable[[Mapping[str, Any], WireError], None] = self._invalid  # what is no operation
         self.rtt_s: float | None = None
+        self.on_round_trip: Callable[[float], None] = lambda _: None
         self.clock_offset_ns: int | None = None  # the peer's clock minus ours, once it is measured
         self._offset_rtt = float("inf")
         self.receivers: dict[int, Callable[[Sequence[Arrival]], None]] = {}
@@ -420,6 +421,7 @@ class Peer:
             return
         rtt = (now - sent) / 1e9
         self.rtt_s = rtt if self.rtt_s is None else self.rtt_s + 0.3 * (rtt - self.rtt_s)
+        self.on_round_trip(rtt)
         self._offset_rtt *= 1.02  # the best measurement ages, so that drifting clocks are followed
         offset = self.clock_offset_ns
         was_set = offset is not None and not remote - now - _DRIFT_NS <= offset <= remote - sent + _DRIFT_NS

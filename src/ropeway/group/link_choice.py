@@ -1,0 +1,110 @@
+"""Chooses one of several links to the same place by the round trips of probes. Sans-I/O.
+
+What counts is not the shortest link but the one on which the next message is least likely to be late: the smoothed
+round trip and four deviations, as TCP computes its timeout (RFC 6298). A probe that is lost, or late, counts with its
+age as soon as that is more. So a link whose round trips vary, or that loses packets, is left before it fails.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+__all__ = ["PROBE_S", "LinkChoice"]
+
+PROBE_S: Final = 0.03
+"""The time between two probes of a link: 60 bytes each, 16 kbit/s both ways."""
+
+_SILENT_S: Final = 0.12  # four probes that should have come: the link carries nothing now
+_MEAN: Final = 1 / 8
+_DEVIATION: Final = 1 / 4
+_TIMES: Final = 4
+_MARGIN: Final = 0.8  # another link must be better by a fifth
+_MARGIN_S: Final = 0.002
+_DWELL_S: Final = 0.5  # no second change sooner, unless the link in use is silent
+_MOST_UNDER_WAY: Final = 1024
+
+
+@dataclass(slots=True, eq=False)
+class _Link:
+    up: bool = False
+    mean_s: float | None = None
+    deviation_s: float = 0.0
+    under_way: deque[float] = field(default_factory=deque)  # when probes were sent that have no answer
+
+    def score_s(self, now_s: float) -> float:
+        """Return how late a message may be there."""
+        if not self.up or self.mean_s is None:
+            return float("inf")
+        age_s = now_s - self.under_way[0] if self.under_way else 0.0
+        return max(self.mean_s + _TIMES * self.deviation_s, age_s)
+
+    def silent(self, now_s: float) -> bool:
+        """Return whether nothing has come for so long that the link is most likely cut."""
+        if not self.up or not self.under_way:
+            return not self.up
+        usual_s = (self.mean_s or 0.0) + _TIMES * self.deviation_s
+        return now_s - self.under_way[0] > max(_SILENT_S, usual_s)
+
+
+class LinkChoice:
+    """Says which of the links ``names`` is to be used: ``best``. All times are of one steady clock."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self.best = ""
+        self._links = {name: _Link() for name in names}
+        self._since_s = float("-inf")
+
+    def up(self, name: str, up: bool) -> None:
+        """Note that a link was made, or has ended."""
+        self._links[name] = _Link(up)
+
+    def sent(self, name: str, now_s: float) -> None:
+        """Note a probe."""
+        under_way = self._links[name].under_way
+        if len(under_way) < _MOST_UNDER_WAY:
+            under_way.append(now_s)
+
+    def came(self, name: str, round_trip_s: float) -> None:
+        """Note the answer to a probe; those before it are answered as well: links keep the order."""
+        link = self._links[name]
+        if link.under_way:
+            link.under_way.popleft()
+        if link.mean_s is None:
+            link.mean_s, link.deviation_s = round_trip_s, round_trip_s / 2
+            return
+        link.deviation_s += _DEVIATION * (abs(round_trip_s - link.mean_s) - link.deviation_s)
+        link.mean_s += _MEAN * (round_trip_s - link.mean_s)
+
+    def step(self, now_s: float) -> str:
+        """Return the link to use from now on, ``""`` while there is none."""
+        current = self._links.get(self.best)
+        name, link = min(self._links.items(), key=lambda item: item[1].score_s(now_s))
+        if current is None or not current.up:
+            first = next((n for n, other in self._links.items() if other.up), "")
+            self._use(name if link.score_s(now_s) < float("inf") else first, now_s)
+        elif link is not current:
+            mine_s, other_s = current.score_s(now_s), link.score_s(now_s)
+            better = other_s < _MARGIN * mine_s and other_s < mine_s - _MARGIN_S
+            rested = now_s - self._since_s >= _DWELL_S
+            if (current.silent(now_s) and not link.silent(now_s)) or (better and rested):
+                self._use(name, now_s)
+        return self.best
+
+    def _use(self, name: str, now_s: float) -> None:
+        if name != self.best:
+            self.best, self._since_s = name, now_s
+
+    def status(self, now_s: float) -> Mapping[str, Any]:
+        """Return the links as they stand, as JSON."""
+        return {
+            name: {
+                "up": link.up,
+                "silent": link.silent(now_s),
+                "rtt_ms": None if link.mean_s is None else round(1e3 * link.mean_s, 3),
+                "deviation_ms": round(1e3 * link.deviation_s, 3),
+            }
+            for name, link in self._links.items()
+        }
