@@ -88,7 +88,7 @@ class RosbridgeGraph(GraphBase):
         network: TypeRegistry | None = None,
         dial: Callable[..., Awaitable[Connection]] = connect,
     ) -> None:
-        self._url, self._dial = url, dial
+        self._dial = partial(dial, url)
         super().__init__(shown := without_token(url))
         ours = registry or TypeRegistry()
         self.registry = network or ours
@@ -184,13 +184,13 @@ class RosbridgeGraph(GraphBase):
 
     async def _connect(self, limits: Limits) -> Callable[[], Awaitable[None]]:
         peers: list[Peer] = []
+        spoken = () if self._plain else (ROPEWAY_SUBPROTOCOL,)
+
+        def attach(made: Connection) -> None:
+            peers.append(Peer(made, self.registry, self))
+
         connection = await self._dial(
-            self._url,
-            limits=limits,
-            subprotocols=() if self._plain else (ROPEWAY_SUBPROTOCOL,),
-            ssl_context=self._ssl,
-            headers=self._headers,
-            on_connection=lambda made: peers.append(Peer(made, self.registry, self)),
+            limits=limits, subprotocols=spoken, ssl_context=self._ssl, headers=self._headers, on_connection=attach
         )
         return lambda: self._converse(connection, peers[-1])
 
@@ -235,13 +235,10 @@ class RosbridgeGraph(GraphBase):
 
     async def _second(self, peer: Peer) -> Connection:
         """Open a second connection beside the one of ``peer``. Raises ``ConnectFailed``."""
+        headers, attach = {**(self._headers or {}), EXPRESS_HEADER: peer.express.offered}, peer.express.attach
+        spoken, limits = (ROPEWAY_SUBPROTOCOL,), self._keeper.limits
         return await self._dial(
-            self._url,
-            limits=self._keeper.limits,
-            subprotocols=(ROPEWAY_SUBPROTOCOL,),
-            ssl_context=self._ssl,
-            headers={**(self._headers or {}), EXPRESS_HEADER: peer.express.offered},
-            on_connection=peer.express.attach,
+            limits=limits, subprotocols=spoken, ssl_context=self._ssl, headers=headers, on_connection=attach
         )
 
     @property
