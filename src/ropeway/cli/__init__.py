@@ -31,6 +31,7 @@ VERBS = {
     "overlay": "ropeway.cli.overlay",
     "router": "ropeway.cli.router",
     "explain": "ropeway.cli.explain",
+    "doctor": "ropeway.cli.doctor",
     "anycast": "ropeway.cli.anycast",
     "predict": "ropeway.cli.predict",
     "play": "ropeway.cli.play",

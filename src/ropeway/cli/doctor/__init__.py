@@ -1,0 +1,39 @@
+"""``ropeway doctor``: is this machine fit for it?"""
+
+from __future__ import annotations
+
+import os
+from typing import Final
+
+import typer
+
+from ropeway.cli.console import answer, print_json
+from ropeway.cli.session import JsonOption
+
+__all__ = ["app"]
+
+app = typer.Typer(add_completion=False)
+
+_MARKS: Final = {True: "ok", False: "NO", None: " ?"}
+
+
+@app.command("doctor")
+def doctor_command(as_json: JsonOption = False) -> None:
+    """Look at this machine: versions, network, ROS and DDS settings, limits; say what to do where something is amiss.
+
+    The exit status is 1 where something keeps Ropeway from working.
+    """
+    from ropeway.cli.doctor.machine import machine
+    from ropeway.cli.doctor.robotics import robotics
+    from ropeway.cli.doctor.software import software
+
+    found = [*software(), *robotics(os.environ), *machine()]
+    if as_json:
+        print_json([symptom.to_json() for symptom in found])
+    else:
+        for symptom in found:
+            answer(f"{_MARKS[symptom.ok]}  {symptom.text}")
+            if symptom.remedy:
+                answer(f"      {symptom.remedy}")
+    if any(symptom.ok is False for symptom in found):
+        raise typer.Exit(1)
