@@ -14,7 +14,7 @@ from ropeway.errors import ConfigError
 from ropeway.gateway.config import config
 from ropeway.graph.calls import Request
 from ropeway.qos import QoS
-from tests.gateway.test_gateway import World, url
+from tests.gateway. import World, url
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample
 from tests.support.services import ADD, addends, total

@@ -189,9 +189,8 @@ class RosbridgeGraph(GraphBase):
         def attach(made: Connection) -> None:
             peers.append(Peer(made, self.registry, self))
 
-        connection = await self._dial(
-            limits=limits, subprotocols=spoken, ssl_context=self._ssl, headers=self._headers, on_connection=attach
-        )
+        options = {"limits": limits, "subprotocols": spoken, "ssl_context": self._ssl, "headers": self._headers}
+        connection = await self._dial(**options, on_connection=attach)
         return lambda: self._converse(connection, peers[-1])
 
     async def _converse(self, connection: Connection, peer: Peer) -> None:
@@ -235,11 +234,10 @@ class RosbridgeGraph(GraphBase):
 
     async def _second(self, peer: Peer) -> Connection:
         """Open a second connection beside the one of ``peer``. Raises ``ConnectFailed``."""
-        headers, attach = {**(self._headers or {}), EXPRESS_HEADER: peer.express.offered}, peer.express.attach
-        spoken, limits = (ROPEWAY_SUBPROTOCOL,), self._keeper.limits
-        return await self._dial(
-            limits=limits, subprotocols=spoken, ssl_context=self._ssl, headers=headers, on_connection=attach
-        )
+        spoken, limits, attach = (ROPEWAY_SUBPROTOCOL,), self._keeper.limits, peer.express.attach
+        headers = {**(self._headers or {}), EXPRESS_HEADER: peer.express.offered}
+        options = {"limits": limits, "subprotocols": spoken, "ssl_context": self._ssl, "headers": headers}
+        return await self._dial(**options, on_connection=attach)
 
     @property
     def traffic(self) -> tuple[int, int]:
