@@ -14,11 +14,11 @@ from ropeway.errors import ConfigError
 from ropeway.gateway.config import config
 from ropeway.graph.calls import Request
 from ropeway.qos import QoS
-from tests.gateway. import World, url
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample
 from tests.support.services import ADD, addends, total
 from tests.support.until import until
+from tests.support.world import World, url
 
 INTERFACES = ["127.0.0.2", "127.0.0.3"]
 DEEP = QoS(depth=200)
