@@ -248,7 +248,8 @@ async def test_both_answer_at_once(robot: Robot) -> None:
     await robot.start({"edge1": 0.02, "edge2": 0.02}, policy=Policy.ALL, stateless=True)
     for _ in range(5):
         await robot.client.call(Request(addends(1)))
-    assert [machine.calls for machine in robot.machines.values()] == [5, 5]
+    calls = {name: machine.calls for name, machine in robot.machines.items()}
+    assert sum(calls.values()) == 10 and calls["edge2"] >= 5  # the first robot profiles both
 
 
 async def test_a_provider_dies(robot: Robot) -> None:
@@ -377,4 +378,6 @@ async def test_two_robots_on_one_pool(robot: Robot) -> None:
         *(robot.client.call(Request(addends(1))) for _ in range(5)),
     )
     assert len(answers) == 10
-    assert [machine.calls for machine in robot.machines.values()] == [5, 5]
+    calls = {name: machine.calls for name, machine in robot.machines.items()}
+    assert sum(calls.values()) == 10
+    assert calls["edge2"] >= 5  # the first robot profiles both

@@ -26,6 +26,7 @@ U = TypeVar("U", bound=Client | ActionClient)
 Ask = Callable[[str, float], Awaitable[T]]
 """Asks one member, within a time."""
 
+_BOTH: Final = 2  # members that are asked at once
 _UNTOUCHED: Final = (NotServed, GraphUnavailable)  # nobody has begun to carry it out
 
 
@@ -53,6 +54,8 @@ class Ways:
 
         Raises ``NotServed``, ``CallTimeout``, or ``GraphUnavailable`` once the client is closed.
         """
+        if client.available and not self.closed:
+            return timeout_s
         loop = asyncio.get_running_loop()
         ends_s = loop.time() + timeout_s
         served = client.available is not False or await client.wait_available(timeout_s)
@@ -72,11 +75,13 @@ class Ways:
         """
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + timeout_s
+        first = [name for name in self.group.targets() if able(name)]
+        if alone or (len(first) < _BOTH and not self.group.second()):
+            return await self._ask_in_turn(ask, able, first[:1], deadline_s, alone=alone)
         waiting = [name for name in self._order() if able(name)]
         if not waiting:
             raise NotServed(self.name, self.kind)
-        first = [name for name in self.group.targets() if name in waiting] or waiting[:1]
-        first = first[:1] if alone else first
+        first = [name for name in first if name in waiting] or waiting[:1]
         errors: list[RopewayError] = []
         tasks: dict[asyncio.Task[T], None] = {}
 
@@ -87,7 +92,7 @@ class Ways:
                 tasks[asyncio.create_task(work, name=f"{self.name} at {name}")] = None
 
         begin(first)
-        hedge_at_s = loop.time() + self.group.hedge_after_s() if self.group.second() and not alone else None
+        hedge_at_s = loop.time() + self.group.hedge_after_s() if self.group.second() else None
         try:
             while tasks:
                 pause_s = None if hedge_at_s is None or not waiting else max(0.0, hedge_at_s - loop.time())
@@ -103,17 +108,37 @@ class Ways:
                     if not isinstance(error, RopewayError):
                         raise error
                     errors.append(error)
-                    if waiting and not tasks and self._may_go_on(error, alone) and loop.time() < deadline_s:
+                    if waiting and not tasks and self._may_go_on(error) and loop.time() < deadline_s:
                         begin(waiting[:1])
             raise _telling(errors)
         finally:
             await end(*tasks)
             self.group.tell()
 
+    async def _ask_in_turn(
+        self, ask: Ask[T], able: Callable[[str], bool], first: list[str], deadline_s: float, *, alone: bool
+    ) -> T:
+        """Return the answer of one member, asked without a task of its own; of the next, if that one refuses."""
+        tried: dict[str, RopewayError] = {}
+        try:
+            while True:
+                name = first.pop() if first else next((n for n in self._order() if n not in tried and able(n)), "")
+                if not name:
+                    raise _telling(tried.values()) if tried else NotServed(self.name, self.kind)
+                left_s = deadline_s - asyncio.get_running_loop().time()
+                try:
+                    return await self._measured(ask, name, max(0.0, left_s))
+                except RopewayError as error:
+                    tried[name] = error
+                    if left_s <= 0 or not self._may_go_on(error, alone=alone):
+                        raise _telling(tried.values()) from None
+        finally:
+            self.group.tell()
+
     def _order(self) -> list[str]:
         return self.group.scheduler.ranked(self.group.now())
 
-    def _may_go_on(self, error: RopewayError, alone: bool) -> bool:
+    def _may_go_on(self, error: RopewayError, *, alone: bool = False) -> bool:
         """Return whether another may be asked after that: nobody has begun it, or it may be done twice."""
         if isinstance(error, (CallFailed, GoalRejected, CallTimeout)):
             return False  # it was answered, or the time is over
@@ -220,8 +245,12 @@ class GroupClient(GroupUser[Client]):
 
 def any_of(known: Iterable[bool | None]) -> bool | None:
     """Return whether one is true, ``None`` where none is and one is not known."""
-    answers = set(known)
-    return True if True in answers else None if None in answers else False
+    unknown = False
+    for one in known:
+        if one:
+            return True
+        unknown = unknown or one is None
+    return None if unknown else False
 
 
 async def first_true(waits: Iterable[Awaitable[bool]]) -> bool:

@@ -185,7 +185,9 @@ class Group(GraphBase):
 
     def now(self) -> float:
         """Return the time of the steady clock that latencies are measured with."""
-        return asyncio.get_running_loop().time() if self._clock is None else self._clock()
+        if self._clock is None:
+            self._clock = asyncio.get_running_loop().time
+        return self._clock()
 
     def _listen(self, name: str, graph: Graph) -> None:
         watch = functools.partial(self._watch, graph.changes())

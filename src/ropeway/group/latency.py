@@ -14,7 +14,7 @@ __all__ = ["LatencyWindow", "Statistics"]
 WINDOW_S: Final = 3.0
 """How far back a window looks unless configured: ``latency_window`` of FogROS2-LS."""
 
-_MOST: Final = 4096  # latencies in a window: 90 frames a second for 45 s
+_MOST: Final = 2048  # latencies in a window, of the newest: 90 frames a second for 22 s
 _MOST_PENDING: Final = 1024  # requests without an answer that are remembered
 _ENOUGH_OVERDUE: Final = 8  # more late requests in a row than that say nothing new
 _GIVE_UP_WINDOWS: Final = 10  # a request that is older than so many windows is forgotten: nobody waits for it
