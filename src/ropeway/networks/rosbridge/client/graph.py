@@ -184,13 +184,13 @@ class RosbridgeGraph(GraphBase):
 
     async def _connect(self, limits: Limits) -> Callable[[], Awaitable[None]]:
         peers: list[Peer] = []
-        spoken = () if self._plain else (ROPEWAY_SUBPROTOCOL,)
-
-        def attach(made: Connection) -> None:
-            peers.append(Peer(made, self.registry, self))
-
-        options = {"limits": limits, "subprotocols": spoken, "ssl_context": self._ssl, "headers": self._headers}
-        connection = await self._dial(**options, on_connection=attach)
+        connection = await self._dial(
+            limits=limits,
+            subprotocols=() if self._plain else (ROPEWAY_SUBPROTOCOL,),
+            ssl_context=self._ssl,
+            headers=self._headers,
+            on_connection=lambda made: peers.append(Peer(made, self.registry, self)),
+        )
         return lambda: self._converse(connection, peers[-1])
 
     async def _converse(self, connection: Connection, peer: Peer) -> None:
@@ -234,10 +234,13 @@ class RosbridgeGraph(GraphBase):
 
     async def _second(self, peer: Peer) -> Connection:
         """Open a second connection beside the one of ``peer``. Raises ``ConnectFailed``."""
-        spoken, limits, attach = (ROPEWAY_SUBPROTOCOL,), self._keeper.limits, peer.express.attach
-        headers = {**(self._headers or {}), EXPRESS_HEADER: peer.express.offered}
-        options = {"limits": limits, "subprotocols": spoken, "ssl_context": self._ssl, "headers": headers}
-        return await self._dial(**options, on_connection=attach)
+        return await self._dial(
+            limits=self._keeper.limits,
+            subprotocols=(ROPEWAY_SUBPROTOCOL,),
+            ssl_context=self._ssl,
+            headers={**(self._headers or {}), EXPRESS_HEADER: peer.express.offered},
+            on_connection=peer.express.attach,
+        )
 
     @property
     def traffic(self) -> tuple[int, int]:
