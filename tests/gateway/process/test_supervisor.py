@@ -193,6 +193,17 @@ async def test_start_failure(stack: AsyncExitStack) -> None:
     assert not psutil.Process().children()
 
 
+async def test_start_that_is_given_up() -> None:
+    """Whoever gives up a start of workers in its midst leaves no process behind."""
+    supervisor = Supervisor(config.parse({"gateway": settings("memory:x", workers=2)}))
+    starting = asyncio.create_task(supervisor.__aenter__())
+    await until(lambda: psutil.Process().children())
+    starting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await starting
+    assert not psutil.Process().children()
+
+
 async def test_worker_that_keeps_falling(stack: AsyncExitStack, caplog: pytest.LogCaptureFixture) -> None:
     """A worker that falls again and again is started again, at growing intervals."""
     document = {"gateway": settings("memory:x", workers=1)}

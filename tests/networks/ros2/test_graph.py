@@ -74,6 +74,20 @@ async def test_is_heard_by_a_genuine_reader(world: World) -> None:
     assert listener.heard[before:] == [str(i) for i in range(50)]
 
 
+async def test_looking_at_readers_tells_nobody(world: World) -> None:
+    """Who asks how many read a topic changes nothing: a change is told when the graph has seen it."""
+    publisher = await (await world.graph()).create_publisher("/cmd", STRING, QoS())
+    told: list[int] = []
+    publisher.on_demand(told.append)
+    await world.node("sub", "/cmd", STRING)
+    while not publisher.subscribers:
+        before = list(told)
+        assert publisher.subscribers in (0, 1)
+        assert told == before
+        await asyncio.sleep(0.01)
+    await until(lambda: told == [0, 1])
+
+
 async def test_latched_by_several(world: World) -> None:
     """What several nodes latched arrives at a late reader, each message once."""
     for name in ("one", "two"):

@@ -28,8 +28,8 @@ class PublisherSource:
 
     ``depth`` messages are kept for those who missed them or come late, ``None`` for as many as fit, 0 for none;
     ``lifespan_s`` is how long. Without ``replay`` those who come late get nothing of what was sent before. ``may``
-    decides, beyond certificates, who may read. ``rotate_s``: how long a content key serves. Safe to use from several
-    threads.
+    decides, beyond certificates, who may read. ``rotate_s``: how long a content key serves. ``seal`` and ``sent`` may
+    be called in the thread that sends; all else belongs to the event loop.
     """
 
     def __init__(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from typing import Any
@@ -368,6 +369,27 @@ async def test_bad_goals(stack: AsyncExitStack, fake: FakeServer, monkeypatch: p
     ask(fake, 4)
     assert [m["status"] for m in await heard(fake, "action_result", 6)] == [6, 6, 6, 4, 4, 6]
     assert len(refused) == 1
+
+
+@pytest.mark.parametrize("turns", range(4))
+async def test_goal_that_fails_as_its_sender_leaves(stack: AsyncExitStack, far: ScriptedGateway, turns: int) -> None:
+    """A goal that fails just as its sender is cancelled leaves no failure that nobody has seen."""
+    unseen: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: unseen.append(context))
+    graph = await played(stack, far)
+    client = await graph.create_action_client("/fib", FIBONACCI)
+    sender = asyncio.create_task(client.send_goal(Goal(order(3), new_id()), timeout_s=PATIENCE_S))
+    await far.hear("send_action_goal")
+    (goal,) = graph.calls.goals.values()
+    goal.lost("the link to it was cut")
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    sender.cancel()
+    await asyncio.wait({sender})
+    assert sender.cancelled() or sender.exception() is not None
+    del sender
+    gc.collect()
+    assert unseen == []
 
 
 async def test_cancelled_by_a_plain_server(stack: AsyncExitStack, fake: FakeServer) -> None:

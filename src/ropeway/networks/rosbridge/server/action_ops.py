@@ -33,6 +33,7 @@ from ropeway.networks.rosbridge.server.bodies import (
     passage,
     text_of,
 )
+from ropeway.networks.rosbridge.server.offers import Offers
 from ropeway.tasks import Chores, end
 
 if TYPE_CHECKING:
@@ -53,7 +54,9 @@ class ActionOps:
         self.session = session
         self._cancel_goals = cancel_goals
         self.goals: set[SentGoal] = set()
-        self.offered: dict[str, OfferedAction] = {}  # by the name that the client gave
+        self.offered: Offers[OfferedAction] = Offers(
+            session, "action", "action", ("Goal", "Result", "Feedback"), ACTIONS_PER_CLIENT
+        )
         self._cancelling = Chores()
 
     async def leave(self) -> None:
@@ -63,9 +66,7 @@ class ActionOps:
         await self._cancel_all()
         await self._cancelling.close()
         await end(*(goal.task for goal in self.goals))
-        for action in list(self.offered.values()):
-            await action.close("its provider has left")
-        self.offered.clear()
+        await self.offered.leave()
 
     async def give_up(self, reason: str) -> None:
         """Answer the goals that are under way: they are cancelled, and fail for this reason if nothing else comes."""
@@ -136,39 +137,11 @@ class ActionOps:
 
     async def advertise(self, op: ops.AdvertiseAction) -> None:
         """Offer an action whose goals the client carries out."""
-        session = self.session
-        name = session.names.resolve(op.action)
-        session.access.check("advertise_action", name)
-        type = await known_type_of(session, op.type, "action")
-        if type.split("/")[1] != "action":
-            raise InvalidTypeName(op.type)
-        session.learn(type, op.ropeway)
-        for part in ("_Goal", "_Result", "_Feedback"):
-            codec_of(session, type + part)  # what the client cannot read, it cannot serve
-        known = self.offered.get(op.action)
-        if known is None and len(self.offered) >= ACTIONS_PER_CLIENT:
-            raise InvalidOperation("", f"a client may have {ACTIONS_PER_CLIENT} actions at most")
-        if known is not None:
-            text = f"Duplicate action advertised. Overwriting {op.action}."
-            session.complain("advertise_action", op.action, text, op.id)
-            if known.type == type:  # the name stays taken meanwhile
-                known.restart(op)
-                return
-            del self.offered[op.action]
-            await known.close("it was advertised again with another type")
-        action = self.offered[op.action] = OfferedAction(session, op, name, type)
-        try:
-            await action.open()
-        except (RopewayError, ValueError):
-            del self.offered[op.action]
-            raise
+        await self.offered.add(op, partial(OfferedAction, self.session, op), lambda action: action.restart(op))
 
     async def unadvertise(self, op: ops.UnadvertiseAction) -> None:
         """Withdraw an action of the client."""
-        action = self.offered.pop(op.action, None)
-        if action is None:
-            raise InvalidOperation("", f"Action {op.action} has not been advertised via rosbridge, can't unadvertise.")
-        await action.close("its provider has withdrawn it")
+        await self.offered.withdraw(op.action)
 
     def feedback(self, op: ops.ActionFeedback) -> None:
         """Pass on the client's feedback on a goal."""
@@ -179,12 +152,7 @@ class ActionOps:
         self._goal(op).ended(op)
 
     def _goal(self, op: ops.ActionFeedback | ops.ActionResult) -> TakenGoal:
-        action = self.offered.get(op.action)
-        if action is None:
-            name = self.session.names.resolve(op.action)
-            action = next((a for a in self.offered.values() if a.name == name), None)
-        if action is None:
-            raise InvalidOperation("", f"Action {op.action} has not been advertised via rosbridge.")
+        action = self.offered.found(op.action)
         goal = action.pending.get(op.id) if isinstance(op.id, str) else None
         if goal is None or goal.has_ended:
             what = op.op.replace("_", " ")

@@ -26,10 +26,10 @@ from ropeway.networks.rosbridge.server.bodies import (
     codec_of,
     decode_args,
     failure_note,
-    known_type_of,
     passage,
     text_of,
 )
+from ropeway.networks.rosbridge.server.offers import Offers
 from ropeway.networks.rosbridge.server.rosapi_calls import RosapiCalls
 from ropeway.networks.rosbridge.server.service_offers import OfferedService
 from ropeway.tasks import end
@@ -54,7 +54,9 @@ class ServiceOps:
         self.session = session
         self.call_timeout_s = call_timeout_s
         self.called = 0
-        self.offered: dict[str, OfferedService] = {}  # by the name that the client gave
+        self.offered: Offers[OfferedService] = Offers(
+            session, "service", "srv", ("Request", "Response"), SERVICES_PER_CLIENT
+        )
         self._calls: dict[asyncio.Task[None], ops.CallService] = {}
         self._rosapi = RosapiCalls(session.peer, session.turns, self._fail)
         self._clients: dict[tuple[str, str], ViewClient] = {}
@@ -67,9 +69,7 @@ class ServiceOps:
         for client in self._clients.values():
             await client.close()
         self._clients.clear()
-        for service in list(self.offered.values()):
-            await service.close("its provider has left")
-        self.offered.clear()
+        await self.offered.leave()
 
     async def give_up(self, reason: str) -> None:
         """Answer the calls that are under way: they fail for this reason."""
@@ -268,55 +268,18 @@ class ServiceOps:
 
     async def advertise(self, op: ops.AdvertiseService) -> None:
         """Offer a service that the client serves."""
-        session = self.session
-        name = session.names.resolve(op.service)
-        session.access.check("advertise_service", name)
-        type = await known_type_of(session, op.type, "srv")
-        if type.split("/")[1] != "srv":
-            raise InvalidTypeName(op.type)
-        session.learn(type, op.ropeway)
-        for part in ("_Request", "_Response"):
-            codec_of(session, type + part)  # what the client cannot read, it cannot serve
-        known = self.offered.get(op.service)
-        if known is None and len(self.offered) >= SERVICES_PER_CLIENT:
-            raise InvalidOperation("", f"a client may have {SERVICES_PER_CLIENT} services at most")
-        if known is not None:
-            text = f"Duplicate service advertised. Overwriting {op.service}."
-            session.complain("advertise_service", op.service, text, op.id)
-            if known.type == type:  # the name stays taken meanwhile
-                known.restart(op)
-                return
-            del self.offered[op.service]
-            await known.close("it was advertised again with another type")
-        service = self.offered[op.service] = OfferedService(session, op, name, type)
-        try:
-            await service.open()
-        except (RopewayError, ValueError):
-            del self.offered[op.service]
-            raise
+        await self.offered.add(op, partial(OfferedService, self.session, op), lambda service: service.restart(op))
 
     async def unadvertise(self, op: ops.UnadvertiseService) -> None:
         """Withdraw a service of the client."""
-        service = self.offered.pop(op.service, None)
-        if service is None:
-            raise InvalidOperation(
-                "", f"Service {op.service} has not been advertised via rosbridge, can't unadvertise."
-            )
-        await service.close("its provider has withdrawn it")
+        await self.offered.withdraw(op.service)
 
     def response(self, op: ops.ServiceResponse) -> None:
         """Take the client's answer to a call."""
-        service = self.offered.get(op.service) or self._offered(op.service)
+        service = self.offered.get(op.service) or self.offered.found(op.service)
         if op.id is ops.ABSENT:
             raise InvalidOperation("", f"Received service response without an id for service {op.service}")
         service.answered(op)
-
-    def _offered(self, service: str) -> OfferedService:
-        name = self.session.names.resolve(service)
-        found = next((s for s in self.offered.values() if s.name == name), None)
-        if found is None:
-            raise InvalidOperation("", f"Service {service} has not been advertised via rosbridge.")
-        return found
 
     def invalid_response(self, message: Mapping[str, Any], error: WireError) -> None:
         """Fail the call whose answer cannot be understood, so that nobody waits for it."""
