@@ -7,10 +7,13 @@ name is offered while the graph is up.
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import logging
 from collections import Counter
 from typing import Any, Final, Protocol
 
+from ropeway import aio
 from ropeway.bridge.upkeep import Upkeep
 from ropeway.graph.base import NO_HINTS, Delivery, Graph
 from ropeway.graph.link_parts import Contended, Encoded
@@ -59,6 +62,7 @@ class Offer:
         self.taken_by = ""
         self.counts: Counter[str] = Counter()
         self.under_way = 0
+        self._ended = asyncio.Event()
         self.took_s: float | None = None  # the last one, smoothed
         self._client: Any = None
         self._server: _Server | None = None
@@ -76,6 +80,14 @@ class Offer:
     async def start(self) -> None:
         """Bring the bridge up; what fails now is tried again until it works."""
         self._upkeep.start()
+
+    async def finish(self, limit_s: float) -> None:
+        """Let the requests that are under way end, for ``limit_s`` at most; ``close`` is to follow."""
+        with contextlib.suppress(TimeoutError):
+            async with aio.timeout(limit_s):
+                while self.under_way:
+                    self._ended.clear()
+                    await self._ended.wait()
 
     async def close(self) -> None:
         """Withdraw the name, and stop using its provider."""
@@ -112,6 +124,7 @@ class Offer:
     def done(self, how: str, took_s: float) -> None:
         """Count a request that has ended."""
         self.counts[how] += 1
+        self._ended.set()
         self.took_s = took_s if self.took_s is None else self.took_s + 0.2 * (took_s - self.took_s)
 
     async def _set_right(self) -> None:

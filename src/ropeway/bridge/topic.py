@@ -7,8 +7,10 @@ every message takes one way, ``Passage``.
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 
+from ropeway.bridge.handover import Overlap, drained, matched
 from ropeway.bridge.upkeep import RETRY_S, Upkeep
 from ropeway.delivery.passage import Keep, Passage
 from ropeway.delivery.pipeline import build
@@ -50,13 +52,38 @@ class TopicBridge:
         self.publisher: Publisher | None = None
         self.subscription: Subscription | None = None
         self.keep = keep
-        self._asked = qos
+        self._asked, self._limit = qos, limit
+        self._turn = asyncio.Lock()  # either side is changed by one at a time
         label = f"{source_topic} to {target.name}"
         self._upkeep = Upkeep(self._set_right, source, "publisher", source_topic, label=label, retry_s=retry_s)
 
     async def start(self) -> None:
         """Bring the bridge up; what fails now is tried again until it works."""
         self._upkeep.start()
+
+    async def change(self, *, qos: QoS | None, delivery: Delivery, keep: Keep | None) -> None:
+        """Treat the topic in another way from now on: what reads and publishes is replaced, and no message is lost.
+
+        Both the old and the new are there for a moment; what comes over both is passed on once.
+        """
+        async with self._turn:
+            reads_anew = qos != self._asked or (delivery != self.delivery and not self._limit)
+            publishes_anew = delivery != self.delivery and self._limit
+            self._asked, self.delivery = qos, delivery
+            self.keep = self.passage.keep = keep
+            self.passage.steps = build(delivery) if self._limit else ()
+            if publishes_anew and self.publisher is not None:
+                await self._publish_anew(self.publisher, self._wanted_qos())
+            if reads_anew and self.subscription is not None:
+                await self._read_anew(self.subscription)
+        self._upkeep.wake()
+
+    async def finish(self, limit_s: float) -> None:
+        """Stop reading, and let what waits be sent, for ``limit_s`` at most; ``close`` is to follow."""
+        await self._upkeep.close()
+        await self._stop_reading()
+        if self.publisher is not None:
+            await drained(self.publisher, limit_s)
 
     async def close(self) -> None:
         """Take the topic back on both sides."""
@@ -110,15 +137,43 @@ class TopicBridge:
             qos = DEFAULT
         return replace(qos, deadline_s=None, lifespan_s=None)
 
+    async def _publish_anew(self, old: Publisher, qos: QoS) -> None:
+        """Publish through a new publisher once it has the readers of the old one, which sends what waits."""
+        new = await self.target.create_publisher(self.target_topic, self.type, qos, delivery=self.delivery)
+        await matched(new, old)
+        self._use(new)
+        await drained(old)
+        await old.close()
+
+    async def _read_anew(self, old: Subscription) -> None:
+        """Read through a new subscription once something has come through it, or would have."""
+        overlap = Overlap(self.passage)
+        try:
+            new = await self.source.create_subscription(
+                self.source_topic, self.type, self._asked, overlap.first, delivery=self.delivery
+            )
+            new.on_qos(lambda _: self._upkeep.wake())
+            await overlap.wait()
+            self.subscription = new
+            await old.close()
+        finally:
+            overlap.end()
+
+    def _use(self, publisher: Publisher) -> None:
+        self.publisher = publisher
+        self.passage.sink = publisher.publish
+        publisher.on_demand(lambda _: self._upkeep.wake())
+
     async def _set_right(self) -> None:
+        async with self._turn:
+            await self._set_both_right()
+
+    async def _set_both_right(self) -> None:
         qos = self._wanted_qos()
         if self.publisher is None or self.publisher.qos != qos:
             old = self.publisher
-            self.publisher = await self.target.create_publisher(
-                self.target_topic, self.type, qos, delivery=self.delivery
-            )
-            self.passage.sink = self.publisher.publish
-            self.publisher.on_demand(lambda _: self._upkeep.wake())
+            self._use(await self.target.create_publisher(self.target_topic, self.type, qos, delivery=self.delivery))
+            assert self.publisher is not None
             if old is not None:
                 await old.close()
             last = self.keep.last() if self.keep is not None else None

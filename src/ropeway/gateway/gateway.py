@@ -6,44 +6,41 @@ import asyncio
 import logging
 import os
 import ssl
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.extras import require
+from ropeway.errors import RopewayError
+from ropeway.gateway.apply import Change
 from ropeway.gateway.auth import make_door
-from ropeway.gateway.bridges import fetch, make_bridge
 from ropeway.gateway.config.address import is_iort, is_loopback, is_secure
 from ropeway.gateway.config.config import Config, Route
 from ropeway.gateway.config.iort_model import StoreConfig
-from ropeway.gateway.config.model import RemoteConfig
-from ropeway.gateway.config.overlay_model import OVERLAY
 from ropeway.gateway.config.type_hints import learn_types, type_hints
 from ropeway.gateway.credentials import read_credentials
-from ropeway.gateway.dialler import Dialler
 from ropeway.gateway.explain import Explanation, RouteWatch, explain
 from ropeway.gateway.local_networks import open_network
+from ropeway.gateway.plan import Plan, make_plan
 from ropeway.gateway.process.allocator import FreedMemory, keep_freed_memory
 from ropeway.gateway.process.counts import summed
 from ropeway.gateway.process.open_files import make_room
 from ropeway.gateway.process.questions import Question
-from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote, shown_address
-from ropeway.gateway.route import RouteStatus, RunningRoute
+from ropeway.gateway.remote import Remote
+from ropeway.gateway.remote_factory import RemoteFactory
+from ropeway.gateway.route import RouteStatus, paused_status
+from ropeway.gateway.running_remote import RunningRemote
 from ropeway.gateway.tls import server_context, trusted_files
 from ropeway.graph.layout_border import Distributed
-from ropeway.hub.hub import Hub, View
+from ropeway.hub.hub import Hub
 from ropeway.listener.connection import Limits
 from ropeway.listener.entrance import Entrance
-from ropeway.networks.rosbridge.client.by_interface import InterfaceGraph
 from ropeway.tasks import Supervised, failing
 from ropeway.types import TypeRegistry
 
 if TYPE_CHECKING:
-    from ropeway.gateway.group import GroupRemote
     from ropeway.gateway.last_value import LastValue
     from ropeway.gateway.nodes import Nodes
     from ropeway.listener.listener import Listener
-    from ropeway.networks.overlay.graph import OverlayGraph
     from ropeway.networks.overlay.node import OverlayNode
     from ropeway.networks.rosbridge.server import RosbridgeServer
     from ropeway.store import Store
@@ -71,18 +68,23 @@ class Gateway:
         node: str | None = None,
         reuse_port: bool = False,
     ) -> None:
-        self.config = config
         self.registry = registry or TypeRegistry()
         self.gateway_id = gateway_id or os.urandom(8).hex()
+        self._node = node
+        self._reuse_port = reuse_port
+        self._given_up: asyncio.Future[None] | None = None
+        self._begin(config)
+
+    def _begin(self, config: Config) -> None:
+        """Be as before anything was brought up."""
+        self.config = config
         self.hubs: dict[str, Hub] = {}
         self.servers: list[RosbridgeServer] = []
-        self.remotes: list[Remote] = []
-        self.node: OverlayNode | None = None
+        self.running: list[RunningRemote] = []
         self.store: Store | None = None
         self.budget = config.gateway.budget()
         self.nodes: Nodes | None = None
-        self._node = node or config.gateway.name
-        self._reuse_port = reuse_port
+        self._factory: RemoteFactory | None = None
         self._stack = AsyncExitStack()
         self._tls: ssl.SSLContext | None = None
         self._trusted = b""
@@ -113,7 +115,9 @@ class Gateway:
         self._tls, self._trusted = server_context(settings.tls), trusted_files(settings.tls)
         for network in settings.networks:
             url = network.address
-            graph = await open_network(network, registry=self.registry, name=self._node, gateway_id=self.gateway_id)
+            graph = await open_network(
+                network, registry=self.registry, name=self._node or settings.name, gateway_id=self.gateway_id
+            )
             stack.push_async_callback(graph.close)
             hub = self.hubs[url] = Hub(graph, gateway_id=self.gateway_id)
             await hub.open()
@@ -127,7 +131,11 @@ class Gateway:
         limits = Limits(max_message_bytes=settings.max_message_bytes, budget=self.budget)
         await self._bring_up_server(stack, limits)
         await self._bring_up_nodes(stack)
-        await self._bring_up_remotes(stack, limits)
+        self._factory = RemoteFactory(
+            settings, self.registry, gateway_id=self.gateway_id, node_name=self._node or settings.name, limits=limits
+        )
+        stack.push_async_callback(self._close_remotes)
+        await self._bring_up_remotes()
         stack.push_async_callback(Supervised(self._update_meters, "gateway meters").start().close)
         stack.push_async_callback(Supervised(self._watch.run, "gateway routes").start().close)
 
@@ -145,7 +153,7 @@ class Gateway:
             self.registry,
             gateway_id=self.gateway_id,
             name=settings.name,
-            node=self._node,
+            node=self._node or settings.name,
             limits=limits,
             entrance=self._entrance,
             reasons=self.missing,
@@ -202,137 +210,46 @@ class Gateway:
             if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
                 log.warning("%s: tokens are sent unencrypted here; iorts:// would encrypt them", url)
 
-    async def _bring_up_remotes(self, stack: AsyncExitStack, limits: Limits) -> None:
-        dialler = Dialler(self.registry, self.gateway_id, self.config.gateway.name, limits)
+    async def _bring_up_remotes(self) -> None:
         routes: dict[int, list[Route]] = {}
         for route in self.config.routes():
             routes.setdefault(id(route.remote), []).append(route)
         for index, config in enumerate(self.config.remotes):
             mine = routes.get(id(config), [])
-            if not config.active or not (mine or config.automatic):
-                continue
-            remote: Remote
-            group: GroupRemote | None = None
-            if config.address == OVERLAY and config.anycast is not None:
-                remote = group = self._overlay_group(config, mine)
-            elif config.address == OVERLAY:
-                remote = OverlayRemote(config, self._overlay_graph(config))
-            elif is_iort(config.address):
-                remote = self._iort_remote(config, index)
-            elif len(config.addresses) > 1:
-                remote = group = self._group(config, index, mine, dialler)
-            elif len(config.interfaces) > 1:
-                remote = self._links(config, index, mine, dialler)
-            else:
-                remote = self._link(config, index, mine, dialler)
-            await remote.graph.open()
-            stack.push_async_callback(remote.graph.close)
-            self.remotes.append(remote)
-            views: dict[str, View] = {}
-            for route in mine:
-                view = self._view(stack, views, route.graph, config)
-                view.hub.advisers[remote.graph] = None
-                bridge = make_bridge(route, view, remote.graph, self._keeper(route))
-                await bridge.start()
-                stack.push_async_callback(bridge.close)
-                remote.running[route.key] = RunningRoute(route, bridge)
-            if group is not None:
-                await group.listen(self._view(stack, views, config.graph or self.config.gateway.graphs[0], config))
-                stack.push_async_callback(group.close)
-            if config.automatic is not None and isinstance(remote, OverlayRemote):
-                from ropeway.gateway.automatic import Automatic
+            if config.active and (mine or config.automatic):
+                self.running.append(await self.open_remote(self.config, index, mine))
 
-                url = config.graph or self.config.gateway.graphs[0]
-                view = self._view(stack, views, url, config)
-                remote.automatic = Automatic(view, remote.graph, config, f"remotes[{index}].automatic", url)
-                await remote.automatic.start()
-                stack.push_async_callback(remote.automatic.close)
+    async def open_remote(self, config: Config, index: int, routes: Sequence[Route]) -> RunningRemote:
+        """Bring a remote of a configuration up, with its routes."""
+        assert self._factory is not None
+        remote = self._factory.make(config.remotes[index], index, routes)
+        running = RunningRemote(self, remote, index, default_graph=config.gateway.graphs[0])
+        await running.open(routes)
+        return running
 
-    def _view(self, stack: AsyncExitStack, views: dict[str, View], url: str, config: RemoteConfig) -> View:
-        view = views.get(url)
-        if view is None:
-            view = views[url] = self.hubs[url].view(shown_address(config))
-            stack.push_async_callback(view.close)
-        return view
+    async def _close_remotes(self) -> None:
+        for running in reversed(self.running):
+            await running.close()
+        self.running.clear()
 
-    def _keeper(self, route: Route) -> LastValue | None:
+    @property
+    def node(self) -> OverlayNode | None:
+        """The node of the overlay, where a remote is there."""
+        return None if self._factory is None else self._factory.node
+
+    @property
+    def remotes(self) -> list[Remote]:
+        """The remotes that are up, in the order of the configuration."""
+        return [running.remote for running in self.running]
+
+    def keeper(self, route: Route) -> LastValue | None:
+        """Return what keeps the last message of a route, if its configuration asks for it."""
         if not route.store:
             return None
         assert self.store is not None
         from ropeway.gateway.last_value import LastValue, key_of
 
         return LastValue(self.store, *key_of(route.name, self.config.gateway.name), route.type)
-
-    def _iort_remote(self, config: RemoteConfig, index: int) -> IortRemote:
-        from ropeway.networks.iort.graph import IortGraph
-        from ropeway.networks.iort.links import RemoteLink
-        from ropeway.networks.iort.maps import Maps
-
-        shown = read_credentials(config, index)
-        name = self.config.gateway.name
-        link = RemoteLink(config.address, name, token=shown.token, ssl_context=shown.context, wait_s=0.0)
-        maps = Maps([item.as_map() for item in config.maps])
-        return IortRemote(config, IortGraph(link, name=config.address, maps=maps, registry=self.registry), link, shown)
-
-    def _link(self, config: RemoteConfig, index: int, routes: list[Route], dialler: Dialler) -> LinkRemote:
-        shown = read_credentials(config, index)
-        graph = dialler.graph(config, config.address, shown, watch=fetch(routes))
-        return LinkRemote(config, graph, shown, make_onlooker=lambda: self._onlooker(config, index, dialler))
-
-    def _onlooker(self, config: RemoteConfig, index: int, dialler: Dialler) -> InterfaceGraph:
-        shown = read_credentials(config, index)
-        return dialler.graph(config, config.address, shown, watch=True, looks_on=True)
-
-    def _group(self, config: RemoteConfig, index: int, routes: list[Route], dialler: Dialler) -> GroupRemote:
-        from ropeway.gateway.group import LinkGroupRemote  # most gateways have no group
-
-        shown = read_credentials(config, index)
-        graphs = (dialler.graph(config, url, shown, watch=fetch(routes)) for url in config.addresses)
-        links = {graph.name: graph for graph in graphs}
-        return LinkGroupRemote(config, links, routes, self.registry, shown, self.config.gateway.name)
-
-    def _links(self, config: RemoteConfig, index: int, routes: list[Route], dialler: Dialler) -> Remote:
-        from ropeway.gateway.links import LinksRemote  # most gateways have one link
-
-        shown = read_credentials(config, index)
-        watch = fetch(routes)
-        links = {
-            name: dialler.graph(config, config.address, shown, watch=watch, interface=name)
-            for name in config.interfaces
-        }
-        return LinksRemote(config, links, self.registry, shown)
-
-    def _overlay_group(self, config: RemoteConfig, routes: list[Route]) -> GroupRemote:
-        from ropeway.gateway.group import OverlayGroupRemote
-
-        return OverlayGroupRemote(config, self._overlay_graph(config), routes, self.registry, self.config.gateway.name)
-
-    def _overlay_graph(self, config: RemoteConfig) -> OverlayGraph:
-        require("overlay", "the overlay")
-        from ropeway.networks.overlay.crypto.identity import Identity
-        from ropeway.networks.overlay.graph import OverlayGraph  # loads Zenoh, which others do not need
-        from ropeway.networks.overlay.names import Metadata
-        from ropeway.networks.overlay.node import OverlayNode
-
-        settings = self.config.gateway.overlay
-        assert settings is not None
-        if self.node is None:
-            self.node = OverlayNode(
-                Identity.load(settings.identity),
-                routers=settings.routers,
-                listen=settings.listen,
-                max_message_bytes=self.config.gateway.max_message_bytes,
-            )
-        about = Metadata(settings.author, settings.maintainer, settings.description, config.unique or "", settings.node)
-        everybody = ("*",)
-        return OverlayGraph(
-            self.node,
-            metadata=about,
-            readers=everybody if config.readers is None else config.readers,
-            callers=everybody if config.callers is None else config.callers,
-            registry=self.registry,
-            node_name=self._node,
-        )
 
     async def _update_meters(self) -> None:
         while True:
@@ -363,24 +280,63 @@ class Gateway:
         So is who showed a certificate, if other authorities are trusted now, and a link to a remote, if others are
         trusted there. Raises ``ConfigError`` if the files are no good; everything then stays as it was.
         """
-        settings = self.config.gateway
-        shown = [read_credentials(remote.config, index) for index, remote in enumerate(self.remotes)]
+        shown = [read_credentials(running.config, running.index) for running in self.running]
+        self.read_access(self.config)()
+        for running, credentials in zip(self.running, shown, strict=True):
+            running.remote.renew(credentials)
+        log.info("%s has read its certificates and tokens again", self.config.gateway.name)
+
+    def read_access(self, config: Config) -> Callable[[], None]:
+        """Read who may come in by a configuration; return what makes it so. Raises ``ConfigError``."""
+        settings = config.gateway
         door, context, trusted = make_door(settings), server_context(settings.tls), trusted_files(settings.tls)
-        certificates = trusted != self._trusted
-        self._entrance.door, self._tls, self._trusted = door, context, trusted
-        for server in self.servers:
-            _renew(server.listeners, context)
-            server.recheck(certificates=certificates)
-        if self.nodes is not None:
-            _renew(self.nodes.server.listeners, context)
-            self.nodes.server.recheck()
-        for remote, credentials in zip(self.remotes, shown, strict=True):
-            remote.renew(credentials)
-        log.info("%s has read its certificates and tokens again", settings.name)
+
+        def renew() -> None:
+            certificates = trusted != self._trusted
+            self._entrance.door, self._tls, self._trusted = door, context, trusted
+            for server in self.servers:
+                _renew(server.listeners, context)
+                server.recheck(certificates=certificates)
+            if self.nodes is not None:
+                _renew(self.nodes.server.listeners, context)
+                self.nodes.server.recheck()
+
+        return renew
+
+    async def restart(self, config: Config) -> None:
+        """Take everything down and bring another configuration up, or else the one before.
+
+        Raises ``RopewayError`` if the new one does not come up. If the old one does not, either, ``wait`` raises.
+        """
+        before = self.config
+        await self._stack.aclose()
+        self._begin(config)
+        try:
+            await self.__aenter__()
+        except RopewayError as error:
+            log.error("%s; the configuration before is brought up again", error)
+            self._begin(before)
+            try:
+                await self.__aenter__()
+            except RopewayError as second:
+                if self._given_up is not None and not self._given_up.done():
+                    self._given_up.set_exception(second)
+            raise
+
+    async def apply(self, config: Config) -> Plan:
+        """Go over to another configuration while everything else goes on; return what was done.
+
+        Raises ``RopewayError`` if that cannot be; then everything is as before.
+        """
+        change = Change(self, make_plan(self.config, config))
+        await change.prepare()
+        await change.commit()
+        return change.plan
 
     def routes(self) -> list[RouteStatus]:
         """Return how every route is."""
-        return [row for remote in self.remotes for row in remote.routes()]
+        running = [row for remote in self.remotes for row in remote.routes()]
+        return running + [paused_status(route) for route in self.config.routes(active=False)]
 
     async def ask(self, question: Question, params: Mapping[str, Any]) -> list[Any]:
         """Return the answer to a question as the only one in a list, as a ``Supervisor`` has one of each worker."""
@@ -421,8 +377,11 @@ class Gateway:
         }
 
     async def wait(self) -> None:
-        """Run until cancelled."""
-        await asyncio.Event().wait()
+        """Run until cancelled. Raises ``RopewayError`` once nothing can be brought up any more."""
+        if self._given_up is None:
+            self._given_up = asyncio.get_running_loop().create_future()
+        await asyncio.wait([self._given_up])
+        self._given_up.result()
 
 
 def _renew(listeners: Iterable[Listener], context: ssl.SSLContext | None) -> None:

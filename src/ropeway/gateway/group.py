@@ -39,6 +39,7 @@ class GroupRemote(Remote):
     """Several machines as one graph. ``options`` say who they are, as ``Group`` takes it."""
 
     graph: Group
+    listens = True
 
     def __init__(
         self,
@@ -137,6 +138,11 @@ class LinkGroupRemote(GroupRemote):
     ) -> None:
         self.links = dict(links)
         super().__init__(config, routes, registry, gateway, credentials, members=links)
+
+    def begin_watch(self) -> None:
+        """See ``Remote.begin_watch``."""
+        for link in self.links.values():
+            link.begin_watch()
 
     def _renew(self, credentials: Credentials, anew: bool) -> None:
         for link in self.links.values():

@@ -30,6 +30,11 @@ class LinksRemote(Remote):
         name = config.title or shown_address(config)
         self.graph: LinkGroup = LinkGroup(links, name=name, duplicate=config.links == "duplicate", registry=registry)
 
+    def begin_watch(self) -> None:
+        """See ``Remote.begin_watch``."""
+        for link in self.links.values():
+            link.begin_watch()
+
     def _renew(self, credentials: Credentials, anew: bool) -> None:
         for link in self.links.values():
             link.renew(credentials.context, credentials.headers, anew=anew)

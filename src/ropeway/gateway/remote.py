@@ -44,6 +44,8 @@ class Remote:
     """A remote, whatever it is reached by."""
 
     graph: Graph
+    listens = False
+    """Whether ``listen`` wants a view of the local graph, and ``close`` is to be called."""
 
     def __init__(self, config: RemoteConfig, credentials: Credentials = NO_CREDENTIALS) -> None:
         self.config, self.credentials = config, credentials
@@ -57,6 +59,15 @@ class Remote:
     def status(self) -> dict[str, Any]:
         """Return the state of the remote, for people and programs."""
         raise NotImplementedError
+
+    def begin_watch(self) -> None:
+        """See that what the far side offers is known from now on."""
+
+    async def listen(self, view: Graph) -> None:
+        """Begin what the remote reads of the local graph for itself."""
+
+    async def close(self) -> None:
+        """End it."""
 
     def renew(self, credentials: Credentials) -> None:
         """Show and trust other credentials from the next connection on; at once, if others are trusted now."""
@@ -98,6 +109,10 @@ class LinkRemote(Remote):
         super().__init__(config, credentials)
         self.graph: RosbridgeGraph = graph
         self._make_onlooker = make_onlooker
+
+    def begin_watch(self) -> None:
+        """See ``Remote.begin_watch``."""
+        self.graph.begin_watch()
 
     def _renew(self, credentials: Credentials, anew: bool) -> None:
         self.graph.renew(credentials.context, credentials.headers, anew=anew)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
@@ -13,9 +13,6 @@ from ropeway.gateway.config.config import Route
 from ropeway.graph.base import look_up
 from ropeway.graph.link_parts import Encoded, LinkedPublisher, LinkStatistics, Refusable
 from ropeway.listener.http import without_token
-
-if TYPE_CHECKING:
-    from contextlib import AsyncExitStack
 
 __all__ = ["Bridge", "CallFigures", "Doubt", "RouteStatus", "RunningRoute", "TopicFigures", "paused_status"]
 
@@ -95,15 +92,12 @@ class Doubt:
 
 
 class RunningRoute:
-    """A route and its bridge. ``stack`` has what ends with it alone.
+    """A route and its bridge. ``doubt`` is kept by whoever watches the route."""
 
-    ``doubt`` is kept by whoever watches the route.
-    """
+    __slots__ = ("bridge", "doubt", "route")
 
-    __slots__ = ("bridge", "doubt", "route", "stack")
-
-    def __init__(self, route: Route, bridge: Bridge, stack: AsyncExitStack | None = None) -> None:
-        self.route, self.bridge, self.stack = route, bridge, stack
+    def __init__(self, route: Route, bridge: Bridge) -> None:
+        self.route, self.bridge = route, bridge
         self.doubt: Doubt | None = None
 
     def status(self, link_state: str = _CONNECTED) -> RouteStatus:
@@ -126,7 +120,8 @@ class RunningRoute:
 
 def paused_status(route: Route) -> RouteStatus:
     """Return how a route is that the configuration has, and that does not run."""
-    return _status(route, PAUSED, "", route.delivery.encoding, None)
+    figures = TopicFigures() if route.kind == "topic" else CallFigures()
+    return _status(route, PAUSED, "", route.delivery.encoding, figures)
 
 
 def _status(

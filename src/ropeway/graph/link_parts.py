@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
-__all__ = ["Contended", "Encoded", "LinkStatistics", "LinkedPublisher", "Refusable"]
+__all__ = ["Contended", "Draining", "Encoded", "LinkStatistics", "LinkedPublisher", "Refusable"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,15 @@ class LinkedPublisher(Protocol):
 
     def statistics(self) -> LinkStatistics:
         """Return how the topic goes over the link."""
+
+
+@runtime_checkable
+class Draining(Protocol):
+    """Publishes over a link that may be slower than the topic."""
+
+    @property
+    def waiting(self) -> int:
+        """The number of messages that wait to be sent."""
 
 
 @runtime_checkable

@@ -8,8 +8,11 @@ tasks of the paper's Algorithm 1. Faults are collected and raised together as on
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +52,7 @@ class Route:
     store: bool = False  # the last message is kept
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Config:
     """A whole configuration, valid. ``source`` names the file it came from."""
 
@@ -57,13 +60,14 @@ class Config:
     remotes: tuple[RemoteConfig, ...] = ()
     source: str = field(default="", compare=False)
 
-    def routes(self) -> list[Route]:
-        """Return the tasks of all active remotes, in order."""
+    def routes(self, *, active: bool = True) -> list[Route]:
+        """Return the tasks of all active remotes, in order; or those of them that are paused."""
         return [
             self._route(index, remote, operation, number, item)
             for index, remote in enumerate(self.remotes)
             if remote.active
             for operation, number, item in remote.items()
+            if item.active is active
         ]
 
     def _route(self, index: int, remote: RemoteConfig, operation: str, number: int, item: BridgedName) -> Route:
@@ -113,7 +117,16 @@ class Config:
         """Return the full form, for ``parse`` in another process: paths are absolute and all defaults are
         written out.
         """
-        return {"gateway": _dump(self.gateway), "remotes": [_dump(remote) for remote in self.remotes]}
+        gateway = _dump(self.gateway)
+        if self.only_dials:
+            del gateway["listen"]  # nobody asked for it
+        return {"gateway": gateway, "remotes": [_dump(remote) for remote in self.remotes]}
+
+    @cached_property
+    def etag(self) -> str:
+        """A digest of the configuration, which two of the same sense share."""
+        text = json.dumps(self.to_json(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @staticmethod
     def schema() -> dict[str, Any]:

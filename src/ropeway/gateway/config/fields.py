@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
-__all__ = ["ExistingPath", "Many", "Model", "below"]
+__all__ = ["ExistingPath", "Many", "Model", "Switch", "below"]
 
 T = TypeVar("T")
 Many = Annotated[tuple[T, ...], Field(strict=False)]
@@ -23,6 +23,20 @@ def _existing(value: str, info: ValidationInfo) -> str:
 
 
 ExistingPath = Annotated[str, AfterValidator(_existing)]
+
+
+def _switch(value: object) -> object:
+    if isinstance(value, str) and value.lower() in ("true", "false"):
+        return value.lower() == "true"
+    return value
+
+
+Switch = Annotated[
+    bool,
+    BeforeValidator(_switch),
+    WithJsonSchema({"anyOf": [{"type": "boolean"}, {"type": "string", "pattern": "^([Tt]rue|[Ff]alse|TRUE|FALSE)$"}]}),
+]
+"""A truth value, which may be written as a text."""
 
 
 class Model(BaseModel):

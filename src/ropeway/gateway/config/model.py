@@ -11,14 +11,13 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
-    WithJsonSchema,
 )
 
 from ropeway.budget import ACCOUNT_BYTES, PROCESS_BYTES, Budget
 from ropeway.gateway.config.address import default_graph, parse_graph, parse_listen
 from ropeway.gateway.config.auth_model import AuthConfig, GlobsConfig, Secret
 from ropeway.gateway.config.control_model import ControlConfig, ControlItem
-from ropeway.gateway.config.fields import ExistingPath, Many, Model
+from ropeway.gateway.config.fields import ExistingPath, Many, Model, Switch
 from ropeway.gateway.config.graph_model import Distro, GraphConfig, GraphItem
 from ropeway.gateway.config.group_model import Addresses, AnycastConfig
 from ropeway.gateway.config.iort_model import IortConfig, MapList, StoreConfig
@@ -73,12 +72,6 @@ def _url_path(value: str) -> str:
     return value
 
 
-def _switch(value: object) -> object:
-    if isinstance(value, str) and value.lower() in ("true", "false"):
-        return value.lower() == "true"
-    return value
-
-
 def _workers(value: object) -> object:
     number = isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MAX_WORKERS
     if not number and value != "per-remote":
@@ -105,12 +98,6 @@ def _hostname() -> str:
     name = re.sub(r"[^A-Za-z0-9_]", "_", socket.gethostname().partition(".")[0])
     return name if _PART.fullmatch(name) else f"gateway_{name}".rstrip("_")
 
-
-Switch = Annotated[
-    bool,
-    BeforeValidator(_switch),
-    WithJsonSchema({"anyOf": [{"type": "boolean"}, {"type": "string", "pattern": "^([Tt]rue|[Ff]alse|TRUE|FALSE)$"}]}),
-]
 
 # ---------------------------------------------------------------------------------------------------- models
 

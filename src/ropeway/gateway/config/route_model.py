@@ -17,7 +17,7 @@ from pydantic import (
 )
 
 from ropeway.errors import InvalidName, InvalidTypeName
-from ropeway.gateway.config.fields import Model, below
+from ropeway.gateway.config.fields import Model, Switch, below
 from ropeway.gateway.config.overlay_model import METADATA, METADATUM, Metadatum
 from ropeway.gateway.config.suggest import one_of, show, unknown_key
 from ropeway.graph.base import Delivery, resolve_name
@@ -159,6 +159,8 @@ class BridgedName(Model):
     )
     israw: IsRaw = Field(False, description='true is another way to say "compression": "cbor-raw"')
     priority: Priority = Field(4, description="lanes: 0 (command) is sent first, 4 is the default, 7 (bulk) last")
+
+    active: Switch = Field(True, description="false: parsed and checked, but paused")
 
     author: Metadatum = Field(None, description=METADATUM)
     maintainer: Metadatum = Field(None, description="likewise")

@@ -102,6 +102,7 @@ class OverlayNode:
         self.held = HeldBytes()
         self.refusals: Counter[tuple[str, Refusal]] = Counter()
         self.denials: dict[str, str] = {}
+        self.closed = False  # its last user has left: it is not opened again
         self.trouble = ""  # why others refuse us
         self.policy = policy or (lambda verb, name, certificate: True)
         self.links = Links(identity, self.trust, self.gateway, self.routers, self.listen, max_message_bytes)
@@ -168,6 +169,7 @@ class OverlayNode:
                 return
             await end(self._checking)
             self._checking = None
+            self.closed = True
             await self.links.close()
             for feed in list(self.feeds.values()):
                 await feed.close()

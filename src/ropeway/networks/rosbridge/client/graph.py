@@ -176,6 +176,14 @@ class RosbridgeGraph(GraphBase):
         self._changes.close()
         self.teller.leave()
 
+    def begin_watch(self) -> None:
+        """Ask the far side from now on what it has, if nobody did so far."""
+        if self._watch:
+            return
+        self._watch = True
+        if self.peer is not None and self.peer.dialect is ROPEWAY:
+            self.peer.send({"op": "watch"})
+
     def renew(self, ssl_context: ssl.SSLContext | None, headers: Mapping[str, str], *, anew: bool) -> None:
         """Show and trust other credentials from the next connection on; with ``anew`` that is made at once."""
         self._ssl, self._headers = ssl_context, dict(headers)

@@ -77,6 +77,11 @@ class RemotePublisher(PublisherBase[LinkGraph]):
         self.channel.put(sample)
 
     @property
+    def waiting(self) -> int:
+        """The number of messages that wait for the link, with the one that is being sent."""
+        return 0 if self.channel is None else len(self.channel.queue.waiting) + self.channel.queue.under_way
+
+    @property
     def refused(self) -> str:
         """The reason why the far side does not take the topic, ``""`` if it does."""
         return self.answers.reason
