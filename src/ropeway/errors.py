@@ -40,6 +40,7 @@
     ├── ControlError              the control API of a running gateway
     │   ├── ControlUnavailable    its socket cannot be had, or nobody answers there
     │   │   └── NameTaken         another gateway that runs has the name
+    │   ├── JournalError          what was changed cannot be written down, or read again
     │   └── ControlRefused        an answer that is an error: not allowed, not there, changed meanwhile
     ├── AccessDenied              a role, a glob or a limit of the server does not allow it
     └── BagUnreadable             a recording that is missing, damaged or of an unknown kind
@@ -77,6 +78,7 @@ __all__ = [
     "InvalidName",
     "InvalidOperation",
     "InvalidTypeName",
+    "JournalError",
     "LinkError",
     "MessageTooBig",
     "MissingExtra",
@@ -400,6 +402,14 @@ class ControlUnavailable(ControlError):
 
 class NameTaken(ControlUnavailable):
     """Raised where another gateway that runs has the name."""
+
+
+class JournalError(ControlError):
+    """A journal that cannot be written or read. ``path`` is its file."""
+
+    def __init__(self, path: str, reason: str) -> None:
+        self.path, self.reason = path, reason
+        super().__init__(f"the journal {path}: {reason}")
 
 
 class ControlRefused(ControlError):

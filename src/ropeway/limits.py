@@ -395,3 +395,9 @@ CONTROL_EVENT_BYTES: Final = 16 << 10
 
 CONTROL_EVENTS_KEPT: Final = 1_000
 """Events that a gateway remembers, for readers that come later."""
+
+JOURNAL_ENTRIES: Final = 20_000
+"""Changes that a journal remembers. Above, the oldest are forgotten, a tenth at a time."""
+
+JOURNAL_BYTES: Final = 256 << 20
+"""The configurations in a journal, compressed, and each that is the same once."""

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from ropeway.errors import ConfigError, RopewayError
-from ropeway.gateway.apply import Change
+from ropeway.gateway.apply import ConfigChange
 from ropeway.gateway.config import config
 from ropeway.gateway.gateway import Gateway
 from ropeway.gateway.plan import make_plan
@@ -222,7 +222,7 @@ async def test_a_swap_that_fails_is_undone(world: World, monkeypatch: pytest.Mon
 async def test_two_phases(world: World) -> None:
     """What was prepared can be taken back, and nothing is left of it."""
     await world.apply(topics("/a"))
-    change = Change(world.robot, make_plan(world.robot.config, world.made("robot", topics("/a", "/b"))))
+    change = ConfigChange(world.robot, make_plan(world.robot.config, world.made("robot", topics("/a", "/b"))))
     await change.prepare()
     await until(lambda: "/b" in world.there.topics())
     await change.abort()

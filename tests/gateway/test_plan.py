@@ -8,7 +8,7 @@ import pytest
 
 from ropeway.errors import ConfigError
 from ropeway.gateway.config.config import Config, parse
-from ropeway.gateway.plan import Plan, make_plan
+from ropeway.gateway.plan import ConfigPlan, make_plan
 from tests.support.messages import STRING
 
 
@@ -24,7 +24,7 @@ def remote(address: str, *names: str, **more: Any) -> dict[str, Any]:
     return {"address": address, "publish": [item(name) for name in names], **more}
 
 
-def said(plan: Plan) -> list[tuple[str, str, str]]:
+def said(plan: ConfigPlan) -> list[tuple[str, str, str]]:
     return [(step.action, step.what, step.path) for step in plan.steps]
 
 

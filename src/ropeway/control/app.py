@@ -21,7 +21,7 @@ from ropeway import aio
 from ropeway.control.caller import Caller
 from ropeway.control.openapi import document
 from ropeway.control.resource import Answer, ControlRequest, Resource, collect
-from ropeway.errors import ConfigError, ControlRefused, RopewayError
+from ropeway.errors import ConfigError, ControlRefused, JournalError, RopewayError
 from ropeway.gateway.config.shape import json_path
 from ropeway.limits import CONTROL_BODIES_BYTES, CONTROL_BODY_BYTES, CONTROL_READER_S, CONTROL_REQUEST_S
 from ropeway.tasks import describe
@@ -246,6 +246,8 @@ def _refusal(error: RopewayError, *, close: bool = False) -> Response:
     if isinstance(error, ConfigError):
         status = 422
         details = {"problems": [{"path": path, "problem": text} for path, text in error.problems]}
+    elif isinstance(error, JournalError):
+        status = 507
     elif isinstance(error, ControlRefused):
         status, details = error.status, error.details
         headers |= {name.lower(): text for name, text in error.headers.items() if name.lower() != "content-type"}

@@ -1,33 +1,59 @@
-"""Manages a running gateway for the control API: what it shows, and what may be asked of it."""
+"""Manages a running gateway: what it shows, what may be asked of it, and every change of its configuration.
+
+All changes take this way, whoever wants them (the control API, SIGHUP, a file that is watched): planned, written into
+the journal, applied, confirmed. One at a time.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ropeway.control.events import Events
+from ropeway.control.record import ChangeRecord
+from ropeway.errors import ConfigError, ControlRefused, RopewayError
 from ropeway.gateway.auth import make_door
+from ropeway.gateway.config.config import Config, parse
+from ropeway.gateway.plan import ConfigPlan, make_plan
 
 if TYPE_CHECKING:
-    from ropeway.gateway.config.config import Config
+    from ropeway.control.caller import Caller
     from ropeway.gateway.gateway import Gateway
     from ropeway.gateway.process.questions import Question
     from ropeway.gateway.process.supervisor import Supervisor
     from ropeway.listener.authentication import Door
 
-__all__ = ["Manager"]
+__all__ = ["Applied", "Manager"]
 
 log = logging.getLogger("ropeway.control")
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """A change that was confirmed. ``number`` is its entry in the journal, 0 where there is none."""
+
+    plan: ConfigPlan
+    number: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what was done as JSON."""
+        return {**self.plan.to_json(), "applied": not self.plan.empty, "number": self.number}
 
 
 class Manager:
     """Stands between the control API and what runs: a gateway in this process, or the supervisor of workers."""
 
-    def __init__(self, running: Gateway | Supervisor) -> None:
+    def __init__(self, running: Gateway | Supervisor, record: ChangeRecord | None = None) -> None:
         self.running = running
         self.events = Events()
+        self.record = record or ChangeRecord(None)
         self._on_door: list[Callable[[Door], None]] = []
+        self._changing = asyncio.Lock()
+        self._planning = asyncio.Lock()
 
     @property
     def config(self) -> Config:
@@ -56,6 +82,141 @@ class Manager:
         for renew in self._on_door:
             renew(door)
 
+    # ── changes ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def read(self, document: Any, directory: str | Path = ".", source: str = "") -> Config:
+        """Read a configuration that somebody wants. Raises ``ConfigError`` with every fault."""
+        async with self._planning:
+            return await asyncio.to_thread(_read, document, source or self.config.source, directory)
+
+    async def plan(self, config: Config) -> ConfigPlan:
+        """Return what a configuration would change; nothing is done."""
+        async with self._planning:
+            return await asyncio.to_thread(make_plan, self.config, config)
+
+    async def apply(
+        self, config: Config, caller: Caller, *, action: str = "apply", note: str = "", if_match: str | None = None
+    ) -> Applied:
+        """Go over to another configuration; once this returns, it survives whatever happens.
+
+        ``if_match`` is the ``etag`` of the configuration that the caller knows. Raises ``ControlRefused`` with what was
+        changed meanwhile where that is not the one that runs, and ``RopewayError`` where it cannot be applied; then
+        everything is as before.
+        """
+        async with self._changing:
+            return await self._apply(config, caller, action, note, if_match)
+
+    async def edit(
+        self,
+        change: Callable[[dict[str, Any]], None],
+        caller: Caller,
+        *,
+        action: str,
+        if_match: str | None = None,
+    ) -> Applied:
+        """Apply what ``change`` makes of the configuration that runs, in the full form."""
+        async with self._changing:
+            document = self.config.to_json()
+            change(document)
+            config = await self.read(document)
+            return await self._apply(config, caller, action, "", if_match)
+
+    async def apply_file(self, caller: Caller) -> str:
+        """Apply the file again if it has changed; read certificates and tokens again. Return what was done.
+
+        Raises ``RopewayError``; nothing has changed then.
+        """
+        file = self.record.file
+        changed = file is not None and await asyncio.to_thread(self.record.file_changed)
+        self.reload()
+        if not changed or file is None:
+            return "certificates and tokens were read again"
+        from ropeway.gateway.config.config import load
+
+        async with self._changing:
+            config = await asyncio.to_thread(load, file)
+            applied = await self._apply(config, caller, "reload", "", None)
+            await asyncio.to_thread(self.record.file_changed, seen=True)
+        steps = len(applied.plan.steps)
+        return f"{file} was applied: {steps} step{'' if steps == 1 else 's'}" if steps else f"{file} changes nothing"
+
+    async def rollback(self, caller: Caller, number: int | None = None, *, if_match: str | None = None) -> Applied:
+        """Go back to the configuration of an entry of the journal, or to the one before the last change."""
+        async with self._changing:
+            entry = await self.record.entry_to_go_back_to(number, self.config.etag)
+            config = await self.read(await self.record.config(entry))
+            return await self._apply(config, caller, "rollback", f"to {entry.number}", if_match)
+
+    async def _apply(self, config: Config, caller: Caller, action: str, note: str, if_match: str | None) -> Applied:
+        await self._check_known(if_match)
+        before = self.config
+        plan = await self.plan(config)
+        if plan.empty:
+            self.running.config = config
+            return Applied(plan, 0)
+        entry = await self.record.begin(config, plan, caller, action, note)
+        try:
+            await self.running.apply(config, plan)
+        except BaseException as error:
+            await self.record.fail(entry, str(error) or type(error).__name__)
+            self.events.tell("config", config.gateway.name, action=action, who=caller.name, failed=str(error))
+            raise
+        try:
+            await self.record.confirm(entry)
+        except RopewayError:
+            log.error("the change cannot be written down; it is taken back")
+            await self.running.apply(before)
+            raise
+        self._renewed()
+        log.info("%s by %s (%s): %s", action, caller.name, caller.where, _summary(plan))
+        number = 0 if entry is None else entry.number
+        steps = [step.to_json() for step in plan.steps]
+        self.events.tell(
+            "config", config.gateway.name, action=action, who=caller.name, number=number, etag=config.etag, steps=steps
+        )
+        return Applied(plan, number)
+
+    async def _check_known(self, if_match: str | None) -> None:
+        """Refuse a change of who has not seen the configuration that runs."""
+        wanted = "" if if_match is None else if_match.strip().strip('"')
+        if wanted in ("", "*", self.config.etag):
+            return
+        known = await self.record.config_of(wanted)
+        meanwhile = [] if known is None else (await self.plan_from(known)).to_json()["steps"]
+        text = "somebody else has changed the configuration meanwhile; look at it, and try again"
+        raise ControlRefused(
+            409, text, {"etag": self.config.etag, "meanwhile": meanwhile}, headers={"etag": f'"{self.config.etag}"'}
+        )
+
+    async def plan_from(self, document: Any) -> ConfigPlan:
+        """Return what lies between another configuration and the one that runs."""
+        old = await self.read(document)
+        return await asyncio.to_thread(make_plan, old, self.config)
+
+    def _renewed(self) -> None:
+        if self._on_door:
+            try:
+                door = make_door(self.config.gateway)
+            except ConfigError as error:
+                log.error("the control API goes on with the tokens that it has: %s", error)
+                return
+            for renew in self._on_door:
+                renew(door)
+
     async def close(self) -> None:
         """End what the manager began."""
         self.events.close()
+        await self.record.close()
+
+
+def _read(document: Any, source: str, directory: str | Path) -> Config:
+    config = parse(document, source, directory=directory)
+    _ = config.etag  # here, where it holds nobody up
+    return config
+
+
+def _summary(plan: ConfigPlan) -> str:
+    counts: dict[str, int] = {}
+    for step in plan.steps:
+        counts[step.action] = counts.get(step.action, 0) + 1
+    return ", ".join(f"{count} to {action}" for action, count in counts.items())

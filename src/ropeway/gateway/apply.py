@@ -16,12 +16,12 @@ from ropeway import aio
 from ropeway.gateway.config.config import Config, Route
 from ropeway.gateway.config.type_hints import known_types, learn_types
 from ropeway.gateway.credentials import read_credentials
-from ropeway.gateway.plan import Plan, RemotePlan
+from ropeway.gateway.plan import ConfigPlan, RemotePlan
 from ropeway.gateway.running_remote import RunningRemote
 from ropeway.tasks import describe
 from ropeway.types import TypeRegistry
 
-__all__ = ["Change", "Changing"]
+__all__ = ["Changing", "ConfigChange"]
 
 log = logging.getLogger("ropeway.gateway")
 
@@ -49,10 +49,10 @@ class Changing(Protocol):
         ...
 
 
-class Change:
+class ConfigChange:
     """A change of configuration that is under way. Nothing else may change the gateway meanwhile."""
 
-    def __init__(self, gateway: Changing, plan: Plan) -> None:
+    def __init__(self, gateway: Changing, plan: ConfigPlan) -> None:
         self.gateway, self.plan = gateway, plan
         self._before = {running.index: running for running in gateway.running}
         self._opened: dict[int, RunningRemote] = {}
@@ -139,7 +139,7 @@ class Change:
                     await asyncio.sleep(_LOOK_S)
 
     async def _swap(self) -> None:
-        """Change the routes that stay; if one cannot be, those before it are changed back."""
+        """ConfigChange the routes that stay; if one cannot be, those before it are changed back."""
         done: list[tuple[RunningRemote, Route]] = []
         try:
             for remote in self.plan.remotes:

@@ -11,7 +11,7 @@ from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import RopewayError
-from ropeway.gateway.apply import Change
+from ropeway.gateway.apply import ConfigChange
 from ropeway.gateway.auth import make_door
 from ropeway.gateway.config.address import is_iort, is_loopback, is_secure
 from ropeway.gateway.config.config import Config, Route
@@ -20,7 +20,7 @@ from ropeway.gateway.config.type_hints import learn_types, type_hints
 from ropeway.gateway.credentials import read_credentials
 from ropeway.gateway.explain import Explanation, RouteWatch, explain
 from ropeway.gateway.local_networks import open_network
-from ropeway.gateway.plan import Plan, make_plan
+from ropeway.gateway.plan import ConfigPlan, make_plan
 from ropeway.gateway.process.allocator import FreedMemory, keep_freed_memory
 from ropeway.gateway.process.counts import summed
 from ropeway.gateway.process.open_files import make_room
@@ -72,6 +72,7 @@ class Gateway:
         self.gateway_id = gateway_id or os.urandom(8).hex()
         self._node = node
         self._reuse_port = reuse_port
+        self.change: ConfigChange | None = None  # what was prepared
         self._given_up: asyncio.Future[None] | None = None
         self._begin(config)
 
@@ -323,15 +324,22 @@ class Gateway:
                     self._given_up.set_exception(second)
             raise
 
-    async def apply(self, config: Config) -> Plan:
+    async def apply(self, config: Config, plan: ConfigPlan | None = None) -> ConfigPlan:
         """Go over to another configuration while everything else goes on; return what was done.
 
         Raises ``RopewayError`` if that cannot be; then everything is as before.
         """
-        change = Change(self, make_plan(self.config, config))
-        await change.prepare()
+        change = await self.prepare(config, plan)
+        self.change = None
         await change.commit()
         return change.plan
+
+    async def prepare(self, config: Config, plan: ConfigPlan | None = None) -> ConfigChange:
+        """Start what is new of a configuration beside what runs; what comes of it is ``change`` until then."""
+        change = ConfigChange(self, plan or make_plan(self.config, config))
+        await change.prepare()
+        self.change = change
+        return change
 
     def routes(self) -> list[RouteStatus]:
         """Return how every route is."""

@@ -17,7 +17,7 @@ from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.route_model import OPERATIONS
 from ropeway.listener.http import without_token
 
-__all__ = ["Plan", "PlanStep", "RemotePlan", "make_plan", "remote_keys"]
+__all__ = ["ConfigPlan", "PlanStep", "RemotePlan", "make_plan", "remote_keys"]
 
 _LIVE: Final = frozenset(("auth", "globs", "tls", "types", "insecure"))
 """The keys of the gateway that are changed while everything goes on."""
@@ -55,7 +55,7 @@ class PlanStep:
 
 @dataclass(frozen=True, slots=True)
 class RemotePlan:
-    """What happens to a remote that is to run: ``before`` is its index in the old configuration, if it stays.
+    """The part of a plan for a remote that is to run: ``before`` is its index in the old configuration, if it stays.
 
     ``replaces`` is the index of one that it takes the place of.
     """
@@ -71,7 +71,7 @@ class RemotePlan:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ConfigPlan:
     """The way from one configuration to another. ``restart`` names what cannot be changed while everything goes on."""
 
     old: Config
@@ -110,7 +110,7 @@ def remote_keys(config: Config) -> list[str]:
     return keys
 
 
-def make_plan(old: Config, new: Config) -> Plan:
+def make_plan(old: Config, new: Config) -> ConfigPlan:
     """Compare two configurations. Raises ``ConfigError`` for what only a new process can do."""
     if (old.gateway.workers == 0) != (new.gateway.workers == 0):
         text = "a running gateway cannot change between one process and workers; stop it, and run the new file"
@@ -138,7 +138,7 @@ def make_plan(old: Config, new: Config) -> Plan:
     for index in stopped:
         if index not in replaced:
             _stop_steps(old, index, before[index], steps)
-    return Plan(old, new, tuple(steps), tuple(plans), stopped, tuple(restart), live, unchanged)
+    return ConfigPlan(old, new, tuple(steps), tuple(plans), stopped, tuple(restart), live, unchanged)
 
 
 def _gateway_steps(old: Config, new: Config, steps: list[PlanStep]) -> tuple[list[str], frozenset[str]]:

@@ -17,9 +17,9 @@ from typing import Any
 import psutil
 import pytest
 
-from ropeway.errors import ConnectFailed
+from ropeway.errors import ConfigError, ConnectFailed, GraphUnavailable
 from ropeway.gateway.config import config
-from ropeway.gateway.process.supervisor import Supervisor, slices
+from ropeway.gateway.process.supervisor import Supervisor, places, slices
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.hub.hub import Hub
 from ropeway.networks.dds import DdsGraph
@@ -108,6 +108,21 @@ def test_slices() -> None:
         "remote3": False,
     }
     assert all(part.gateway.listen for _, part in slices(parsed(3, listen=["ws://127.0.0.1:9090"])))
+
+
+def test_a_remote_stays_with_its_worker() -> None:
+    """Remotes are dealt by what they are: an insertion moves nobody, and new ones go to the emptiest worker."""
+    old = parsed(2)
+    item = {"name": "/x", "type": STRING}
+    new = config.parse(
+        {
+            "gateway": {**settings("memory:x"), "workers": 2},
+            "remotes": [{"address": f"ws://{host}", "publish": [item]} for host in ("new", "h3", "h2", "h0")],
+        }
+    )
+    before = places(old)
+    found = {name: [r.address for r in part.remotes if r.active] for name, part in slices(new, before)}
+    assert found == {"worker0": ["ws://h3:9090", "ws://h0:9090"], "worker1": ["ws://new:9090", "ws://h2:9090"]}
 
 
 # ── workers ────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -224,6 +239,69 @@ async def test_worker_that_keeps_falling(stack: AsyncExitStack, caplog: pytest.L
     assert times[2] >= 2
     told = [message.partition("it is started again")[2] for message in caplog.messages]
     assert told == ["", " in 1 s", " in 2 s"]
+
+
+async def two_clouds(stack: AsyncExitStack, workers: int | str) -> tuple[Supervisor, list[Cloud], Any]:
+    """Return a robot with two workers, each with a link to a cloud, and what makes configurations."""
+    domain = next(_domains)
+    clouds = [Cloud(), Cloud()]
+    for cloud in clouds:
+        await cloud.start(stack, "/n")
+
+    def made(*remotes: dict[str, Any]) -> config.Config:
+        graph = f"dds:{domain}?interface=lo"
+        return config.parse({"gateway": {**settings(graph), "workers": workers}, "remotes": list(remotes)})
+
+    supervisor = Supervisor(made(*map(route, clouds)), log_level="WARNING", steady_s=0)
+    await stack.enter_async_context(supervisor)
+    await talker(stack, domain, "/n")
+    await until(lambda: all(len(cloud.heard) > 10 for cloud in clouds))
+    return supervisor, clouds, made
+
+
+def route(cloud: Cloud, *names: str, **more: Any) -> dict[str, Any]:
+    items = [{"name": name, "type": STRING} for name in ("/n", *names)]
+    return {"address": cloud.url, "publish": items, **more}
+
+
+async def test_a_change_in_all_workers(stack: AsyncExitStack) -> None:
+    """A route is added and a remote goes while the processes and the other routes go on; asking works in each."""
+    supervisor, clouds, made = await two_clouds(stack, 2)
+    pids = [worker.process.pid for worker in supervisor.workers if worker.process]
+    await supervisor.apply(made(route(clouds[0], "/more"), route(clouds[1])))
+    rows = await supervisor.ask(route_names, {})
+    assert sorted(name for names in rows for name in names) == ["/more", "/n", "/n"]
+    await supervisor.apply(made(route(clouds[0], "/more")))
+    assert await supervisor.ask(route_names, {}) == [["/n", "/more"], []]
+    assert [worker.process.pid for worker in supervisor.workers if worker.process] == pids
+    heard = len(clouds[0].heard)
+    await until(lambda: len(clouds[0].heard) > heard + 10)
+    numbers = clouds[0].heard
+    assert numbers == list(range(numbers[0], numbers[-1] + 1))
+
+
+async def route_names(gateway: Any, params: Any) -> list[str]:
+    return [row.name for row in gateway.routes()]
+
+
+async def test_all_workers_or_none(stack: AsyncExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where one worker cannot change, no worker does; a worker that is killed comes back as the others are."""
+    supervisor, clouds, made = await two_clouds(stack, "per-remote")
+    bad = {"token": {"env": "SET_IN_THE_SUPERVISOR_ALONE"}}
+    monkeypatch.setenv("SET_IN_THE_SUPERVISOR_ALONE", "x")
+    with pytest.raises(ConfigError, match="SET_IN_THE_SUPERVISOR_ALONE"):
+        await supervisor.apply(made(route(clouds[0], "/more"), route(clouds[1], **bad)))
+    assert await supervisor.ask(route_names, {}) == [["/n"], ["/n"]]
+    killed = supervisor.workers[0].process
+    assert killed is not None
+    killed.kill()
+    with pytest.raises(GraphUnavailable, match="worker remote0"):
+        await supervisor.apply(made(route(clouds[0]), route(clouds[1], "/more")))
+    await until(lambda: supervisor.workers[0].running)
+    assert await supervisor.ask(route_names, {}) == [["/n"], ["/n"]]
+    await supervisor.apply(made(route(clouds[0], "/more")))
+    assert [worker.name for worker in supervisor.workers] == ["remote0"]
+    assert await supervisor.ask(route_names, {}) == [["/n", "/more"]]
 
 
 @pytest.mark.timeout(120)

@@ -99,6 +99,7 @@ class WorkerProcess:
                 self.ready.set()
                 return
             self.status = {}
+            self.ready.clear()
             short_lives = short_lives + 1 if time.monotonic() - began < self._steady_s else 0
             # One accident soon after the start is none of its own fault.
             pause_s = min(_PAUSE_S * 2 ** (short_lives - 2), _LONGEST_PAUSE_S) if short_lives > 1 else 0.0
@@ -107,6 +108,16 @@ class WorkerProcess:
             log.warning("worker %s ended%s; it is started again%s", self.name, why, when)
             await asyncio.sleep(pause_s)
 
+    @property
+    def running(self) -> bool:
+        """Whether the process is there and up."""
+        return self.process is not None and self.process.returncode is None and self.ready.is_set()
+
+    def kill(self) -> None:
+        """End the process at once; it is started again."""
+        if self.process is not None and self.process.returncode is None:
+            self.process.kill()
+
     async def ask(self, question: Question, params: Mapping[str, Any], *, timeout_s: float) -> Any:
         """Return the worker's answer.
 
@@ -114,7 +125,7 @@ class WorkerProcess:
         longer.
         """
         process = self.process
-        if process is None or process.stdin is None or process.returncode is not None or not self.ready.is_set():
+        if process is None or process.stdin is None or not self.running:
             raise GraphUnavailable(f"worker {self.name}", "it is not running; it is started again")
         number = next(self._numbers)
         answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()

@@ -177,11 +177,9 @@ class RosbridgeGraph(GraphBase):
         self.teller.leave()
 
     def begin_watch(self) -> None:
-        """Ask the far side from now on what it has, if nobody did so far."""
-        if self._watch:
-            return
-        self._watch = True
-        if self.peer is not None and self.peer.dialect is ROPEWAY:
+        """Ask the far side from now on what it has."""
+        began, self._watch = not self._watch, True
+        if began and self.peer is not None and self.peer.dialect is ROPEWAY:
             self.peer.send({"op": "watch"})
 
     def renew(self, ssl_context: ssl.SSLContext | None, headers: Mapping[str, str], *, anew: bool) -> None:
