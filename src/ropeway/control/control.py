@@ -17,6 +17,7 @@ from ropeway.control.place import own_directory, socket_path
 from ropeway.control.server import ControlServer
 from ropeway.errors import ConnectFailed, ControlError, NameTaken
 from ropeway.gateway.auth import make_door
+from ropeway.gateway.config.control_model import ControlConfig
 from ropeway.gateway.tls import server_context
 from ropeway.tasks import Supervised
 
@@ -69,7 +70,7 @@ class Control:
         try:
             claim = self._claim(control.name or settings.name, asked=control.name is not None)
         except ControlError as error:
-            if "control" in settings.model_fields_set:
+            if control != ControlConfig.model_validate({}):
                 raise
             log.warning('%s; nobody can see or change this gateway ("control": false says that is meant)', error)
             return

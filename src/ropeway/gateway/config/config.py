@@ -117,10 +117,7 @@ class Config:
         """Return the full form, for ``parse`` in another process: paths are absolute and all defaults are
         written out.
         """
-        gateway = _dump(self.gateway)
-        if self.only_dials:
-            del gateway["listen"]  # nobody asked for it
-        return {"gateway": gateway, "remotes": [_dump(remote) for remote in self.remotes]}
+        return {"gateway": _dump(self.gateway), "remotes": [_dump(remote) for remote in self.remotes]}
 
     @cached_property
     def etag(self) -> str:
