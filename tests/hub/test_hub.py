@@ -8,17 +8,19 @@ import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from ropeway.errors import GraphUnavailable
+from ropeway.graph import history
 from ropeway.graph.base import Sample
 from ropeway.hub.hub import Hub
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 
 _numbers = itertools.count()
 
@@ -153,7 +155,7 @@ async def test_demand(place: Place) -> None:
     assert max(counts) == 2
 
 
-async def test_latched(place: Place) -> None:
+async def test_latched(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     """A view that comes late gets what others keep for it: the newest, unless it asked for nothing or it is too old."""
     publisher = await place.hub.view("publisher").create_publisher("/x", STRING, replace(LATCHED, depth=2))
     for value in ("a", "b", "c"):
@@ -162,12 +164,13 @@ async def test_latched(place: Place) -> None:
         inbox = Inbox()
         await place.hub.view("late").create_subscription("/x", STRING, qos, inbox)
         assert inbox.payloads == [text(v) for v in expected]
-    short = replace(LATCHED, lifespan_s=0.1)
+    short = replace(LATCHED, lifespan_s=PATIENCE_S)
     kept_shortly = await place.hub.view("publisher").create_publisher("/y", STRING, short)
     kept_shortly.publish(sample("soon gone"))
     in_time, late = Inbox(), Inbox()
     await place.hub.view("in time").create_subscription("/y", STRING, None, in_time)
-    await asyncio.sleep(0.15)
+    later_ns = time.time_ns() + int(2 * PATIENCE_S * 1e9)
+    monkeypatch.setattr(history, "time", SimpleNamespace(time_ns=lambda: later_ns))
     await place.hub.view("late").create_subscription("/y", STRING, None, late)
     assert (len(in_time.samples), len(late.samples)) == (1, 0)
 

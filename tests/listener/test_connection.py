@@ -6,12 +6,14 @@ import asyncio
 import contextlib
 import os
 import tracemalloc
+from collections import Counter
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from time import perf_counter
 from typing import Any
 
 import pytest
+from picows import WSFrame, WSMsgType, WSTransport
 
 from ropeway import aio
 from ropeway.budget import Budget
@@ -167,11 +169,19 @@ async def test_pings(place: Place) -> None:
     await until(lambda: far.got == [("text", b"one text")])
 
 
-async def test_sends_pings(place: Place) -> None:
+async def test_sends_pings(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     """The connection asks its peer for signs of life, and lives on while the answers come."""
+    answers: Counter[Connection] = Counter()
+    on_frame = Connection.on_ws_frame
+
+    def count(connection: Connection, transport: WSTransport, frame: WSFrame) -> None:
+        answers[connection] += frame.msg_type == WSMsgType.PONG
+        on_frame(connection, transport, frame)
+
+    monkeypatch.setattr(Connection, "on_ws_frame", count)
     await place.listen(Limits(ping_interval_s=0.02, silence_s=0.1))
     near = await place.connect(Limits(ping_interval_s=0.02, silence_s=0.1))
-    await asyncio.sleep(0.4)
+    await until(lambda: len(answers) == 2 and min(answers.values()) > 20)  # which takes longer than a silence may
     assert not near.connection.closed
     assert not place.ends[0].connection.closed
     near.connection.close()

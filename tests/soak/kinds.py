@@ -19,7 +19,7 @@ from tests.soak.overlay import MEMBERS, TO_ROUTERS, Attack, Overlay, a_gateway, 
 from tests.soak.strangers import AT_ROUTERS, STRANGERS, Strangers, abort
 from tests.support.websocket import Client
 
-__all__ = ["KINDS", "Kind"]
+__all__ = ["CLIENTS", "KINDS", "NODES", "ON_DDS", "OVERLAY", "UNREAD", "VISITORS", "Kind"]
 
 _WARM_UP_BYTES: Final = 2_000  # before it is measured: what is made for the first visitor stays
 
@@ -154,7 +154,7 @@ async def _a_router(stack: AsyncExitStack) -> dict[str, Any]:
 
 _MEMORY: Final = _serving(_config("memory:memory"))
 _DDS: Final = _serving(_config("dds:77?interface=lo"))
-_ON_DDS: Final = (
+_SENT_ON_DDS: Final = (
     "advertise",
     "advertise_deep",
     "subscribe_many",
@@ -167,23 +167,30 @@ _ON_DDS: Final = (
 )
 _ANSWERED: Final = ("call_", "rosapi_", "send_", "subscribe", "advertise", "publish")
 
-KINDS: Final = [
+CLIENTS: Final = [
     *(Kind(name, _MEMORY, _client(make)) for name, make in PLAIN.items()),
     *(Kind(name, _MEMORY, _client(make, ROPEWAY_SUBPROTOCOL)) for name, make in GATEWAY.items()),
-    *(
-        Kind(f"{name}-unread", _MEMORY, _client(make, reads=False))
-        for name, make in PLAIN.items()
-        if name.startswith(_ANSWERED)
-    ),
-    *(Kind(name, _listening(scheme), _strangers(visit)) for name, (scheme, visit) in STRANGERS.items()),
+]
+UNREAD: Final = [
+    Kind(f"{name}-unread", _MEMORY, _client(make, reads=False))
+    for name, make in PLAIN.items()
+    if name.startswith(_ANSWERED)
+]
+VISITORS: Final = [Kind(name, _listening(scheme), _strangers(visit)) for name, (scheme, visit) in STRANGERS.items()]
+NODES: Final = [
     *(Kind(f"node-{name}", _listening("iort"), _node(make)) for name, make in PACKETS.items()),
     *(Kind(f"node-{name}-unread", _listening("iort"), _node(make, False)) for name, make in PACKETS.items()),
     *(
         Kind(f"nodes-{name}", _listening("iort"), _node(PACKETS[name], connections=_FROM_MANY))
         for name in ("plain", "systems", "brought", "subscriptions", "advertisements")
     ),
+]
+OVERLAY: Final = [
     *(_overlay(name, attack, gateway=True) for name, attack in MEMBERS.items()),
     *(_overlay(name, attack, gateway=False) for name, attack in TO_ROUTERS.items()),
     *(Kind(f"router-{name}", _a_router, _strangers(visit)) for name, visit in AT_ROUTERS.items()),
-    *(Kind(f"{name}-dds", _DDS, _client(PLAIN[name])) for name in _ON_DDS),
 ]
+ON_DDS: Final = [Kind(f"{name}-dds", _DDS, _client(PLAIN[name])) for name in _SENT_ON_DDS]
+
+KINDS: Final = [*CLIENTS, *UNREAD, *VISITORS, *NODES, *OVERLAY, *ON_DDS]
+"""All of them, as ``python -m tests.soak.measure`` measures them."""

@@ -46,6 +46,7 @@ __all__ = ["Feed", "FeedReader", "PublisherStream", "read_item"]
 log = logging.getLogger("ropeway.overlay")
 
 _ASK_S: Final = 2.0
+_BRING_S: Final = (2.0, 10.0, 60.0)  # an answer may get lost, and another one has 64 MB to bring over a slow link
 _AGAIN_S: Final = 1.0
 _SPACING_S: Final = 0.5  # between two requests for keys: packets that name keys nobody has cost no more than that
 _REMEMBERED: Final = 4096
@@ -192,9 +193,9 @@ class PublisherStream:
         after, upto = follower.missing
         request = {"op": "history", "of": self.advert.endpoint, "after": after, "upto": upto}
         items: list[PacketItem] = []
-        for last in (False, False, True):
+        for bring_s in _BRING_S:
             try:
-                answer = await self._feed.rpc.ask(self.advert.gateway, request, _ASK_S, lane=4)
+                answer = await self._feed.rpc.ask(self.advert.gateway, request, bring_s, lane=4)
                 items = read_items(_history(answer), self._feed.limit_bytes, OVERLAY_HISTORY_BYTES)
                 break
             except SealError as error:
@@ -202,7 +203,7 @@ class PublisherStream:
                 break
             except RopewayError as error:
                 log.debug("overlay: missing messages of %s cannot be recovered: %s", self.advert.name, error)
-                if not last:
+                if bring_s < _BRING_S[-1]:
                     await asyncio.sleep(_AGAIN_S)
         if self.readers.get(reader) is follower:
             self._give(reader, follower.recovered(items))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import AsyncExitStack
+from typing import Any
 
 import pytest
 
 from ropeway import aio
-from ropeway.errors import CallError, CallFailed, ProviderLost
+from ropeway.errors import CallError, CallFailed, CallTimeout, ProviderLost
 from ropeway.graph.base import Delivery
 from ropeway.graph.calls import Request
 from ropeway.networks.overlay.gateway_path import Path
@@ -20,6 +21,7 @@ from ropeway.networks.overlay.names import Metadata
 from ropeway.networks.overlay.node import OverlayNode
 from ropeway.networks.overlay.packet_item import RAW, PacketItem
 from ropeway.networks.overlay.router import Router
+from ropeway.networks.overlay.rpc import Rpc
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from tests.networks.overlay.conftest import Site
 from tests.networks.overlay.conftest import site as site
@@ -231,7 +233,27 @@ async def test_big_messages(site: Site) -> None:
     await until(lambda: publisher.subscribers)
     big = text("x" * 60_000_000)
     publisher.publish(big)
-    assert (await inbox.wait(1, 4 * PATIENCE_S))[0].payload == big.payload
+    assert (await inbox.wait(1, 3 * PATIENCE_S))[0].payload == big.payload
+
+
+async def test_slowly_brought_again(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Messages of before that take a while to be brought, as they are big and the link is slow, arrive all the same."""
+    ask = Rpc.ask
+
+    async def ask_slowly(
+        rpc: Rpc, gateway: bytes, request: Mapping[str, Any], timeout_s: float, *, lane: int = 1
+    ) -> Any:
+        if request["op"] == "history" and timeout_s < 20:
+            raise CallTimeout("history", timeout_s)
+        return await ask(rpc, gateway, request, timeout_s, lane=lane)
+
+    monkeypatch.setattr(Rpc, "ask", ask_slowly)
+    near, far = await site.join(), await site.join()
+    publisher = await near.create_publisher("/map", STRING, LATCHED)
+    publisher.publish(text("the map"))
+    inbox = Inbox()
+    await far.create_subscription("/map", STRING, LATCHED, inbox)
+    assert (await inbox.wait(1))[0].payload == text("the map").payload
 
 
 async def test_latched_of_several(site: Site) -> None:

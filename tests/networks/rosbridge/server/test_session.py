@@ -8,17 +8,19 @@ import json
 import struct
 import time
 import zlib
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
+from ropeway.networks.rosbridge.server import topic_channels
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from tests.support.clock import Stopwatch
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
 from tests.support.place import Place
-from tests.support.until import until
+from tests.support.until import PATIENCE_S, until
 from tests.support.websocket import BINARY, Client, ClosedByServer
 
 CHATTER = {"op": "advertise", "topic": "/chatter", "type": "std_msgs/String"}
@@ -212,6 +214,7 @@ async def test_unadvertise_without_an_id(place: Place, more: dict[str, Any]) -> 
     await until(lambda: not publishers(place))
 
 
+@pytest.mark.jumping
 async def test_linger(bare: Place) -> None:
     """A withdrawn topic lingers, so that one who advertises it again within the time keeps the publisher."""
     await bare.start(unregister_timeout_s=0.3)
@@ -230,6 +233,7 @@ async def test_linger(bare: Place) -> None:
     await until(lambda: not publishers(bare))
 
 
+@pytest.mark.jumping
 async def test_publishing_while_it_lingers(bare: Place) -> None:
     """A publish on a lingering topic takes it up again."""
     await bare.start(unregister_timeout_s=0.1)
@@ -245,6 +249,7 @@ async def test_publishing_while_it_lingers(bare: Place) -> None:
     assert len(publishers(bare)) == 1
 
 
+@pytest.mark.jumping
 async def test_linger_after_leaving(bare: Place) -> None:
     """A script that publishes and leaves is still heard by a reader that finds the topic later."""
     await bare.start(unregister_timeout_s=0.5)
@@ -272,13 +277,15 @@ async def test_default_profile(place: Place) -> None:
     assert publishers(place, "/few") == [QoS(durability="transient_local", depth=3, lifespan_s=1.0)]
 
 
-async def test_old_messages_do_not_come_back(place: Place) -> None:
+async def test_old_messages_do_not_come_back(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     """A client that comes late gets what is younger than the lifespan of the topic: no command of yesterday."""
     talker, listener = await place.client(), await place.client()
-    talker.send({**CHATTER, "qos": {"durability": "transient_local", "depth": 100, "lifespan": 0.5}})
-    talker.send(said("old"))
-    await talker.done()
-    await asyncio.sleep(0.6)
+    talker.send({**CHATTER, "qos": {"durability": "transient_local", "depth": 100, "lifespan": PATIENCE_S}})
+    yesterday_ns = time.time_ns() - 86_400 * 10**9
+    with monkeypatch.context() as patch:
+        patch.setattr(topic_channels, "time", SimpleNamespace(time_ns=lambda: yesterday_ns))
+        talker.send(said("old"))
+        await talker.done()
     talker.send(said("fresh"))
     await talker.done()
     listener.send(listen())
