@@ -68,8 +68,10 @@ async def test_opened_when_wanted(site: Site, distance: None) -> None:
 
     await some()
     await until(lambda: near.node.status()["bypass"])
+    connection = near.node.bypass.connection
     await some()
     await some()
+    assert near.node.bypass.connection == connection
     assert [sample.payload for sample in inbox.samples] == [text(str(i)).payload for i in range(300)]
     assert not far.node.status()["bypass"]
     assert not refusals(far)

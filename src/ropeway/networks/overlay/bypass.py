@@ -113,7 +113,7 @@ class Bypass:
             log.debug("overlay: small messages go by a second session, too")
             loop = asyncio.get_running_loop()
             wanted_s = loop.time()
-            while loop.time() - wanted_s < _IDLE_S and fabric.connection:
+            while loop.time() - wanted_s < _IDLE_S:
                 self._wanted.clear()
                 with contextlib.suppress(TimeoutError):
                     async with aio.timeout(_LOOK_S):
@@ -121,6 +121,8 @@ class Bypass:
                     return
                 if self._wanted.is_set():
                     wanted_s = loop.time()
+                if not fabric.connection:  # looked for only now: a new link is told of a moment later
+                    return
         finally:
             self._fabric = None
             await fabric.close()
