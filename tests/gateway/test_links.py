@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
@@ -14,6 +15,7 @@ from ropeway.errors import ConfigError
 from ropeway.gateway.config import config
 from ropeway.graph.calls import Request
 from ropeway.qos import QoS
+from ropeway.tasks import end
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample
 from tests.support.services import ADD, addends, total
@@ -150,3 +152,75 @@ def test_mistakes(remote: dict[str, Any], path: str, words: str) -> None:
     with pytest.raises(ConfigError) as caught:
         config.parse([remote])
     assert any(where == path and words in text for where, text in caught.value.problems), caught.value.problems
+
+
+class Cables:
+    """Carries connections to a port; one from an address that is frozen stands, and carries nothing."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._frozen: dict[str, asyncio.Event] = {name: asyncio.Event() for name in INTERFACES}
+        self._tasks: set[asyncio.Task[None]] = set()
+        for thawed in self._frozen.values():
+            thawed.set()
+
+    async def start(self, stack: AsyncExitStack) -> str:
+        server = await asyncio.start_server(self._carry, "127.0.0.1", 0)
+        stack.push_async_callback(self._end, server)
+        return f"ws://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+
+    async def _end(self, server: asyncio.Server) -> None:
+        server.close()
+        await end(*self._tasks)
+
+    def freeze(self, name: str) -> None:
+        self._frozen[name].clear()
+
+    async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        thawed = self._frozen[writer.get_extra_info("peername")[0]]
+        far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self._port)
+        for source, sink in ((reader, far_writer), (far_reader, writer)):
+            task = asyncio.create_task(self._pump(source, sink, thawed))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    @staticmethod
+    async def _pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, thawed: asyncio.Event) -> None:
+        try:
+            with contextlib.suppress(ConnectionError):
+                while data := await reader.read(1 << 16):
+                    await thawed.wait()
+                    writer.write(data)
+        finally:
+            writer.transport.abort()
+
+
+@pytest.mark.parametrize("links", ["best", "duplicate"])
+async def test_a_link_falls_silent(world: World, links: str) -> None:
+    """A link that carries nothing any more, while its connection stands, is left; with duplicate nothing is lost."""
+    pair = Pair(world)
+    cloud = await world.gateway("cloud", [])
+    cables = Cables(cloud.servers[0].listeners[0].port)
+    remote = {"address": await cables.start(world.stack), "interfaces": INTERFACES, "links": links, **TOPICS}
+    pair.gateway = await world.gateway("robot", [remote])
+    robot, far = await world.robot("robot"), await world.robot("cloud")
+    up = Inbox()
+    await far.create_subscription("/up", STRING, DEEP, up)
+    publisher = await robot.create_publisher("/up", STRING, DEEP)
+    await until(lambda: publisher.subscribers and all(m["up"] for m in pair.status["links"]["members"].values()))
+    numbers = itertools.count()
+
+    def publish() -> bool:
+        publisher.publish(sample(str(next(numbers))))
+        return len(up.samples) > 5
+
+    await until(publish)
+    current = pair.status["links"]["current"]
+    cables.freeze(current)
+    before = len(up.samples)
+    await until(lambda: publish() and pair.status["links"]["current"] != current and len(up.samples) > before + 5)
+    sent = next(numbers)
+    came = [int(one.payload[8:-1]) for one in up.samples]
+    assert came == sorted(set(came))
+    if links == "duplicate":
+        await until(lambda: len(up.samples) == sent)

@@ -14,10 +14,10 @@ from typing import Any, Final
 
 __all__ = ["PROBE_S", "LinkChoice"]
 
-PROBE_S: Final = 0.03
-"""The time between two probes of a link: 60 bytes each, 16 kbit/s both ways."""
+PROBE_S: Final = 0.025
+"""The time between two probes of a link: 60 bytes each, 20 kbit/s both ways."""
 
-_SILENT_S: Final = 0.12  # four probes that should have come: the link carries nothing now
+_SILENT_S: Final = 0.08  # three probes that should have come: the link carries nothing now
 _MEAN: Final = 1 / 8
 _DEVIATION: Final = 1 / 4
 _TIMES: Final = 4
