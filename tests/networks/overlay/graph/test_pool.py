@@ -45,6 +45,7 @@ class Machine:
         self.name = graph.node.identity.name
         self.heard: list[str] = []
         self.calls = 0
+        self.slow = False  # answers when it is told to
         self.goals: list[ServerGoal] = []
 
     async def start(self) -> None:
@@ -57,7 +58,11 @@ class Machine:
     def _arrived(self, batch: Sequence[Sample]) -> None:
         for one in batch:
             self.heard.append(text(one))
-            self.output.publish(sample(f"{text(one)} by {self.name}"))
+            if not self.slow:
+                self.answer(text(one))
+
+    def answer(self, words: str) -> None:
+        self.output.publish(sample(f"{words} by {self.name}"))
 
     async def _add(self, request: Request) -> bytes:
         self.calls += 1
@@ -256,6 +261,81 @@ async def test_patterns(team: Team) -> None:
     await group.create_publisher("/input", STRING, DEEP)
     await ready(group, 1)
     assert group.scheduler.here[0].startswith("edge")
+
+
+async def test_a_machine_dies_in_mid_goal(team: Team) -> None:
+    """When the member that has accepted a goal leaves, the goal is aborted at once, and goes to no other."""
+    machines = [await team.machine(), await team.machine()]
+    group = await team.robot()
+    client = await group.create_action_client("/count", FIBONACCI)
+    await ready(group, 2)
+    goal = await client.send_goal(Goal(order(3)))
+    dying = next(machine for machine in machines if machine.goals)
+    await dying.graph.close()
+    outcome = await goal.result(10.0)
+    assert outcome.status is GoalStatus.ABORTED
+    assert sum(len(machine.goals) for machine in machines) == 1
+
+
+async def test_a_member_that_flaps(team: Team) -> None:
+    """A member that comes and goes is left the first time, and not returned to while the other serves."""
+    steady = await team.machine()
+    flapping = await team.machine()
+    group = await team.robot()
+    client = await group.create_client("/add", ADD)
+    await ready(group, 2)
+    group.scheduler.switch(flapping.name, group.now())
+    before = group.scheduler.decided
+    for _ in range(5):
+        await flapping.service.close()
+        await ready(group, 1)
+        await client.call(Request(addends(1)))
+        flapping.service = await flapping.graph.create_service("/add", ADD, flapping._add)
+        await ready(group, 2)
+        await client.call(Request(addends(1)))
+    assert steady.calls == 10
+    changes = [d for d in list(group.scheduler.decisions)[before:] if d.before != d.after]
+    assert len(changes) == 1
+
+
+async def test_late_answers(team: Team) -> None:
+    """An answer of a member that was left, to a request older than one that its successor has answered, is dropped."""
+    first, second = await team.machine(), await team.machine()
+    group = await team.robot()
+    heard: list[str] = []
+    input = await group.create_publisher("/input", STRING, DEEP)
+    await group.create_subscription("/output", STRING, None, lambda batch: heard.extend(map(text, batch)))
+    await ready(group, 2)
+    await until(lambda: all(part.subscribers == 1 for part in input._parts.values()))
+    await until(lambda: first.output.subscribers == 1 and second.output.subscribers == 1)
+    group.scheduler.switch(first.name, group.now())
+    first.slow = True
+    input.publish(sample("old"))
+    await until(lambda: first.heard == ["old"])
+    group.scheduler.switch(second.name, group.now())
+    input.publish(sample("new"))
+    await until(lambda: heard == [f"new by {second.name}"])
+    first.answer("old")
+    await until(lambda: group.drops["/output", Undelivered.OUTDATED] == 1)
+    assert heard == [f"new by {second.name}"]
+
+
+async def test_garbage(team: Team) -> None:
+    """A member that answers with what is no message of the type costs nobody else anything, and is asked no less."""
+    machine = await team.machine()
+    group = await team.robot()
+    heard: list[bytes] = []
+    input = await group.create_publisher("/input", STRING, DEEP)
+    await group.create_subscription("/output", STRING, None, lambda batch: heard.extend(one.payload for one in batch))
+    await until(lambda: input.subscribers == 1 and machine.output.subscribers == 1)
+    machine.slow = True
+    input.publish(sample("a"))
+    await until(lambda: machine.heard == ["a"])
+    machine.output.publish(Sample(b"\xff", STRING, 1, bytes(16), 1))
+    await until(lambda: heard == [b"\xff"])
+    machine.slow = False
+    input.publish(sample("b"))
+    await until(lambda: len(heard) == 2)
 
 
 class OldMembership(Membership):
