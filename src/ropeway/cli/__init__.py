@@ -37,6 +37,7 @@ VERBS = {
     "play": "ropeway.cli.play",
     "demo": "ropeway.cli.demo",
     "demo-iort": "ropeway.cli.demo_iort",
+    "demo-anycast": "ropeway.cli.demo_anycast",
 }
 
 

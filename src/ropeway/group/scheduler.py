@@ -77,6 +77,7 @@ class Scheduler:
         options: Options = Options(),  # noqa: B008 - frozen
     ) -> None:
         self.bound, self.stateless, self.options = bound, stateless, options
+        self._limit_s = bound.limit_s
         self.current = ""
         self.held = False  # by hand: nothing is switched
         self.decisions: deque[Decision] = deque(maxlen=_MOST_DECISIONS)
@@ -199,7 +200,7 @@ class Scheduler:
         self._profiled = True
         self._comparison, self._came_from = None, ""
         here = self.here
-        self._profile = ProfileRun(here, now_s, self.options, self.bound.limit_s) if len(here) > 1 else None
+        self._profile = ProfileRun(here, now_s, self.options, self._limit_s) if len(here) > 1 else None
 
     def asked(self, names: Sequence[str], key: Hashable, now_s: float) -> None:
         """Note that a request was sent to ``names``."""
@@ -222,7 +223,7 @@ class Scheduler:
             self._comparison.answered(key, name, took_s)
         if self._profile is not None:
             self._profile.answered(name)
-        member.was(took_s, self.bound.limit_s)
+        member.was(took_s, self._limit_s)
         return took_s
 
     def gave_up(self, name: str, key: Hashable, now_s: float) -> None:
@@ -231,7 +232,7 @@ class Scheduler:
         member.window.gave_up(now_s, key)
         if self._profile is not None:
             self._profile.answered(name)
-        member.was(float("inf"), self.bound.limit_s)
+        member.was(float("inf"), self._limit_s)
 
     def refused(self, name: str, key: Hashable) -> None:
         """Note that a request was refused before it was carried out, which says nothing of latency."""
@@ -240,7 +241,7 @@ class Scheduler:
     def measured(self, name: str, latency_s: float, now_s: float) -> None:
         """Add a latency of a member that was measured elsewhere."""
         self._members[name].window.add(now_s, latency_s)
-        self._members[name].was(latency_s, self.bound.limit_s)
+        self._members[name].was(latency_s, self._limit_s)
 
     def switch(self, name: str, now_s: float, why: str = "by hand") -> None:
         """Use ``name`` from the next request on, by hand. Raises ``KeyError`` for a member that is not there."""
@@ -278,7 +279,7 @@ class Scheduler:
         if not self.bound.limits or now_s < self._pause_until_s:
             return
         member = self._members[self.current]
-        late = member.late_in_a_row(now_s, self.bound.limit_s)
+        late = member.late_in_a_row(now_s, self._limit_s)
         suspicious = late >= (1 if self.stateless else _LATE_IN_A_ROW)
         if not (suspicious or self._came_from) and now_s < self._judge_at_s:
             return
@@ -293,7 +294,7 @@ class Scheduler:
         rival = self._rival(now_s, whoever=self.stateless)
         if rival is None:
             return
-        limit_ms = 1e3 * (self.bound.limit_s or 0.0)
+        limit_ms = 1e3 * (self._limit_s or 0.0)
         why = self.bound.missed(found) or f"{late} in a row took more than {limit_ms:.0f} ms"
         if self.stateless:
             self._comparison = Comparison(rival.name, hiccup=not missed)
@@ -323,8 +324,8 @@ class Scheduler:
 
     def _step_comparison(self, comparison: Comparison, now_s: float) -> None:
         mine, rival = self._members[self.current], self._members[comparison.rival]
-        late = mine.late_in_a_row(now_s, self.bound.limit_s)
-        evidence = comparison.judge(mine.name, late, self.bound.limit_s, now_s, self.options)
+        late = mine.late_in_a_row(now_s, self._limit_s)
+        evidence = comparison.judge(mine.name, late, self._limit_s, now_s, self.options)
         if not evidence.pairs:
             return
         settled = late == 0 and self.bound.judge(mine.window.statistics(now_s)) is not Standing.MISSED
