@@ -333,7 +333,7 @@ async def test_http(world: World) -> None:
         assert (await http(port, "/store/PEPPER/odd/topic?raw=1"))[1] == b"\xff"
         assert [v["topic"] for v in (await http(port, "/store"))[1]] == ["battery", "odd/topic"]
         assert (await http(port, "/store/NOBODY/x"))[0] == 404
-        assert (await http(port, "/store/PEPPER/x"))[1] == {"error": "no value of PEPPER/x is there"}
+        assert (await http(port, "/store/PEPPER/x"))[1] == {"error": "no value of PEPPER/x is there", "missing": True}
         assert (await http(port, "/store/PEPPER", "DELETE"))[0] == 400
         assert (await http(port, "/store/PEPPER/battery", "PUT"))[0] == 405
         reader, writer = await asyncio.open_connection("127.0.0.1", port)

@@ -6,10 +6,9 @@ from typing import Annotated
 
 import typer
 
-from ropeway.cli.listing import CountOption, print_list
+from ropeway.cli.listing import CountOption, find_all, print_list
 from ropeway.cli.loop import run
-from ropeway.cli.session import GraphOption, JsonOption, SpinOption, open_session, settle_actions
-from ropeway.graph.calls import ActionInfo
+from ropeway.cli.session import GraphOption, JsonOption, SpinOption, settle_actions
 from ropeway.types.definition import canonical_name
 
 __all__ = ["app"]
@@ -32,10 +31,5 @@ def find_actions(
 ) -> None:
     """List the actions of TYPE."""
     wanted = canonical_name(type, "action")
-
-    async def look() -> dict[str, ActionInfo]:
-        async with open_session(graph) as session:
-            return await settle_actions(session.graph, spin_time)
-
-    found = [info for info in run(look()).values() if wanted in info.types]
+    found = [info for info in run(find_all(settle_actions, graph, spin_time)) if wanted in info.types]
     print_list(found, show_types=False, count=count, include_hidden=include_hidden, as_json=as_json)

@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from ropeway.cli.console import answer, fail, print_json
-from ropeway.cli.listing import CountOption, ShowTypesOption, count_of_others, info_json
+from ropeway.cli.console import answer, print_json
+from ropeway.cli.listing import CountOption, ShowTypesOption, count_of_others, find_one, info_json
 from ropeway.cli.loop import run
-from ropeway.cli.session import GraphOption, JsonOption, SpinOption, full_name, open_session, settle_actions
+from ropeway.cli.session import GraphOption, JsonOption, SpinOption, full_name, settle_actions
 from ropeway.graph.calls import ActionInfo
 
 __all__ = ["ActionArgument", "app", "find_action", "info_text"]
@@ -23,13 +23,7 @@ async def find_action(graph: str, name: str, spin_time_s: float, *, whole: bool 
     """Return the action on the graph at the URL ``graph``, or exit with a sentence; ``whole`` waits for all its
     endpoints.
     """
-    async with open_session(graph) as session:
-        found = await settle_actions(session.graph, spin_time_s, lambda actions: name in actions)
-        if whole and name in found:
-            found = await settle_actions(session.graph, spin_time_s)
-    if name not in found:
-        fail(f"Unknown action {name!r}; see `ropeway action list`, or wait longer with --spin-time")
-    return found[name]
+    return await find_one(settle_actions, "action", graph, name, spin_time_s, whole=whole)
 
 
 def info_text(info: ActionInfo, *, show_types: bool = False, count: bool = False) -> str:

@@ -6,10 +6,9 @@ from typing import Annotated
 
 import typer
 
-from ropeway.cli.listing import CountOption, ShowTypesOption, print_list
+from ropeway.cli.listing import CountOption, ShowTypesOption, find_all, print_list
 from ropeway.cli.loop import run
-from ropeway.cli.session import GraphOption, JsonOption, SpinOption, open_session, settle_actions
-from ropeway.graph.calls import ActionInfo
+from ropeway.cli.session import GraphOption, JsonOption, SpinOption, settle_actions
 
 __all__ = ["app"]
 
@@ -28,10 +27,5 @@ def list_actions(
     as_json: JsonOption = False,
 ) -> None:
     """List the actions."""
-
-    async def look() -> dict[str, ActionInfo]:
-        async with open_session(graph) as session:
-            return await settle_actions(session.graph, spin_time)
-
-    infos = run(look()).values()
+    infos = run(find_all(settle_actions, graph, spin_time))
     print_list(infos, show_types=show_types, count=count, include_hidden=include_hidden, as_json=as_json)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from ropeway.cli.action.info import ActionArgument, find_action
-from ropeway.cli.console import answer, print_json
+from ropeway.cli.listing import print_types
 from ropeway.cli.loop import run
 from ropeway.cli.session import GraphOption, JsonOption, SpinOption, full_name
 
@@ -19,8 +19,4 @@ def type_of_action(
     action: ActionArgument, graph: GraphOption = "", spin_time: SpinOption = 2.0, as_json: JsonOption = False
 ) -> None:
     """Show the type of ACTION."""
-    found = run(find_action(graph, full_name(action), spin_time))
-    if as_json:
-        print_json({"name": found.name, "types": found.types})
-    else:
-        answer("\n".join(found.types))
+    print_types(run(find_action(graph, full_name(action), spin_time)), as_json=as_json)

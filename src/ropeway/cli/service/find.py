@@ -6,10 +6,9 @@ from typing import Annotated
 
 import typer
 
-from ropeway.cli.listing import CountOption, print_list
+from ropeway.cli.listing import CountOption, find_all, print_list
 from ropeway.cli.loop import run
-from ropeway.cli.session import GraphOption, JsonOption, SpinOption, open_session, settle_services
-from ropeway.graph.calls import ServiceInfo
+from ropeway.cli.session import GraphOption, JsonOption, SpinOption, settle_services
 from ropeway.types.definition import canonical_name
 
 __all__ = ["app"]
@@ -30,10 +29,5 @@ def find_services(
 ) -> None:
     """List the services of TYPE."""
     wanted = canonical_name(type, "srv")
-
-    async def look() -> dict[str, ServiceInfo]:
-        async with open_session(graph) as session:
-            return await settle_services(session.graph, spin_time)
-
-    found = [info for info in run(look()).values() if wanted in info.types]
+    found = [info for info in run(find_all(settle_services, graph, spin_time)) if wanted in info.types]
     print_list(found, show_types=False, count=count, include_hidden=include_hidden, as_json=as_json)

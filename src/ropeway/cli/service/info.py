@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from ropeway.cli.console import answer, fail, print_json
-from ropeway.cli.listing import count_of_others, info_json
+from ropeway.cli.console import answer, print_json
+from ropeway.cli.listing import count_of_others, find_one, info_json
 from ropeway.cli.loop import run
-from ropeway.cli.session import GraphOption, JsonOption, SpinOption, full_name, open_session, settle_services
+from ropeway.cli.session import GraphOption, JsonOption, SpinOption, full_name, settle_services
 from ropeway.graph.calls import ServiceInfo
 
 __all__ = ["ServiceArgument", "app", "find_service", "info_text"]
@@ -23,13 +23,7 @@ async def find_service(graph: str, name: str, spin_time_s: float, *, whole: bool
     """Return the service on the graph at the URL ``graph``, or exit with a sentence; ``whole`` waits for all its
     endpoints.
     """
-    async with open_session(graph) as session:
-        found = await settle_services(session.graph, spin_time_s, lambda services: name in services)
-        if whole and name in found:
-            found = await settle_services(session.graph, spin_time_s)
-    if name not in found:
-        fail(f"Unknown service {name!r}; see `ropeway service list`, or wait longer with --spin-time")
-    return found[name]
+    return await find_one(settle_services, "service", graph, name, spin_time_s, whole=whole)
 
 
 def info_text(info: ServiceInfo, *, verbose: bool = False) -> str:

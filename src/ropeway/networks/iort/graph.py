@@ -36,9 +36,8 @@ from ropeway.graph.calls import (
     ServiceHandler,
     ServiceInfo,
 )
-from ropeway.graph.changes import Changes
 from ropeway.graph.deduplication import Seen
-from ropeway.graph.graph_base import GraphBase
+from ropeway.graph.graph_base import NetworkGraph
 from ropeway.networks.iort.links import Link
 from ropeway.networks.iort.maps import Maps, TopicMap, ros_name
 from ropeway.networks.iort.parts import IortPublisher, IortSubscription, NodeTopic
@@ -59,7 +58,7 @@ _HAD_LIMIT: Final = 4096
 _NO_CALLS: Final = "has topics only: IoRT nodes know neither services nor actions"
 
 
-class IortGraph(GraphBase):
+class IortGraph(NetworkGraph):
     """Topics of the robots at one server, which ``link`` reaches."""
 
     kind = "iort"
@@ -80,30 +79,21 @@ class IortGraph(GraphBase):
         self._endpoints: dict[tuple[str, str, str, str], MemberEndpoint] = {}
         self._infos: dict[MemberEndpoint, EndpointInfo] = {}  # what has been made of them
         self._had: dict[tuple[str, str], Seen] = {}
-        self._open = False
 
-    async def open(self) -> None:
-        """Join the space. Raises ``GraphUnavailable``."""
-        if self._open:
-            return
+    async def _join(self) -> None:
         self.loop = asyncio.get_running_loop()
-        self._changes = Changes()
         await self.link.open(self._value, self._event, self._lost)
-        self._open = True
 
-    async def close(self) -> None:
-        """Leave, with everything that was created here."""
-        if not self._open:
-            return
+    async def _close_parts(self) -> None:
         for publisher in list(self.publishers):
             await publisher.close()
         for subscription in list(self.subscriptions):
             await subscription.close()
-        self._open = False
+
+    async def _leave(self) -> None:
         await self.link.close()
         self._endpoints.clear()
         self._infos.clear()
-        self._changes.close()
 
     # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -231,7 +221,7 @@ class IortGraph(GraphBase):
             feed.readers = [(s, form) for s, form in feed.readers if s is not subscription]
             if not feed.readers:
                 del self._feeds[key]
-                if self._open:
+                if self._is_open:
                     await self.link.unsubscribe(*key)
 
     async def withdraw(self, publisher: IortPublisher) -> None:
@@ -240,7 +230,7 @@ class IortGraph(GraphBase):
             self.publishers.remove(publisher)
         for system, topic, _, _ in publisher.targets:
             others = any((system, topic) == (s, t) for p in self.publishers for s, t, _, _ in p.targets)
-            if not others and self._open:
+            if not others and self._is_open:
                 await self.link.withdraw(system, topic)
 
     def resolved(self, topic: str, direction: str) -> list[tuple[str, str, TopicMap | None]]:
@@ -256,8 +246,7 @@ class IortGraph(GraphBase):
         return found
 
     def _check(self, topic: str, type: str) -> tuple[str, str]:
-        if not self._open:
-            raise GraphUnavailable(self.name, "is not open; call open() first")
+        self._check_open()
         if not type:
             raise TypeConflict(topic, "a type", "none")
         return resolve_name(topic), canonical_name(type, "msg")
