@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes as ct
 from collections.abc import Iterator
 
 import pytest
@@ -44,9 +45,14 @@ def test_untold_history() -> None:
 
 @given(profiles)
 def test_readers(qos: QoS) -> None:
-    """A reader keeps what decides on matching; its history is at least as deep."""
+    """A reader keeps what decides on matching, and tells its depth; the history that it has is deeper."""
     with reader_qos(qos, b"") as handle:
         got = read_qos(handle)
+        kind, history = ct.c_int(), ct.c_int32()
+        assert raw.lib.qget_history(handle, ct.byref(kind), ct.byref(history))
+        assert history.value >= max(qos.depth, 256)
+    if qos.history == "keep_last":
+        assert got.depth == qos.depth
     assert (got.reliability, got.durability, got.deadline_s) == (qos.reliability, qos.durability, qos.deadline_s)
     assert got.depth >= qos.depth
 

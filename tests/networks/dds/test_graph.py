@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import threading
 import time
 from typing import Any
 
@@ -13,6 +14,7 @@ from ropeway import aio
 from ropeway.errors import GraphUnavailable, InvalidName, InvalidTypeName
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.networks.dds import DdsGraph
+from ropeway.networks.dds.raw import check, lib
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
 from tests.support.inbox import Inbox
@@ -160,6 +162,31 @@ async def test_closing_one_of_a_shared_reader(join: Join) -> None:
     await stays.wait(2)
     assert goes.payloads == [text("1")]
     assert publisher.subscribers == 1
+
+
+async def test_a_burst_beyond_the_depth_waits_for_the_thread(join: Join) -> None:
+    """What comes while the thread of a participant has no turn is kept, although the publisher's depth is ten."""
+    near, far = await join("near"), await join("far")
+    inbox = Inbox()
+    await far.create_subscription("/t", STRING, None, inbox)
+    publisher = await near.create_publisher("/t", STRING, QoS(depth=10))
+    await until(lambda: publisher.subscribers == 1)
+    publisher.publish(sample("first"))
+    await inbox.wait(1)
+    assert far._participant is not None
+    has_turn = threading.Event()
+    stalled = far._participant.pump.call(has_turn.wait)
+    for number in range(200):
+        publisher.publish(sample(str(number)))
+    await asyncio.to_thread(_wait_for_acknowledgements, publisher)
+    has_turn.set()
+    await stalled
+    await inbox.wait(201)
+    assert inbox.payloads[1:] == [text(str(number)) for number in range(200)]
+
+
+def _wait_for_acknowledgements(publisher: Any) -> None:
+    check(lib.wait_for_acks(publisher._writer.entity, int(PATIENCE_S * 1e9)), "wait_for_acks")
 
 
 async def test_source_time_is_kept(join: Join) -> None:

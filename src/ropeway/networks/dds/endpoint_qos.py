@@ -12,10 +12,14 @@ from ropeway.qos import QoS
 
 __all__ = ["parse_user_data", "read_qos", "reader_qos", "user_data", "writer_qos"]
 
-# DDS history of a reader that asks for transient local: what several publishers kept arrives in one burst.
-_REPLAY_DEPTH: Final = 256
+# DDS history of a reader, at least: a thread empties it, whose turn comes after 5 ms where others have the processor
+# (150 messages of 30,000 a second), and what several publishers kept of a latched topic arrives in one burst. How many
+# of them wait for a loop that is behind is bounded there, by the depth of the topic.
+_LEAST_READER_DEPTH: Final = 256
 # DDS history of a reader that asks for all: the thread that empties it applies the bound in bytes.
 _KEEP_ALL_DEPTH: Final = 8192
+_DEPTH_MARK: Final = "depth"
+_DEPTH_DIGITS: Final = 9  # more of them do not fit the number
 
 _VOLATILE, _TRANSIENT_LOCAL = 0, 1
 _KEEP_LAST, _KEEP_ALL = 0, 1
@@ -58,14 +62,16 @@ def writer_qos(qos: QoS, user_data: bytes) -> Iterator[int]:
 
 @contextmanager
 def reader_qos(qos: QoS, user_data: bytes) -> Iterator[int]:
-    """Make a DDS qos object for a reader, for the length of the ``with`` block."""
+    """Make a DDS qos object for a reader, for the length of the ``with`` block.
+
+    Its history is deeper than the profile's, and the USER_DATA tells others the depth of the profile.
+    """
+    depth = _KEEP_ALL_DEPTH
+    if qos.history != "keep_all":
+        depth = max(qos.depth, _LEAST_READER_DEPTH)
+        user_data += f"{_DEPTH_MARK}={max(qos.depth, 1)};".encode()
     handle = _common(qos, user_data)
     try:
-        depth = max(qos.depth, 1)
-        if qos.history == "keep_all":
-            depth = _KEEP_ALL_DEPTH
-        elif qos.transient_local:
-            depth = max(depth, _REPLAY_DEPTH)
         lib.qset_reliability(handle, _RELIABLE if qos.reliable else _BEST_EFFORT, INFINITY)
         lib.qset_history(handle, _KEEP_LAST, depth)
         yield handle
@@ -82,6 +88,9 @@ def read_qos(handle: int, *, tells_history: bool = True) -> QoS:
     transient = lib.qget_durability(handle, ct.byref(kind)) and kind.value >= _TRANSIENT_LOCAL
     has_history = lib.qget_history(handle, ct.byref(kind), ct.byref(depth))
     keep_all = has_history and kind.value == _KEEP_ALL
+    told = parse_user_data(handle).get(_DEPTH_MARK, "")
+    if len(told) <= _DEPTH_DIGITS and told.isdecimal():
+        depth.value = int(told)
     deadline = duration.value if lib.qget_deadline(handle, ct.byref(duration)) else INFINITY
     lifespan = duration.value if lib.qget_lifespan(handle, ct.byref(duration)) else INFINITY
     return QoS(
