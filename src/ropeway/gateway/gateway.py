@@ -40,6 +40,7 @@ from ropeway.types import TypeRegistry
 if TYPE_CHECKING:
     from ropeway.gateway.last_value import LastValue
     from ropeway.gateway.nodes import Nodes
+    from ropeway.gateway.safety import GuardedTopic
     from ropeway.listener.listener import Listener
     from ropeway.networks.overlay.node import OverlayNode
     from ropeway.networks.rosbridge.server import RosbridgeServer
@@ -86,6 +87,7 @@ class Gateway:
         self.budget = config.gateway.budget()
         self.nodes: Nodes | None = None
         self._factory: RemoteFactory | None = None
+        self.guarded: list[GuardedTopic] = []
         self._stack = AsyncExitStack()
         self._tls: ssl.SSLContext | None = None
         self._trusted = b""
@@ -123,6 +125,10 @@ class Gateway:
             hub = self.hubs[url] = Hub(graph, gateway_id=self.gateway_id)
             await hub.open()
             stack.push_async_callback(hub.close)
+        if self.config.safeties():
+            from ropeway.gateway.safety import guard_topics
+
+            self.guarded = await guard_topics(self.config.safeties(), self.hubs, self.registry, stack)
         if settings.listen:
             nodes = settings.iort.max_nodes if any(map(is_iort, settings.listen)) else 0
             room = make_room(settings.clients.max_clients + nodes)
@@ -381,6 +387,7 @@ class Gateway:
             "sessions": [session.status() for server in self.servers for session in server.sessions],
             **({} if self.store is None else {"store": self.store.status()}),
             **({} if self.nodes is None else {"nodes": self.nodes.status()}),
+            **({"safety": [topic.status() for topic in self.guarded]} if self.guarded else {}),
             "failed": failing(),
         }
 

@@ -34,6 +34,7 @@ from ropeway.graph.kept import Kept
 from ropeway.graph.type_inquiry import learn
 from ropeway.hub.actions import ViewActionClient, ViewActionServer
 from ropeway.hub.calls import ViewClient, ViewService
+from ropeway.hub.gated import Gate, GatedPublisher
 from ropeway.hub.shared_calls import HubCalls
 from ropeway.hub.topics import ViewPublisher, ViewSubscription
 from ropeway.qos import QoS
@@ -57,6 +58,8 @@ class Hub:
         self.publishers: dict[str, list[ViewPublisher]] = {}
         self.subscriptions: dict[str, list[ViewSubscription]] = {}
         self.views: list[View] = []
+        self.gates: dict[str, Gate] = {}
+        """What messages have to pass before they are published, by topic."""
         self.duplicates: Counter[str] = Counter()
         self.retired: dict[str, Seen] = {}  # what publishers gave that were transient local and have closed
         self._seen: dict[str, tuple[Seen, Seen]] = {}
@@ -170,7 +173,8 @@ class View(GraphBase):
         """See ``Graph.create_publisher``."""
         self._check()
         inner = await self.hub.graph.create_publisher(topic, type, qos, delivery=delivery)
-        publisher = ViewPublisher(self, inner)
+        gate = None if self.alone else self.hub.gates.get(inner.topic)
+        publisher = ViewPublisher(self, inner) if gate is None else GatedPublisher(self, inner, gate, self.user)
         self._parts.add(publisher)
         self.hub.publishers.setdefault(publisher.topic, []).append(publisher)
         for reader in list(self.hub.subscriptions.get(publisher.topic, ())):

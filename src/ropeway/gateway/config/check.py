@@ -27,6 +27,7 @@ from ropeway.gateway.config.model import Document, RemoteConfig
 from ropeway.gateway.config.overlay_model import METADATA, OVERLAY
 from ropeway.gateway.config.policy import policy_problems, with_default_policy, with_policy_files
 from ropeway.gateway.config.route_model import OPERATIONS, BridgedName
+from ropeway.gateway.config.safety_check import safety_problems
 from ropeway.gateway.config.shape import inner_model, keys_of, shape_problems, spellings
 from ropeway.gateway.config.suggest import did_you_mean, nearest, one_of
 
@@ -121,6 +122,7 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
             problems.append(("gateway.graphs", str(error)))
     graphs = [graph.get("address") if isinstance(graph, Mapping) else graph for graph in _list(graphs)]
     problems += _graphs(gateway, graphs)
+    problems += safety_problems(full, graphs) if graphs else []
     first_seen: dict[str, str] = {}
     for index, remote in _objects(full.get("remotes")):
         path = f"remotes[{index}]"

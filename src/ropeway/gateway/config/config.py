@@ -24,6 +24,7 @@ from ropeway.gateway.config.check import check, route_key
 from ropeway.gateway.config.document import read_file
 from ropeway.gateway.config.model import GatewayConfig, RemoteConfig
 from ropeway.gateway.config.route_model import OPERATIONS, ActionItem, BridgedName, ServiceItem, TopicItem
+from ropeway.gateway.config.safety_model import SafetyItem
 from ropeway.graph.base import Delivery
 from ropeway.qos import QoS
 
@@ -89,6 +90,17 @@ class Config:
             timeout_s=item.timeout_s if isinstance(item, (ServiceItem, ActionItem)) else None,
             store=isinstance(item, TopicItem) and item.store,
         )
+
+    def safeties(self) -> list[tuple[str, SafetyItem]]:
+        """Return the topics of commands that are guarded, each with its path."""
+        found = [(f"gateway.safety[{number}]", item) for number, item in enumerate(self.gateway.safety)]
+        for index, remote in enumerate(self.remotes):
+            for operation, number, item in remote.items() if remote.active else ():
+                if isinstance(item, TopicItem) and item.safety is not None:
+                    given = item.safety.model_dump()
+                    made = SafetyItem(topic=remote.names(item)[0], type=item.type, graph=remote.graph, **given)
+                    found.append((f"remotes[{index}].{operation}[{number}].safety", made))
+        return found
 
     @property
     def stores(self) -> bool:

@@ -35,6 +35,7 @@ from ropeway.gateway.config.route_model import (
     ServiceItem,
     TopicItem,
 )
+from ropeway.gateway.config.safety_model import SafetyItem
 from ropeway.gateway.config.suggest import show
 from ropeway.gateway.config.tls_model import ListenTls, RemoteTls
 from ropeway.graph.base import resolve_name
@@ -249,6 +250,9 @@ class GatewayConfig(Model):
     store: StoreConfig | None = Field(
         None,
         description='last values; there also without this where a listener is iort:// or a topic has "store": true',
+    )
+    safety: Many[SafetyItem] = Field(
+        (), description="topics of commands, whoever publishes them through the gateway: lease, limits, drivers"
     )
     clients: ClientsConfig = Field(
         default_factory=lambda: ClientsConfig.model_validate({}), description="how rosbridge clients are served"

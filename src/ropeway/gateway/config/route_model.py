@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, Final
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import (
     AfterValidator,
@@ -30,6 +30,7 @@ __all__ = [
     "PRIORITIES",
     "ActionItem",
     "BridgedName",
+    "CommandSafety",
     "ExpectedTraffic",
     "Name",
     "Namespace",
@@ -37,6 +38,7 @@ __all__ = [
     "Seconds",
     "ServiceItem",
     "TopicItem",
+    "TopicTypeName",
 ]
 
 ENCODINGS: Final = ("auto", "none", "png", "cbor", "cbor-raw", "zip", "rawzip", "zstd")
@@ -146,6 +148,30 @@ Profile = Annotated[
 Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
+TopicTypeName = Annotated[str, _type_of("topic")]
+CommandMax = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class CommandSafety(Model):
+    """Says what a topic of commands needs. It is no certified safety function."""
+
+    lease_s: Seconds | None = Field(
+        None, description="how long a command counts; then the safe message is published. Default: for ever"
+    )
+    on_expiry: Literal["zero"] | dict[str, Any] = Field(
+        "zero", description='the safe message: "zero", or its fields; those left out are zero'
+    )
+    max: dict[str, CommandMax] = Field(
+        default_factory=dict, description='the largest magnitude of fields, by path: {"linear.x": 0.5}'
+    )
+    lifespan_s: Seconds | None = Field(
+        None, description="older commands are refused, counted from the first gateway; default: no limit"
+    )
+    drivers: Literal["any", "first", "newest"] = Field(
+        "any", description="who may drive: any, the first until its lease is over, or the newest (it takes over)"
+    )
+
+
 class BridgedName(Model):
     """A name to bridge, with the options that all operations share."""
 
@@ -193,7 +219,7 @@ class ExpectedTraffic(Model):
 class TopicItem(BridgedName):
     """A topic to ``publish`` or to ``subscribe``."""
 
-    type: Annotated[str, _type_of("topic")] = Field(
+    type: TopicTypeName = Field(
         validation_alias=AliasChoices("type", "messageType"),
         description="its type: pkg/msg/Name, pkg/Name or pkg.msg.Name",
     )
@@ -207,6 +233,10 @@ class TopicItem(BridgedName):
         False, description="true keeps the last message: late joiners get it, and it can be read from the store"
     )
     qos: Profile = Field(None, description="QoS on the local graph; default: the publishers' own is adopted")
+    safety: CommandSafety | None = Field(
+        None,
+        description="of a topic of commands that is subscribed: lease, limits, lifespan, drivers; see gateway.safety",
+    )
     expected: ExpectedTraffic | None = Field(
         None, description="what to expect of it, for ropeway predict and for a warning where it does not fit the link"
     )
