@@ -126,3 +126,19 @@ def test_remotes_of_one_address() -> None:
     plan = make_plan(two, one)
     assert plan.stopped == (0,)
     assert plan.unchanged == 1
+
+
+def test_expectations_change_nothing() -> None:
+    """What is expected of a link or of a topic is for predictions: nothing of what runs changes with it."""
+    expected = {"bytes": 100, "hz": 10}
+    new = {"address": A, "link": {"mbit": 20}, "publish": [item("/x", expected=expected)]}
+    assert make_plan(made(remote(A, "/x")), made(new)).empty
+
+
+def test_guards_of_commands() -> None:
+    """A guard of commands that a route brings needs a restart, as one of the gateway does."""
+    old = {"address": A, "subscribe": [item("/x")]}
+    new = {"address": A, "subscribe": [item("/x", safety={"lease_s": 0.5})]}
+    plan = make_plan(made(old), made(new))
+    assert plan.restart == ("gateway.safety",)
+    assert said(plan) == [("restart", "gateway", "gateway.safety")]

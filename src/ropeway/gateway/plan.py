@@ -15,6 +15,7 @@ from ropeway.errors import ConfigError
 from ropeway.gateway.config.config import Config, Route
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.route_model import OPERATIONS
+from ropeway.gateway.config.safety_model import SafetyItem
 from ropeway.listener.http import without_token
 
 __all__ = ["ConfigPlan", "PlanStep", "RemotePlan", "make_plan", "remote_keys"]
@@ -26,7 +27,8 @@ _NEXT_START: Final = frozenset(("control",))
 """Keys that count from the next start on: whoever changes them would saw off the branch."""
 
 _ITEMS: Final = frozenset(operation.replace("-", "_") for operation in OPERATIONS)
-_UNSHARED: Final = _ITEMS | {"title", "active"}
+_UNSHARED: Final = _ITEMS | {"title", "active", "link"}
+"""Keys of a remote that its link does not depend on."""
 _SHOWN: Final = 200  # characters of a value in a plan
 
 
@@ -160,6 +162,10 @@ def _gateway_steps(old: Config, new: Config, steps: list[PlanStep]) -> tuple[lis
             restart.append(path)
             details = (f"{_shown(was)} → {_shown(becomes)}",)
             steps.append(PlanStep("restart", "gateway", key, path, details, _EVERYTHING))
+    if _guards(new) != _guards(old) and "gateway.safety" not in restart:
+        restart.append("gateway.safety")
+        details = ("leases and limits of commands differ",)
+        steps.append(PlanStep("restart", "gateway", "safety", "gateway.safety", details, _EVERYTHING))
     if new.stores != old.stores and "gateway.store" not in restart:
         restart.append("gateway.store")
         what = "last values are kept from now on" if new.stores else "nothing is kept any more"
@@ -172,6 +178,10 @@ _LIVE_INTERRUPTS: Final[Mapping[str, str]] = {
     "auth": "clients whose credentials are no longer good",
     "tls": "clients whose certificates are no longer good",
 }
+
+
+def _guards(config: Config) -> list[SafetyItem]:
+    return [item for _, item in config.safeties()]
 
 
 def _living(config: Config) -> dict[int, dict[str, Route]]:
@@ -293,8 +303,7 @@ def _route_differences(was: Route, becomes: Route) -> list[str]:
 
 
 def _differences(was: RemoteConfig, becomes: RemoteConfig) -> list[str]:
-    left = {"title", "active", *_ITEMS}
-    dumped = [remote.model_dump(mode="json", by_alias=False, exclude=left) for remote in (was, becomes)]
+    dumped = [remote.model_dump(mode="json", by_alias=False, exclude=set(_UNSHARED)) for remote in (was, becomes)]
     return _compared(*dumped)
 
 
