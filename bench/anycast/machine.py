@@ -26,7 +26,7 @@ CALL: Final = "std_srvs/srv/Trigger"
 NOISE_S: Final = 0.0005
 TAIL_SHARE: Final = 0.03
 TAIL_SHAPE: Final = 0.4
-TAIL_BASE_S: Final = 0.02
+TAIL_BASE_S: Final = 0.05
 LONGEST_S: Final = 4.0
 
 

@@ -28,7 +28,7 @@ class Machine:
         self.name, self.calls, self._namespace = name, calls, f"{robot}{number}"
         self.ip = f"10.9.{number}.2"
         self.address = f"ws://{self.ip}:{PORT}"
-        self._control = directory / f"{name}.ctl"
+        self._control = directory / f"{number}.ctl"
         words = ["--a", robot, f"10.9.{number}.1", "--b", self._namespace, self.ip]
         words += ["--delay-ms", str(delay_ms), "--control", str(self._control)]
         self._link = subprocess.Popen([sys.executable, os.environ["ROPEWAY_LINK"], *words], stdout=subprocess.PIPE)
@@ -39,7 +39,8 @@ class Machine:
 
     def start(self) -> None:
         """Start its process, and wait until it listens."""
-        self.process = Process(self._namespace, "-m", "bench.anycast.machine", self.name, str(PORT), self.calls)
+        name = self.name.replace(" ", "_")
+        self.process = Process(self._namespace, "-m", "bench.anycast.machine", name, str(PORT), self.calls)
         if not self.process.line():
             raise SystemExit(f"{self.name} did not start")
 

@@ -91,3 +91,21 @@ async def test_a_node_that_is_not_there(world: World) -> None:
     await robot.ask(0, 3)
     await until(lambda: robot.group["states"]["m0"]["refused"], timeout_s=20)
     assert "/gpu watts" in robot.group["states"]["m0"]["refused"]
+
+
+async def test_the_robots_gateway_is_restarted(world: World) -> None:
+    """A robot's gateway that is started anew finds its machines, and each frame is answered once, before and after."""
+    edges = await edges_of(world, "edge1", "edge2")
+    async with AsyncExitStack() as first_life:
+        before = World(first_life)
+        robot = Robot(before)
+        await robot.start(edges, initial_policy=policy("standby", "service"))
+        await robot.ask(0, 10)
+    again = Robot(world)
+    await again.start(edges, initial_policy=policy("service", "standby"))
+    await again.ask(10, 10)
+    assert sorted(number for edge in edges for number in edge.frames) == list(range(1, 21))
+    assert [number for number, _ in again.found] == list(range(11, 21))
+    current = again.group["current"]
+    serving = next(edge for edge in edges if current.endswith(f":{edge.gateway.servers[0].listeners[0].port}"))
+    await until(lambda: told(serving) == "service")

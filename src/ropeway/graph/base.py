@@ -205,6 +205,7 @@ class Undelivered(enum.Enum):
     LATE = "nobody waits for the answer any more"
     ANSWERED = "another member of the group answered first"
     OUTDATED = "a newer request was answered before"
+    FOREIGN = "it answers somebody else's request"
     STANDBY = "from a member of the group that is not in use"
     NOBODY = "no member of the group is there"
     COPY = "the same came by another link"

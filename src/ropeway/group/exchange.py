@@ -1,7 +1,8 @@
 """Requests on one topic and responses on another, as a service without the name: who is asked, and which answer counts.
 
 Sans-I/O. Each request is answered once, by whoever is first; an answer to a request that is older than one already
-answered comes too late to be of use. What a machine says unasked counts from the one in use.
+answered comes too late to be of use. What a machine says unasked counts from the one in use; but where answers carry
+the stamps of their requests, one that carries none of ours is for another robot of the same pool.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ class Exchange:
         pairing = self._pairings.get(name)
         key = None if pairing is None else pairing.answered(stamp)
         if key is None:
-            return self._unasked(name)
+            by_stamp = stamp is not None and any(other.stamped for other in self._pairings.values())
+            return Undelivered.FOREIGN if by_stamp else self._unasked(name)
         self._scheduler.answered(name, key, now_s)
         number = self._order.get(key, 0)
         if key in self._answered or not number:

@@ -9,13 +9,14 @@ since the latencies of the last kind are a guess.
 from __future__ import annotations
 
 import enum
-from collections import Counter, OrderedDict
+from collections import Counter, OrderedDict, deque
 from collections.abc import Hashable
 from typing import Final
 
 __all__ = ["How", "Pairing"]
 
 _MOST: Final = 1024  # requests that are remembered
+_GUESSED: Final = 64  # stamps by which it is learnt that answers carry those of their requests
 
 
 class How(enum.Enum):
@@ -37,7 +38,8 @@ class Pairing:
         self.counts: Counter[How] = Counter()
         self._open: OrderedDict[Hashable, Hashable | None] = OrderedDict()  # key: stamp
         self._by_stamp: dict[Hashable, Hashable] = {}
-        self._stamped = False  # an answer has carried the stamp of a request: the others will, too
+        self.stamped = False  # an answer has carried the stamp of a request: the others will, too
+        self._guessed: deque[Hashable] = deque(maxlen=_GUESSED)  # stamps of requests that were paired otherwise
 
     def __len__(self) -> int:
         """Return how many requests have no answer."""
@@ -55,12 +57,14 @@ class Pairing:
         """Return the key of the request that is answered, ``None`` if it is none that waits for an answer."""
         key = None if stamp is None else self._by_stamp.get(stamp)
         if key is not None:
-            self._stamped = True
+            self.stamped = True
             self.counts[How.STAMP] += 1
-        elif self._stamped and stamp is not None:
-            return None  # it was answered before, or nobody asked
+        elif stamp is not None and (self.stamped or stamp in self._guessed):
+            self.stamped = True
+            return None  # it was answered before, or somebody else asked
         elif self._open:
             key = next(iter(self._open))
+            self._guessed.append(self._open[key])
             self.counts[How.ONLY if len(self._open) == 1 else How.ORDER] += 1
         else:
             return None
