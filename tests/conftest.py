@@ -22,6 +22,21 @@ settings.load_profile("ropeway")
 
 
 SLOWEST = (
+    "soak/test_memory_nodes.py",
+    "soak/test_memory_clients.py",
+    "soak/test_memory_overlay.py",
+    "soak/test_memory_unread.py",
+    "soak/test_churn.py",
+    "faults/test_links.py",
+    "deploy/test_debian.py",
+    "deploy/test_container.py",
+    "gateway/test_side_by_side.py",
+    "soak/test_memory_strangers.py",
+    "soak/test_memory_dds.py",
+    "soak/test_soak.py",
+    "faults/test_calls.py",
+    "faults/test_lan.py",
+    "fuzz/test_targets.py",
     "cli/test_overlay.py",
     "networks/overlay/graph/test_graph.py",
     "gateway/process/test_supervisor.py",
@@ -53,7 +68,10 @@ SLOWEST = (
     "gateway/test_calls.py",
     "networks/dds/fastdds/test_helper.py",
 )
-"""The files that take longest (``--durations=0``), which are begun first: no process is left with one at the end."""
+"""The files that take longest, which are begun first, so that no process is left with one at the end.
+
+Those of slow tests come before the others; ``--durations=0`` tells how long each takes.
+"""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
