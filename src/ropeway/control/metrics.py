@@ -15,6 +15,7 @@ from prometheus_client.core import (
 )
 
 from ropeway import __version__
+from ropeway.control.links import each_link
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -118,9 +119,9 @@ def _links(remotes: Iterable[Mapping[str, Any]]) -> Iterator[Metric]:
     pace = _gauge("ropeway_link_pace_bits_per_second", "What the link carries, as estimated.", _LINK)
     received = _counter("ropeway_link_received_bytes", "Bytes that came over the link.", _LINK)
     sent = _counter("ropeway_link_sent_bytes", "Bytes that went over the link.", _LINK)
-    for remote in _members(remotes):
-        labels = [str(remote["address"])]
-        state.add_metric(labels, {name: remote.get("state") == name for name in LINK_STATES})
+    for name, remote in each_link(remotes):
+        labels = [name]
+        state.add_metric(labels, {known: remote.get("state") == known for known in LINK_STATES})
         if "connections" in remote:
             connections.add_metric(labels, remote["connections"])
             received.add_metric(labels, remote["bytes_in"])
@@ -128,12 +129,6 @@ def _links(remotes: Iterable[Mapping[str, Any]]) -> Iterator[Metric]:
             _add(round_trip, labels, remote["rtt_ms"], 1e-3)
             _add(pace, labels, remote["pace_bps"])
     yield from (state, connections, round_trip, pace, received, sent)
-
-
-def _members(remotes: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
-    """Yield remotes, and of a group its members instead."""
-    for remote in remotes:
-        yield from remote.get("members") or (remote,)
 
 
 def _graphs(graphs: Iterable[Mapping[str, Any]]) -> Iterator[Metric]:

@@ -9,6 +9,7 @@ from typing import Any, Final
 from rich.markup import escape
 
 from ropeway.cli.fitting_table import FittingTable
+from ropeway.control.links import each_link
 
 __all__ = ["duration", "session_table", "tables"]
 
@@ -33,18 +34,17 @@ def _links(name: str, remotes: Iterable[Mapping[str, Any]]) -> FittingTable:
         dispensable=("connections", "in MB", "out MB", "Mbit/s", "round trip ms"),
         text=("remote", "state", "error"),
     )
-    for remote in remotes:
-        for link in remote.get("members") or (remote,):
-            table.add_row(
-                escape(link.get("address", "")),
-                _state(link.get("state", "")),
-                _number(link.get("rtt_ms")),
-                _number(link.get("pace_bps"), 1e-6),
-                _number(link.get("bytes_in"), 1e-6),
-                _number(link.get("bytes_out"), 1e-6),
-                str(link.get("connections", "-")),
-                escape(link.get("error", "")),
-            )
+    for address, link in each_link(remotes):
+        table.add_row(
+            escape(address),
+            _state(link.get("state", "")),
+            _number(link.get("rtt_ms")),
+            _number(link.get("pace_bps"), 1e-6),
+            _number(link.get("bytes_in"), 1e-6),
+            _number(link.get("bytes_out"), 1e-6),
+            str(link.get("connections", "-")),
+            escape(link.get("error", "")),
+        )
     return table
 
 
