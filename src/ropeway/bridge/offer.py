@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 import logging
 from collections import Counter
-from typing import Any, Final, Protocol
+from typing import Any, ClassVar, Final, Protocol
 
 from ropeway import aio
 from ropeway.bridge.upkeep import Upkeep
@@ -43,7 +43,8 @@ class Offer:
     take.
     """
 
-    kind = ""
+    kind: ClassVar[str] = ""
+    default_timeout_s: ClassVar[float | None] = None
 
     def __init__(
         self,
@@ -53,12 +54,12 @@ class Offer:
         target_name: str,
         type: str,
         *,
-        timeout_s: float | None,
+        timeout_s: float | None = None,
         delivery: Delivery = NO_HINTS,
     ) -> None:
         self.source, self.target = source, target
         self.source_name, self.target_name, self.type = source_name, target_name, type
-        self.timeout_s, self.delivery = timeout_s, delivery
+        self.timeout_s, self.delivery = timeout_s or self.default_timeout_s, delivery
         self.taken_by = ""
         self.counts: Counter[str] = Counter()
         self.under_way = 0

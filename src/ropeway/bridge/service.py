@@ -7,7 +7,6 @@ from typing import Final
 
 from ropeway.bridge.offer import Offer
 from ropeway.errors import CallError, GraphUnavailable, ProviderLost
-from ropeway.graph.base import NO_HINTS, Delivery, Graph
 from ropeway.graph.calls import Client, Request, Service
 
 __all__ = ["CALL_TIMEOUT_S", "ServiceBridge"]
@@ -20,21 +19,7 @@ class ServiceBridge(Offer):
     """Offers a service of ``source`` on ``target``: exposed if that is the far side, reserved if it is ours."""
 
     kind = "service"
-
-    def __init__(
-        self,
-        source: Graph,
-        target: Graph,
-        source_name: str,
-        target_name: str,
-        type: str,
-        *,
-        timeout_s: float | None = None,
-        delivery: Delivery = NO_HINTS,
-    ) -> None:
-        super().__init__(
-            source, target, source_name, target_name, type, timeout_s=timeout_s or CALL_TIMEOUT_S, delivery=delivery
-        )
+    default_timeout_s = CALL_TIMEOUT_S
 
     async def make_client(self) -> Client:
         """Create the client of the service on the source."""

@@ -21,7 +21,7 @@ from ropeway.graph.calls import (
 )
 from ropeway.graph.local_calls import DirectGoal
 from ropeway.hub.calls import NOBODY_S, SharedClients, either
-from ropeway.hub.ownership import Claim, NameOwners
+from ropeway.hub.ownership import Claim, Claimant, NameOwners
 from ropeway.logs import failed
 from ropeway.tasks import background, describe, end
 
@@ -38,7 +38,7 @@ class SharedActions(SharedClients, Protocol):
     actions: NameOwners[ViewActionServer]
 
 
-class ViewActionServer:
+class ViewActionServer(Claimant):
     """An action that a view offers."""
 
     def __init__(
@@ -47,27 +47,12 @@ class ViewActionServer:
         self.action, self.type, self.handlers = action, type, handlers
         self._calls, self._delivery = calls, delivery
         self._goals: dict[bytes, DirectGoal] = {}
-        self.entry: Claim[ViewActionServer] = Claim(action, user, self, self._create)
-        self.on_closed: Callable[[], None] | None = None
+        super().__init__(Claim(action, user, self, self._create))
 
     async def _create(self) -> ActionServer:
         return await self._calls.graph.create_action_server(
             self.action, self.type, self.handlers, delivery=self._delivery
         )
-
-    @property
-    def closed(self) -> bool:
-        """Whether ``close`` was called."""
-        return self.entry.closed
-
-    @property
-    def taken_by(self) -> str:
-        """The other provider that holds the name, ``""`` while this one serves it."""
-        return self.entry.taken_by
-
-    def on_state(self, callback: Callable[[str], None]) -> None:
-        """Call with ``taken_by``, now and at each change."""
-        self.entry.on_state(callback)
 
     async def start(self, goal: Goal, on_feedback: Callable[[bytes], None], timeout_s: float) -> DirectGoal:
         """Begin a goal from inside this process."""
@@ -96,8 +81,7 @@ class ViewActionServer:
         await self._calls.actions.remove(self.entry)
         for goal in list(self._goals.values()):  # those that began meanwhile
             await goal.abort()
-        if self.on_closed is not None:
-            self.on_closed()
+        self._tell_closed()
 
 
 class ViewActionClient:

@@ -17,7 +17,7 @@ from ropeway.graph.calls import (
     ServiceHandler,
 )
 from ropeway.graph.local_calls import LEFT, InFlight, answer
-from ropeway.hub.ownership import Claim, NameOwners
+from ropeway.hub.ownership import Claim, Claimant, NameOwners
 from ropeway.tasks import end
 
 __all__ = ["NOBODY_S", "PendingCall", "SharedClients", "SharedServices", "ViewClient", "ViewService", "either"]
@@ -70,7 +70,7 @@ class SharedServices(SharedClients, Protocol):
         ...
 
 
-class ViewService:
+class ViewService(Claimant):
     """A service that a view offers."""
 
     def __init__(
@@ -79,25 +79,10 @@ class ViewService:
         self.service, self.type = service, type
         self._calls, self._handler, self._delivery = calls, handler, delivery
         self._running = InFlight()
-        self.entry: Claim[ViewService] = Claim(service, user, self, self._create)
-        self.on_closed: Callable[[], None] | None = None
+        super().__init__(Claim(service, user, self, self._create))
 
     async def _create(self) -> Service:
         return await self._calls.graph.create_service(self.service, self.type, self._handler, delivery=self._delivery)
-
-    @property
-    def closed(self) -> bool:
-        """Whether ``close`` was called."""
-        return self.entry.closed
-
-    @property
-    def taken_by(self) -> str:
-        """The other provider that holds the name, ``""`` while this one serves it."""
-        return self.entry.taken_by
-
-    def on_state(self, callback: Callable[[str], None]) -> None:
-        """Call with ``taken_by``, now and at each change."""
-        self.entry.on_state(callback)
 
     async def answer(self, request: Request, timeout_s: float) -> bytes:
         """Answer a call from inside this process."""
@@ -109,8 +94,7 @@ class ViewService:
             return
         await self._calls.services.remove(self.entry)
         await self._running.fail(ProviderLost(self.service, LEFT))
-        if self.on_closed is not None:
-            self.on_closed()
+        self._tell_closed()
 
 
 class ViewClient:

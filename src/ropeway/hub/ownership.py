@@ -12,12 +12,12 @@ import asyncio
 import logging
 import time
 from collections.abc import Awaitable, Callable, Sequence
-from typing import Final, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 from ropeway.errors import RopewayError
 from ropeway.graph.calls import ActionInfo, ProviderInfo, ServiceInfo
 
-__all__ = ["Claim", "NameOwners"]
+__all__ = ["Claim", "Claimant", "NameOwners"]
 
 log = logging.getLogger("ropeway.hub")
 
@@ -70,6 +70,32 @@ class Claim(Generic[P]):
         inner, self.inner = self.inner, None
         if inner is not None:
             await inner.close()
+
+
+class Claimant:
+    """A provider of a view, which has the name as its claim ``entry`` says."""
+
+    def __init__(self, entry: Claim[Any]) -> None:
+        self.entry = entry
+        self.on_closed: Callable[[], None] | None = None
+
+    @property
+    def closed(self) -> bool:
+        """Whether ``close`` was called."""
+        return self.entry.closed
+
+    @property
+    def taken_by(self) -> str:
+        """The other provider that holds the name, ``""`` while this one serves it."""
+        return self.entry.taken_by
+
+    def on_state(self, callback: Callable[[str], None]) -> None:
+        """Call with ``taken_by``, now and at each change."""
+        self.entry.on_state(callback)
+
+    def _tell_closed(self) -> None:
+        if self.on_closed is not None:
+            self.on_closed()
 
 
 class NameOwners(Generic[P]):
