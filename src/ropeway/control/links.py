@@ -1,4 +1,4 @@
-"""Finds the links in the status of a gateway: those of its remotes, and of a group or of several interfaces each one."""
+"""Finds the links in the status of a gateway: of its remotes, and each one of a group or of several interfaces."""
 
 from __future__ import annotations
 

@@ -1,0 +1,91 @@
+"""Mistakes about links are explained, each with its cause."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ropeway.gateway.explain import Subject
+from ropeway.gateway.gateway import Gateway
+from ropeway.networks.overlay.crypto.identity import write_private
+from tests.gateway.test_tls import Authority
+from tests.networks.overlay.fleet import member
+from tests.support.messages import STRING
+from tests.support.ports import free_port
+from tests.support.until import until
+from tests.support.world import World
+
+ROUTE = {"name": "/odom", "type": STRING}
+
+
+async def told(world: World, address: str, **remote: Any) -> str:
+    """Return what a gateway explains about a link that cannot be made."""
+    robot = await world.gateway("robot", [{"address": address, "publish": [ROUTE], **remote}])
+    here = await world.robot("robot")
+    await here.create_publisher("/odom", STRING)
+    await until(lambda: bool(robot.status()["remotes"][0]["error"]))
+    (explanation,) = await robot.explain("/odom")
+    (link,) = [finding for finding in explanation.findings if finding.subject is Subject.LINK]
+    assert link.ok is False
+    assert not explanation.crosses
+    return link.text
+
+
+def port(gateway: Gateway) -> int:
+    """Return the port of the first listener."""
+    return gateway.servers[0].listeners[0].port
+
+
+async def test_an_unknown_host(world: World) -> None:
+    """A host that has no address is told."""
+    assert "nowhere.invalid" in await told(world, "ws://nowhere.invalid:9090")
+
+
+async def test_a_wrong_token(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A token that the remote does not know is told as such."""
+    monkeypatch.setenv("ROPEWAY_TEST_TOKEN", "for-tests-only")
+    monkeypatch.setenv("ROPEWAY_TEST_WRONG", "another-for-tests")
+    auth = {"tokens": [{"token": {"env": "ROPEWAY_TEST_TOKEN"}, "role": "all"}]}
+    cloud = await world.gateway("cloud", [], auth=auth)
+    text = await told(world, f"ws://127.0.0.1:{port(cloud)}", token={"env": "ROPEWAY_TEST_WRONG"})
+    assert "401" in text
+    assert "token" in text
+
+
+async def test_an_authority_that_is_not_trusted(world: World, tmp_path: Path) -> None:
+    """A certificate of another authority is told, with the key that names the right one."""
+    tls = Authority(tmp_path, "ours").sign("cloud")
+    cloud = await world.gateway("cloud", [], listen=["wss://127.0.0.1:0"], tls=tls)
+    other = Authority(tmp_path, "another").file
+    text = await told(world, f"wss://127.0.0.1:{port(cloud)}", tls={"ca": other})
+    assert "not trusted" in text
+    assert "tls.ca" in text
+
+
+async def test_ws_and_wss_mixed_up(world: World, tmp_path: Path) -> None:
+    """A remote that speaks the other of ws and wss is told."""
+    tls = Authority(tmp_path, "ours").sign("cloud")
+    cloud = await world.gateway("cloud", [], listen=["wss://127.0.0.1:0"], tls=tls)
+    assert "wss://" in await told(world, f"ws://127.0.0.1:{port(cloud)}")
+
+
+async def in_the_overlay(world: World, directory: Path, endpoint: str) -> str:
+    """Return what a member explains about its way into the overlay through a router that does not take it."""
+    bundle = directory / "robot.ropeway"
+    write_private(bundle, member("robot").to_text())
+    overlay = {"identity": str(bundle), "routers": [endpoint], "listen": []}
+    remote = {"address": "overlay", "publish": [ROUTE]}
+    robot = await world.gateway("robot", [remote], overlay=overlay, listen=[], insecure=True)
+    here = await world.robot("robot")
+    await here.create_publisher("/odom", STRING)
+    await until(lambda: bool(robot.status()["remotes"][0]["error"]))
+    (explanation,) = await robot.explain("/odom")
+    return next(finding.text for finding in explanation.findings if finding.subject is Subject.LINK)
+
+
+async def test_a_router_that_is_away(world: World, tmp_path: Path) -> None:
+    """A router of the overlay that cannot be reached is told with its address."""
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    assert endpoint.removeprefix("tls/") in await in_the_overlay(world, tmp_path, endpoint)
