@@ -61,7 +61,7 @@ def place(tmp_path: Path, in_process: Ropeway, environment: dict[str, str]) -> I
     assert "router1 has ended" in errors
 
 
-@pytest.mark.timeout(180)  # a dozen processes, one after the other
+@pytest.mark.timeout(600)  # a dozen processes, one after the other
 def test_as_a_user(place: Place) -> None:
     """A topic published with one bundle is listed, traced and read with another, over a router."""
     robot = place.start(
@@ -82,7 +82,7 @@ def test_as_a_user(place: Place) -> None:
         capture = place.file("capture.jsonl")
         reader = place.start("topic", "echo", "/chatter", "-g", graph)
         try:
-            place.run("overlay", "capture", "/chatter", "-i", identity, "-o", capture, "-n", "3", "--timeout", "20")
+            place.run("overlay", "capture", "/chatter", "-i", identity, "-o", capture, "-n", "3", "--timeout", "120")
         finally:
             reader.terminate()
             reader.communicate(timeout=PATIENCE_S)
