@@ -15,6 +15,7 @@ Rank = tuple[int, float, float]
 """Orders members, the most promising first: the standing, the mean with its requests in flight, and its penalty."""
 
 _MOST_PENALTY_S: Final = 300.0
+_ERRORS: Final = 2  # standard errors of a mean: nineteen of twenty are within
 _ORDER: Final = (Standing.MET, Standing.UNKNOWN, Standing.MISSED)
 
 
@@ -31,6 +32,7 @@ class Replica:
     lost_at_s: float = float("-inf")
     known_s: float | None = None  # the mean when it was asked last, which outlives its window
     known_at_s: float = float("-inf")
+    unsure_s: float = 0.0  # by how much that mean may be chance
 
     def late_in_a_row(self, now_s: float, limit_s: float | None) -> int:
         """Return how many requests in a row took longer than the limit, those without an answer included."""
@@ -56,6 +58,7 @@ class Replica:
         found = self.window.statistics(now_s)
         if found is not None:
             self.known_s, self.known_at_s = found.mean, now_s
+            self.unsure_s = _ERRORS * found.stddev / len(found.values) ** 0.5
         return found
 
     def recalled(self, now_s: float, options: Options) -> float | None:
@@ -64,6 +67,11 @@ class Replica:
         if found is not None:
             return found.mean
         return self.known_s if now_s - self.known_at_s <= options.forgive_s else None
+
+    def may_take_s(self, now_s: float, options: Options) -> float | None:
+        """Return the least mean that it may have, after what was seen of it when it was asked last."""
+        known_s = self.recalled(now_s, options)
+        return None if known_s is None else known_s - self.unsure_s
 
     def lost(self, now_s: float, options: Options) -> None:
         """Leave it alone for a while, which doubles with each loss."""

@@ -30,6 +30,7 @@ from ropeway.group.replica import Replica
 __all__ = ["Decision", "Options", "Phase", "Scheduler"]
 
 _LATE_IN_A_ROW: Final = 2  # requests above the limit, one after the other, that count as a missed bound
+_CLEARLY: Final = 1.5  # times the latency of the one before: a change that is worse than that is wrong at once
 _JUDGED_PER_WINDOW: Final = 50  # what two requests in a row do not show, shows in a window, and not sooner
 _MOST_DECISIONS: Final = 256
 _MOST_GONE: Final = 64  # members that are not there, whose penalties are remembered
@@ -266,7 +267,6 @@ class Scheduler:
         if not profile.over(now_s):
             return
         self._profile = None
-        self._since_s = now_s
         self._pause_until_s = now_s + self.options.pause_s
         for member in self._members.values():
             member.remember(now_s)
@@ -274,6 +274,7 @@ class Scheduler:
         best = min(here, key=lambda m: m.rank(self.bound, now_s), default=None)
         if best is not None and best.name != self.current and not self.held:
             self._change(best.name, now_s, f"the best of the profile ({best.numbers(now_s)})")
+        self._since_s = float("-inf")  # a profile is short, and may be corrected
 
     def _step_steady(self, now_s: float) -> None:
         if not self.bound.limits or now_s < self._pause_until_s:
@@ -300,8 +301,9 @@ class Scheduler:
             self._comparison = Comparison(rival.name, hiccup=not missed)
             self._note(now_s, f"{why}; {rival.name} is asked, too")
         elif now_s - self._since_s >= self.options.least_dwell_s:
-            known_s = rival.recalled(now_s, self.options)
-            if known_s is None or known_s < found.mean * (1 - self.options.margin):
+            known_s = rival.may_take_s(now_s, self.options)
+            enough = found.answered + found.pending >= ENOUGH * self.options.pairs
+            if known_s is None or (enough and known_s < found.mean * (1 - self.options.margin)):
                 self._change(rival.name, now_s, why)
                 self._came_from = member.name
                 rival.window.clear()  # it has to prove itself now
@@ -312,8 +314,11 @@ class Scheduler:
         found = member.window.statistics(now_s)
         if found is None or found.answered + found.pending < self.options.pairs:
             return
-        was_s = before.recalled(now_s, self.options)
-        if bad and before.here and (was_s is None or found.mean > was_s):
+        was_s = before.recalled(now_s, self.options) or 0.0
+        enough = found.answered >= ENOUGH * self.options.pairs
+        if not enough and found.mean <= _CLEARLY * was_s:
+            return  # a few answers prove only what is far worse
+        if bad and before.here and found.mean > was_s:
             member.lost(now_s, self.options)
             self._change(before.name, now_s, f"{member.name} proved no better ({member.numbers(now_s)})")
         elif found.answered < self.options.pairs:
