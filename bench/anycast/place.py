@@ -35,7 +35,11 @@ class Machine:
         assert self._link.stdout is not None
         self._link.stdout.readline()
         self.process: Process | None = None
-        self.start()
+        try:
+            self.start()
+        except BaseException:
+            self.end()
+            raise
 
     def start(self) -> None:
         """Start its process, and wait until it listens."""
