@@ -207,6 +207,7 @@ ALLOWED_BROAD = {
         "store/store.py:_tell",
     },
     "whoever waits for the outcome gets the error": {
+        "control/app.py:_response",
         "gateway/process/worker.py:_answer",
         "graph/actions/client.py:_follow",
         "graph/actions/client.py:_negotiate",

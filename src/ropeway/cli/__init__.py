@@ -20,6 +20,7 @@ VERBS = {
     "session": "ropeway.cli.client_sessions",
     "server": "ropeway.cli.server",
     "config": "ropeway.cli.config",
+    "route": "ropeway.cli.route",
     "topic": "ropeway.cli.topic",
     "service": "ropeway.cli.service",
     "action": "ropeway.cli.action",

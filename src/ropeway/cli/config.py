@@ -1,4 +1,4 @@
-"""``ropeway config``: check a configuration, or describe it to an editor."""
+"""``ropeway config``: check a configuration, describe its format, or change that of a running gateway."""
 
 from __future__ import annotations
 
@@ -9,12 +9,16 @@ from typing import Annotated
 import typer
 
 from ropeway.cli.console import answer, complain, print_json
+from ropeway.cli.running_config import add_to
 from ropeway.errors import ConfigError
 
 __all__ = ["app"]
 
 app = typer.Typer(
-    name="config", help="Check a configuration, or describe its format.", no_args_is_help=True, add_completion=False
+    name="config",
+    help="Check a configuration, or change that of a running gateway.",
+    no_args_is_help=True,
+    add_completion=False,
 )
 
 
@@ -85,3 +89,6 @@ def schema(
         print_json(made)
     else:
         answer(json.dumps(made, indent=2))
+
+
+add_to(app)

@@ -12,7 +12,8 @@ from ropeway.cli.logs import LEVELS, set_up
 from ropeway.cli.loop import run
 
 if TYPE_CHECKING:
-    from ropeway.gateway.config.config import Config
+    from ropeway.gateway.gateway import Gateway
+    from ropeway.gateway.process.supervisor import Supervisor
 
 __all__ = ["app"]
 
@@ -27,11 +28,12 @@ def run_command(
     as_json: Annotated[bool, typer.Option("--json", help="Print the status as JSON, one line per --period.")] = False,
     period: Annotated[float, typer.Option("--period", min=0.05, help="Seconds between two lines of --json.")] = 1.0,
     log_level: Annotated[str, typer.Option("--log-level", help=f"{', '.join(LEVELS)}.")] = "info",
+    watch: Annotated[bool, typer.Option("--watch", help="Apply CONFIG again whenever it changes.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only warnings and errors.")] = False,
 ) -> None:
     """Run the gateway that CONFIG describes. Ctrl-C and SIGTERM end it in order, with exit status 0.
 
-    SIGHUP makes it read its certificates and tokens again.
+    SIGHUP makes it read its certificates and tokens again, and apply CONFIG again if it has changed.
     """
     level = set_up("warning" if quiet else log_level)
     from ropeway.cli.serving import Serving, serve
@@ -40,12 +42,13 @@ def run_command(
     loaded = load(config)
     try:
         period_s = period if as_json else None
-        run(serve(Serving(loaded, level, for_s or None, period_s, up=lambda _: _greet(loaded), control=True)))
+        run(serve(Serving(loaded, level, for_s or None, period_s, up=_greet, control=True, watch=watch)))
     except KeyboardInterrupt:  # before the handler was there: nothing had been started
         return
 
 
-def _greet(config: Config) -> None:
+def _greet(gateway: Gateway | Supervisor) -> None:
+    config = gateway.config
     from ropeway.planning.configured import unfitting
 
     listen = ", ".join(config.gateway.listen) or 'nowhere ("listen" names no port)'

@@ -14,17 +14,20 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.cli.notify import Notifier, notifying
 from ropeway.cli.printer import Printer
-from ropeway.errors import ConfigError, ConnectFailed
+from ropeway.errors import ConnectFailed, RopewayError
 from ropeway.gateway.factory import make_gateway
+from ropeway.tasks import Chores, Supervised
 
 if TYPE_CHECKING:
+    from ropeway.control.record import ChangeRecord
     from ropeway.gateway.config.config import Config
     from ropeway.gateway.gateway import Gateway
     from ropeway.gateway.process.supervisor import Supervisor
@@ -35,12 +38,8 @@ log = logging.getLogger("ropeway")
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
-class Reloading(Protocol):
-    """Reads files again: a gateway, a supervisor, or the manager of either."""
-
-    def reload(self) -> None:
-        """Read certificates and tokens again. Raises ``ConfigError``."""
-        ...
+Reload = Callable[[], Awaitable[str]]
+"""Reads files again, and says what came of it. Raises ``RopewayError``; nothing has changed then."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class Serving:
     """Says how a gateway is run: for how long, how often it prints its status as JSON, and what it says once it is up.
 
     ``beside`` is entered with the gateway and left before it ends. ``control``: others may see and change it over its
-    control API, as its configuration says.
+    control API, as its configuration says. ``watch``: the file is applied again when it has changed.
     ``retry_s``: an address that is taken is tried again after so many seconds, for ever; ``None`` gives up at once.
     """
 
@@ -60,13 +59,15 @@ class Serving:
     up: Callable[[Gateway | Supervisor], None] | None = None
     beside: Callable[[Any], AbstractAsyncContextManager[None]] | None = None
     control: bool = False
+    watch: bool = False
 
 
 async def serve(serving: Serving) -> None:
     """Run until the time is over, or a signal ends it in order. Raises ``RopewayError`` if it cannot be brought up."""
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
-    running: list[Reloading] = []
+    running: list[Reload] = []
+    chores = Chores()
     notifier = Notifier()
 
     def stopped() -> None:
@@ -81,8 +82,7 @@ async def serve(serving: Serving) -> None:
         if on_terminal and not _on_terminal():
             stopped()  # it is the terminal that was closed
         else:
-            notifier.reloading()
-            notifier.ready(_reload(running))
+            chores.start(_reload(running, notifier), "SIGHUP")
 
     for number in _SIGNALS:
         loop.add_signal_handler(number, stopped)
@@ -97,6 +97,7 @@ async def serve(serving: Serving) -> None:
             working.cancel()  # without effect where it has ended by itself
             with contextlib.suppress(asyncio.CancelledError):
                 await working
+            await chores.close()
     log.info("%s has ended", serving.config.gateway.name)
 
 
@@ -104,15 +105,22 @@ def _on_terminal() -> bool:
     return any(os.isatty(number) for number in range(3))
 
 
-def _reload(running: Sequence[Reloading]) -> str:
-    """Read the files again, and return what came of it."""
-    for gateway in running:
+async def _reload(running: Sequence[Reload], notifier: Notifier) -> None:
+    """Read the files again, and say what came of it."""
+    notifier.reloading()
+    said = "running"
+    for reload in running:
         try:
-            gateway.reload()
-        except ConfigError as error:
+            said = f"running; {await reload()}"
+        except RopewayError as error:
             log.error("SIGHUP: nothing has changed: %s", error)
-            return f"running; at the last reload nothing has changed: {error}"
-    return "running; certificates and tokens were read again"
+            said = f"running; at the last reload nothing has changed: {error}"
+    notifier.ready(said)
+
+
+async def _plain_reload(gateway: Gateway | Supervisor) -> str:
+    gateway.reload()
+    return "certificates and tokens were read again"
 
 
 async def _brought_up(serving: Serving, notifier: Notifier) -> Gateway | Supervisor:
@@ -128,25 +136,58 @@ async def _brought_up(serving: Serving, notifier: Notifier) -> Gateway | Supervi
         await asyncio.sleep(serving.retry_s)
 
 
-async def _managed(serving: Serving, gateway: Gateway | Supervisor, stack: AsyncExitStack) -> Reloading:
-    """Begin to serve the control API where it is wanted; return what reads files again."""
-    if not (serving.control and serving.config.gateway.control.enabled):
-        return gateway
-    control = await asyncio.to_thread(importlib.import_module, "ropeway.control.control")  # 0.2 s for HTTP
-    from ropeway.control.manager import Manager
-
-    manager = Manager(gateway)
-    stack.push_async_callback(manager.close)
-    await stack.enter_async_context(control.Control(manager))
-    return manager
-
-
-async def _run(serving: Serving, running: list[Reloading], notifier: Notifier) -> None:
-    loop = asyncio.get_running_loop()
-    async with AsyncExitStack() as stack:
+async def _managed(serving: Serving, notifier: Notifier, stack: AsyncExitStack) -> tuple[Gateway | Supervisor, Reload]:
+    """Bring up what is to run, and the control API where it is wanted."""
+    if not serving.control:
         gateway = await _brought_up(serving, notifier)
         stack.push_async_exit(gateway.__aexit__)
-        running.append(await _managed(serving, gateway, stack))
+        return gateway, partial(_plain_reload, gateway)
+    from ropeway.control.caller import Caller
+    from ropeway.control.manager import Manager
+
+    gateway, record = await _restored(serving, notifier, stack)
+    manager = Manager(gateway, record)
+    stack.push_async_callback(manager.close)
+    if gateway.config.gateway.control.enabled:
+        control = await asyncio.to_thread(importlib.import_module, "ropeway.control.control")  # 0.2 s for HTTP
+        await stack.enter_async_context(control.Control(manager))
+    if serving.watch and record.file is not None:
+        watching = partial(manager.watch_file, Caller("--watch", str(record.file)))
+        stack.push_async_callback(Supervised(watching, "watch the file").start().close)
+    return gateway, partial(manager.apply_file, Caller("SIGHUP", f"process {os.getpid()}"))
+
+
+async def _restored(
+    serving: Serving, notifier: Notifier, stack: AsyncExitStack
+) -> tuple[Gateway | Supervisor, ChangeRecord]:
+    """Bring up what was applied last, or the file, as ``control/startup.py`` decides."""
+    from ropeway.control.startup import candidates, note_start, open_record
+
+    record = await asyncio.to_thread(open_record, serving.config)
+    stack.push_async_callback(record.close)
+    failed = []
+    left = await asyncio.to_thread(candidates, serving.config, record)
+    while True:
+        candidate = left.pop(0)
+        try:
+            gateway = await _brought_up(replace(serving, config=candidate.config), notifier)
+        except RopewayError as error:
+            if not left:
+                raise
+            log.error("what was applied at run time does not come up: %s", error)
+            failed.append((candidate, str(error)))
+        else:
+            break
+    stack.push_async_exit(gateway.__aexit__)
+    await asyncio.to_thread(note_start, record, candidate, failed)
+    return gateway, record
+
+
+async def _run(serving: Serving, running: list[Reload], notifier: Notifier) -> None:
+    loop = asyncio.get_running_loop()
+    async with AsyncExitStack() as stack:
+        gateway, reload = await _managed(serving, notifier, stack)
+        running.append(reload)
         if serving.beside is not None:
             await stack.enter_async_context(serving.beside(gateway))
         if serving.up is not None:

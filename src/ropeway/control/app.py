@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import logging
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -41,7 +42,7 @@ ABORT: Final = "ropeway.abort"
 """The key of what ends the connection at once."""
 
 _JSON: Final = "application/json"
-_OPTIONS: Final = orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY
+_OPTIONS: Final = orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_PASSTHROUGH_DATACLASS
 _ALWAYS: Final = {"cache-control": "no-store", "x-content-type-options": "nosniff"}
 _OPENAPI_PATH: Final = "/openapi.json"
 
@@ -73,7 +74,7 @@ def make_app(manager: Manager, admission: AnyAdmission) -> ASGIApp:
         by_path.setdefault(resource.path, []).append(resource)
     routes = [Route(path, _Endpoint(listed, manager, room)) for path, listed in _specific_first(by_path)]
     routes.append(Route(_OPENAPI_PATH, _openapi(resources)))
-    handlers: Mapping[Any, Any] = {HTTPException: _no_such, Exception: _unforeseen}
+    handlers: Mapping[Any, Any] = {HTTPException: _no_such}
     return _Admitting(Starlette(routes=routes, exception_handlers=handlers), admission)
 
 
@@ -146,6 +147,9 @@ class _Endpoint:
             return _refusal(error)
         except ClientDisconnect:
             return Response(status_code=400)  # nobody reads it
+        except Exception as error:  # whoever asks is told, and the gateway goes on
+            log.error("%s %s failed: %s", request.method, request.url.path, describe(error), exc_info=error)
+            return _refusal(ControlRefused(500, f"this failed for a reason that is in the log: {describe(error)}"))
 
 
 async def _handled(resource: Resource, request: Request, manager: Manager, caller: Caller, room: _Room) -> Response:
@@ -237,6 +241,8 @@ def _plain(value: Any) -> Any:
         return value.to_json()
     if hasattr(value, "model_dump"):
         return value.model_dump(mode="json")
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     raise TypeError(type(value).__name__)
 
 
@@ -261,11 +267,6 @@ async def _no_such(request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else 404
     path = request.url.path[:200]
     return _refusal(ControlRefused(status, f"there is no {path} here; GET {_OPENAPI_PATH} describes what there is"))
-
-
-async def _unforeseen(request: Request, error: Exception) -> Response:
-    log.error("%s %s failed: %s", request.method, request.url.path, describe(error), exc_info=error)
-    return _refusal(ControlRefused(500, f"this failed for a reason that is in the log: {describe(error)}"))
 
 
 def _openapi(resources: Sequence[Resource]) -> Callable[[Request], Awaitable[Response]]:

@@ -11,10 +11,11 @@ import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+from ropeway.control.edits import Edit
 from ropeway.control.events import Events
-from ropeway.control.record import ChangeRecord
+from ropeway.control.record import ChangeRecord, file_digest
 from ropeway.errors import ConfigError, ControlRefused, RopewayError
 from ropeway.gateway.auth import make_door
 from ropeway.gateway.config.config import Config, parse
@@ -31,6 +32,8 @@ __all__ = ["Applied", "Manager"]
 
 log = logging.getLogger("ropeway.control")
 
+_WATCH_S: Final = 1.0  # an editor writes a file in several steps
+
 
 @dataclass(frozen=True, slots=True)
 class Applied:
@@ -41,7 +44,7 @@ class Applied:
 
     def to_json(self) -> dict[str, Any]:
         """Return what was done as JSON."""
-        return {**self.plan.to_json(), "applied": not self.plan.empty, "number": self.number}
+        return {**self.plan.to_json(), "applied": self.plan.old.etag != self.plan.new.etag, "number": self.number}
 
 
 class Manager:
@@ -108,7 +111,7 @@ class Manager:
 
     async def edit(
         self,
-        change: Callable[[dict[str, Any]], None],
+        change: Edit,
         caller: Caller,
         *,
         action: str,
@@ -117,7 +120,7 @@ class Manager:
         """Apply what ``change`` makes of the configuration that runs, in the full form."""
         async with self._changing:
             document = self.config.to_json()
-            change(document)
+            change(self.config, document)
             config = await self.read(document)
             return await self._apply(config, caller, action, "", if_match)
 
@@ -140,6 +143,20 @@ class Manager:
         steps = len(applied.plan.steps)
         return f"{file} was applied: {steps} step{'' if steps == 1 else 's'}" if steps else f"{file} changes nothing"
 
+    async def watch_file(self, caller: Caller) -> None:
+        """Apply the file whenever it has changed, for ever; a file that cannot be applied is told once."""
+        told = ""
+        while True:
+            await asyncio.sleep(_WATCH_S)
+            digest = await asyncio.to_thread(file_digest, self.record.file)
+            if digest in ("", told) or not await asyncio.to_thread(self.record.file_changed):
+                continue
+            told = digest
+            try:
+                log.info("%s", await self.apply_file(caller))
+            except RopewayError as error:
+                log.error("nothing has changed: %s", error)
+
     async def rollback(self, caller: Caller, number: int | None = None, *, if_match: str | None = None) -> Applied:
         """Go back to the configuration of an entry of the journal, or to the one before the last change."""
         async with self._changing:
@@ -151,8 +168,7 @@ class Manager:
         await self._check_known(if_match)
         before = self.config
         plan = await self.plan(config)
-        if plan.empty:
-            self.running.config = config
+        if config.etag == before.etag:
             return Applied(plan, 0)
         entry = await self.record.begin(config, plan, caller, action, note)
         try:

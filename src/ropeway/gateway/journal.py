@@ -203,7 +203,7 @@ class Journal:
     def _opened(self) -> sqlite3.Connection:
         try:
             return self._connect()
-        except sqlite3.DatabaseError as error:
+        except (sqlite3.DatabaseError, ValueError) as error:
             if isinstance(error, sqlite3.OperationalError):  # it is sound, and cannot be opened
                 raise JournalError(str(self.path), str(error)) from None
             self.set_aside = self.path.with_name(f"{self.path.name}.damaged-{int(time.time())}")
@@ -217,15 +217,16 @@ class Journal:
         made = sqlite3.connect(self.path, check_same_thread=False)
         try:
             self.path.chmod(0o600)
-            made.execute("PRAGMA journal_mode = WAL")
-            made.execute("PRAGMA synchronous = FULL")
-            made.execute("PRAGMA busy_timeout = 1000")
-            made.executescript(_SCHEMA)
-            for row in made.execute(f"SELECT {_COLUMNS} FROM entries ORDER BY number DESC LIMIT 3"):  # noqa: S608
-                _entry(row)
             small = self.path.stat().st_size <= _CHECKED_BYTES
             if small and made.execute("PRAGMA quick_check(1)").fetchone()[0] != "ok":
                 raise sqlite3.DatabaseError("damaged")
+            made.execute("PRAGMA journal_mode = WAL")
+            made.execute("PRAGMA synchronous = FULL")
+            made.execute("PRAGMA busy_timeout = 1000")
+            if made.execute("PRAGMA user_version").fetchone()[0] != _VERSION:
+                made.executescript(_SCHEMA)
+            for row in made.execute(f"SELECT {_COLUMNS} FROM entries ORDER BY number DESC LIMIT 3"):  # noqa: S608
+                _entry(row)
         except BaseException:
             made.close()
             raise

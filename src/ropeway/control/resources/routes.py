@@ -1,0 +1,60 @@
+"""Single routes of the configuration that runs: list, add, remove, pause and resume them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ropeway.control.edits import add_route, remove_route, set_active
+from ropeway.control.resource import ControlRequest, Resources
+from ropeway.control.resources.config import AppliedModel
+
+__all__ = ["resources"]
+
+resources = Resources()
+
+
+class RouteBody(BaseModel):
+    """A route to add. A remote that is not there yet is made, with its address alone."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    remote: str = Field(description="the address, the title or the number of a remote", max_length=1000)
+    operation: str = Field(description="publish, subscribe, trans-publish, expose-service, …", max_length=40)
+    item: dict[str, Any] = Field(description="as it stands in a file: name, type, and options")
+
+
+@resources.get("/v1/routes", right="observe")
+async def list_routes(asked: ControlRequest) -> Any:
+    """Return how every route is, each with its key."""
+    return asked.manager.status()["routes"]
+
+
+@resources.post("/v1/routes", right="configure", takes=RouteBody, gives=AppliedModel)
+async def add(asked: ControlRequest) -> Any:
+    """Add a route; everything else goes on."""
+    body: RouteBody = asked.body
+    edit = add_route(body.remote, body.operation, body.item)
+    return await asked.manager.edit(edit, asked.caller, action="route add", if_match=asked.headers.get("if-match"))
+
+
+@resources.delete("/v1/routes/{key}", right="configure", gives=AppliedModel)
+async def remove(asked: ControlRequest) -> Any:
+    """Remove a route."""
+    edit = remove_route(asked.path["key"])
+    return await asked.manager.edit(edit, asked.caller, action="route rm", if_match=asked.headers.get("if-match"))
+
+
+@resources.post("/v1/routes/{key}/pause", right="configure", gives=AppliedModel)
+async def pause(asked: ControlRequest) -> Any:
+    """Pause a route: it stays in the configuration, and nothing crosses."""
+    edit = set_active(asked.path["key"], active=False)
+    return await asked.manager.edit(edit, asked.caller, action="route pause", if_match=asked.headers.get("if-match"))
+
+
+@resources.post("/v1/routes/{key}/resume", right="configure", gives=AppliedModel)
+async def resume(asked: ControlRequest) -> Any:
+    """Let a paused route go on."""
+    edit = set_active(asked.path["key"], active=True)
+    return await asked.manager.edit(edit, asked.caller, action="route resume", if_match=asked.headers.get("if-match"))
