@@ -106,9 +106,9 @@ async def test_the_verbs(runner: Runner) -> None:
     assert json.loads(runner.verb("config", "show")[1])["remotes"][0]["publish"][0]["name"] == "/b"
     assert runner.verb("config", "rollback")[0] == 0
     assert runner.routes() == ["/a"]
-    other.write_text('{"gateway": {"nmae": "x"}}')
+    other.write_text('{"gateway": {"wokers": 1}}')
     code, text = runner.verb("config", "apply", str(other))
-    assert (code, 'gateway.nmae: unknown key; did you mean "name"' in text) == (2, True)
+    assert (code, 'unknown key; did you mean "workers"' in text) == (2, True)
 
 
 async def test_sighup(runner: Runner) -> None:

@@ -144,7 +144,7 @@ async def test_two_at_once(robot: Controlled) -> None:
 @pytest.mark.parametrize(
     ("document", "path"),
     [
-        ({"gateway": {"nmae": "x"}}, "gateway.nmae"),
+        ({"gateway": {"wokers": 1}}, ".".join(("gateway", "wokers"))),
         ([{"address": FAR, "publsh": []}], "remotes[0].publsh"),
         (None, "(top level)"),
         (17, "(top level)"),
