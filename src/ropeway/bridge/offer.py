@@ -63,7 +63,7 @@ class Offer:
         self.taken_by = ""
         self.counts: Counter[str] = Counter()
         self.under_way = 0
-        self._ended = asyncio.Event()
+        self._ended: asyncio.Event | None = None  # where somebody waits for the end of requests
         self.took_s: float | None = None  # the last one, smoothed
         self._client: Any = None
         self._server: _Server | None = None
@@ -84,11 +84,12 @@ class Offer:
 
     async def finish(self, limit_s: float) -> None:
         """Let the requests that are under way end, for ``limit_s`` at most; ``close`` is to follow."""
+        ended = self._ended = asyncio.Event()
         with contextlib.suppress(TimeoutError):
             async with aio.timeout(limit_s):
                 while self.under_way:
-                    self._ended.clear()
-                    await self._ended.wait()
+                    ended.clear()
+                    await ended.wait()
 
     async def close(self) -> None:
         """Withdraw the name, and stop using its provider."""
@@ -125,7 +126,8 @@ class Offer:
     def done(self, how: str, took_s: float) -> None:
         """Count a request that has ended."""
         self.counts[how] += 1
-        self._ended.set()
+        if self._ended is not None:
+            self._ended.set()
         self.took_s = took_s if self.took_s is None else self.took_s + 0.2 * (took_s - self.took_s)
 
     async def _set_right(self) -> None:
