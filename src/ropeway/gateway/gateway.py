@@ -145,6 +145,10 @@ class Gateway:
         await self._bring_up_remotes()
         stack.push_async_callback(Supervised(self._update_meters, "gateway meters").start().close)
         stack.push_async_callback(Supervised(self._watch.run, "gateway routes").start().close)
+        if settings.diagnostics:
+            from ropeway.gateway.diagnostics import Diagnostics
+
+            await Diagnostics(settings.name, self.status, self.registry).open(self.hubs.values(), stack)
 
     async def _bring_up_server(self, stack: AsyncExitStack, limits: Limits) -> None:
         """Listen for rosbridge clients and gateways."""

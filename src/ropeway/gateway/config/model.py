@@ -254,6 +254,9 @@ class GatewayConfig(Model):
     safety: Many[SafetyItem] = Field(
         (), description="topics of commands, whoever publishes them through the gateway: lease, limits, drivers"
     )
+    diagnostics: bool = Field(
+        False, description="how links and routes are is published on /diagnostics of the local networks (REP 107)"
+    )
     clients: ClientsConfig = Field(
         default_factory=lambda: ClientsConfig.model_validate({}), description="how rosbridge clients are served"
     )
