@@ -11,10 +11,10 @@ PARALLEL = -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 COVERAGE = $(shell $(BIN)/python -c 'import sys; print("COVERAGE_CORE=sysmon" * (sys.version_info >= (3, 12)))' 2>/dev/null)
 export PYTHON
 
-.PHONY: help demo demo-anycast demo-iort test test-all test-dds cov lint bench deb fuzz dist clean
+.PHONY: help demo demo-anycast demo-iort test test-all test-arm64 test-dds cov lint bench deb fuzz dist clean
 
 help: ## show this
-	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-10s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-12s %s\n", $$1, $$2}'
 
 demo: $(VENV)/runtime.stamp ## two networks, two gateways, a camera each way; DEMO="--for 60 --bag FILE" for more
 	@$(BIN)/ropeway demo $(DEMO)
@@ -34,6 +34,9 @@ test-all: $(VENV)/dev.stamp ## all tests, with a short run of the fuzzer and of 
 test-dds: $(VENV)/dev.stamp ## the tests of DDS against the C library of Debian (apt install cyclonedds-tools), not the wheel's
 	@ROPEWAY_DDS_LIBRARY=$(or $(DDS_LIBRARY),$(lastword $(sort $(wildcard /usr/lib/*/libddsc.so.*.*.*)))) \
 		$(BIN)/python -m pytest -q $(PARALLEL) -m "not slow" --ignore tests/networks/dds/fastdds tests/networks/dds $(TEST)
+
+test-arm64: $(VENV)/dev.stamp ## the wheel in an emulated Debian for ARM, as root, in hours; ARM64="tests/store" for some
+	@.ci/arm64 $(ARM64)
 
 cov: $(VENV)/dev.stamp ## all tests but the slow ones, with the lines that they reach, and a floor for every module
 	@$(COVERAGE) $(BIN)/python -m pytest -q $(PARALLEL) -m "not slow" --cov --cov-report=json --cov-report=term:skip-covered $(TEST)

@@ -1,11 +1,14 @@
-"""Compiles patterns with possessive quantifiers (``*+``): for Python 3.10, whose ``re`` lacks them, with ``regex``."""
+"""Compiles patterns with possessive quantifiers (``*+``).
+
+``re`` lacks them in Python 3.10, and gets them wrong before 3.11.5, as in Debian 12; ``regex`` stands in there.
+"""
 
 from __future__ import annotations
 
 import re
 import sys
 
-if sys.version_info < (3, 11):
+if sys.version_info < (3, 11, 5):
     import regex as engine
 else:
     engine = re
