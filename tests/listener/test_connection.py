@@ -385,7 +385,7 @@ async def test_tiny_pieces(place: Place) -> None:
             client.raw(empty * 1000 + one * 500)
             await client.writer.drain()
         client.raw(frame(CONTINUATION, b"", fin=True))
-        await until(lambda: far.got)
+        await until(lambda: far.got, 3 * PATIENCE_S)
         assert tracemalloc.get_traced_memory()[1] < 2_000_000
     finally:
         tracemalloc.stop()
