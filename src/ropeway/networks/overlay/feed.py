@@ -331,23 +331,20 @@ class Feed:
         self.readers: list[FeedReader] = []
         self.streams: dict[bytes, PublisherStream] = {}
         self._inlet: Inlet[_Came]
-        self._ends: list[Handle] = []
+        self._end: Handle | None = None
         self._closing = Chores()
 
     def open(self, loop: asyncio.AbstractEventLoop) -> None:
         """Read from now on."""
         self._loop = loop
         self._inlet = Inlet(loop, self._deliver, limit_bytes=OVERLAY_WAITING_BYTES, on_lost=self._overrun)
-        self._ends = [
-            self.fabric.subscribe(data_key(self.name, target=target), self._came)
-            for target in (b"", self.fabric.gateway)
-        ]
+        self._end = self.fabric.subscribe(data_key(self.name), self.came)
 
     async def close(self) -> None:
         """Stop reading."""
         self._inlet.closed = True
-        for handle in self._ends:
-            handle()
+        if self._end is not None:
+            self._end()
         for stream in self.streams.values():
             await stream.close()
         self.streams.clear()
@@ -363,7 +360,7 @@ class Feed:
             if endpoint not in self.streams:
                 self.streams[endpoint] = PublisherStream(self, advert, certificate)
 
-    def _came(self, key: str, payload: zenoh.ZBytes, attachment: zenoh.ZBytes | None) -> None:
+    def came(self, key: str, payload: zenoh.ZBytes, attachment: zenoh.ZBytes | None) -> None:
         """Take a packet; runs in Zenoh's thread."""
         stream = self.streams.get(publisher_of(key))
         if stream is None or not stream.readers:

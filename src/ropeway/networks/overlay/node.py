@@ -25,6 +25,7 @@ from ropeway.networks.overlay.bypass import Bypass
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
+from ropeway.networks.overlay.data_key import data_key, name_of
 from ropeway.networks.overlay.fabric import CRL_KEY, Handle
 from ropeway.networks.overlay.feed import Feed
 from ropeway.networks.overlay.held_bytes import HeldBytes
@@ -39,7 +40,7 @@ from ropeway.networks.overlay.zenoh_config import gateway_id
 from ropeway.tasks import Supervised, end
 
 if TYPE_CHECKING:
-    pass
+    import zenoh
 
 __all__ = ["OverlayNode", "Policy", "Provider", "new_endpoint"]
 
@@ -152,6 +153,7 @@ class OverlayNode:
                 self.receipts.open()
                 self.bypass.open()
                 self._ends.append(self.fabric.serve(CRL_KEY, self._tell_crl))
+                self._ends.append(self.fabric.subscribe(data_key(target=self.gateway), self._aimed_came))
                 take = self.fabric.hear(CRL_KEY, lambda _, raw: self._take_crl(raw), limit_bytes=OVERLAY_CRL_BYTES)
                 self._ends.append(take)
                 if await self.links.first():
@@ -326,10 +328,14 @@ class OverlayNode:
             del self.feeds[feed.name]
             await feed.close()
 
+    def _aimed_came(self, key: str, payload: zenoh.ZBytes, mark: zenoh.ZBytes | None) -> None:
+        """Take a packet that is for us alone; runs in Zenoh's thread."""
+        if (feed := self.feeds.get(name_of(key))) is not None:
+            feed.came(key, payload, mark)
+
     def _copy_came(self, name: bytes, publisher: bytes, packet: bytes) -> None:
         """Take a packet that came by the bypass; runs in Zenoh's thread."""
-        feed = self.feeds.get(name)
-        if feed is not None:
+        if (feed := self.feeds.get(name)) is not None:
             feed.copy_came(publisher, packet)
 
     def follow(self, feed: Feed) -> None:
