@@ -44,7 +44,7 @@ def one_row(title: str, found: Mapping[str, Any], as_json: bool) -> None:
     table(title, list(found), [list(found.values())], as_json=as_json)
 
 
-def scheduling(seconds: float = 10.0, hz: float = 100.0) -> dict[str, float]:
+def scheduling(seconds: float = 40.0, hz: float = 100.0) -> dict[str, float]:
     """Return what a scheduler of many members costs for requests at a rate, in percent of a core."""
     names = [f"m{i}" for i in range(MEMBERS)]
     scheduler = Scheduler(names, BOUND)

@@ -135,6 +135,8 @@ class LatencyWindow:
         A request without an answer counts as soon as it is older than half of the answers took: a younger one says
         nothing yet. Where nothing was answered, all of them count.
         """
+        if not self._latencies and not self._pending:
+            return None
         self._age(now_s)
         answered = sorted(latency for _, latency in self._latencies)
         ages = [now_s - asked_s for asked_s in self._pending.values()]
