@@ -16,10 +16,18 @@ from functools import partial
 from typing import Any, Final
 
 from ropeway.errors import AccessDenied, StoreUnavailable, TypesError, ValueRefused
-from ropeway.iort import KINDS, Fault, NodeError, Packet, identifier_of, is_http, origin_of, pack
+from ropeway.iort import KINDS, Fault, NodeError, Packet, is_http, origin_of, pack
 from ropeway.limits import HTTP_HEAD_BYTES, WRONG_TOKENS_PER_CONNECTION
 from ropeway.listener.authorization import Access
 from ropeway.listener.lobby import Visit
+from ropeway.networks.iort.server.answers import (
+    OURS,
+    error_packet,
+    event_packet,
+    no_value,
+    plain_packet,
+    value_packet,
+)
 from ropeway.networks.iort.server.connection import NodeConnection
 from ropeway.networks.iort.server.host import NodesHost
 from ropeway.networks.iort.server.pushes import Pushes
@@ -30,7 +38,6 @@ __all__ = ["IortSession"]
 
 log = logging.getLogger("ropeway.iort")
 
-_OURS: Final = "00"  # the identifier of the server
 _IDENTIFIER_CHARACTERS: Final = 40  # of one that is shown in the status
 
 
@@ -139,21 +146,11 @@ class IortSession(NodeConnection):
         self.end()
 
     def _error(self, number: str, code: str, text: str) -> None:
-        head = {"n": number, "code": code} if number else {"code": code}
-        self._send(pack(_OURS, "-", "-", "+err", head, text.encode()))
+        self._send(error_packet(number, code, text))
 
     def _ok(self, number: str, **head: object) -> None:
         if number:
-            self._send(pack(_OURS, "-", "-", "+ok", {"n": number, **head}))
-
-    def _value(self, entry: Entry, latest: bool, number: str = "") -> bytes:
-        head: dict[str, object] = {"n": number} if number else {}
-        head |= {"t": entry.stamp_ns, "v": entry.version, "o": entry.origin}
-        if entry.type:
-            head["k"] = entry.type
-        if latest:
-            head["last"] = 1
-        return pack(_OURS, entry.system, entry.topic, "+val", head, self._text(entry))
+            self._send(pack(OURS, "-", "-", "+ok", {"n": number, **head}))
 
     def _text(self, entry: Entry) -> bytes:
         """Return the text for a node. Raises ``NodeError`` where a message of ROS cannot be made text."""
@@ -167,7 +164,7 @@ class IortSession(NodeConnection):
     def _pushed(self, entry: Entry, latest: bool) -> None:
         """Send a value of a subscription."""
         try:
-            self._send(self._value(entry, latest))
+            self._send(value_packet(entry, self._text(entry), latest=latest))
         except NodeError as error:
             self.server.counts[error.code] += 1
 
@@ -190,12 +187,7 @@ class IortSession(NodeConnection):
         """Tell the node that a member began or ceased to publish or read."""
         if self.access is None or not self.access.allows("subscribe", f"/{endpoint.system}/{endpoint.topic}"):
             return
-        head = {"kind": endpoint.kind, "here": int(there), "node": endpoint.node, "id": endpoint.id}
-        if endpoint.type:
-            head["k"] = endpoint.type
-        if endpoint.qos:
-            head["q"] = endpoint.qos
-        self._send(pack(_OURS, endpoint.system, endpoint.topic, "+evt", head))
+        self._send(event_packet(endpoint, there))
 
     def kept(self, tokens: list[Any], error: StoreUnavailable | None) -> None:
         """Confirm the values that now survive a crash, as the store reports."""
@@ -253,7 +245,7 @@ class IortSession(NodeConnection):
         self.server.counts[code] += 1
         if packet.op == "s":
             text = text.replace("%", "")
-            self._send(pack(_OURS, packet.system, packet.topic, "e", None, text.encode(), packet.system_type))
+            self._send(pack(OURS, packet.system, packet.topic, "e", None, text.encode(), packet.system_type))
         elif self.upgraded:
             self._error(number, code, text)
 
@@ -294,13 +286,7 @@ class IortSession(NodeConnection):
         self._answer_read(packet, partial(self._answer_plain, packet), "")
 
     def _answer_plain(self, packet: Packet, entry: Entry) -> None:
-        data = self._text(entry)
-        id = identifier_of(entry.origin)
-        try:
-            answer = pack(id, packet.system, packet.topic, "p", None, data, packet.system_type)
-        except ValueError as error:
-            raise NodeError("conversion", str(error)) from None
-        self._send(answer)
+        self._send(plain_packet(packet, entry, self._text(entry)))
 
     def _answer_read(self, packet: Packet, answer: Callable[[Entry], None], number: str) -> None:
         """Answer a read; a value that is not here is looked up in the database elsewhere, if there is one."""
@@ -313,7 +299,7 @@ class IortSession(NodeConnection):
             self._looking = True
             self.server.spawn(self._look_further(packet, answer, number))
         else:
-            raise self._no_value(packet, store.has_system(packet.system))
+            raise no_value(packet, store.has_system(packet.system))
 
     async def _look_further(self, packet: Packet, answer: Callable[[Entry], None], number: str) -> None:
         store = self.space.store
@@ -323,18 +309,13 @@ class IortSession(NodeConnection):
             if self.transport is None:
                 return
             if entry is None:
-                raise self._no_value(packet, knows_system)
+                raise no_value(packet, knows_system)
             answer(entry)
         except NodeError as error:
             self._refuse(packet, number, error.code, error.text)
         finally:
             self._looking = False
             self._work()
-
-    def _no_value(self, packet: Packet, knows_system: bool) -> NodeError:
-        if not knows_system:
-            return NodeError("unknown-system", f"no value of the system {packet.system} is there")
-        return NodeError("unknown-topic", f"no value of {packet.system}/{packet.topic} is there")
 
     def _publish(self, packet: Packet, number: str) -> None:
         head = packet.head
@@ -370,12 +351,12 @@ class IortSession(NodeConnection):
         self.identifier = packet.id[:_IDENTIFIER_CHARACTERS]
         self.origin = packet.head.get("o", "")[:200] or origin_of(packet.id, f"{packet.system}@{self.peer}", self.kind)
         answer = {"n": number, "t": time.time_ns(), "max": self._parser.max_bytes}
-        self._send(pack(_OURS, "-", "-", "+ok", answer, note.encode()))
+        self._send(pack(OURS, "-", "-", "+ok", answer, note.encode()))
 
     def _get(self, packet: Packet, number: str) -> None:
         def answer(entry: Entry) -> None:
             if number:
-                self._send(self._value(entry, False, number))
+                self._send(value_packet(entry, self._text(entry), number=number))
 
         self._answer_read(packet, answer, number)
 
@@ -418,7 +399,7 @@ class IortSession(NodeConnection):
             if access.allows("subscribe", f"/{entry.system}/{entry.topic}")
         ]
         if number:
-            self._send(pack(_OURS, "-", "-", "+val", {"n": number}, json.dumps(found).encode()))
+            self._send(pack(OURS, "-", "-", "+val", {"n": number}, json.dumps(found).encode()))
 
     def _delete(self, packet: Packet, number: str) -> None:
         self._may("publish", packet)
@@ -441,7 +422,7 @@ class IortSession(NodeConnection):
 
     def _ping(self, packet: Packet, number: str) -> None:
         self.pings = True
-        self._send(pack(_OURS, "-", "-", "+ok", {"n": number, "t": time.time_ns()} if number else None))
+        self._send(pack(OURS, "-", "-", "+ok", {"n": number, "t": time.time_ns()} if number else None))
 
     def _bye(self, packet: Packet, number: str) -> None:
         self._ok(number)
