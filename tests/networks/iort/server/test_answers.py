@@ -8,7 +8,7 @@ from ropeway.iort import NodeError, Packet, Parser
 from ropeway.networks.iort.server.answers import error_packet, no_value, plain_packet, value_packet
 from ropeway.store import Entry
 
-ENTRY = Entry("PEPPER", "pose", b"1.0", 7, 3, "01@robot:PEPPER")
+ENTRY = Entry("PEPPER", "pose", b"1.0", version=3, stamp_ns=7, origin="01@robot:PEPPER")
 REQUEST = Packet("01", "PEPPER", "pose", "s")
 
 
