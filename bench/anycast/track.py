@@ -33,10 +33,11 @@ def draw(path: Path, found: Mapping[str, Any], delayed_s: float, change_s: float
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
+    from matplotlib.patches import Circle
 
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(11, 5))
     xs, ys = zip(*track(found), strict=True)
-    circle = pyplot.Circle((0, 0), RADIUS_M, fill=False, linestyle="--", color="0.6")
+    circle = Circle((0, 0), RADIUS_M, fill=False, linestyle="--", color="0.6")
     left.add_patch(circle)
     left.plot(xs, ys, linewidth=1.5)
     left.set_aspect("equal")
