@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from ropeway.control.links import each_link
 
 
 def test_each_link_has_a_name() -> None:
     """A remote is a link; of a group each member is one, of several interfaces each of these."""
-    remotes = [
+    remotes: list[dict[str, Any]] = [
         {"address": "ws://cloud:9090", "state": "connected"},
         {"address": "ws://a,ws://b", "members": [{"address": "ws://a"}, {"address": "ws://b"}]},
         {"address": "ws://c", "members": [{"interface": "wlan0"}, {"interface": "wwan0"}]},
