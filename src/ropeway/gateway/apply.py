@@ -139,20 +139,22 @@ class ConfigChange:
                     await asyncio.sleep(_LOOK_S)
 
     async def _swap(self) -> None:
-        """ConfigChange the routes that stay; if one cannot be, those before it are changed back."""
-        done: list[tuple[RunningRemote, Route]] = []
-        try:
-            for remote in self.plan.remotes:
-                for was, becomes in remote.changed:
-                    assert remote.before is not None
-                    running = self._before[remote.before]
-                    done.append((running, was))
-                    await running.change(becomes)
-        except BaseException:
-            for running, was in reversed(done):
-                await running.change(was)
-            await self.abort()
-            raise
+        """Change the routes that stay, all at once; if one cannot be, all are changed back."""
+        pairs = [
+            (self._before[remote.before], was, becomes)
+            for remote in self.plan.remotes
+            if remote.before is not None
+            for was, becomes in remote.changed
+        ]
+        changes = (running.change(becomes) for running, _, becomes in pairs)
+        outcomes = await asyncio.gather(*changes, return_exceptions=True)
+        error = next((outcome for outcome in outcomes if isinstance(outcome, BaseException)), None)
+        if error is None:
+            return
+        for running, was, _ in pairs:
+            await running.change(was)
+        await self.abort()
+        raise error
 
     def _renumber(self) -> None:
         new = self.plan.new

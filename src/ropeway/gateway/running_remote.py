@@ -86,14 +86,14 @@ class RunningRemote:
 
     async def change(self, route: Route) -> None:
         """Carry a route of the same key out in another way; messages go on, calls that take longer end."""
-        running = self.remote.running[route.key]
-        bridge = running.bridge
-        if isinstance(bridge, TopicBridge):
-            await bridge.change(qos=route.qos, delivery=route.delivery, keep=self._host.keeper(route))
+        running = self.remote.running.get(route.key)
+        if running is not None and isinstance(running.bridge, TopicBridge):
+            await running.bridge.change(qos=route.qos, delivery=route.delivery, keep=self._host.keeper(route))
             running.route = route
-        else:
+            return
+        if running is not None:
             await self.remove(route.key)
-            await self.add(route)
+        await self.add(route)
 
     def renumber(self, config: RemoteConfig, index: int, routes: Iterable[Route]) -> None:
         """Take the place that the configuration now has the remote and its routes at, in this order."""
