@@ -178,6 +178,15 @@ async def test_nobody_is_there(robot: Robot) -> None:
     assert robot.asked() == {"edge1": 0, "edge2": 5}
 
 
+async def test_members_without_the_topic(robot: Robot) -> None:
+    """What no member has a publisher for, as none has come back yet, is dropped and counted."""
+    await robot.start({"edge1": 0.01, "edge2": 0.02})
+    for name in robot.links:
+        await robot.input.remove(name)
+    await robot.ask(3)
+    assert robot.group.drops["/input", Undelivered.NOBODY] == 3
+
+
 async def test_standby_says_nothing(robot: Robot) -> None:
     """What a machine that is not in use publishes unasked is dropped, and counted."""
     await robot.start({"edge1": 0.01, "edge2": 0.02})

@@ -71,7 +71,7 @@ class GroupPublisher(GroupPart[Publisher]):
 
     def _due(self) -> tuple[str, ...]:
         """Return who gets the next message: of the others the most promising, where those in use do not read it."""
-        names = self._group.targets()
+        names = tuple(name for name in self._group.targets() if name in self._parts)  # one that has come has none yet
         if any(map(self._reads, names)):
             return names
         return next(((name,) for name in self._group.ranked() if self._reads(name)), names)
