@@ -27,6 +27,7 @@ MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 GLIBCS = ("2_36", "2_35", "2_34", "2_31", "2_28", "2_27", "2_24", "2_17", "2014")  # Debian 12 has 2.36
 EXTRAS = ("bags", "mongo", "overlay")  # a machine of its own is to lack nothing; plots are for demonstrations
 HOME = "usr/lib/ropeway"
+PYTHON_OF_DEBIAN = "3.11.2"
 
 
 def main() -> None:
@@ -97,29 +98,36 @@ def _install(wheel: Path, architecture: str, python: str, site: Path) -> None:
     chosen = {item["metadata"]["name"]: item["metadata"] for item in json.loads(report.read_text())["install"]}
     report.unlink()
     machine = MACHINES[architecture]
-    target = {"platform_machine": machine, "python_version": python, "sys_platform": "linux"}
-    wanted = set(_needed("ropeway", chosen, target)) - {"ropeway"}
-    pinned = [f"{name}=={chosen[name]['version']}" for name in sorted(wanted)]
+    full = PYTHON_OF_DEBIAN if PYTHON_OF_DEBIAN.startswith(f"{python}.") else f"{python}.0"
+    target = {
+        "platform_machine": machine,
+        "python_version": python,
+        "python_full_version": full,
+        "sys_platform": "linux",
+    }
+    pinned = sorted(set(_needed("ropeway", chosen, target)))
     platforms = [f"--platform=manylinux_{glibc}_{machine}".replace("_2014_", "2014_") for glibc in GLIBCS]
     common = ["--no-deps", "--only-binary=:all:", f"--python-version={python}", "--target", str(site), *platforms]
     _pip("install", *common, str(wheel), *pinned)
 
 
 def _needed(name: str, chosen: dict[str, dict[str, object]], target: dict[str, str]) -> Iterator[str]:
-    """Yield the distributions that ``name`` needs on the target, each once."""
+    """Yield what ``name`` needs on the target: in the version chosen here, or any that fits where none is needed here."""
     names = {_plain(known): known for known in chosen}
-    seen, waiting = set(), [name]
+    seen, waiting = set(), [Requirement(name)]
     while waiting:
-        known = names.get(_plain(waiting.pop()))
+        wanted = waiting.pop()
+        known = names.get(_plain(wanted.name))
+        if wanted.name != name:
+            yield f"{wanted.name}{wanted.specifier}" if known is None else f"{known}=={chosen[known]['version']}"
         if known is None or known in seen:
             continue
         seen.add(known)
-        yield known
         for text in chosen[known].get("requires_dist", ()):  # type: ignore[attr-defined]
             requirement = Requirement(text)
             marker = requirement.marker
             if marker is None or any(marker.evaluate({**target, "extra": extra}) for extra in ("", *EXTRAS)):
-                waiting.append(requirement.name)
+                waiting.append(requirement)
 
 
 def _plain(name: str) -> str:

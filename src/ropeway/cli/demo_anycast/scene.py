@@ -17,7 +17,7 @@ from ropeway.cli.demo_anycast.slow_link import SlowLink
 from ropeway.errors import RopewayError
 from ropeway.gateway.config import config
 from ropeway.gateway.gateway import Gateway
-from ropeway.gateway.group import GroupRemote
+from ropeway.gateway.group import LinkGroupRemote
 from ropeway.graph.base import Sample, new_origin
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.types import TypeRegistry
@@ -86,7 +86,7 @@ async def play(seconds: float, *, live: bool, say: Callable[[str], None]) -> Sto
         settings = {"name": "robot", "graphs": ["memory:robot"], "listen": [], "control": {"name": "demo-anycast"}}
         gateway = await stack.enter_async_context(Gateway(config.parse({"gateway": settings, "remotes": [remote]})))
         group = gateway.remotes[0]
-        assert isinstance(group, GroupRemote)
+        assert isinstance(group, LinkGroupRemote)
         return await _drive(stack, group, links, {a: n for n, a in addresses.items()}, seconds, live=live)
 
 
@@ -108,7 +108,7 @@ async def _machine(stack: AsyncExitStack, name: str, port: int) -> None:
 
 async def _drive(
     stack: AsyncExitStack,
-    group: GroupRemote,
+    group: LinkGroupRemote,
     links: dict[str, SlowLink],
     names: dict[str, str],
     seconds: float,
@@ -134,11 +134,13 @@ async def _drive(
     await node.create_subscription("/found", ANSWER, None, came)
     everybody = asyncio.Event()
 
-    def look(_: int) -> None:
+    def look(_: int | bool) -> None:
         if len(group.graph.scheduler.here) == len(names) and camera.subscribers:
             everybody.set()
 
     camera.on_demand(look)
+    for link in group.links.values():
+        link.on_reached(look)
     async with aio.timeout(START_S):
         await everybody.wait()
     screen = _screen(stack) if live else None
@@ -167,7 +169,7 @@ async def _drive(
     return story
 
 
-def _screen(stack: AsyncExitStack) -> Callable[[GroupRemote], None]:
+def _screen(stack: AsyncExitStack) -> Callable[[LinkGroupRemote], None]:
     from rich.live import Live
 
     screen = stack.enter_context(Live(auto_refresh=False))

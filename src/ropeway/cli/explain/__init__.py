@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -56,11 +57,15 @@ def explain_command(
 
 def _tried(config: Path, name: str, to: str, spin_time_s: float) -> list[dict[str, Any]]:
     from ropeway.cli.explain.trial import try_out
-    from ropeway.cli.logs import set_up
     from ropeway.cli.loop import run
 
-    set_up("error")  # what goes wrong is what is explained
-    return [explanation.to_json() for explanation in run(try_out(config, name, to, spin_time_s))]
+    log = logging.getLogger("ropeway")
+    level = log.level
+    log.setLevel(logging.ERROR)  # what goes wrong is what is explained
+    try:
+        return [explanation.to_json() for explanation in run(try_out(config, name, to, spin_time_s))]
+    finally:
+        log.setLevel(level)
 
 
 def _asked(where: str, name: str, to: str, token: str, ca: str) -> list[dict[str, Any]]:
