@@ -112,7 +112,7 @@ def _install(wheel: Path, architecture: str, python: str, site: Path) -> None:
 
 
 def _needed(name: str, chosen: dict[str, dict[str, object]], target: dict[str, str]) -> Iterator[str]:
-    """Yield what ``name`` needs on the target: in the version chosen here, or any that fits where none is needed here."""
+    """Yield what ``name`` needs on the target, in the version chosen here, or any that fits if none is needed here."""
     names = {_plain(known): known for known in chosen}
     seen, waiting = set(), [Requirement(name)]
     while waiting:
