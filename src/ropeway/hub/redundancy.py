@@ -39,6 +39,24 @@ _HELD: Final = 256
 class Standby:
     """Watches one published topic. ``received`` and ``published`` are what the network gave us, and what we gave."""
 
+    __slots__ = (
+        "_alone",
+        "_closed",
+        "_gateway_id",
+        "_graph",
+        "_held",
+        "_lock",
+        "_monitor",
+        "_published",
+        "_received",
+        "_share",
+        "_timer",
+        "_topic",
+        "_type",
+        "duplicates",
+        "second",
+    )
+
     def __init__(
         self,
         graph: Graph,
