@@ -9,14 +9,17 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 import typer
 
 from ropeway.aio import BaseExceptionGroup
 from ropeway.errors import ConfigError, RopewayError
 
-__all__ = ["answer", "complain", "fail", "print_json", "reported"]
+__all__ = ["MARKS", "answer", "complain", "fail", "print_json", "reported"]
+
+MARKS: Final = {True: "ok", False: "NO", None: " ?"}
+"""Marks of findings: right, wrong, and not known or not decisive."""
 
 
 def print_json(value: Any) -> None:

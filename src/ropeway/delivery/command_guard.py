@@ -21,7 +21,7 @@ from ropeway.types.codec import MessageCodec
 __all__ = ["CommandGuard", "CommandRefusal", "Drivers", "UnknownField", "field_names"]
 
 Drivers = Literal["any", "first", "newest"]
-"""Who may drive: everybody at once, the first until its lease is over, or whoever began last."""
+"""Drivers that may command: all at once, the first until its lease is over, or the one that began last."""
 
 _MOST_DRIVERS: Final = 1000
 

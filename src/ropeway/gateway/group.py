@@ -16,7 +16,7 @@ from ropeway.gateway.credentials import Credentials
 from ropeway.gateway.group_commands import GroupCommands
 from ropeway.gateway.group_services import GroupServices
 from ropeway.gateway.group_states import GroupStates
-from ropeway.gateway.remote import NO_CREDENTIALS, Remote, link_state, link_status, overlay_state, shown_address
+from ropeway.gateway.remote import NO_CREDENTIALS, Remote, SeveralLinks, overlay_state, shown_address
 from ropeway.graph.base import Graph, Sample, Subscription
 from ropeway.group.graph import Group
 from ropeway.networks.rosbridge.client import RosbridgeGraph
@@ -124,7 +124,7 @@ class GroupRemote(Remote):
         raise NotImplementedError
 
 
-class LinkGroupRemote(GroupRemote):
+class LinkGroupRemote(SeveralLinks, GroupRemote):
     """Several addresses as one graph; its members are called by their addresses."""
 
     def __init__(
@@ -139,30 +139,9 @@ class LinkGroupRemote(GroupRemote):
         self.links = dict(links)
         super().__init__(config, routes, registry, gateway, credentials, members=links)
 
-    def begin_watch(self) -> None:
-        """See ``Remote.begin_watch``."""
-        for link in self.links.values():
-            link.begin_watch()
-
-    def _renew(self, credentials: Credentials, anew: bool) -> None:
-        for link in self.links.values():
-            link.renew(credentials.context, credentials.headers, anew=anew)
-
-    @property
-    def state(self) -> str:
-        """The state in one word; ``connected`` while a member is reached."""
-        states = [link_state(link) for link in self.links.values()]
-        return "connected" if "connected" in states else states[0]
-
-    @property
-    def error(self) -> str:
-        """The last errors of links that are not up."""
-        return "; ".join(f"{name}: {link.last_error}" for name, link in self.links.items() if link.last_error)
-
     def status(self) -> dict[str, Any]:
         """Return the state of the group and its links, for people and programs."""
-        members = [{"address": name, **link_status(link)} for name, link in self.links.items()]
-        return {**super().status(), "members": members}
+        return {**super().status(), "members": self.members("address")}
 
     def machines(self) -> Mapping[str, Graph]:
         """Return the links whose far side is reached."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
@@ -28,6 +28,7 @@ __all__ = [
     "LinkRemote",
     "OverlayRemote",
     "Remote",
+    "SeveralLinks",
     "link_state",
     "link_status",
     "overlay_state",
@@ -238,3 +239,33 @@ def link_status(graph: RosbridgeGraph) -> dict[str, Any]:
         if peer is None
         else {f"{kind} {topic}".strip(): n for (kind, topic), n in peer.fault_log.counts.items()},
     }
+
+
+class SeveralLinks(Remote):
+    """The base of remotes that several links lead to; ``links`` has them by name."""
+
+    links: Mapping[str, RosbridgeGraph]
+
+    def begin_watch(self) -> None:
+        """See ``Remote.begin_watch``."""
+        for link in self.links.values():
+            link.begin_watch()
+
+    def _renew(self, credentials: Credentials, anew: bool) -> None:
+        for link in self.links.values():
+            link.renew(credentials.context, credentials.headers, anew=anew)
+
+    @property
+    def state(self) -> str:
+        """The state in one word; ``connected`` while a link is up."""
+        states = [link_state(link) for link in self.links.values()]
+        return "connected" if "connected" in states else states[0]
+
+    @property
+    def error(self) -> str:
+        """The last errors of links that are not up."""
+        return "; ".join(f"{name}: {link.last_error}" for name, link in self.links.items() if link.last_error)
+
+    def members(self, named: str) -> list[dict[str, Any]]:
+        """Return each link as it stands, as JSON, with its name under the key ``named``."""
+        return [{named: name, **link_status(link)} for name, link in self.links.items()]

@@ -33,7 +33,7 @@ class Border:
         self.ours = registry if isinstance(registry, TypeRegistry) else None
         self.network = network
         self.touched: dict[str, bool] = {}
-        """What ``touches`` returned for each type, as long as ``state`` is that of our definitions."""
+        """Results of ``touches`` for each type, as long as ``state`` is that of our definitions."""
         self.state = 0
 
     def touches(self, type: str) -> bool:

@@ -59,7 +59,7 @@ class Hub:
         self.subscriptions: dict[str, list[ViewSubscription]] = {}
         self.views: list[View] = []
         self.gates: dict[str, Gate] = {}
-        """What messages have to pass before they are published, by topic."""
+        """Gates by topic: messages pass them before they are published."""
         self.duplicates: Counter[str] = Counter()
         self.retired: dict[str, Seen] = {}  # what publishers gave that were transient local and have closed
         self._seen: dict[str, tuple[Seen, Seen]] = {}

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
 
 from ropeway.gateway.config.config import Config, Route
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.route_model import ExpectedTraffic, TopicItem
-from ropeway.planning.plan import PlannedLink, PlannedTopic, TrafficPlan
+from ropeway.planning.plan import MBIT_BPS, PlannedLink, PlannedTopic, TrafficPlan
 from ropeway.planning.prediction import CONFIGURED, predict
 
 __all__ = ["plan_of", "unfitting"]
-
-_MBIT_BPS: Final = 1e6
 
 
 def plan_of(
@@ -53,8 +50,8 @@ def unfitting(config: Config) -> list[str]:
     rows = [row for row in predict(plan, [CONFIGURED]) if not row.fits]
     worst = {(row.way, row.link_bps): row for row in sorted(rows, key=lambda row: -row.shared_hz / row.published_hz)}
     return [
-        f"the topics from {here} to {there} ask for {needed_bps / _MBIT_BPS:.1f} Mbit/s, and the link carries "
-        f"{row.rate_of_link_bps / _MBIT_BPS:g}: {row.topic} will arrive at {row.shared_hz:.1f} of "
+        f"the topics from {here} to {there} ask for {needed_bps / MBIT_BPS:.1f} Mbit/s, and the link carries "
+        f"{row.rate_of_link_bps / MBIT_BPS:g}: {row.topic} will arrive at {row.shared_hz:.1f} of "
         f"{row.published_hz:g} Hz; lower rates (rate_hz) or compress, and see ropeway predict"
         for ((here, there), needed_bps), row in worst.items()
     ]
@@ -68,7 +65,7 @@ def _link(config: Config, remote: RemoteConfig) -> PlannedLink | None:
     if remote.link is None:
         return None
     hosts = frozenset((config.gateway.name, _host(remote)))
-    return PlannedLink(_MBIT_BPS * remote.link.mbit, remote.link.delay_ms / 1e3, hosts, remote.link.duplex)
+    return PlannedLink(MBIT_BPS * remote.link.mbit, remote.link.delay_ms / 1e3, hosts, remote.link.duplex)
 
 
 def _topic(route: Route, item: TopicItem, measured: PlannedTopic | None, here: str, far: str) -> PlannedTopic | None:

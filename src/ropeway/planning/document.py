@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
@@ -12,11 +12,10 @@ from ropeway.gateway.config.fields import Many, Model
 from ropeway.gateway.config.model import ExpectedLink
 from ropeway.gateway.config.route_model import Encoding, Name, Seconds
 from ropeway.gateway.config.shape import shape_problems
-from ropeway.planning.plan import PlannedLink, PlannedTopic, TrafficPlan
+from ropeway.planning.plan import MBIT_BPS, PlannedLink, PlannedTopic, TrafficPlan
 
 __all__ = ["PlanDocument", "is_plan", "parse_plan"]
 
-_MBIT_BPS: Final = 1e6
 Host = Annotated[str, Field(min_length=1)]
 Endpoints = dict[Host, Annotated[int, Field(ge=1, le=10_000)]]
 
@@ -51,7 +50,7 @@ class PlanDocument(Model):
     def plan(self) -> TrafficPlan:
         """Return the plan."""
         links = (
-            PlannedLink(_MBIT_BPS * link.mbit, link.delay_ms / 1e3, frozenset(link.between), link.duplex)
+            PlannedLink(MBIT_BPS * link.mbit, link.delay_ms / 1e3, frozenset(link.between), link.duplex)
             for link in self.links
         )
         topics = (

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Final
 
 from ropeway.planning.equations import Load
 
-__all__ = ["PlannedLink", "PlannedTopic", "TrafficPlan", "Way"]
+__all__ = ["MBIT_BPS", "PlannedLink", "PlannedTopic", "TrafficPlan", "Way"]
+
+MBIT_BPS: Final = 1e6
 
 Way = tuple[str, str]
 """The host that sends, and the host that receives."""

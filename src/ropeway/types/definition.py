@@ -16,6 +16,7 @@ from ropeway.errors import InvalidDefinition, InvalidTypeName
 from ropeway.limits import TYPE_NAME_CHARACTERS
 
 __all__ = [
+    "FILLER",
     "HEADER",
     "KINDS",
     "PRIMITIVES",
@@ -31,6 +32,9 @@ __all__ = [
 ]
 
 KINDS: Final = ("msg", "srv", "action")
+FILLER: Final = "structure_needs_at_least_one_member"
+"""The field, an uint8, that IDL and type descriptions give a message without fields."""
+
 HEADER: Final = "std_msgs/msg/Header"
 TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 from ropeway.errors import InvalidDefinition, TypesError
 from ropeway.limits import DEFINITION_FIELDS
-from ropeway.types.definition import Definition, Field, FieldType, canonical_name
-from ropeway.types.hashes import ARRAY, BOUNDED, TYPE_IDS, UNBOUNDED, interface_members, rihs01
+from ropeway.types.definition import FILLER, Definition, Field, FieldType, canonical_name
+from ropeway.types.hashes import ARRAY, BOUNDED, TYPE_IDS, UNBOUNDED, describe, interface_members, rihs01
 from ropeway.types.interfaces import concatenated
 from ropeway.types.parser import PARTS, parse_msg
 from ropeway.types.registry import TypeRegistry
@@ -26,7 +26,6 @@ DESCRIPTION_SERVICE: Final = "get_type_description"
 _BASES: Final = {id: name for name, id in TYPE_IDS.items() if name != "char"}  # its id is that of uint8
 _OFFSETS: Final = (("sequence", UNBOUNDED), ("sequence", BOUNDED), ("array", ARRAY))
 _FIELD_NAME: Final = re.compile(r"[A-Za-z]\w*", re.ASCII)
-_FILLER: Final = "structure_needs_at_least_one_member"
 
 
 def answer_for(registry: TypeRegistry, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -49,45 +48,26 @@ def description_of(registry: TypeRegistry, name: str, *, sources: bool = True) -
     ``sources`` says whether the texts of the definitions are told, too.
     """
     full = registry.canonical(name)
-    waiting, described, texts = [full], {}, []
-    while waiting:
-        one = waiting.pop()
-        if one in described:
-            continue
-        joins = registry.joins(one)
-        fields = interface_members(one) if joins else [(f.name, f.type) for f in registry.definition(one).fields]
-        described[one] = {
-            "type_name": one,
-            "fields": [_field(*field) for field in fields or [(_FILLER, FieldType("uint8"))]],
-        }
-        waiting.extend(type.base for _, type in fields if type.is_message)
-        if sources and not joins:
-            texts.append({"type_name": one, "encoding": "msg", "raw_file_contents": registry.definition(one).text()})
-    main = described.pop(full)
+    texts: list[dict[str, str]] = []
+
+    def members(one: str) -> list[tuple[str, FieldType]]:
+        if registry.joins(one):
+            return interface_members(one)
+        definition = registry.definition(one)
+        if sources:
+            texts.append({"type_name": one, "encoding": "msg", "raw_file_contents": definition.text()})
+        return [(field.name, field.type) for field in definition.fields]
+
+    description = describe(full, members)
+    for part in (description["type_description"], *description["referenced_type_descriptions"]):
+        for field in part["fields"]:
+            field["default_value"] = ""
     return {
         "successful": True,
         "failure_reason": "",
-        "type_description": {
-            "type_description": main,
-            "referenced_type_descriptions": [described[one] for one in sorted(described)],
-        },
+        "type_description": description,
         "type_sources": texts,
         "extra_information": [],
-    }
-
-
-def _field(name: str, type: FieldType) -> dict[str, Any]:
-    offset = {"scalar": 0, "array": ARRAY, "sequence": BOUNDED if type.size else UNBOUNDED}[type.kind]
-    kind = "message" if type.is_message else f"bounded {type.base}" if type.bound else type.base
-    return {
-        "name": name,
-        "type": {
-            "type_id": offset + TYPE_IDS[kind],
-            "capacity": type.size,
-            "string_capacity": type.bound,
-            "nested_type_name": type.base if type.is_message else "",
-        },
-        "default_value": "",
     }
 
 
@@ -126,7 +106,7 @@ def _members(full: str, description: Mapping[str, Any]) -> Members:
     members: Members = {}
     for part in parts:
         fields = [(_name(field["name"]), _type(field["type"])) for field in part["fields"]]
-        members[canonical_name(part["type_name"])] = [each for each in fields if each[0] != _FILLER]
+        members[canonical_name(part["type_name"])] = [each for each in fields if each[0] != FILLER]
     return members
 
 

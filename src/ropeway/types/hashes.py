@@ -9,9 +9,9 @@ from typing import Any, Final
 
 from ropeway.errors import InvalidDefinition
 from ropeway.limits import DEFINITION_NESTING
-from ropeway.types.definition import HEADER, TIMES, Definition, Field, FieldType
+from ropeway.types.definition import FILLER, HEADER, TIMES, Definition, Field, FieldType
 
-__all__ = ["ARRAY", "BOUNDED", "TYPE_IDS", "UNBOUNDED", "definition_md5", "interface_members", "rihs01"]
+__all__ = ["ARRAY", "BOUNDED", "TYPE_IDS", "UNBOUNDED", "definition_md5", "describe", "interface_members", "rihs01"]
 
 TYPE_IDS: Final = {
     "message": 1,
@@ -58,23 +58,25 @@ def interface_members(full: str) -> list[tuple[str, FieldType]]:
 
 def rihs01(full: str, members: Members) -> str:
     """Return the type hash of ``full``; ``members`` gives names and types of the fields of any type."""
+    return f"RIHS01_{hashlib.sha256(json.dumps(describe(full, members)).encode()).hexdigest()}"
+
+
+def describe(full: str, members: Members) -> dict[str, Any]:
+    """Return ``full`` and its parts as ``type_description_interfaces/TypeDescription`` has them, without defaults."""
     described: dict[str, dict[str, Any]] = {}
     waiting = [full]
     while waiting:
         name = waiting.pop()
         if name in described:
             continue
-        fields = list(members(name)) or [("structure_needs_at_least_one_member", FieldType("uint8"))]
-        described[name] = {"type_name": name, "fields": [_describe(*field) for field in fields]}
+        fields = list(members(name)) or [(FILLER, FieldType("uint8"))]
+        described[name] = {"type_name": name, "fields": [_describe_field(*field) for field in fields]}
         waiting.extend(type.base for _, type in fields if type.is_message)
     main = described.pop(full)
-    text = json.dumps(
-        {"type_description": main, "referenced_type_descriptions": [described[name] for name in sorted(described)]}
-    )
-    return f"RIHS01_{hashlib.sha256(text.encode()).hexdigest()}"
+    return {"type_description": main, "referenced_type_descriptions": [described[name] for name in sorted(described)]}
 
 
-def _describe(name: str, type: FieldType) -> dict[str, Any]:
+def _describe_field(name: str, type: FieldType) -> dict[str, Any]:
     kind = "message" if type.is_message else f"bounded {type.base}" if type.bound else type.base
     offset = 0
     if type.kind == "array":

@@ -11,7 +11,7 @@ import ast
 from typing import Final, TypeAlias
 
 from ropeway.errors import InvalidDefinition, InvalidTypeName
-from ropeway.types.definition import KINDS, Constant, Definition, Field, FieldType, canonical_name
+from ropeway.types.definition import FILLER, KINDS, Constant, Definition, Field, FieldType, canonical_name
 from ropeway.types.idl_expressions import Expressions, Value
 from ropeway.types.idl_tokens import IdlError, tokens
 from ropeway.types.parser import LARGEST_ARRAY, PARTS, RANGES, derived
@@ -31,7 +31,6 @@ _SIMPLE: Final = {
     **{name: name for name in RANGES if name not in ("byte", "char")},
 }
 _REFUSED: Final = ("union", "map", "fixed", "any", "wchar", "native", "interface", "valuetype", "bitset", "set")
-_DUMMY: Final = "structure_needs_at_least_one_member"
 _CONSTANTS: Final = "_Constants"
 _DEEPEST_MODULE: Final = 16
 
@@ -133,7 +132,7 @@ class _Reader(Expressions):
                     break
             self.expect(";")
         self.scope = self.scope[:-1]
-        self.structs[path] = () if [field.name for field in fields] == [_DUMMY] else tuple(fields)
+        self.structs[path] = () if [field.name for field in fields] == [FILLER] else tuple(fields)
 
     def constant(self) -> None:
         """Read a constant. Those in the module ``NAME_Constants`` are the message's."""

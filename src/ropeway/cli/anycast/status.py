@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, NoReturn
 
 import typer
 
@@ -42,16 +42,12 @@ def status(
             _follow(client, as_json)
 
 
-def _follow(client: ControlClient, as_json: bool) -> None:
-    from rich.console import Group
-    from rich.live import Live
+def _follow(client: ControlClient, as_json: bool) -> NoReturn:
+    if not as_json:
+        from ropeway.cli.live import draw_until_interrupted
 
-    if as_json:
-        while True:
-            for group in client.get("/v1/anycast"):
-                print_json(group)
-            time.sleep(_PERIOD_S)
-    with Live(auto_refresh=False) as screen:
-        while True:
-            screen.update(Group(*map(drawn, client.get("/v1/anycast"))), refresh=True)
-            time.sleep(_PERIOD_S)
+        draw_until_interrupted(lambda: map(drawn, client.get("/v1/anycast")), period_s=_PERIOD_S)
+    while True:
+        for group in client.get("/v1/anycast"):
+            print_json(group)
+        time.sleep(_PERIOD_S)

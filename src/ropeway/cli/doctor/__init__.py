@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import os
-from typing import Final
 
 import typer
 
-from ropeway.cli.console import answer, print_json
+from ropeway.cli.console import MARKS, answer, print_json
 from ropeway.cli.session import JsonOption
 
 __all__ = ["app"]
 
 app = typer.Typer(add_completion=False)
-
-_MARKS: Final = {True: "ok", False: "NO", None: " ?"}
 
 
 @app.command("doctor")
@@ -32,7 +29,7 @@ def doctor_command(as_json: JsonOption = False) -> None:
         print_json([symptom.to_json() for symptom in found])
     else:
         for symptom in found:
-            answer(f"{_MARKS[symptom.ok]}  {symptom.text}")
+            answer(f"{MARKS[symptom.ok]}  {symptom.text}")
             if symptom.remedy:
                 answer(f"      {symptom.remedy}")
     if any(symptom.ok is False for symptom in found):

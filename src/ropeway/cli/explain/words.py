@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Final
+from typing import Any
+
+from ropeway.cli.console import MARKS
 
 __all__ = ["lines"]
-
-_MARKS: Final = {True: "ok", False: "NO", None: " ?"}
 
 
 def lines(explanations: Sequence[dict[str, Any]]) -> Iterator[str]:
@@ -17,7 +17,7 @@ def lines(explanations: Sequence[dict[str, Any]]) -> Iterator[str]:
         path = f" ({explanation['path']})" if explanation["path"] else ""
         yield f"{explanation['name']}{way}{path}"
         for finding in explanation["findings"]:
-            yield f"  {_MARKS[finding['ok']]}  {finding['text']}"
+            yield f"  {MARKS[finding['ok']]}  {finding['text']}"
         wrong = [finding["text"] for finding in explanation["findings"] if finding["ok"] is False]
         if wrong:
             yield f"It does not cross: {wrong[0]}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, NoReturn
 
 import typer
 
@@ -53,13 +53,8 @@ def _print(client: ControlClient, *, as_json: bool) -> None:
         print_table(table)
 
 
-def _live(client: ControlClient) -> None:
-    from rich.console import Group
-    from rich.live import Live
-
+def _live(client: ControlClient) -> NoReturn:
+    from ropeway.cli.live import draw_until_interrupted
     from ropeway.cli.status.tables import tables
 
-    with Live(refresh_per_second=4) as live:
-        while True:
-            live.update(Group(*tables(client.get("/v1/status"))))
-            time.sleep(_PERIOD_S)
+    draw_until_interrupted(lambda: tables(client.get("/v1/status")), period_s=_PERIOD_S)

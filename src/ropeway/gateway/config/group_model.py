@@ -101,7 +101,7 @@ _Bound = Annotated[
 
 
 class AnycastConfig(Model):
-    """Which of several addresses, or members of the overlay, gets a request."""
+    """Chooses which of several addresses, or members of the overlay, gets a request."""
 
     policy: Literal["one", "hedge", "all"] = Field(
         "one",

@@ -24,7 +24,7 @@ ROBOT: Final = "robot"
 SERVICE: Final = "service"
 STANDBY: Final = "standby"
 LIFTED: Final = ("params", "initial_policy", "latency_bound")
-"""What may stand beside the states, as it does in the listing."""
+"""Keys that may stand beside the states, as they do in the listing."""
 
 _DIRECTIONS: Final = ("pub", "sub")
 _ASSIGNS: Final = ":="

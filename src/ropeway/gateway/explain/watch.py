@@ -20,9 +20,9 @@ log = logging.getLogger("ropeway.gateway")
 
 LOOK_S: Final = 2.0
 _CERTAIN: Final = (Subject.TYPE, Subject.QOS)
-"""What stays as it is until somebody changes something: told at once, and an error of the route."""
+"""Findings that stay until somebody changes something: told at once, and an error of the route."""
 _LATER: Final = (Subject.SOURCE, Subject.NETWORK)
-"""What may come about by itself: told once it has stayed so for ``_PATIENCE`` looks."""
+"""Findings that may end by themselves: told once they have stayed for ``_PATIENCE`` looks."""
 _PATIENCE: Final = 3
 
 

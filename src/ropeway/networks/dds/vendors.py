@@ -17,7 +17,7 @@ HELPER_MARK: Final = "helper"
 """The USER_DATA key of endpoints that a ``VendorHelper`` makes: they are neither listed, called nor answered."""
 
 HEADER_VENDOR: Final = b"\x01\x10"
-"""What the GUID of an endpoint begins with whose requests and replies begin with our header: Cyclone DDS."""
+"""The first bytes of GUIDs of Cyclone DDS, whose requests and replies begin with our header."""
 
 _NAMES: Final = {HEADER_VENDOR: "Cyclone DDS", b"\x01\x0f": "Fast DDS", b"\x01\x01": "RTI Connext"}
 

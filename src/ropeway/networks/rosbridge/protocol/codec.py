@@ -76,7 +76,7 @@ ENCODING_NUMBERS: Final = {name: number for number, name in enumerate(ENCODINGS)
 CBOR_RAW: Final = ENCODING_NUMBERS["cbor-raw"]
 
 COPIED_BYTES: Final = 4096
-"""What is shorter is copied sooner than thought about."""
+"""Shorter payloads are copied: that takes less time than to decide."""
 
 LIMIT_BYTES: Final = 64 << 20
 """The largest message that is unpacked unless told otherwise."""
