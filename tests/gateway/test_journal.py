@@ -6,6 +6,7 @@ import sqlite3
 import stat
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -115,8 +116,9 @@ def test_one_process_has_it(journal: Journal) -> None:
 def test_a_full_disk(journal: Journal) -> None:
     """Where nothing can be written any more, that is an error that says so, and what was there stays."""
     journal.confirm(journal.begin(entry(), {"n": 1}).number)
-    (pages,) = journal._db.execute("PRAGMA page_count").fetchone()
-    journal._db.execute(f"PRAGMA max_page_count = {pages}")
+    with journal._connection() as db:
+        (pages,) = db.execute("PRAGMA page_count").fetchone()
+        db.execute(f"PRAGMA max_page_count = {pages}")
     with pytest.raises(JournalError, match="full"):
         journal.begin(entry("e2"), {"n": "".join(chr(33 + (i * 7919) % 90) for i in range(1 << 20))})
     last = journal.last_up()
@@ -143,7 +145,8 @@ def test_old_entries_are_forgotten(tmp_path: Path) -> None:
         journal.begin(entry(f"e{number}"), {"n": number})
     journal.confirm(128 if journal.entry(128) else journal.begin(entry("last"), {}).number)
     assert len(journal.history(count=1000)) <= 51
-    (contents,) = journal._db.execute("SELECT count(*) FROM contents").fetchone()
+    with journal._connection() as db:
+        (contents,) = db.execute("SELECT count(*) FROM contents").fetchone()
     assert contents <= 51
     journal.close()
 
@@ -173,3 +176,30 @@ def test_a_newer_one(tmp_path: Path) -> None:
     journal = Journal(path)
     assert journal.set_aside is not None
     journal.close()
+
+
+def _write_until_closed(journal: Journal, number: int, begun: threading.Barrier, told: list[str]) -> None:
+    begun.wait()
+    try:
+        while True:
+            journal.fail(number, "again")
+    except JournalError as error:
+        told.append(str(error))
+
+
+def test_closed_while_threads_write(tmp_path: Path) -> None:
+    """A journal that is closed while other threads write ends no process: they are told that it is closed."""
+    for count in range(20):
+        journal = Journal(tmp_path / f"{count}.journal")
+        number = journal.begin(entry(), {"n": count}).number
+        begun = threading.Barrier(5)
+        told: list[str] = []
+        threads = [threading.Thread(target=_write_until_closed, args=(journal, number, begun, told)) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        begun.wait()
+        journal.close()
+        journal.close()
+        for thread in threads:
+            thread.join()
+        assert ["closed" in text for text in told] == [True] * 4

@@ -127,10 +127,11 @@ class ChangeRecord:
             return None
 
     async def close(self) -> None:
-        """Close the journal."""
-        if self.journal is not None:
-            journal, self.journal = self.journal, None
-            await asyncio.to_thread(journal.close)
+        """Close the journal, after what is being written."""
+        async with self._turn:
+            if self.journal is not None:
+                journal, self.journal = self.journal, None
+                await asyncio.to_thread(journal.close)
 
     async def _do(self, work: Callable[[Journal], T]) -> T:
         """Run work in a thread, one after the other. Raises ``ControlRefused`` where there is no journal."""

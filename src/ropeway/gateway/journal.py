@@ -2,7 +2,8 @@
 
 One SQLite file per configuration file. An entry is written as ``pending`` before anything is changed, and becomes
 ``up`` once everything runs; only then is the change confirmed. After a crash at any moment, what is ``up`` is what was
-confirmed. All methods block.
+confirmed. All methods block, and threads take turns: a thread whose caller no longer waits, as its task was cancelled,
+may still be at work when another closes the file.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import hashlib
 import json
 import os
 import sqlite3
+import threading
 import time
 import zlib
 from collections.abc import Iterator
@@ -105,28 +107,32 @@ class Journal:
         self.path = path
         self.set_aside: Path | None = None
         self._most, self._most_bytes = most_entries, most_bytes
+        self._turn = threading.RLock()  # SQLite ends the process where a connection is closed under another thread
         with self._told():
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             self._lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             self._take_lock()
-            self._db = self._opened()
+            self._db: sqlite3.Connection | None = self._opened()
         except BaseException:
             os.close(self._lock)
             raise
 
     def close(self) -> None:
-        """Close it."""
-        self._db.close()
-        os.close(self._lock)
+        """Close it, after what is being written; once closed, everything else raises ``JournalError``."""
+        with self._turn:
+            if self._db is not None:
+                self._db.close()
+                self._db = None
+                os.close(self._lock)
 
     def begin(self, entry: JournalEntry, config: dict[str, Any]) -> JournalEntry:
         """Write down what is about to be done; return it with its number. It is on disk then."""
         made = replace(entry, time_s=time.time())
         packed = zlib.compress(json.dumps(config, sort_keys=True).encode(), _PACK_LEVEL)
-        with self._told(), self._db:
-            self._db.execute("INSERT OR IGNORE INTO contents VALUES (?, ?)", (made.etag, packed))
-            cursor = self._db.execute(
+        with self._transaction() as db:
+            db.execute("INSERT OR IGNORE INTO contents VALUES (?, ?)", (made.etag, packed))
+            cursor = db.execute(
                 "INSERT INTO entries (time_s, who, place, action, source, file_digest, etag, state, note, plan)"
                 " VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 (
@@ -146,21 +152,21 @@ class Journal:
 
     def confirm(self, number: int) -> None:
         """Write down that it runs; it is on disk then, and restored at the next start."""
-        with self._told(), self._db:
-            self._db.execute("UPDATE entries SET state = 'up' WHERE number = ?", (number,))
+        with self._transaction() as db:
+            db.execute("UPDATE entries SET state = 'up' WHERE number = ?", (number,))
         if number % _PRUNED_EVERY == 0:
             with contextlib.suppress(JournalError):  # it is tried again
                 self._prune()
 
     def fail(self, number: int, note: str) -> None:
         """Write down that it does not run, and why."""
-        with self._told(), self._db:
-            self._db.execute("UPDATE entries SET state = 'failed', note = ? WHERE number = ?", (note, number))
+        with self._transaction() as db:
+            db.execute("UPDATE entries SET state = 'failed', note = ? WHERE number = ?", (note, number))
 
     def history(self, *, count: int = 20, before: int | None = None) -> list[JournalEntry]:
         """Return the last entries, the newest first; those before a number if given."""
-        with self._told():
-            rows = self._db.execute(
+        with self._connection() as db:
+            rows = db.execute(
                 f"SELECT {_COLUMNS} FROM entries WHERE number < ? ORDER BY number DESC LIMIT ?",  # noqa: S608 - constant
                 (before if before is not None else 1 << 62, count),
             ).fetchall()
@@ -173,8 +179,8 @@ class Journal:
 
     def last_up(self, before: int | None = None) -> JournalEntry | None:
         """Return the last entry that came up, or the last one before a number."""
-        with self._told():
-            row = self._db.execute(
+        with self._connection() as db:
+            row = db.execute(
                 f"SELECT {_COLUMNS} FROM entries WHERE state = 'up' AND number < ? "  # noqa: S608 - constant
                 "ORDER BY number DESC LIMIT 1",
                 (before if before is not None else 1 << 62,),
@@ -187,8 +193,8 @@ class Journal:
 
     def content(self, etag: str) -> dict[str, Any]:
         """Return the configuration of an etag, in the full form. Raises ``JournalError`` where it is not there."""
-        with self._told():
-            row = self._db.execute("SELECT packed FROM contents WHERE etag = ?", (etag,)).fetchone()
+        with self._connection() as db:
+            row = db.execute("SELECT packed FROM contents WHERE etag = ?", (etag,)).fetchone()
             if row is None:
                 raise JournalError(str(self.path), f"the configuration {etag} is not there")
             found: dict[str, Any] = json.loads(zlib.decompress(row[0]))
@@ -234,20 +240,33 @@ class Journal:
 
     def _prune(self) -> None:
         """Forget the oldest entries above the limits, but never the last that came up."""
-        with self._told():
-            (count,) = self._db.execute("SELECT count(*) FROM entries").fetchone()
-            (size,) = self._db.execute("SELECT coalesce(sum(length(packed)), 0) FROM contents").fetchone()
+        with self._transaction() as db:
+            (count,) = db.execute("SELECT count(*) FROM entries").fetchone()
+            (size,) = db.execute("SELECT coalesce(sum(length(packed)), 0) FROM contents").fetchone()
             share = min(self._most / max(count, 1), self._most_bytes / max(size, 1))
             if share >= 1:
                 return
             leaves = int(count * share * _KEPT_AFTER_PRUNING)
-            with self._db:
-                self._db.execute(
-                    "DELETE FROM entries WHERE number NOT IN (SELECT number FROM entries ORDER BY number DESC LIMIT ?)"
-                    " AND number <> (SELECT max(number) FROM entries WHERE state = 'up')",
-                    (max(leaves, 1),),
-                )
-                self._db.execute("DELETE FROM contents WHERE etag NOT IN (SELECT etag FROM entries)")
+            db.execute(
+                "DELETE FROM entries WHERE number NOT IN (SELECT number FROM entries ORDER BY number DESC LIMIT ?)"
+                " AND number <> (SELECT max(number) FROM entries WHERE state = 'up')",
+                (max(leaves, 1),),
+            )
+            db.execute("DELETE FROM contents WHERE etag NOT IN (SELECT etag FROM entries)")
+
+    @contextlib.contextmanager
+    def _connection(self) -> Iterator[sqlite3.Connection]:
+        """Have the database for oneself. Raises ``JournalError``, also where it is closed."""
+        with self._turn, self._told():
+            if self._db is None:
+                raise JournalError(str(self.path), "it is closed")
+            yield self._db
+
+    @contextlib.contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        """Have the database for changes that are all made or none."""
+        with self._connection() as db, db:
+            yield db
 
     @contextlib.contextmanager
     def _told(self) -> Iterator[None]:
