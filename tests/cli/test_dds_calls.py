@@ -8,7 +8,10 @@ import signal
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -16,8 +19,11 @@ from typer.testing import CliRunner
 
 from ropeway import aio
 from ropeway.cli import app
+from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.networks.dds import DdsGraph
+from ropeway.qos import LATCHED
+from ropeway.types import TypeRegistry
 from tests.graph.parameter_node import ParameterNode
 from tests.support.actions import FIBONACCI, sequence
 from tests.support.services import ADD
@@ -49,17 +55,21 @@ async def unless_seven(goal: ServerGoal) -> bool:
 
 
 @pytest.fixture
-async def robot(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[ParameterNode]:
-    """A node with a service, an action and parameters on the network of the processes."""
+async def graph(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[DdsGraph]:
+    """A participant on the network of the processes."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", environment["ROS_AUTOMATIC_DISCOVERY_RANGE"])
     graph = DdsGraph(int(environment["ROS_DOMAIN_ID"]), name="robot")
     await graph.open()
-    try:
-        await graph.create_service("/add", ADD, add)
-        await graph.create_action_server("/count", FIBONACCI, ActionHandlers(count, unless_seven))
-        yield await ParameterNode({"rate": 2.5, "plugins.name": "x"}, read_only=("rate",)).serve(graph, NODE)
-    finally:
-        await graph.close()
+    yield graph
+    await graph.close()
+
+
+@pytest.fixture
+async def robot(graph: DdsGraph) -> ParameterNode:
+    """A node with a service, an action and parameters on the network of the processes."""
+    await graph.create_service("/add", ADD, add)
+    await graph.create_action_server("/count", FIBONACCI, ActionHandlers(count, unless_seven))
+    return await ParameterNode({"rate": 2.5, "plugins.name": "x"}, read_only=("rate",)).serve(graph, NODE)
 
 
 @pytest.fixture
@@ -219,3 +229,119 @@ def test_mistakes_become_sentences(
     assert result.exit_code == code, result.stderr
     assert words in result.stderr
     assert "Traceback" not in result.stderr
+
+
+async def test_parameters_of_a_file(robot: ParameterNode, run: Run, tmp_path: Path) -> None:
+    """What a file has for a node is set, each parameter on its own; one that is refused is told."""
+    (tmp_path / "p.yaml").write_text(f"{NODE}: {{ros__parameters: {{plugins: {{name: y}}, rate: 3.0}}}}")
+    ended = await run("param", "load", NODE, str(tmp_path / "p.yaml"), "--timeout", "60")
+    assert ended.stderr == "Setting parameter rate failed: rate is read-only\n"
+    assert ended.stdout == "Set parameter plugins.name successful\n"
+    assert (ended.returncode, robot.values["plugins.name"]) == (1, "y")
+
+
+async def test_events_of_a_service(graph: DdsGraph, robot: ParameterNode, run: Run) -> None:
+    """The calls of a service are printed as its nodes tell of them; where none does, it is said how they would."""
+    event = f"{ADD}_Event"
+    publisher = await graph.create_publisher("/add/_service_event", event, LATCHED)
+    codec = TypeRegistry().codec(event)
+    payload = codec.from_json({"info": {"event_type": 1}, "request": [{"a": 1, "b": 2}]})
+    publisher.publish(Sample(payload, event, time.time_ns(), bytes(16), SEQ_NONE))
+    shown, silent = await asyncio.gather(
+        run("service", "echo", "/add", "--once", "--json"),
+        run("service", "echo", "/other", ADD, "--once", "--timeout", "0.5"),
+    )
+    message = json.loads(shown.stdout)["msg"]
+    assert (message["info"]["event_type"], message["request"], message["response"]) == (1, [{"a": 1, "b": 2}], [])
+    assert silent.returncode == 1
+    assert "configure_introspection" in silent.stderr
+
+
+class Managed:
+    """A managed node: unconfigured at first; it can be configured, but never activated."""
+
+    def __init__(self) -> None:
+        self.label, self.number = "unconfigured", 1
+        self.registry = TypeRegistry()
+
+    async def serve(self, graph: DdsGraph, node: str) -> None:
+        """Offer the services of a managed node."""
+        for name, type, answer in (
+            ("get_state", "GetState", self._state),
+            ("get_available_transitions", "GetAvailableTransitions", self._transitions),
+            ("get_transition_graph", "GetAvailableTransitions", self._graph),
+            ("change_state", "ChangeState", self._change),
+        ):
+            await self._offer(graph, f"{node}/{name}", f"lifecycle_msgs/srv/{type}", answer)
+
+    async def _offer(self, graph: DdsGraph, name: str, type: str, answer: Callable[..., dict[str, Any]]) -> None:
+        async def handle(request: Request) -> bytes:
+            asked = self.registry.codec(f"{type}_Request").decode(request.payload)
+            return self.registry.codec(f"{type}_Response").from_json(answer(asked))
+
+        await graph.create_service(name, type, handle)
+
+    def _state(self, asked: dict[str, Any]) -> dict[str, Any]:
+        return {"current_state": {"id": self.number, "label": self.label}}
+
+    def _transitions(self, asked: dict[str, Any]) -> dict[str, Any]:
+        known = (1, "configure", "inactive") if self.number == 1 else (3, "activate", "active")
+        return {
+            "available_transitions": [
+                {
+                    "transition": {"id": known[0], "label": known[1]},
+                    "start_state": {"label": self.label},
+                    "goal_state": {"label": known[2]},
+                }
+            ]
+        }
+
+    def _graph(self, asked: dict[str, Any]) -> dict[str, Any]:
+        return {"available_transitions": self._transitions(asked)["available_transitions"] * 3}
+
+    def _change(self, asked: dict[str, Any]) -> dict[str, Any]:
+        if asked["transition"]["id"] != 1:
+            return {"success": False}
+        self.label, self.number = "inactive", 2
+        return {"success": True}
+
+
+async def test_managed_nodes(graph: DdsGraph, run: Run) -> None:
+    """Managed nodes are listed, tell their state, and change it if they can."""
+    await Managed().serve(graph, "/arm")
+    listed, state, of_all, possible, every, unmanaged, wrong = await asyncio.gather(
+        run("lifecycle", "nodes"),
+        run("lifecycle", "get", "/arm"),
+        run("lifecycle", "get", "--json"),
+        run("lifecycle", "list", "/arm"),
+        run("lifecycle", "list", "/arm", "-a", "--json"),
+        run("lifecycle", "get", "/nobody", "--timeout", "0.3"),
+        run("lifecycle", "set", "/arm", "fly"),
+    )
+    assert listed.stdout == "/arm\n"
+    assert state.stdout == "unconfigured [1]\n"
+    assert json.loads(of_all.stdout) == {"node": "/arm", "state": "unconfigured", "id": 1}
+    assert possible.stdout == "- configure [1]\n\tStart: unconfigured\n\tGoal: inactive\n"
+    assert len(json.loads(every.stdout)) == 3
+    assert (unmanaged.returncode, "lifecycle nodes" in unmanaged.stderr) == (1, True)
+    assert "possible are: configure [1]" in wrong.stderr
+    done = await run("lifecycle", "set", "/arm", "1")
+    assert done.stdout == "Transitioning successful\n"
+    failed = await run("lifecycle", "set", "/arm", "activate", "--json")
+    assert failed.returncode == 1
+    assert json.loads(failed.stdout) == {"node": "/arm", "transition": "activate", "success": False}
+
+
+async def test_topics_by_type(graph: DdsGraph, robot: ParameterNode, run: Run) -> None:
+    """The type of a topic is told, and the topics of a type are found."""
+    await graph.create_publisher("/chatter", "std_msgs/msg/String")
+    typed, found, counted, unknown = await asyncio.gather(
+        run("topic", "type", "chatter"),
+        run("topic", "find", "std_msgs/String", "--json"),
+        run("topic", "find", "std_msgs/msg/Bool", "-c"),
+        run("topic", "type", "/nothing", "--spin-time", "0.2"),
+    )
+    assert typed.stdout == "std_msgs/msg/String\n"
+    assert json.loads(found.stdout) == [{"name": "/chatter", "types": ["std_msgs/msg/String"]}]
+    assert counted.stdout == "0\n"
+    assert (unknown.returncode, unknown.stderr.split(";")[0]) == (1, "ropeway: Unknown topic '/nothing'")

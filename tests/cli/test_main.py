@@ -32,7 +32,7 @@ def test_help_lists_every_verb() -> None:
         assert CliRunner().invoke(app, [verb, "--help"]).exit_code == 0
 
 
-@pytest.mark.parametrize("verb", ["list", "info", "echo", "hz", "bw", "delay", "pub"])
+@pytest.mark.parametrize("verb", ["list", "type", "info", "find", "echo", "hz", "bw", "delay", "pub"])
 def test_help_of_topic_verbs(verb: str) -> None:
     """Every verb of ``topic`` has its help and a way to choose the network."""
     result = CliRunner().invoke(app, ["topic", verb, "--help"], env={"COLUMNS": "200"})

@@ -21,7 +21,7 @@ from ropeway.cli.server.rosargs import split
 from ropeway.errors import ConfigError
 from ropeway.gateway.config.config import Config
 from tests.cli.conftest import Ropeway
-from tests.gateway.test_tls import Authority
+from tests.support.authority import Authority
 from tests.support.until import PATIENCE_S
 from tests.support.websocket import Client, fetch
 

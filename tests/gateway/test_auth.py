@@ -20,7 +20,8 @@ from ropeway.gateway.gateway import Gateway
 from ropeway.gateway.process.supervisor import Supervisor
 from ropeway.listener.authorization import EVERYTHING, Role
 from ropeway.listener.http import HttpRequest
-from tests.gateway.test_tls import Authority, gateway, url
+from tests.gateway.test_tls import gateway, url
+from tests.support.authority import Authority
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample, text
 from tests.support.ports import free_port

@@ -21,8 +21,8 @@ from ropeway.iort import AsyncNode, Node, NodeError, Value, text_of
 from ropeway.listener.authentication import CertificateRule, Door
 from ropeway.listener.authorization import EVERYTHING
 from ropeway.store import StoreLimits
-from tests.gateway.test_tls import Authority
 from tests.iort.servers import ServerProcess, old_python, serving
+from tests.support.authority import Authority
 from tests.support.clock import Stopwatch
 from tests.support.ports import free_port
 from tests.support.until import PATIENCE_S, until

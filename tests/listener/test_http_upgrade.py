@@ -21,7 +21,7 @@ from ropeway.listener.http_upgrade import Admission, HttpUpgrade
 from ropeway.listener.listener import Listener
 from ropeway.listener.lobby import Lobby
 from ropeway.listener.websocket import listen
-from tests.gateway.test_tls import Authority
+from tests.support.authority import Authority
 from tests.support.until import PATIENCE_S, until
 from tests.support.websocket import CLOSE, Client
 

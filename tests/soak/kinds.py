@@ -12,11 +12,11 @@ from typing import Any, Final, NamedTuple
 
 from ropeway import aio
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
-from tests.gateway.test_tls import Authority
 from tests.soak.megabytes import GATEWAY, PLAIN, SENT_BYTES, Make, a_megabyte, operation
 from tests.soak.nodes import PACKETS
 from tests.soak.overlay import MEMBERS, TO_ROUTERS, Attack, Overlay, a_gateway, a_router, attacked
 from tests.soak.strangers import AT_ROUTERS, STRANGERS, Strangers, abort
+from tests.support.authority import Authority
 from tests.support.websocket import Client
 
 __all__ = ["CLIENTS", "KINDS", "NODES", "ON_DDS", "OVERLAY", "UNREAD", "VISITORS", "Kind"]

@@ -26,6 +26,8 @@ VERBS = {
     "action": "ropeway.cli.action",
     "node": "ropeway.cli.node",
     "param": "ropeway.cli.param",
+    "lifecycle": "ropeway.cli.lifecycle",
+    "interface": "ropeway.cli.interface",
     "store": "ropeway.cli.store",
     "keys": "ropeway.cli.keys",
     "name": "ropeway.cli.name",

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Any
 
 import typer
 import typer.core
 import typer.main
 
+from ropeway.cli.credentials import add_credentials
 from ropeway.extras import needing
 
 __all__ = ["lazy_group"]
@@ -30,8 +32,17 @@ def lazy_group(verbs: Mapping[str, str]) -> type[typer.core.TyperGroup]:
                 with needing(f"ropeway {ctx.command_path.partition(' ')[2]} {cmd_name}".replace("  ", " ")):
                     module = importlib.import_module(verbs[cmd_name])
                 known = self.commands[cmd_name] = typer.main.get_command(module.app)
+                add_credentials(known)
                 _plain_flags(known, ctx)
             return known
+
+        def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+            if args and args[0] in verbs:
+                return super().resolve_command(ctx, args)
+            near = get_close_matches(args[0], verbs) if args and not args[0].startswith("-") else []
+            if near:
+                ctx.fail(f"No such command {args[0]!r}. Did you mean {' or '.join(near)}?")
+            return super().resolve_command(ctx, args)
 
         def get_params(self, ctx: Any) -> Any:
             _plain_flags(self, ctx)

@@ -14,6 +14,7 @@ import typer
 
 from ropeway import aio
 from ropeway.cli.console import complain, fail
+from ropeway.cli.credentials import graph_credentials
 from ropeway.cli.patience import patiently
 from ropeway.errors import GraphUnavailable, InvalidName
 from ropeway.graph.base import Graph, NodeInfo, TopicInfo, resolve_name
@@ -38,6 +39,7 @@ __all__ = [
     "discover",
     "find_topic",
     "full_name",
+    "known_types",
     "open_session",
     "qos_of",
     "settle",
@@ -109,18 +111,25 @@ def default_graph(environ: Mapping[str, str] = os.environ) -> str:
     return f"dds:{int(domain)}"
 
 
+def known_types(more: list[Path] | None = None) -> TypeRegistry:
+    """Return the types that are known here: bundled ones, those of a sourced ROS 2, and those of ``more`` files."""
+    registry = TypeRegistry()
+    registry.add_ament_prefix_path()
+    for path in more or []:
+        registry.add_path(path)
+    return registry
+
+
 @asynccontextmanager
 async def open_session(url: str = "", types: list[Path] | None = None) -> AsyncIterator[OpenGraph]:
     """Open the graph at ``url`` with a node of its own, and close it at the end."""
     from ropeway.networks import open_graph
 
-    registry = TypeRegistry()
-    registry.add_ament_prefix_path()
-    for path in types or []:
-        registry.add_path(path)
+    registry = known_types(types)
     address = url or default_graph()
+    options = graph_credentials().options(address)
     async with patiently(lambda: f"waiting for {address} to answer"):
-        graph = await open_graph(address, registry=registry, name=f"ropeway_{os.getpid()}")
+        graph = await open_graph(address, registry=registry, name=f"ropeway_{os.getpid()}", **options)
     try:
         if graph.kind == "overlay":
             from ropeway.networks.overlay.graph import OverlayGraph

@@ -38,7 +38,8 @@ def make_graph(
     """Make a graph that is not open yet. Raises ``GraphUnavailable`` for a URL of no known kind.
 
     ``distro`` and ``types`` are for DDS: whose layouts of types the network has, and files with its own definitions.
-    ``options`` go to graphs of the ``ws`` kind (``ssl_context``, ``limits``, ``wait``, ``watch``, ``headers``).
+    ``options`` go to graphs of the ``ws`` kind (``ssl_context``, ``limits``, ``wait``, ``watch``, ``headers``), and of
+    the ``iort`` kind (``ssl_context``, ``token``).
     """
     if url == "auto":
         url = _auto()
@@ -93,7 +94,7 @@ def make_graph(
 
         return MemoryGraph(parts.path or "default", node=f"/{name}", registry=registry)
     if scheme in ("iort", "iorts"):
-        return _iort(url, query, name, registry)
+        return _iort(url, query, name, registry, **options)
     if scheme == "overlay":
         return _overlay(url, parts.path or parts.netloc, query, registry)
     raise GraphUnavailable(
@@ -116,14 +117,15 @@ def _group(url: str, **options: Any) -> Graph:
     return Group(members, name=without_token(url), registry=options["registry"])
 
 
-def _iort(url: str, query: dict[str, str], name: str, registry: TypeRegistry | None) -> Graph:
-    """Make the graph of the topics of robots at a server; the token is that of ``ROPEWAY_TOKEN``."""
+def _iort(url: str, query: dict[str, str], name: str, registry: TypeRegistry | None, **options: Any) -> Graph:
+    """Make the graph of the topics of robots at a server; without a ``token`` it is that of ``ROPEWAY_TOKEN``."""
     from ropeway.networks.iort.graph import IortGraph
     from ropeway.networks.iort.links import RemoteLink
 
     _no_more(url, query)
     address = url.partition("?")[0]
-    link = RemoteLink(address, name, token=os.environ.get("ROPEWAY_TOKEN") or None)
+    token = options.get("token") or os.environ.get("ROPEWAY_TOKEN") or None
+    link = RemoteLink(address, name, token=token, ssl_context=options.get("ssl_context"))
     return IortGraph(link, name=address, registry=registry)
 
 

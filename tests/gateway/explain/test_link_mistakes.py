@@ -10,8 +10,8 @@ import pytest
 from ropeway.gateway.explain import Subject
 from ropeway.gateway.gateway import Gateway
 from ropeway.networks.overlay.crypto.identity import write_private
-from tests.gateway.test_tls import Authority
 from tests.networks.overlay.fleet import member
+from tests.support.authority import Authority
 from tests.support.messages import STRING
 from tests.support.ports import free_port
 from tests.support.until import until

@@ -15,6 +15,7 @@ VERBS = {
     "describe": "ropeway.cli.param.describe",
     "delete": "ropeway.cli.param.delete",
     "dump": "ropeway.cli.param.dump",
+    "load": "ropeway.cli.param.load",
 }
 
 app = typer.Typer(

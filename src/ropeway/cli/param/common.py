@@ -7,11 +7,9 @@ from typing import Annotated, Any, Final, TypeVar
 
 import typer
 
-from ropeway.cli.console import fail
-from ropeway.cli.loop import run
-from ropeway.cli.patience import patiently
-from ropeway.cli.session import OpenGraph, open_session
-from ropeway.errors import CallTimeout, NotServed, ValueMismatch
+from ropeway.cli.asking_node import ask_node
+from ropeway.cli.session import OpenGraph
+from ropeway.errors import ValueMismatch
 from ropeway.graph.parameters import ParameterType, ParameterValue, type_of
 
 __all__ = ["NameArgument", "NodeArgument", "TimeoutOption", "ask", "plain", "value_text"]
@@ -37,24 +35,7 @@ _TITLES: Final = {
 
 def ask(graph: str, node: str, timeout_s: float, work: Callable[[OpenGraph], Coroutine[Any, Any, T]]) -> T:
     """Run ``work`` on the graph at the URL; a node that does not answer ends with a sentence."""
-
-    async def main() -> T:
-        whom = f"node {node}" if node else "the nodes"
-        async with (
-            open_session(graph) as session,
-            patiently(lambda: f"waiting for {whom} to answer ({timeout_s:g} s at most)"),
-        ):
-            return await work(session)
-
-    try:
-        return run(main())
-    except NotServed:
-        fail(
-            f"node {node} has no parameter services, or is not there (waited {timeout_s:g} s); "
-            "see `ropeway param list`, or wait longer with --timeout"
-        )
-    except CallTimeout:
-        fail(f"node {node} did not answer within {timeout_s:g} s; wait longer with --timeout")
+    return ask_node(graph, node, timeout_s, work, lacking="has no parameter services", listing="param list")
 
 
 def plain(value: ParameterValue) -> Any:

@@ -14,6 +14,7 @@ VERBS = {
     "info": "ropeway.cli.service.info",
     "find": "ropeway.cli.service.find",
     "call": "ropeway.cli.service.call",
+    "echo": "ropeway.cli.service.echo",
 }
 
 app = typer.Typer(

@@ -12,7 +12,9 @@ VERBS = {
     name: f"ropeway.cli.topic.{module}"
     for name, module in {
         "list": "list_",
+        "type": "type_",
         "info": "info",
+        "find": "find",
         "echo": "echo",
         "hz": "hz",
         "bw": "bw",
