@@ -150,7 +150,7 @@ async def frames(asked: dict[str, Any]) -> dict[str, Any]:
 
 
 async def calls(asked: dict[str, Any]) -> dict[str, Any]:
-    """Call again and again, ``hz`` times a second or one after the other, for so many seconds or calls."""
+    """Call again and again, ``hz`` times a second or one after the other, after so many ``warm`` calls."""
     async with robot(asked["addresses"], asked.get("anycast")) as made:
         made.count()
         print("begun", flush=True)
@@ -166,6 +166,9 @@ async def calls(asked: dict[str, Any]) -> dict[str, Any]:
             else:
                 took.append((began, time.monotonic() - began))
 
+        for _ in range(asked.get("warm", 0)):
+            await one()
+        took.clear()
         cpu, begins = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
         under_way: set[asyncio.Task[None]] = set()
         for index in range(asked["count"]):

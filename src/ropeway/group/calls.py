@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Mapping
+from itertools import islice
 from typing import Final, Protocol, TypeVar
 
-from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, GraphUnavailable, NotServed, RopewayError
+from ropeway.errors import CallFailed, CallTimeout, GoalRejected, GraphUnavailable, NotServed, RopewayError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ActionClient, Client, Request
 from ropeway.graph.signal import Signal
 from ropeway.group.chooser import Chooser
 from ropeway.group.part import GroupPart
+from ropeway.group.race import UNTOUCHED, Race
 from ropeway.tasks import end
 
 __all__ = ["GroupClient", "GroupUser", "Ways"]
@@ -26,8 +28,7 @@ U = TypeVar("U", bound=Client | ActionClient)
 Ask = Callable[[str, float], Awaitable[T]]
 """Asks one member, within a time."""
 
-_BOTH: Final = 2  # members that are asked at once
-_UNTOUCHED: Final = (NotServed, GraphUnavailable)  # nobody has begun to carry it out
+NOBODY: Final[Mapping[str, RopewayError]] = {}
 
 
 class Available(Protocol):
@@ -47,7 +48,6 @@ class Ways:
     def __init__(self, group: Chooser, name: str, kind: str = "service") -> None:
         self.group, self.name, self.kind = group, name, kind
         self.closed = False
-        self._numbers = 0
 
     async def wait(self, client: Available, timeout_s: float) -> float:
         """Wait until a member can be asked; return what is left of the time, in seconds.
@@ -68,114 +68,72 @@ class Ways:
             raise CallTimeout(self.name, timeout_s, self.kind)
         return left_s
 
-    async def ask(self, ask: Ask[T], able: Callable[[str], bool], timeout_s: float, *, alone: bool = False) -> T:
+    async def ask(
+        self,
+        ask: Ask[T],
+        able: Callable[[str], bool],
+        timeout_s: float,
+        *,
+        alone: bool = False,
+        failed: Mapping[str, RopewayError] = NOBODY,
+    ) -> T:
         """Return the answer of the first that answers; ``able`` tells who could. ``alone``: of one at a time.
 
-        Raises the error of the one whose failure says most, if none does.
+        Members that have ``failed`` already are not asked. Raises the error of the one whose failure says most, if none
+        answers.
         """
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + timeout_s
-        first = [name for name in self.group.targets() if able(name)]
-        if alone or (len(first) < _BOTH and not self.group.second()):
-            return await self._ask_in_turn(ask, able, first[:1], deadline_s, alone=alone)
-        waiting = [name for name in self._order() if able(name)]
-        if not waiting:
-            raise NotServed(self.name, self.kind)
-        first = [name for name in first if name in waiting] or waiting[:1]
-        errors: list[RopewayError] = []
-        tasks: dict[asyncio.Task[T], None] = {}
+        group, scheduler = self.group, self.group.scheduler
+        first = [name for name in group.targets() if name not in failed and able(name)]
+        if alone:
+            del first[1:]
+        keys: dict[str, object] = {}  # of those that were asked
+        others = (n for n in scheduler.ranked(group.now()) if n not in failed and n not in keys and able(n))
+        if not first:
+            first = list(islice(others, 1))
+        if not first:
+            group.tell()
+            raise next(iter(failed.values()), NotServed(self.name, self.kind))
+        keys.update(dict.fromkeys(first, object()))
+        scheduler.asked(first, keys[first[0]], group.now())
 
-        def begin(names: Iterable[str]) -> None:
-            for name in names:
-                waiting.remove(name)
-                work = self._measured(ask, name, max(0.0, deadline_s - loop.time()))
-                tasks[asyncio.create_task(work, name=f"{self.name} at {name}")] = None
+        async def ask_one(name: str) -> T:
+            if name not in keys:  # it is asked later than the first
+                keys[name] = object()
+                scheduler.asked((name,), keys[name], group.now())
+            try:
+                answer = await ask(name, max(0.0, deadline_s - loop.time()))
+            except BaseException as error:
+                self.failed(name, keys[name], error)
+                raise
+            scheduler.answered(name, keys[name], group.now())
+            return answer
 
-        begin(first)
-        hedge_at_s = loop.time() + self.group.hedge_after_s() if self.group.second() else None
+        def may_go_on(error: RopewayError) -> bool:
+            return loop.time() < deadline_s and self.may_go_on(error, alone=alone)
+
+        hedge_after_s = group.hedge_after_s() if not alone and group.second() else None
         try:
-            while tasks:
-                pause_s = None if hedge_at_s is None or not waiting else max(0.0, hedge_at_s - loop.time())
-                done, _ = await asyncio.wait(tasks, timeout=pause_s, return_when=asyncio.FIRST_COMPLETED)
-                if not done:
-                    begin(waiting[:1])
-                    hedge_at_s = None
-                for task in done:
-                    del tasks[task]
-                    error = task.exception()
-                    if error is None:
-                        return task.result()
-                    if not isinstance(error, RopewayError):
-                        raise error
-                    errors.append(error)
-                    if waiting and not tasks and self._may_go_on(error) and loop.time() < deadline_s:
-                        begin(waiting[:1])
-            raise _telling(errors)
+            return await Race(ask_one, others, may_go_on, failed.values()).run(first, hedge_after_s)
         finally:
-            await end(*tasks)
-            self.group.tell()
+            group.tell()
 
-    async def _ask_in_turn(
-        self, ask: Ask[T], able: Callable[[str], bool], first: list[str], deadline_s: float, *, alone: bool
-    ) -> T:
-        """Return the answer of one member, asked without a task of its own; of the next, if that one refuses."""
-        tried: dict[str, RopewayError] = {}
-        try:
-            while True:
-                name = first.pop() if first else next((n for n in self._order() if n not in tried and able(n)), "")
-                if not name:
-                    raise _telling(tried.values()) if tried else NotServed(self.name, self.kind)
-                left_s = deadline_s - asyncio.get_running_loop().time()
-                try:
-                    return await self._measured(ask, name, max(0.0, left_s))
-                except RopewayError as error:
-                    tried[name] = error
-                    if left_s <= 0 or not self._may_go_on(error, alone=alone):
-                        raise _telling(tried.values()) from None
-        finally:
-            self.group.tell()
-
-    def _order(self) -> list[str]:
-        return self.group.scheduler.ranked(self.group.now())
-
-    def _may_go_on(self, error: RopewayError, *, alone: bool = False) -> bool:
+    def may_go_on(self, error: RopewayError, *, alone: bool = False) -> bool:
         """Return whether another may be asked after that: nobody has begun it, or it may be done twice."""
         if isinstance(error, (CallFailed, GoalRejected, CallTimeout)):
             return False  # it was answered, or the time is over
-        return (self.group.stateless and not alone) or isinstance(error, _UNTOUCHED)
+        return (self.group.stateless and not alone) or isinstance(error, UNTOUCHED)
 
-    async def _measured(self, ask: Ask[T], name: str, timeout_s: float) -> T:
-        self._numbers += 1
-        key, scheduler = (self, self._numbers), self.group.scheduler
-        scheduler.asked((name,), key, self.group.now())
-        try:
-            answer = await ask(name, timeout_s)
-        except _UNTOUCHED:
+    def failed(self, name: str, key: object, error: BaseException) -> None:
+        """Note what an error of a member tells of its latency."""
+        scheduler = self.group.scheduler
+        if isinstance(error, UNTOUCHED):
             scheduler.refused(name, key)
-            raise
-        except CallError as error:
-            if isinstance(error, CallFailed):
-                scheduler.answered(name, key, self.group.now())
-            else:
-                scheduler.gave_up(name, key, self.group.now())
-            raise
-        except asyncio.CancelledError:  # another was sooner: it took at least until now
+        elif isinstance(error, CallFailed):  # which is an answer
+            scheduler.answered(name, key, self.group.now())
+        else:  # or another was sooner: it took at least until now
             scheduler.gave_up(name, key, self.group.now())
-            raise
-        scheduler.answered(name, key, self.group.now())
-        return answer
-
-
-def _telling(errors: Iterable[RopewayError]) -> RopewayError:
-    """Return the error that says most: what a provider said, what may have been begun, or that nobody is there."""
-    ranks = (CallFailed, CallTimeout, CallError)
-
-    def rank(error: RopewayError) -> int:
-        if isinstance(error, _UNTOUCHED):
-            return len(ranks)
-        return next((i for i, kind in enumerate(ranks) if isinstance(error, kind)), len(ranks) - 1)
-
-    return min(errors, key=rank)
 
 
 class GroupUser(GroupPart[U]):
@@ -239,8 +197,31 @@ class GroupClient(GroupUser[Client]):
 
     async def call(self, request: Request, timeout_s: float = DEFAULT_TIMEOUT_S) -> bytes:
         """See ``Client``."""
-        left_s = await self._ways.wait(self, timeout_s)
-        return await self._ways.ask(lambda name, limit_s: self.part(name).call(request, limit_s), self.serves, left_s)
+        ways, group = self._ways, self._group
+        began_s = group.now()
+        name = group.alone(began_s)
+        part = self._parts.get(name)
+        if part is None or part.available is False:
+            served = not ways.closed and self.serves(group.scheduler.current)
+            return await self._ask(request, timeout_s if served else await ways.wait(self, timeout_s))
+        key = object()
+        group.scheduler.asked((name,), key, began_s)
+        try:
+            answer = await part.call(request, timeout_s)
+        except BaseException as error:
+            ways.failed(name, key, error)
+            left_s = began_s + timeout_s - group.now()
+            if isinstance(error, RopewayError) and left_s > 0 and ways.may_go_on(error):
+                return await self._ask(request, left_s, {name: error})
+            raise
+        group.scheduler.answered(name, key, group.now())
+        return answer
+
+    async def _ask(self, request: Request, timeout_s: float, failed: Mapping[str, RopewayError] = NOBODY) -> bytes:
+        """Call it where something is to be decided, or more than one is asked."""
+        return await self._ways.ask(
+            lambda name, limit_s: self.part(name).call(request, limit_s), self.serves, timeout_s, failed=failed
+        )
 
 
 def any_of(known: Iterable[bool | None]) -> bool | None:

@@ -22,6 +22,9 @@ class Chooser(Protocol):
     def now(self) -> float:
         """Return the time of the steady clock that latencies are measured with."""
 
+    def alone(self, now_s: float) -> str:
+        """Return the member that gets the next request alone; ``""`` where something is to be decided first."""
+
     def targets(self) -> tuple[str, ...]:
         """Return the members that get the next request at once."""
 

@@ -41,7 +41,10 @@ class Exchange:
                 del self._order[oldest]
                 self._answered.discard(oldest)
         for name in names:
-            self._pairings.setdefault(name, Pairing()).asked(key, stamp)
+            pairing = self._pairings.get(name)
+            if pairing is None:
+                pairing = self._pairings[name] = Pairing()
+            pairing.asked(key, stamp)
         self._scheduler.asked(names, key, now_s)
 
     def is_open(self, key: Hashable) -> bool:
@@ -54,7 +57,7 @@ class Exchange:
         key = None if pairing is None else pairing.answered(stamp)
         if key is None:
             by_stamp = stamp is not None and any(other.stamped for other in self._pairings.values())
-            return Undelivered.FOREIGN if by_stamp else self._unasked(name)
+            return Undelivered.FOREIGN if by_stamp else self.unasked(name)
         self._scheduler.answered(name, key, now_s)
         number = self._order.get(key, 0)
         if key in self._answered or not number:
@@ -76,7 +79,7 @@ class Exchange:
         """Forget a member that is gone, and its requests."""
         self._pairings.pop(name, None)
 
-    def _unasked(self, name: str) -> Undelivered | None:
+    def unasked(self, name: str) -> Undelivered | None:
         """Return whether what a member says unasked counts: the last one in use is heard until the next one speaks."""
         if name == self._scheduler.current:
             self._speaker = name

@@ -11,9 +11,10 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping
 from contextlib import AsyncExitStack
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, TypeVar
 
 from ropeway.errors import GraphUnavailable, RopewayError
 from ropeway.graph.base import (
@@ -43,12 +44,13 @@ from ropeway.graph.graph_base import GraphBase
 from ropeway.group.actions import GroupActionClient
 from ropeway.group.bound import LatencyBound
 from ropeway.group.calls import GroupClient, Ways
+from ropeway.group.clock import steady_clock
 from ropeway.group.discovery import all_actions, all_services, all_topics
 from ropeway.group.exchange import Exchange
 from ropeway.group.hedge import HedgeDelay, Policy
 from ropeway.group.offers import GroupActionServer, GroupService
 from ropeway.group.part import GroupPart
-from ropeway.group.roster import Roster
+from ropeway.group.roster import Connecting, Roster
 from ropeway.group.scheduler import Options, Scheduler
 from ropeway.group.stamp import stamp_reader
 from ropeway.group.topics import GroupPublisher, GroupSubscription, Judge
@@ -57,7 +59,7 @@ from ropeway.tasks import Supervised, describe, end
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
 
-__all__ = ["Connecting", "Group", "Policy"]
+__all__ = ["Group", "Policy"]
 
 log = logging.getLogger("ropeway.group")
 
@@ -66,14 +68,6 @@ P = TypeVar("P", bound=GroupPart[Any])
 
 Make = Callable[[str, Graph], Awaitable[Any]]
 """Makes a part on a member."""
-
-
-@runtime_checkable
-class Connecting(Protocol):
-    """A graph that comes and goes, and tells."""
-
-    def on_reached(self, callback: Callable[[bool], None]) -> None:
-        """Call with whether the far side is reached, now and at each change."""
 
 
 class Group(GraphBase):
@@ -106,7 +100,6 @@ class Group(GraphBase):
         first: str = "",
         barred: Collection[str] = (),
         options: Options = Options(),  # noqa: B008 - frozen
-        clock: Callable[[], float] | None = None,
     ) -> None:
         if not members and roster is None:
             raise ValueError("a group has one member at least")
@@ -124,7 +117,10 @@ class Group(GraphBase):
         self._barred = frozenset(barred)
         self._there: set[str] = set()
         self._delay = HedgeDelay(self.scheduler)
-        self._clock = clock
+        self.now: Callable[[], float] = time.monotonic
+        """Returns the time of the steady clock that latencies are measured with."""
+        self._limit_s = bound.limit_s
+        self._several = policy is not Policy.ONE or (stateless and self._limit_s is not None)
         self._responses = {resolve_name(a): resolve_name(b) for a, b in (exchanges or {}).items()}
         self._exchanges = {response: Exchange(self.scheduler) for response in self._responses.values()}
         self._watchers: list[Supervised] = []
@@ -133,7 +129,7 @@ class Group(GraphBase):
         self._parts: dict[GroupPart[Any], Make] = {}
         self._wants: dict[object, Callable[[], None]] = {}
         self._changing = asyncio.Lock()  # of members and parts, one at a time
-        self._told: int = 0
+        self._told = 0
         self._open = False
         self._opened: dict[str, Graph] = {}
 
@@ -143,6 +139,7 @@ class Group(GraphBase):
         """Open every member. Raises ``GraphUnavailable`` if none can be opened; of others the log tells why."""
         if self._open:
             return
+        self.now = steady_clock(asyncio.get_running_loop())
         self._changes = Changes()
         names = list(self.members)
         results = await asyncio.gather(*(self.members[name].open() for name in names), return_exceptions=True)
@@ -182,12 +179,6 @@ class Group(GraphBase):
         await self._stack.aclose()
         self._opened.clear()
         self._changes.close()
-
-    def now(self) -> float:
-        """Return the time of the steady clock that latencies are measured with."""
-        if self._clock is None:
-            self._clock = asyncio.get_running_loop().time
-        return self._clock()
 
     def _listen(self, name: str, graph: Graph) -> None:
         watch = functools.partial(self._watch, graph.changes())
@@ -250,13 +241,13 @@ class Group(GraphBase):
 
     def tell(self) -> None:
         """Log what the scheduler has decided since the last time."""
-        decisions = self.scheduler.decisions
         new = self.scheduler.decided - self._told
+        if not new:
+            return
         self._told = self.scheduler.decided
-        for decision in list(decisions)[-new:] if new else ():
+        for decision in list(self.scheduler.decisions)[-new:]:
             log.info("%s: %s", self.name, decision)
-        if new:
-            self.on_decision()
+        self.on_decision()
 
     def status(self) -> dict[str, Any]:
         """Return the group as it stands, as JSON."""
@@ -269,12 +260,17 @@ class Group(GraphBase):
 
     # ── who is asked ───────────────────────────────────────────────────────────────────────────────────────────
 
+    def alone(self, now_s: float) -> str:
+        """Return the member that gets the next request alone; ``""`` where something is to be decided first."""
+        return "" if self._several else self.scheduler.alone(now_s)
+
     def targets(self) -> tuple[str, ...]:
         """Return the members that get the next request at once."""
         if self.policy is Policy.ALL:
             return tuple(self.scheduler.here)
         found = self.scheduler.targets(self.now())
-        self.tell()
+        if self.scheduler.decided != self._told:
+            self.tell()
         return found
 
     def ranked(self) -> list[str]:
@@ -286,15 +282,14 @@ class Group(GraphBase):
 
         That is the rule of ``hedge``; with ``one`` it is so where a bound says what is late, and twice does no harm.
         """
-        acts = self.policy is Policy.HEDGE or (
-            self.policy is Policy.ONE and self.stateless and self.scheduler.bound.limit_s is not None
-        )
-        ranked = self.scheduler.ranked(self.now()) if acts else ()
+        if self.policy is Policy.ALL or not self._several:
+            return ""
+        ranked = self.scheduler.ranked(self.now())
         return ranked[1] if len(ranked) > 1 else ""
 
     def hedge_after_s(self) -> float:
         """Return how long the first has before the second is asked, too."""
-        limit_s = self.scheduler.bound.limit_s
+        limit_s = self._limit_s
         return limit_s if self.policy is Policy.ONE and limit_s is not None else self._delay.seconds(self.now())
 
     # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────
@@ -344,8 +339,12 @@ class Group(GraphBase):
 
     def _judge(self, topic: str, type: str, qos: QoS | None) -> Judge:
         """Return what says which messages of a topic count."""
-        exchange, stamp = self._exchanges.get(topic) or Exchange(self.scheduler), stamp_reader(self.registry, type)
-        return lambda member, sample, now_s: exchange.came(member, stamp(sample.payload), now_s)
+        exchange = self._exchanges.get(topic)
+        if exchange is None:  # nothing is asked for: who speaks is all that counts
+            speaker = Exchange(self.scheduler)
+            return lambda member, batch, _: (speaker.unasked(member),) * len(batch)
+        came, stamp = exchange.came, stamp_reader(self.registry, type)
+        return lambda member, batch, now_s: [came(member, stamp(sample.payload), now_s) for sample in batch]
 
     async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> GroupClient:
         """See ``Graph.create_client``."""

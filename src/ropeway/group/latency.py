@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import statistics
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Hashable
 from dataclasses import dataclass
+from itertools import islice
 from typing import Final
 
 __all__ = ["LatencyWindow", "Statistics"]
@@ -55,7 +57,8 @@ class Statistics:
     @property
     def stddev(self) -> float:
         """Return the standard deviation of the population, as the thesis uses it; 0 for a single value."""
-        return statistics.pstdev(self.values)
+        mean = self.mean
+        return math.sqrt(statistics.fmean((value - mean) ** 2 for value in self.values))
 
     def percentile(self, percent: float) -> float:
         """Return the smallest value that ``percent`` of all do not exceed."""
@@ -71,12 +74,14 @@ class LatencyWindow:
     """The latencies of one member within the last ``window_s`` seconds.
 
     Times are those of a steady clock. The window ages by that clock, not by what comes: a member that has fallen silent
-    does not keep its good name, and an empty window means that nothing is known.
+    does not keep its good name, and an empty window means that nothing is known. A latency is put in order of size when
+    somebody asks for statistics, together with all that came since the last time: noting one costs next to nothing.
     """
 
     def __init__(self, window_s: float = WINDOW_S) -> None:
         self.window_s = window_s
-        self._latencies: deque[tuple[float, float]] = deque(maxlen=_MOST)  # when it was known, and how long it took
+        self._latencies: deque[tuple[float, float]] = deque()  # when it was known, and how long it took
+        self._ordered: list[float] = []  # the oldest of them, by size
         self._pending: dict[Hashable, float] = {}  # when it was asked, oldest first
         self._answered_from_s = float("-inf")  # when the newest request that has an answer was asked
 
@@ -91,9 +96,13 @@ class LatencyWindow:
         asked_s = self._pending.pop(key, None)
         if asked_s is None:
             return None
-        self._answered_from_s = max(self._answered_from_s, asked_s)
-        self.add(now_s, now_s - asked_s)
-        return now_s - asked_s
+        if asked_s > self._answered_from_s:
+            self._answered_from_s = asked_s
+        took_s = now_s - asked_s
+        self._latencies.append((now_s, took_s))
+        if len(self._latencies) > _MOST:
+            self._drop_oldest()
+        return took_s
 
     def gave_up(self, now_s: float, key: Hashable) -> None:
         """Note that nobody waits for the answer to ``key`` any more: it took at least until now."""
@@ -106,10 +115,13 @@ class LatencyWindow:
     def add(self, now_s: float, latency_s: float) -> None:
         """Note a latency that was measured elsewhere."""
         self._latencies.append((now_s, max(0.0, latency_s)))
+        if len(self._latencies) > _MOST:
+            self._drop_oldest()
 
     def clear(self) -> None:
         """Forget everything: the member is another one now."""
         self._latencies.clear()
+        self._ordered.clear()
         self._pending.clear()
 
     @property
@@ -129,6 +141,15 @@ class LatencyWindow:
             found += now_s - asked_s > limit_s
         return found
 
+    def waits_since_s(self) -> float:
+        """Return when the oldest request was asked that came after all that were answered, infinity without one."""
+        found = float("inf")
+        for asked_s in reversed(self._pending.values()):
+            if asked_s <= self._answered_from_s:
+                break
+            found = asked_s
+        return found
+
     def statistics(self, now_s: float) -> Statistics | None:
         """Return what the window holds, ``None`` while nothing is known.
 
@@ -138,18 +159,26 @@ class LatencyWindow:
         if not self._latencies and not self._pending:
             return None
         self._age(now_s)
-        answered = sorted(latency for _, latency in self._latencies)
+        answered = self._ordered
+        if len(answered) < len(self._latencies):
+            answered.extend(latency_s for _, latency_s in islice(self._latencies, len(answered), None))
+            answered.sort()  # what is in order already is merged with the rest
         ages = [now_s - asked_s for asked_s in self._pending.values()]
         if answered:
             usual_s = answered[(len(answered) - 1) // 2]
             ages = [age for age in ages if age > usual_s]
         if not answered and not ages:
             return None
-        return Statistics(len(answered), len(ages), tuple(sorted([*answered, *ages])))
+        return Statistics(len(answered), len(ages), tuple(sorted([*answered, *ages]) if ages else answered))
 
     def _age(self, now_s: float) -> None:
         while self._latencies and self._latencies[0][0] <= now_s - self.window_s:
-            self._latencies.popleft()
+            self._drop_oldest()
         forgotten_s = now_s - _GIVE_UP_WINDOWS * self.window_s
         for key in [key for key, asked_s in self._pending.items() if asked_s <= forgotten_s]:
             del self._pending[key]
+
+    def _drop_oldest(self) -> None:
+        _, latency_s = self._latencies.popleft()
+        if self._ordered:  # else nobody has asked since it came
+            del self._ordered[bisect_left(self._ordered, latency_s)]

@@ -8,7 +8,7 @@ over that one alone. A call has one number on all links, so that the gateway at 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol
 
 from ropeway.graph.base import Graph, Sample, Undelivered
@@ -58,6 +58,7 @@ class LinkGroup(Group):
         self.links = dict(members)
         self.choice = LinkChoice(members)
         self.duplicate = duplicate
+        self._several = True  # a call goes by another link, too, if there is no answer soon
         self._changed_s = 0.0
 
     async def open(self) -> None:
@@ -109,9 +110,12 @@ class LinkGroup(Group):
         """Return what drops the copies of messages that came by another link."""
         seen = Seen()
 
-        def judge(member: str, sample: Sample, now_s: float) -> Undelivered | None:
+        def judge(member: str, batch: Sequence[Sample], _: float) -> Sequence[Undelivered | None]:
             if not self.links[member].numbers:
-                return None if member == self.scheduler.current else Undelivered.STANDBY
+                return (None if member == self.scheduler.current else Undelivered.STANDBY,) * len(batch)
+            return [why(sample) for sample in batch]
+
+        def why(sample: Sample) -> Undelivered | None:
             if seen.has(sample):
                 return Undelivered.COPY
             seen.add(sample)

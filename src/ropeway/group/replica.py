@@ -38,10 +38,13 @@ class Replica:
         """Return how many requests in a row took longer than the limit, those without an answer included."""
         return 0 if limit_s is None else self.late + self.window.overdue(now_s, limit_s)
 
-    def was(self, latency_s: float, limit_s: float | None) -> None:
-        """Note how long an answer took."""
-        if limit_s is not None:
-            self.late = self.late + 1 if latency_s > limit_s else 0
+    def was(self, latency_s: float, limit_s: float | None) -> bool:
+        """Note how long an answer took; return whether that is late."""
+        if limit_s is None or latency_s <= limit_s:
+            self.late = 0
+            return False
+        self.late += 1
+        return True
 
     def rank(self, bound: LatencyBound, now_s: float) -> Rank:
         """Return how promising it is.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from ropeway.graph.base import Delivery, Graph
 from ropeway.graph.signal import Signal
 
-__all__ = ["Roster"]
+__all__ = ["Connecting", "Roster"]
 
 
 class Roster(Protocol):
@@ -35,3 +35,11 @@ class Roster(Protocol):
 
     def members(self) -> Mapping[str, Graph]:
         """Return the members by their names, without waiting."""
+
+
+@runtime_checkable
+class Connecting(Protocol):
+    """A graph that comes and goes, and tells."""
+
+    def on_reached(self, callback: Callable[[bool], None]) -> None:
+        """Call with whether the far side is reached, now and at each change."""

@@ -33,6 +33,7 @@ _LATE_IN_A_ROW: Final = 2  # requests above the limit, one after the other, that
 _CLEARLY: Final = 1.5  # times the latency of the one before: a change that is worse than that is wrong at once
 _JUDGED_PER_WINDOW: Final = 50  # what two requests in a row do not show, shows in a window, and not sooner
 _MOST_DECISIONS: Final = 256
+_NEVER_S: Final = float("-inf")  # before any time of the clock
 _MOST_GONE: Final = 64  # members that are not there, whose penalties are remembered
 
 
@@ -84,14 +85,15 @@ class Scheduler:
         self.decisions: deque[Decision] = deque(maxlen=_MOST_DECISIONS)
         self.decided = 0  # in all
         self._members = {name: Replica(name, LatencyWindow(options.window_s)) for name in names}
-        self._since_s = float("-inf")
+        self._since_s = _NEVER_S
         self._profile: ProfileRun | None = None
         self._profiled = False
         self._first = first
         self._comparison: Comparison | None = None
-        self._judge_at_s = self._pause_until_s = float("-inf")
+        self._judge_at_s = self._pause_until_s = _NEVER_S
         self._ranked: tuple[float, list[str]] | None = None  # until when it is good
         self._came_from = ""  # where the last change came from, while it is on probation
+        self._quiet_until_s = _NEVER_S  # nothing is to be decided before, unless something happens
 
     # ── what is ────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -113,8 +115,14 @@ class Scheduler:
         """Return the latencies of a member."""
         return self._members[name].window
 
+    def alone(self, now_s: float) -> str:
+        """Return who gets the next request alone; ``""`` where ``targets`` has to be asked, as something is due."""
+        return self.current if now_s < self._quiet_until_s else ""
+
     def targets(self, now_s: float) -> tuple[str, ...]:
         """Return who gets the next request; more than one only where requests may be carried out twice."""
+        if now_s < self._quiet_until_s:
+            return (self.current,)
         self.step(now_s)
         profiled = "" if self._profile is None else self._profile.next(now_s)
         if profiled:
@@ -170,7 +178,7 @@ class Scheduler:
             return
         member.here, member.late, member.known_s = True, 0, None
         member.window.clear()
-        self._ranked = None
+        self._look_again()
         if not self.current:
             self._change(name, now_s, "the first that is there")
         elif name == self._first and not self._profiled:
@@ -185,7 +193,7 @@ class Scheduler:
             return
         member.here = False
         member.window.clear()
-        self._ranked = None
+        self._look_again()
         if self._profile is not None:
             self._profile.left(name)
         if self._comparison is not None and name in (self._comparison.rival, self.current):
@@ -200,6 +208,7 @@ class Scheduler:
         """Ask each member that is there for a moment, then choose: at the start, and when somebody wants it."""
         self._profiled = True
         self._comparison, self._came_from = None, ""
+        self._look_again()
         here = self.here
         self._profile = ProfileRun(here, now_s, self.options, self._limit_s) if len(here) > 1 else None
 
@@ -224,7 +233,8 @@ class Scheduler:
             self._comparison.answered(key, name, took_s)
         if self._profile is not None:
             self._profile.answered(name)
-        member.was(took_s, self._limit_s)
+        if member.was(took_s, self._limit_s):
+            self._quiet_until_s = _NEVER_S
         return took_s
 
     def gave_up(self, name: str, key: Hashable, now_s: float) -> None:
@@ -233,7 +243,8 @@ class Scheduler:
         member.window.gave_up(now_s, key)
         if self._profile is not None:
             self._profile.answered(name)
-        member.was(float("inf"), self._limit_s)
+        if member.was(float("inf"), self._limit_s):
+            self._quiet_until_s = _NEVER_S
 
     def refused(self, name: str, key: Hashable) -> None:
         """Note that a request was refused before it was carried out, which says nothing of latency."""
@@ -242,7 +253,8 @@ class Scheduler:
     def measured(self, name: str, latency_s: float, now_s: float) -> None:
         """Add a latency of a member that was measured elsewhere."""
         self._members[name].window.add(now_s, latency_s)
-        self._members[name].was(latency_s, self._limit_s)
+        if self._members[name].was(latency_s, self._limit_s):
+            self._quiet_until_s = _NEVER_S
 
     def switch(self, name: str, now_s: float, why: str = "by hand") -> None:
         """Use ``name`` from the next request on, by hand. Raises ``KeyError`` for a member that is not there."""
@@ -260,6 +272,27 @@ class Scheduler:
             self._step_comparison(self._comparison, now_s)
         elif self.current and not self.held:
             self._step_steady(now_s)
+            self._be_quiet(now_s)
+
+    def _be_quiet(self, now_s: float) -> None:
+        """Find out until when there is nothing to decide, unless an answer comes late, or a member comes or goes."""
+        if self._comparison is not None or self._came_from:
+            return
+        if not self.bound.limits:
+            self._quiet_until_s = float("inf")
+            return
+        until_s = max(self._judge_at_s, self._pause_until_s)
+        if self._limit_s is not None:  # what was sent, and what will be, can be late no sooner
+            member = self._members[self.current]
+            until_s = min(until_s, min(now_s, member.window.waits_since_s()) + self._limit_s)
+            if member.late:
+                return
+        self._quiet_until_s = until_s
+
+    def _look_again(self) -> None:
+        """Decide with the next request: something has happened."""
+        self._ranked = None
+        self._quiet_until_s = _NEVER_S
 
     # ── deciding ───────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -274,7 +307,7 @@ class Scheduler:
         best = min(here, key=lambda m: m.rank(self.bound, now_s), default=None)
         if best is not None and best.name != self.current and not self.held:
             self._change(best.name, now_s, f"the best of the profile ({best.numbers(now_s)})")
-        self._since_s = float("-inf")  # a profile is short, and may be corrected
+        self._since_s = _NEVER_S  # a profile is short, and may be corrected
 
     def _step_steady(self, now_s: float) -> None:
         if not self.bound.limits or now_s < self._pause_until_s:
@@ -358,7 +391,7 @@ class Scheduler:
 
     def _change(self, after: str, now_s: float, why: str) -> None:
         self._note(now_s, why, after)
-        self._ranked = None
+        self._look_again()
         if self.current:
             self._members[self.current].remember(now_s)
         self.current, self._since_s = after, now_s

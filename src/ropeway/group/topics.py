@@ -18,8 +18,8 @@ from ropeway.qos import QoS, common_qos
 __all__ = ["GroupPublisher", "GroupSubscription", "Judge"]
 
 
-Judge = Callable[[str, Sample, float], "Undelivered | None"]
-"""Says why a message of a member that came at a time is dropped, ``None`` to deliver it."""
+Judge = Callable[[str, Sequence[Sample], float], "Sequence[Undelivered | None]"]
+"""Says of each message of a member that came at a time why it is dropped, ``None`` to deliver it."""
 
 
 class GroupPublisher(GroupPart[Publisher]):
@@ -52,9 +52,12 @@ class GroupPublisher(GroupPart[Publisher]):
         if self._closed:
             self._group.drops[self.topic, Undelivered.CLOSED] += 1
             return
-        names = self._due()
+        group, now_s = self._group, self._group.now()
+        alone = group.alone(now_s)
+        part = self._parts.get(alone)
+        names = self._due() if part is None or part.subscribers == 0 else (alone,)
         if not names:
-            self._group.drops[self.topic, Undelivered.NOBODY] += 1
+            group.drops[self.topic, Undelivered.NOBODY] += 1
             return
         if sample.seq == SEQ_NONE:  # on all members it is the same message
             sample = numbered(sample, self.type, self._origin, self._seq)
@@ -62,8 +65,8 @@ class GroupPublisher(GroupPart[Publisher]):
         if self._exchange is not None and self._stamp is not None:
             key = (self.topic, next(self._numbers))
             stamp = self._stamp(sample.payload)
-            self._exchange.asked(names, key, stamp, self._group.now())
-            second = self._group.second()
+            self._exchange.asked(names, key, stamp, now_s)
+            second = "" if alone else group.second()
             if second and second not in names:
                 self._hedge(second, sample, key, stamp)
         for name in names:
@@ -159,15 +162,12 @@ class GroupSubscription(GroupPart[Subscription]):
 
     def arrived(self, name: str, batch: Sequence[Sample]) -> None:
         """Hand on what counts of what a member has published."""
-        now = self._group.now()
-        wanted = []
-        for sample in batch:
-            why = self._judge(name, sample, now)
-            if why is None:
-                wanted.append(sample)
-            else:
-                self._group.drops[self.topic, why] += 1
-        if wanted:
+        verdicts = self._judge(name, batch, self._group.now())
+        if not any(verdicts):
+            self._callback(batch)
+            return
+        self._group.drops.update((self.topic, why) for why in verdicts if why is not None)
+        if wanted := [sample for sample, why in zip(batch, verdicts, strict=True) if why is None]:
             self._callback(wanted)
 
     @property
