@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Final, Protocol
 
 from ropeway import aio
 from ropeway.bridge.upkeep import Upkeep
+from ropeway.delivery.histogram import Histogram
 from ropeway.graph.base import NO_HINTS, Delivery, Graph
 from ropeway.graph.link_parts import Contended, Encoded
 
@@ -65,6 +66,7 @@ class Offer:
         self.under_way = 0
         self._ended: asyncio.Event | None = None  # where somebody waits for the end of requests
         self.took_s: float | None = None  # the last one, smoothed
+        self.durations = Histogram()
         self._client: Any = None
         self._server: _Server | None = None
         label = f"{self.kind} {source_name} to {target.name}"
@@ -128,6 +130,7 @@ class Offer:
         self.counts[how] += 1
         if self._ended is not None:
             self._ended.set()
+        self.durations.add(round(took_s * 1e9))
         self.took_s = took_s if self.took_s is None else self.took_s + 0.2 * (took_s - self.took_s)
 
     async def _set_right(self) -> None:

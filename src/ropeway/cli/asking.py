@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["CaOption", "TokenOption", "WhereArgument", "WhereOption"]
+__all__ = ["CaOption", "CertOption", "TokenOption", "WhereArgument", "WhereOption"]
 
 _WHERE = "A running gateway: its name, the path of its socket, or http(s)://host:port; default: the only one here."
 
@@ -16,3 +16,12 @@ TokenOption = Annotated[
     str, typer.Option("--token", envvar="ROPEWAY_TOKEN", help="The token to show, over TCP.", show_default=False)
 ]
 CaOption = Annotated[str, typer.Option("--ca", help="File of the authorities to trust, for https.", show_default=False)]
+CertOption = Annotated[
+    str,
+    typer.Option(
+        "--cert",
+        envvar="ROPEWAY_CERT",
+        help="File with a certificate and its key to show, for https; instead of a token.",
+        show_default=False,
+    ),
+]

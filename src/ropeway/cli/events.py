@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ropeway.cli.asking import CaOption, TokenOption, WhereArgument
+from ropeway.cli.asking import CaOption, CertOption, TokenOption, WhereArgument
 from ropeway.cli.console import answer, print_json
 from ropeway.cli.session import JsonOption
 
@@ -26,11 +26,12 @@ def events_command(
     as_json: JsonOption = False,
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Show the last changes of state of links, routes and clients, and of the configuration."""
     from ropeway.control.client import ControlClient
 
-    with ControlClient.find(where, token=token, ca=ca) as client:
+    with ControlClient.find(where, token=token, ca=ca, cert=cert) as client:
         last = 0
         for event in client.get("/v1/events", name=name):
             last = event["number"]

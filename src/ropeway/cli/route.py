@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 import yaml
 
-from ropeway.cli.asking import CaOption, TokenOption, WhereOption
+from ropeway.cli.asking import CaOption, CertOption, TokenOption, WhereOption
 from ropeway.cli.console import answer, fail, print_json
 from ropeway.cli.running_config import show_steps
 
@@ -27,9 +27,15 @@ NameArgument = Annotated[
 
 
 @app.command("list")
-def list_(where: WhereOption = "", as_json: JsonOption = False, token: TokenOption = "", ca: CaOption = "") -> None:
+def list_(
+    where: WhereOption = "",
+    as_json: JsonOption = False,
+    token: TokenOption = "",
+    ca: CaOption = "",
+    cert: CertOption = "",
+) -> None:
     """List the routes."""
-    with _client(where, token, ca) as client:
+    with _client(where, token, ca, cert) as client:
         found = client.get("/v1/routes")
     if as_json:
         print_json(found)
@@ -52,6 +58,7 @@ def add(
     as_json: JsonOption = False,
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Add a route; everything else goes on. It is remembered over restarts."""
     item: dict[str, Any] = {"name": name, "type": type}
@@ -60,34 +67,49 @@ def add(
         if not equals:
             fail(f"--option {text}: expected KEY=VALUE", 2)
         item[key] = yaml.safe_load(value)
-    with _client(where, token, ca) as client:
+    with _client(where, token, ca, cert) as client:
         _say(client.post("/v1/routes", {"remote": remote, "operation": operation, "item": item}), as_json)
 
 
 @app.command()
 def rm(
-    name: NameArgument, where: WhereOption = "", as_json: JsonOption = False, token: TokenOption = "", ca: CaOption = ""
+    name: NameArgument,
+    where: WhereOption = "",
+    as_json: JsonOption = False,
+    token: TokenOption = "",
+    ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Remove a route."""
-    with _client(where, token, ca) as client:
+    with _client(where, token, ca, cert) as client:
         _say(client.delete(f"/v1/routes/{_key(client, name)}"), as_json)
 
 
 @app.command()
 def pause(
-    name: NameArgument, where: WhereOption = "", as_json: JsonOption = False, token: TokenOption = "", ca: CaOption = ""
+    name: NameArgument,
+    where: WhereOption = "",
+    as_json: JsonOption = False,
+    token: TokenOption = "",
+    ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Pause a route: it stays in the configuration, and nothing crosses."""
-    with _client(where, token, ca) as client:
+    with _client(where, token, ca, cert) as client:
         _say(client.post(f"/v1/routes/{_key(client, name)}/pause"), as_json)
 
 
 @app.command()
 def resume(
-    name: NameArgument, where: WhereOption = "", as_json: JsonOption = False, token: TokenOption = "", ca: CaOption = ""
+    name: NameArgument,
+    where: WhereOption = "",
+    as_json: JsonOption = False,
+    token: TokenOption = "",
+    ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Let a paused route go on."""
-    with _client(where, token, ca) as client:
+    with _client(where, token, ca, cert) as client:
         _say(client.post(f"/v1/routes/{_key(client, name)}/resume"), as_json)
 
 
@@ -114,7 +136,7 @@ def _say(done: dict[str, Any], as_json: bool) -> None:
         answer("Nothing to do: it is so already.")
 
 
-def _client(where: str, token: str, ca: str) -> ControlClient:
+def _client(where: str, token: str, ca: str, cert: str) -> ControlClient:
     from ropeway.control.client import ControlClient
 
-    return ControlClient.find(where, token=token, ca=ca)
+    return ControlClient.find(where, token=token, ca=ca, cert=cert)

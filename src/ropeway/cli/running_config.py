@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ropeway.cli.asking import CaOption, TokenOption, WhereOption
+from ropeway.cli.asking import CaOption, CertOption, TokenOption, WhereOption
 from ropeway.cli.console import answer, complain, print_json
 from ropeway.errors import ControlRefused
 from ropeway.listener.http import without_token
@@ -38,9 +38,10 @@ def plan(
     as_json: JsonOption = False,
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Show what FILE would start, stop and change in a running gateway, and what that interrupts."""
-    with _client(where, token, ca) as client:
+    with _client(where, token, ca, cert) as client:
         found = client.post("/v1/config/plan", _body(file))
     if as_json:
         print_json(found)
@@ -55,9 +56,10 @@ def apply(
     as_json: JsonOption = False,
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Have a running gateway go over to FILE: all of it, or nothing. What stays goes on meanwhile."""
-    with _client(where, token, ca) as client:
+    with _client(where, token, ca, cert) as client:
         known = client.get("/v1/config")["etag"]
         done = _refused_with_steps(
             lambda: client.put("/v1/config", {**_body(file), "note": note}, headers={"if-match": f'"{known}"'})
@@ -73,9 +75,10 @@ def rollback(
     as_json: JsonOption = False,
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Have a running gateway go back to a configuration that has run."""
-    with _client(where, token, ca) as client:
+    with _client(where, token, ca, cert) as client:
         done = client.post("/v1/config/rollback", {"number": number} if number else {})
     _say_applied(done, as_json)
 
@@ -86,9 +89,10 @@ def history(
     as_json: JsonOption = False,
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Show who changed a gateway, when, from where, and what."""
-    with _client(where, token, ca) as client:
+    with _client(where, token, ca, cert) as client:
         found = client.get("/v1/config/history", count=count)
     if as_json:
         print_json(found)
@@ -108,9 +112,10 @@ def show(
     where: WhereOption = "",
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Print the configuration that runs, or one that ran, as JSON in the full form."""
-    with _client(where, token, ca) as client:
+    with _client(where, token, ca, cert) as client:
         answer(json.dumps(_config(client, str(number) if number else ""), indent=2, ensure_ascii=False))
 
 
@@ -120,9 +125,10 @@ def diff(
     where: WhereOption = "",
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Compare two configurations in the full form, line by line. The exit status is 1 where they differ."""
-    with _client(where, token, ca) as client:
+    with _client(where, token, ca, cert) as client:
         left, right = (json.dumps(_config(client, name), indent=2, ensure_ascii=False) for name in (one, other))
     lines = list(difflib.unified_diff(left.splitlines(), right.splitlines(), one, other or "running", lineterm=""))
     for line in lines:
@@ -182,7 +188,7 @@ def _config(client: ControlClient, name: str) -> Any:
     return load(name).to_json()
 
 
-def _client(where: str, token: str, ca: str) -> ControlClient:
+def _client(where: str, token: str, ca: str, cert: str) -> ControlClient:
     from ropeway.control.client import ControlClient
 
-    return ControlClient.find(where, token=token, ca=ca)
+    return ControlClient.find(where, token=token, ca=ca, cert=cert)

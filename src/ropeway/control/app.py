@@ -65,15 +65,16 @@ class _Room:
             self._free += size_bytes
 
 
-def make_app(manager: Manager, admission: AnyAdmission) -> ASGIApp:
-    """Make the application that answers for ``manager``."""
-    resources = collect()
+def make_app(manager: Manager, admission: AnyAdmission, *, only: Sequence[Resource] | None = None) -> ASGIApp:
+    """Make the application that answers for ``manager``: for everything, or for ``only`` some resources."""
+    resources = collect() if only is None else only
     room = _Room(CONTROL_BODIES_BYTES)
     by_path: dict[str, list[Resource]] = {}
     for resource in resources:
         by_path.setdefault(resource.path, []).append(resource)
     routes = [Route(path, _Endpoint(listed, manager, room)) for path, listed in _specific_first(by_path)]
-    routes.append(Route(_OPENAPI_PATH, _openapi(resources)))
+    if only is None:
+        routes.append(Route(_OPENAPI_PATH, _openapi(resources)))
     handlers: Mapping[Any, Any] = {HTTPException: _no_such}
     return _Admitting(Starlette(routes=routes, exception_handlers=handlers), admission)
 

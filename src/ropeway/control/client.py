@@ -53,13 +53,14 @@ def fleet() -> list[ControlTarget]:
     return [ControlTarget(name, socket=path) for name, path in sorted(running().items()) if _answers(path)]
 
 
-def find_target(where: str | None = None, *, token: str = "", ca: str = "") -> ControlTarget:
+def find_target(where: str | None = None, *, token: str = "", ca: str = "", cert: str = "") -> ControlTarget:
     """Return the gateway of a name, of the path of a socket, or of an address (``https://host:port``).
 
-    ``None`` or ``""`` is for the only one that runs here. Raises ``ControlUnavailable``.
+    ``None`` or ``""`` is for the only one that runs here. ``cert`` is a file with a certificate and its key, which is
+    shown over https. Raises ``ControlUnavailable``.
     """
     if where and where.startswith(("http://", "https://")):
-        return _over_tcp(where, token, ca)
+        return _over_tcp(where, token, ca, cert)
     if where and ("/" in where or where.endswith(SUFFIX)):
         return ControlTarget(Path(where).name.removesuffix(SUFFIX), socket=Path(where))
     there = fleet()
@@ -87,9 +88,9 @@ class ControlClient:
         self._client = target.client(timeout_s)
 
     @classmethod
-    def find(cls, where: str | None = None, *, token: str = "", ca: str = "") -> ControlClient:
+    def find(cls, where: str | None = None, *, token: str = "", ca: str = "", cert: str = "") -> ControlClient:
         """Make a client of what ``find_target`` finds."""
-        return cls(find_target(where, token=token, ca=ca))
+        return cls(find_target(where, token=token, ca=ca, cert=cert))
 
     def __enter__(self) -> ControlClient:
         return self
@@ -181,11 +182,19 @@ def _read(answer: httpx.Response) -> Any:
     raise ControlRefused(answer.status_code, text or f"HTTP {answer.status_code}", details, headers=answer.headers)
 
 
-def _over_tcp(where: str, token: str, ca: str) -> ControlTarget:
+def _over_tcp(where: str, token: str, ca: str, cert: str) -> ControlTarget:
     parts = urlsplit(where)
     token = token or parse_qs(parts.query).get("token", [""])[0]
     url = urlunsplit((parts.scheme, parts.netloc, "", "", ""))
-    context = ssl.create_default_context(cafile=ca) if ca else True
+    context: ssl.SSLContext | bool = True
+    if ca or cert:
+        try:
+            context = ssl.create_default_context(cafile=ca or None)
+            if cert:
+                context.load_cert_chain(cert)
+        except (OSError, ssl.SSLError) as error:
+            said = error.strerror or str(error)
+            raise ControlUnavailable(where, f"cannot use {cert or ca}: {said}; expected PEM files") from None
     return ControlTarget(
         parts.netloc, url, headers={"authorization": f"Bearer {token}"} if token else {}, context=context
     )

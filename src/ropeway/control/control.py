@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 import ssl
+from collections.abc import Sequence
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
@@ -14,6 +15,7 @@ from ropeway.control.app import make_app
 from ropeway.control.changes import StateChanges, states_of
 from ropeway.control.claim import SocketClaim
 from ropeway.control.place import own_directory, socket_path
+from ropeway.control.resources.metrics import resources as metrics
 from ropeway.control.server import ControlServer
 from ropeway.errors import ConnectFailed, ControlError, NameTaken
 from ropeway.gateway.auth import make_door
@@ -23,6 +25,7 @@ from ropeway.tasks import Supervised
 
 if TYPE_CHECKING:
     from ropeway.control.manager import Manager
+    from ropeway.control.resource import Resource
 
 __all__ = ["Control"]
 
@@ -43,13 +46,14 @@ class Control:
         self.manager = manager
         self.name = ""
         self.addresses: list[str] = []  # over TCP
+        self.metrics_addresses: list[str] = []  # those that have metrics alone
         self._admission: TcpAdmission | None = None
         self._stack = AsyncExitStack()
 
     def status(self) -> dict[str, Any]:
         """Return where the API is, and who was refused over TCP, as JSON."""
         refused = {} if self._admission is None else self._admission.entrance.status()
-        return {"name": self.name, "listen": self.addresses, **refused}
+        return {"name": self.name, "listen": self.addresses, "metrics": self.metrics_addresses, **refused}
 
     async def __aenter__(self) -> Control:
         """Begin to serve. Raises ``ControlError`` or ``ConnectFailed`` where what was asked for cannot be had."""
@@ -76,19 +80,27 @@ class Control:
             return
         stack.callback(claim.close)
         await self._serve(stack, UnixAdmission(), claim.socket)
-        if control.listen:
+        if control.listen or control.metrics:
             admission = self._admission = TcpAdmission(make_door(settings))
             self.manager.on_door(admission.renew)
             for url in control.listen:
-                bound = _bind(url)
-                stack.callback(bound.close)
-                context = server_context(settings.tls) if url.startswith("https:") else None
-                await self._serve(stack, admission, bound, context)
-                host, port = bound.getsockname()[:2]
-                self.addresses.append(f"{url.partition(':')[0]}://{host}:{port}")
+                self.addresses.append(await self._listen(stack, admission, url))
+            for url in control.metrics:
+                self.metrics_addresses.append(await self._listen(stack, admission, url, only=metrics.listed))
         states = StateChanges(lambda: states_of(self.manager.running), self.manager.events.tell)
         stack.push_async_callback(Supervised(states.run, "changes of state").start().close)
         log.info("ropeway status %s shows this gateway (%s)", self.name, claim.path)
+
+    async def _listen(
+        self, stack: AsyncExitStack, admission: AnyAdmission, url: str, *, only: Sequence[Resource] | None = None
+    ) -> str:
+        """Serve at an address over TCP; return it with the port that it has."""
+        bound = _bind(url)
+        stack.callback(bound.close)
+        context = server_context(self.manager.config.gateway.tls) if url.startswith("https:") else None
+        await self._serve(stack, admission, bound, context, only=only)
+        host, port = bound.getsockname()[:2]
+        return f"{url.partition(':')[0]}://{f'[{host}]' if ':' in host else host}:{port}"
 
     async def _serve(
         self,
@@ -96,8 +108,10 @@ class Control:
         admission: AnyAdmission,
         bound: socket.socket,
         context: ssl.SSLContext | None = None,
+        *,
+        only: Sequence[Resource] | None = None,
     ) -> None:
-        server = ControlServer(make_app(self.manager, admission))
+        server = ControlServer(make_app(self.manager, admission, only=only))
         stack.push_async_callback(server.close)
         await server.listen(bound, context=context)
 

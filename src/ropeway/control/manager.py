@@ -23,6 +23,7 @@ from ropeway.gateway.plan import ConfigPlan, make_plan
 
 if TYPE_CHECKING:
     from ropeway.control.caller import Caller
+    from ropeway.control.metrics import Metrics
     from ropeway.gateway.gateway import Gateway
     from ropeway.gateway.process.questions import Question
     from ropeway.gateway.process.supervisor import Supervisor
@@ -54,6 +55,7 @@ class Manager:
         self.running = running
         self.events = Events()
         self.record = record or ChangeRecord(None)
+        self._metrics: Metrics | None = None
         self._on_door: list[Callable[[Door], None]] = []
         self._changing = asyncio.Lock()
         self._planning = asyncio.Lock()
@@ -66,6 +68,14 @@ class Manager:
     def status(self) -> dict[str, Any]:
         """Return the state of everything as JSON."""
         return self.running.status()
+
+    def metrics(self) -> Metrics:
+        """Return what writes the metrics; it is loaded when somebody asks for them."""
+        if self._metrics is None:
+            from ropeway.control.metrics import Metrics
+
+            self._metrics = Metrics(self.status)
+        return self._metrics
 
     async def ask(self, question: Question, params: Mapping[str, Any]) -> list[Any]:
         """Return the answers of the gateway, or of all its workers, to a question (``gateway/process/questions.py``).

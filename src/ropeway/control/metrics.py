@@ -1,46 +1,67 @@
-"""Makes metrics for Prometheus of the status of a gateway: every counter and gauge with its unit and a help text."""
+"""Makes metrics for Prometheus of the status of a gateway: everything with its unit and a help text."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Final
 
+from prometheus_client import CollectorRegistry, ProcessCollector
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
+    HistogramMetricFamily,
     InfoMetricFamily,
     Metric,
     StateSetMetricFamily,
 )
+from prometheus_client.exposition import choose_encoder
 
 from ropeway import __version__
 from ropeway.control.links import each_link
+from ropeway.control.route_metrics import RouteMetrics
+from ropeway.delivery.histogram import BOUNDS_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["LINK_STATES", "ROUTE_STATES", "StatusCollector"]
+__all__ = ["LINK_STATES", "Metrics", "StatusCollector"]
 
-ROUTE_STATES: Final = (
-    "active",
-    "idle",
-    "waiting",
-    "taken",
-    "failed",
-    "paused",
-    "connecting",
-    "waiting to retry",
-    "closed",
-)
 LINK_STATES: Final = ("connected", "connecting", "waiting to retry", "failed", "closed")
-_ROUTE: Final = ("operation", "name", "address")
+_OPENMETRICS: Final = "application/openmetrics-text"
+_END_OF_OPENMETRICS: Final = b"# EOF\n"
 _LINK: Final = ("address",)
 _GRAPH: Final = ("graph",)
 
 
+class Metrics:
+    """Writes the metrics of a gateway, again and again."""
+
+    def __init__(self, status: Callable[[], Mapping[str, Any]]) -> None:
+        self._status = status
+        self._routes = RouteMetrics()
+
+    def text(self, accept: str = "") -> tuple[bytes, str]:
+        """Return the metrics as they are now, and their media type: the one of those in ``accept`` that we know."""
+        status = self._status()
+        encode, media_type = _encoder(accept)
+        registry = CollectorRegistry(auto_describe=False)
+        registry.register(StatusCollector(lambda: status))
+        ProcessCollector(registry=registry)
+        openmetrics = media_type.startswith(_OPENMETRICS)
+        end = _END_OF_OPENMETRICS if openmetrics else b""
+        routes = self._routes.text(status["routes"], openmetrics=openmetrics)
+        return b"%b%b\n%b" % (encode(registry).removesuffix(end), routes.encode(), end), media_type
+
+
+def _encoder(accept: str) -> tuple[Callable[[Any], bytes], str]:
+    """Return the format that is asked for. Versions and escapings count for nothing: our names need neither."""
+    return choose_encoder(_OPENMETRICS if _OPENMETRICS in accept else "")
+
+
 class StatusCollector:
-    """Collects metrics from what ``status`` returns; a collector for a registry of ``prometheus_client``."""
+    """Collects metrics from what ``status`` returns, all but those of routes: for ``prometheus_client``."""
 
     def __init__(self, status: Callable[[], Mapping[str, Any]]) -> None:
         self._status = status
@@ -53,7 +74,6 @@ class StatusCollector:
             "The gateway: its name and version.",
             value={"name": str(status["name"]), "version": __version__},
         )
-        yield from _routes(status["routes"])
         yield from _links(status["remotes"])
         yield from _graphs(status["graphs"])
         yield from _clients(status)
@@ -62,6 +82,7 @@ class StatusCollector:
             "ropeway_connections_held_bytes", "Bytes that connections have the gateway hold.", memory["held_bytes"]
         )
         yield _one("ropeway_connections_limit_bytes", "Bytes that they may have it hold.", memory["limit_bytes"])
+        yield from _codecs(status["codecs"])
         yield _one("ropeway_failed_tasks", "Background work that has failed and is tried again.", len(status["failed"]))
 
 
@@ -75,36 +96,6 @@ def _gauge(name: str, text: str, labels: Sequence[str]) -> GaugeMetricFamily:
 
 def _counter(name: str, text: str, labels: Sequence[str]) -> CounterMetricFamily:
     return CounterMetricFamily(name, text, labels=labels)
-
-
-def _routes(rows: Iterable[Mapping[str, Any]]) -> Iterator[Metric]:
-    state = StateSetMetricFamily("ropeway_route_state", "The state of a route.", labels=_ROUTE)
-    messages = _counter("ropeway_route_messages", "Messages that crossed.", _ROUTE)
-    carried = _counter("ropeway_route_payload_bytes", "Their bytes, as the networks have them.", _ROUTE)
-    drops = _counter("ropeway_route_drops", "Messages that did not cross, by reason.", (*_ROUTE, "reason"))
-    delay = _gauge("ropeway_route_delay_seconds", "Mean time from the first gateway to this one, last second.", _ROUTE)
-    publishers = _gauge("ropeway_route_publishers", "Publishers on the side that it comes from.", _ROUTE)
-    readers = _gauge("ropeway_route_readers", "Readers on the other side, where it is told.", _ROUTE)
-    requests = _counter("ropeway_route_requests", "Calls and goals, by how they ended.", (*_ROUTE, "end"))
-    under_way = _gauge("ropeway_route_requests_under_way", "Calls and goals not yet answered.", _ROUTE)
-    took = _gauge("ropeway_route_request_seconds", "How long calls take, smoothed.", _ROUTE)
-    for row in rows:
-        labels = [str(row[key]) for key in _ROUTE]
-        state.add_metric(labels, {name: row["state"] == name for name in ROUTE_STATES})
-        if "messages" in row:
-            messages.add_metric(labels, row["messages"])
-            carried.add_metric(labels, row["bytes"])
-            publishers.add_metric(labels, row["publishers"])
-            _add(delay, labels, row["delay_ms"], 1e-3)
-            _add(readers, labels, row["readers"])
-            for reason, count in row["drops"].items():
-                drops.add_metric([*labels, reason], count)
-        elif "requests" in row:
-            under_way.add_metric(labels, row["under_way"])
-            _add(took, labels, row["took_ms"], 1e-3)
-            for end, count in row["ended"].items():
-                requests.add_metric([*labels, end], count)
-    yield from (state, messages, carried, drops, delay, publishers, readers, requests, under_way, took)
 
 
 def _add(metric: GaugeMetricFamily, labels: list[str], value: float | None, factor: float = 1.0) -> None:
@@ -162,3 +153,15 @@ def _clients(status: Mapping[str, Any]) -> Iterator[Metric]:
     for operation, count in status["access"].get("denied", {}).items():
         denied.add_metric([operation], count)
     yield from (sessions, refused, denied)
+
+
+def _codecs(codecs: Mapping[str, Any]) -> Iterator[Metric]:
+    for way, text in (("encode", "encoded"), ("decode", "decoded")):
+        family = HistogramMetricFamily(
+            f"ropeway_{way}_seconds", f"How long messages took to be {text}, by encoding.", labels=("encoding",)
+        )
+        for encoding, told in codecs[way].items():
+            ends = [repr(bound_s) for bound_s in BOUNDS_S] + ["+Inf"]
+            buckets = [(end, count) for end, count in zip(ends, accumulate(told["counts"]), strict=True)]
+            family.add_metric([encoding], buckets, told["sum_s"])
+        yield family

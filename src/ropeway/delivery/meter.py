@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 
+from ropeway.delivery.histogram import Histogram
+
 __all__ = ["Meter"]
 
 
 class Meter:
     """Measures rate, bandwidth and delay over the last seconds; a passage counts.
 
-    ``delay_ns`` adds up how long ``delayed`` messages were on their way since the last update.
+    ``delay_ns`` adds up how long ``delayed`` messages were on their way since the last update, ``delays`` has them all.
     """
 
     __slots__ = (
@@ -21,6 +23,7 @@ class Meter:
         "delay_ns",
         "delay_s",
         "delayed",
+        "delays",
         "messages",
         "rate_bps",
         "rate_hz",
@@ -33,6 +36,7 @@ class Meter:
         self._at = time.monotonic()
         self._messages = self._bytes = 0
         self.delay_ns = self.delayed = 0
+        self.delays = Histogram()
 
     def update(self) -> None:
         """Bring the rates up to date; call it about once a second."""

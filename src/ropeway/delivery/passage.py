@@ -63,8 +63,10 @@ class Passage:
             meter.messages += 1
             meter.bytes += len(sample.payload)
             if sample.sent_ns:
+                delay_ns = sample.stamp_ns - sample.sent_ns
                 meter.delayed += 1
-                meter.delay_ns += sample.stamp_ns - sample.sent_ns
+                meter.delay_ns += delay_ns
+                meter.delays.add(delay_ns)
             if keep is not None:
                 keep.put(sample)
             sink(sample)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway.delivery.codec_times import codec_status
 from ropeway.errors import RopewayError
 from ropeway.gateway.apply import ConfigChange
 from ropeway.gateway.auth import make_door
@@ -371,8 +372,7 @@ class Gateway:
             "graphs": [
                 {
                     "graph": url,
-                    "topics": len(hub.graph.topics()),
-                    "nodes": len(hub.graph.nodes()),
+                    **dict(zip(("topics", "nodes"), hub.graph.counts(), strict=True)),
                     "duplicates": sum(hub.duplicates.values()),
                     **({"distro": hub.graph.distro} if isinstance(hub.graph, Distributed) and hub.graph.distro else {}),
                     "drops": {f"{topic}: {why.value}": n for (topic, why), n in hub.graph.drops.items() if n},
@@ -392,6 +392,7 @@ class Gateway:
             **({} if self.store is None else {"store": self.store.status()}),
             **({} if self.nodes is None else {"nodes": self.nodes.status()}),
             **({"safety": [topic.status() for topic in self.guarded]} if self.guarded else {}),
+            "codecs": codec_status(),
             "failed": failing(),
         }
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
+from functools import lru_cache
+from operator import attrgetter
 from typing import Any, Final
 
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
+from ropeway.delivery.histogram import HistogramJson
 from ropeway.gateway.config.config import Route
 from ropeway.graph.base import look_up
-from ropeway.graph.link_parts import Encoded, LinkedPublisher, LinkStatistics, Refusable
+from ropeway.graph.link_parts import LinkStatistics, is_encoded, is_linked, is_refusable
 from ropeway.listener.http import without_token
 
 __all__ = ["Bridge", "CallFigures", "Doubt", "RouteStatus", "RunningRoute", "TopicFigures", "paused_status"]
@@ -27,7 +30,8 @@ PAUSED: Final = "paused"
 class TopicFigures:
     """The figures of a topic. ``drops`` counts messages that were not passed on, by reason.
 
-    ``publishers`` are on the side that it comes from, ``readers`` on the other, ``None`` where nobody tells.
+    ``publishers`` are on the side that it comes from, ``readers`` on the other, ``None`` where nobody tells. ``delays``
+    are those of messages that came from another gateway, ``None`` before the first.
     """
 
     publishers: int = 0
@@ -38,16 +42,34 @@ class TopicFigures:
     bandwidth_bps: int = 0
     delay_ms: float | None = None
     drops: Mapping[str, int] = field(default_factory=dict)
+    delays: HistogramJson | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures as JSON."""
+        return dict(zip(_TOPIC, _topic_figures(self), strict=True))
+
+
+_TOPIC: Final = tuple(TopicFigures.__dataclass_fields__)
+_topic_figures: Final = attrgetter(*_TOPIC)
 
 
 @dataclass(frozen=True, slots=True)
 class CallFigures:
-    """The figures of a service or an action: ``ended`` counts calls by how they ended."""
+    """The figures of a service or an action: ``ended`` counts calls by how they ended, ``durations`` are theirs."""
 
     requests: int = 0
     under_way: int = 0
     ended: Mapping[str, int] = field(default_factory=dict)
     took_ms: float | None = None
+    durations: HistogramJson | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures as JSON."""
+        return dict(zip(_CALLS, _call_figures(self), strict=True))
+
+
+_CALLS: Final = tuple(CallFigures.__dataclass_fields__)
+_call_figures: Final = attrgetter(*_CALLS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +96,14 @@ class RouteStatus:
 
     def to_json(self) -> dict[str, Any]:
         """Return the row of the table of routes: all of it on one level."""
-        row = {key: getattr(self, key) for key in _PLAIN}
+        row = dict(zip(_PLAIN, _plain(self), strict=True))
         if self.figures is not None:
-            row.update(asdict(self.figures))
+            row.update(self.figures.to_json())
         return row
 
 
 _PLAIN: Final = tuple(key for key in RouteStatus.__dataclass_fields__ if key != "figures")
+_plain: Final = attrgetter(*_PLAIN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +162,7 @@ def _status(
         operation=route.operation,
         name=route.name,
         remote_name=route.remote_name,
-        address=",".join(map(without_token, route.remote.addresses)),
+        address=_shown(route.remote.addresses),
         type=route.type,
         state=state,
         error=error,
@@ -149,12 +172,18 @@ def _status(
     )
 
 
+@lru_cache(maxsize=1024)
+def _shown(addresses: tuple[str, ...]) -> str:
+    return ",".join(map(without_token, addresses))
+
+
 def _calls(bridge: ServiceBridge | ActionBridge) -> CallFigures:
     return CallFigures(
         requests=sum(bridge.counts.values()),
         under_way=bridge.under_way,
         ended=dict(bridge.counts),
         took_ms=None if bridge.took_s is None else round(1e3 * bridge.took_s, 3),
+        durations=bridge.durations.to_json(),
     )
 
 
@@ -164,10 +193,10 @@ def _topic(route: Route, bridge: TopicBridge) -> tuple[str, str, TopicFigures]:
     delay, encoding = meter.delay_s, route.delivery.encoding
     publisher: object = bridge.publisher
     subscription: object = bridge.subscription
-    link = publisher.statistics() if isinstance(publisher, LinkedPublisher) else LinkStatistics()
+    link = publisher.statistics() if is_linked(publisher) else LinkStatistics()
     if link.encoding is not None:
         encoding = link.encoding
-    elif isinstance(subscription, Encoded):
+    elif is_encoded(subscription):
         encoding = subscription.encoding
     drops.update(link.lost)
     if delay is None:
@@ -182,6 +211,7 @@ def _topic(route: Route, bridge: TopicBridge) -> tuple[str, str, TopicFigures]:
         bandwidth_bps=round(meter.rate_bps),
         delay_ms=None if delay is None else round(1e3 * delay, 3),
         drops=drops,
+        delays=meter.delays.to_json(),
     )
-    refused = link.refused or (subscription.refused if isinstance(subscription, Refusable) else "")
+    refused = link.refused or (subscription.refused if is_refusable(subscription) else "")
     return bridge.error or refused, encoding, figures

@@ -346,6 +346,9 @@ class Graph(Protocol):
     def nodes(self) -> dict[str, NodeInfo]:
         """Return the nodes discovered so far, by full name."""
 
+    def counts(self) -> tuple[int, int]:
+        """Return the numbers of topics and of nodes discovered so far."""
+
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
         """Return what is known of one ``topic``, ``service`` or ``action`` now, ``None`` if it is not there."""
 

@@ -52,6 +52,10 @@ class GraphBase(Graph):
         """See ``Graph.changes``."""
         return self._changes.listen()
 
+    def counts(self) -> tuple[int, int]:
+        """See ``Graph.counts``; a network that need not describe everything for it has its own."""
+        return len(self.topics()), len(self.nodes())
+
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
         """See ``Graph.look_up``; a network that need not describe all the others for it has its own."""
         if kind == "topic":

@@ -43,6 +43,9 @@ class Kept(Generic[P]):
         """Forget one now, for parts that tell when they have closed."""
         self._parts.pop(part, None)
 
+    def __contains__(self, part: P) -> bool:
+        return part in self._parts and not part.closed
+
     def __iter__(self) -> Iterator[P]:
         return (part for part in self._parts if not part.closed)
 

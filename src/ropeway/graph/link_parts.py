@@ -4,9 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Final, Generic, Protocol, TypeGuard, TypeVar, runtime_checkable
 
-__all__ = ["Contended", "Draining", "Encoded", "LinkStatistics", "LinkedPublisher", "Refusable"]
+__all__ = [
+    "Contended",
+    "Draining",
+    "Encoded",
+    "LinkStatistics",
+    "LinkedPublisher",
+    "Refusable",
+    "is_encoded",
+    "is_linked",
+    "is_refusable",
+]
+
+P = TypeVar("P")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,3 +77,26 @@ class Contended(Protocol):
 
     def on_state(self, callback: Callable[[str], None]) -> None:
         """Call with who holds the name, ``""`` for this one, now and at each change."""
+
+
+class _Ability(Generic[P]):
+    """Knows which classes have what a protocol asks for: it looks at each class once.
+
+    To look at every part would cost more than everything else that the table of a thousand routes says of them.
+    """
+
+    def __init__(self, has: Callable[[object], bool]) -> None:
+        self._has = has
+        self._known: dict[type, bool] = {}
+
+    def __call__(self, part: object) -> TypeGuard[P]:
+        """Return whether a part has it."""
+        known = self._known.get(type(part))
+        if known is None:
+            known = self._known[type(part)] = self._has(part)
+        return known
+
+
+is_linked: Final = _Ability[LinkedPublisher](lambda part: isinstance(part, LinkedPublisher))
+is_encoded: Final = _Ability[Encoded](lambda part: isinstance(part, Encoded))
+is_refusable: Final = _Ability[Refusable](lambda part: isinstance(part, Refusable))

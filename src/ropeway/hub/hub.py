@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from dataclasses import replace
 from typing import TypeVar
 
@@ -19,6 +19,7 @@ from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import (
     NO_HINTS,
     Delivery,
+    EndpointInfo,
     Graph,
     GraphEvent,
     NodeInfo,
@@ -270,15 +271,17 @@ class View(GraphBase):
         """See ``Graph.look_up``; what other views created does not count as local."""
         info = self.hub.graph.look_up(kind, name)
         if isinstance(info, TopicInfo):
-            return _as_seen(info, publishes=self._has(ViewPublisher, name), reads=self._has(ViewSubscription, name))
+            publishes, reads = self.hub.publishers.get(name, ()), self.hub.subscriptions.get(name, ())
+            return _as_seen(info, publishes=self._has(publishes), reads=self._has(reads))
         if isinstance(info, ServiceInfo):
-            return _shared(info, any(part.service == name for part in self._parts if isinstance(part, ViewService)))
+            return _shared(info, self._has(self.hub.calls.services.providers(name)))
         if isinstance(info, ActionInfo):
-            return _shared(info, any(part.action == name for part in self._parts if isinstance(part, ViewActionServer)))
+            return _shared(info, self._has(self.hub.calls.actions.providers(name)))
         return None
 
-    def _has(self, kind: type[ViewPublisher | ViewSubscription], topic: str) -> bool:
-        return any(part.topic == topic for part in self._parts if isinstance(part, kind))
+    def _has(self, parts: Iterable[_Part]) -> bool:
+        """Return whether one of the parts of a name was created through this view."""
+        return any(part in self._parts for part in parts)
 
     async def learn(self, type: str) -> bool:
         """See ``Learning.learn``."""
@@ -321,11 +324,17 @@ _Info = TypeVar("_Info", ServiceInfo, ActionInfo)
 
 def _as_seen(info: TopicInfo, *, publishes: bool, reads: bool) -> TopicInfo:
     """Return a topic as a view sees it that ``publishes`` or ``reads`` it itself, or leaves that to other views."""
-    return replace(
-        info,
-        publishers=tuple(replace(end, local=publishes) if end.local else end for end in info.publishers),
-        subscriptions=tuple(replace(end, local=reads) if end.local else end for end in info.subscriptions),
-    )
+    publishers = info.publishers if publishes else _of_others(info.publishers)
+    subscriptions = info.subscriptions if reads else _of_others(info.subscriptions)
+    if publishers is info.publishers and subscriptions is info.subscriptions:
+        return info
+    return replace(info, publishers=publishers, subscriptions=subscriptions)
+
+
+def _of_others(ends: tuple[EndpointInfo, ...]) -> tuple[EndpointInfo, ...]:
+    if not any(end.local for end in ends):
+        return ends
+    return tuple(replace(end, local=False) if end.local else end for end in ends)
 
 
 def _shared(info: _Info, mine: bool) -> _Info:

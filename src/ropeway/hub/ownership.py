@@ -117,6 +117,10 @@ class NameOwners(Generic[P]):
                 return entry
         return None
 
+    def providers(self, name: str) -> list[P]:
+        """Return everything that wants to serve ``name``, first come first."""
+        return [entry.provider for entry in self._entries.get(name, ())]
+
     def changed(self) -> asyncio.Future[None]:
         """Return what is done at the next change; all who wait share it."""
         if self._changed is None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NoReturn
 import typer
 
 from ropeway.cli.anycast.table import drawn, show
-from ropeway.cli.asking import CaOption, TokenOption, WhereArgument
+from ropeway.cli.asking import CaOption, CertOption, TokenOption, WhereArgument
 from ropeway.cli.console import answer, print_json
 
 if TYPE_CHECKING:
@@ -28,11 +28,12 @@ def status(
     as_json: Annotated[bool, typer.Option("--json", help="Print each group as JSON, on one line.")] = False,
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Show the groups of a running gateway."""
     from ropeway.control.client import ControlClient
 
-    with ControlClient.find(where, token=token, ca=ca) as client:
+    with ControlClient.find(where, token=token, ca=ca, cert=cert) as client:
         groups = client.get("/v1/anycast")
         if not groups and not as_json:
             answer("no group: give a remote several addresses (docs/groups.md)")

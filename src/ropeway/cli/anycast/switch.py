@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from ropeway.cli.anycast.table import GroupOption, show
-from ropeway.cli.asking import CaOption, TokenOption, WhereOption
+from ropeway.cli.asking import CaOption, CertOption, TokenOption, WhereOption
 
 __all__ = ["app"]
 
@@ -22,9 +22,10 @@ def switch(
     as_json: Annotated[bool, typer.Option("--json", help="Print the profile as JSON, on one line.")] = False,
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Use a member from the next request on; pause, if the scheduler must not choose another."""
     from ropeway.control.client import ControlClient
 
-    with ControlClient.find(where, token=token, ca=ca) as client:
+    with ControlClient.find(where, token=token, ca=ca, cert=cert) as client:
         show([client.post("/v1/anycast/switch", {"group": group, "member": member})], as_json=as_json)

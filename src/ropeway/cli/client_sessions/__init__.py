@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 import typer
 
-from ropeway.cli.asking import CaOption, TokenOption, WhereArgument, WhereOption
+from ropeway.cli.asking import CaOption, CertOption, TokenOption, WhereArgument, WhereOption
 from ropeway.cli.console import answer, print_json
 from ropeway.cli.session import JsonOption
 
@@ -18,14 +18,18 @@ app = typer.Typer(name="session", help="See and disconnect clients.", no_args_is
 
 @app.command("list")
 def list_command(
-    where: WhereArgument = "", as_json: JsonOption = False, token: TokenOption = "", ca: CaOption = ""
+    where: WhereArgument = "",
+    as_json: JsonOption = False,
+    token: TokenOption = "",
+    ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """List the clients and gateways that are connected to a running gateway."""
     from ropeway.cli.fitting_table import print_table
     from ropeway.cli.status.tables import session_table
     from ropeway.control.client import ControlClient
 
-    with ControlClient.find(where, token=token, ca=ca) as client:
+    with ControlClient.find(where, token=token, ca=ca, cert=cert) as client:
         sessions = client.get("/v1/sessions")
     if as_json:
         print_json(sessions)
@@ -42,11 +46,12 @@ def kick_command(
     as_json: JsonOption = False,
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Disconnect a client; it may come back."""
     from ropeway.control.client import ControlClient
 
-    with ControlClient.find(where, token=token, ca=ca) as client:
+    with ControlClient.find(where, token=token, ca=ca, cert=cert) as client:
         done = client.delete(f"/v1/sessions/{quote(peer, safe='')}")
     if as_json:
         print_json(done)

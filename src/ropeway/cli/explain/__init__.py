@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ropeway.cli.asking import CaOption, TokenOption, WhereOption
+from ropeway.cli.asking import CaOption, CertOption, TokenOption, WhereOption
 from ropeway.cli.console import print_json
 from ropeway.cli.session import JsonOption, full_name
 
@@ -37,6 +37,7 @@ def explain_command(
     as_json: JsonOption = False,
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Say why NAME crosses or does not: each step from who publishes it to who reads it, on both ends.
 
@@ -45,7 +46,7 @@ def explain_command(
     from ropeway.cli.explain.words import lines
 
     topic = full_name(name)
-    found = _tried(config, topic, to, spin_time) if config is not None else _asked(where, topic, to, token, ca)
+    found = _tried(config, topic, to, spin_time) if config is not None else _asked(where, topic, to, token, ca, cert)
     if as_json:
         print_json(found)
     else:
@@ -68,9 +69,9 @@ def _tried(config: Path, name: str, to: str, spin_time_s: float) -> list[dict[st
         log.setLevel(level)
 
 
-def _asked(where: str, name: str, to: str, token: str, ca: str) -> list[dict[str, Any]]:
+def _asked(where: str, name: str, to: str, token: str, ca: str, cert: str) -> list[dict[str, Any]]:
     from ropeway.control.client import ControlClient
 
-    with ControlClient.find(where, token=token, ca=ca) as client:
+    with ControlClient.find(where, token=token, ca=ca, cert=cert) as client:
         found: list[dict[str, Any]] = client.get("/v1/explain", name=name, to=to)
     return found

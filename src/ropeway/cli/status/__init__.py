@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NoReturn
 
 import typer
 
-from ropeway.cli.asking import CaOption, TokenOption, WhereArgument
+from ropeway.cli.asking import CaOption, CertOption, TokenOption, WhereArgument
 from ropeway.cli.console import print_json
 
 if TYPE_CHECKING:
@@ -27,11 +27,12 @@ def status_command(
     as_json: Annotated[bool, typer.Option("--json", help="Print the status as JSON, one line each time.")] = False,
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Show the links, routes and clients of a running gateway: their states with reasons, rates, delays and drops."""
     from ropeway.control.client import ControlClient
 
-    with ControlClient.find(where, token=token, ca=ca) as client:
+    with ControlClient.find(where, token=token, ca=ca, cert=cert) as client:
         if watch and not as_json:
             _live(client)
         while True:

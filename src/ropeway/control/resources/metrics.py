@@ -6,22 +6,16 @@ from typing import Any, Final
 
 from ropeway.control.resource import Answer, ControlRequest, Resources
 
-__all__ = ["resources"]
+__all__ = ["PATH", "resources"]
 
 resources = Resources()
 
+PATH: Final = "/metrics"
 _TEXT: Final = "text/plain"
 
 
-@resources.get("/metrics", media_type=_TEXT)
+@resources.get(PATH, media_type=_TEXT)
 async def metrics(asked: ControlRequest) -> Any:
-    """Return all counters and gauges as Prometheus and OpenMetrics read them."""
-    from prometheus_client import CollectorRegistry
-    from prometheus_client.exposition import choose_encoder
-
-    from ropeway.control.metrics import StatusCollector
-
-    encode, media_type = choose_encoder(asked.headers.get("accept", ""))
-    registry = CollectorRegistry(auto_describe=False)
-    registry.register(StatusCollector(asked.manager.status))
-    return Answer(encode(registry), media_type=media_type)
+    """Return all counters, gauges and histograms as Prometheus and OpenMetrics read them."""
+    body, media_type = asked.manager.metrics().text(asked.headers.get("accept", ""))
+    return Answer(body, media_type=media_type)

@@ -142,16 +142,20 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
 def _control(gateway: Mapping[str, Any]) -> Iterable[Problem]:
     """Check that nobody without credentials changes the gateway over TCP."""
     control, auth = gateway.get("control"), gateway.get("auth")
-    listen = control.get("listen") if isinstance(control, Mapping) else None
-    if not listen:
+    if not isinstance(control, Mapping):
         return
-    if not isinstance(auth, Mapping) or not (auth.get("tokens") or auth.get("certificates")):
-        yield (
-            "gateway.control.listen",
-            "needs gateway.auth with tokens or certificates; without, the API is on the UNIX socket of its user only",
-        )
-    if gateway.get("tls") is None and any(str(url).startswith("https:") for url in _list(listen)):
-        yield "gateway.control.listen", "https:// needs gateway.tls with a certificate and its key"
+    for key in ("listen", "metrics"):
+        addresses, where = control.get(key), f"gateway.control.{key}"
+        if not addresses:
+            continue
+        if not isinstance(auth, Mapping) or not (auth.get("tokens") or auth.get("certificates")):
+            yield (
+                where,
+                "needs gateway.auth with tokens or certificates; without, the API is on the UNIX socket of its user "
+                "only",
+            )
+        if gateway.get("tls") is None and any(str(url).startswith("https:") for url in _list(addresses)):
+            yield where, "https:// needs gateway.tls with a certificate and its key"
 
 
 def _graphs(gateway: Mapping[str, Any], addresses: list[Any]) -> Iterable[Problem]:

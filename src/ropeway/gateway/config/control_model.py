@@ -55,6 +55,11 @@ class ControlConfig(Model):
         description="http://host:port or https://host:port, beside the UNIX socket; needs gateway.auth, and roles with "
         "rights under control",
     )
+    metrics: Many[Annotated[str, AfterValidator(parse_control)]] = Field(
+        (),
+        description="http://host:port or https://host:port that has /metrics alone, for Prometheus; needs "
+        "gateway.auth, and a role with the right observe under control",
+    )
     remember: bool = Field(
         True, description="false: what is changed at run time is not restored at the next start, and has no history"
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable
+import time
+from collections.abc import Callable, Iterable, Iterator
 from typing import Final, NamedTuple
 
 from ropeway.bridge.topic import TopicBridge
@@ -19,6 +20,8 @@ __all__ = ["LOOK_S", "RouteWatch"]
 log = logging.getLogger("ropeway.gateway")
 
 LOOK_S: Final = 2.0
+_TURN_S: Final = 0.001  # what waits meanwhile is not late by more than a message on its way through
+_MOST_OF_A_CORE: Final = 0.02  # whatever there is to look at: a thousand silent routes take some seconds
 _CERTAIN: Final = (Subject.TYPE, Subject.QOS)
 """Findings that stay until somebody changes something: told at once, and an error of the route."""
 _LATER: Final = (Subject.SOURCE, Subject.NETWORK)
@@ -41,18 +44,30 @@ class RouteWatch:
         self._passed: dict[str, int] = {}
 
     async def run(self) -> None:
-        """Look at all routes every few seconds, until cancelled."""
+        """Look at all routes every few seconds, until cancelled; messages do not wait for more than one route."""
+        clock = time.perf_counter
         while True:
             await asyncio.sleep(self._look_s)
-            self.look()
+            began = clock()
+            for _ in self._looks():
+                took_s = clock() - began
+                if took_s >= _TURN_S:
+                    await asyncio.sleep(took_s / _MOST_OF_A_CORE)
+                    began = clock()
 
     def look(self) -> None:
         """Look at all routes once, and log what is new."""
+        for _ in self._looks():
+            pass
+
+    def _looks(self) -> Iterator[None]:
+        """Look at all routes once; yield after each."""
         seen: dict[str, _Seen] = {}
         passed: dict[str, int] = {}
-        for remote in self._remotes():
-            connected = remote.state == "connected"  # if it is not, the link tells why
-            for key, running in remote.running.items():
+        for remote in list(self._remotes()):
+            for key, running in list(remote.running.items()):
+                yield
+                connected = remote.state == "connected"  # if it is not, the link tells why
                 passed[key] = _passed(running.bridge)
                 still = passed[key] == self._passed.get(key, 0)
                 finding = reason_of(remote, running) if connected and still else None

@@ -11,10 +11,12 @@ import itertools
 import logging
 import os
 import signal
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from ropeway import aio
+from ropeway.delivery.histogram import added
 from ropeway.errors import GraphUnavailable, RopewayError
 from ropeway.gateway.config.config import Config
 from ropeway.gateway.plan import ConfigPlan, make_plan, remote_keys
@@ -244,12 +246,25 @@ class Supervisor:
             "routes": joined("routes"),
             "access": summed(status.get("access", {}) for status in told),
             "sessions": joined("sessions"),
+            "memory": _memory(status["memory"] for status in told),
+            "codecs": {
+                way: added(status.get("codecs", {}).get(way, {}) for status in told) for way in ("encode", "decode")
+            },
             "failed": [*failing(), *joined("failed")],
         }
 
 
 def _wanted(part: Config) -> dict[str, Any]:
     return {"config": part.to_json(), "source": part.source}
+
+
+def _memory(many: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what the connections of all workers hold."""
+    held, limit, ended = 0, 0, Counter[str]()
+    for one in many:
+        held, limit = held + one["held_bytes"], limit + one["limit_bytes"]
+        ended.update(one["ended"])
+    return {"held_bytes": held, "limit_bytes": limit, "ended": dict(ended)}
 
 
 def _listeners(listed: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -139,6 +139,11 @@ class DdsDiscovery:
         """Return every service, with its servers and clients, including those of actions."""
         return {name: self._service_info(name, service) for name, service in sorted(self._services.items())}
 
+    def counts(self) -> tuple[int, int]:
+        """See ``Graph.counts``."""
+        topics = sum([not is_of_action(name) for name in self._topics])
+        return topics, len({node.name for record in self._nodes.values() for node in record.nodes})
+
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
         """See ``Graph.look_up``."""
         if kind == "topic":

@@ -233,6 +233,10 @@ class DdsGraph(ComposingGraph):
         """Return every action in the domain, ours included."""
         return self._discovery.actions() if self._discovery else {}
 
+    def counts(self) -> tuple[int, int]:
+        """See ``Graph.counts``."""
+        return self._discovery.counts() if self._discovery else (0, 0)
+
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
         """See ``Graph.look_up``."""
         return self._discovery.look_up(kind, name) if self._discovery else None

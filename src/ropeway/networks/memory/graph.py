@@ -104,7 +104,10 @@ class MemoryGraph(ComposingGraph):
     @property
     def network(self) -> _Network:
         """Return what all participants share."""
-        return _networks.setdefault(self._network_name, _Network())
+        network = _networks.get(self._network_name)
+        if network is None:
+            network = _networks[self._network_name] = _Network()
+        return network
 
     async def _join(self) -> None:
         self.loop = asyncio.get_running_loop()
@@ -180,13 +183,20 @@ class MemoryGraph(ComposingGraph):
 
     def topics(self) -> dict[str, TopicInfo]:
         """Return every topic of the network; those that belong to actions stand under ``actions``."""
-        network = self.network
-        names = sorted({*network.publishers.names(), *network.subscriptions.names()})
-        return {name: self._topic(name) for name in names if _ACTION_PART not in name}
+        return {name: self._topic(name) for name in sorted(self._topic_names())}
+
+    def _topic_names(self) -> set[str]:
+        names = {*self.network.publishers.names(), *self.network.subscriptions.names()}
+        return {name for name in names if _ACTION_PART not in name}
+
+    def counts(self) -> tuple[int, int]:
+        """See ``Graph.counts``."""
+        return len(self._topic_names()), len({graph.node for graph in self.network.graphs})
 
     def _topic(self, name: str) -> TopicInfo:
-        publishers = tuple(self._endpoint("publisher", part) for part in self.network.publishers.of(name))
-        subscriptions = tuple(self._endpoint("subscription", part) for part in self.network.subscriptions.of(name))
+        network = self.network
+        publishers = tuple(self._endpoint("publisher", part) for part in network.publishers.of(name))
+        subscriptions = tuple(self._endpoint("subscription", part) for part in network.subscriptions.of(name))
         types = tuple(dict.fromkeys(endpoint.type for endpoint in publishers + subscriptions))
         return TopicInfo(name, types, publishers, subscriptions)
 

@@ -14,6 +14,7 @@ import struct
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
+from ropeway.delivery.codec_times import DECODING
 from ropeway.delivery.compression import filters
 from ropeway.errors import DecodeError, MessageTooBig, SealError
 from ropeway.limits import OVERLAY_BATCH_BYTES, OVERLAY_MESSAGE_BYTES
@@ -70,7 +71,8 @@ def read_item(raw: bytes | memoryview, limit_bytes: int = OVERLAY_MESSAGE_BYTES)
     if item.encoding != ZSTD:
         return item
     try:
-        return item._replace(encoding=RAW, payload=filters.decode(item.payload, limit_bytes))
+        payload = DECODING.timed("zstd", lambda: filters.decode(item.payload, limit_bytes))
+        return item._replace(encoding=RAW, payload=payload)
     except MessageTooBig as error:
         raise SealError(Refusal.TOO_BIG, str(error)) from error
     except DecodeError as error:

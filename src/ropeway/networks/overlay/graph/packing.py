@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Final
 
+from ropeway.delivery.codec_times import ENCODING
 from ropeway.delivery.compression import filters
 from ropeway.delivery.encoding_choice import EncodingChooser
 from ropeway.delivery.outbox import Lost
@@ -62,7 +63,7 @@ class TopicPacking:
         if not on or len(item.payload) < _SMALL_BYTES or item.encoding != RAW:
             return item
         began = time.perf_counter()
-        packed = filters.encode(item.payload, self.type)
+        packed = ENCODING.timed("zstd", lambda: filters.encode(item.payload, self.type))
         if self._chooser is not None:
             self._chooser.measured(len(item.payload), len(packed), time.perf_counter() - began)
         return item._replace(encoding=ZSTD, payload=packed) if len(packed) < len(item.payload) else item

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 
+from ropeway.delivery.codec_times import ENCODING
 from ropeway.delivery.compression import filters
 from ropeway.delivery.encoding_choice import SMALLEST_PACKED_BYTES, EncodingChooser
 from ropeway.delivery.outbox import SMALL_BYTES, Lost, Message, Outbox, Queue
@@ -221,8 +222,11 @@ class Channel(Stream[Outgoing]):
         spelling = (self.codec.variant, self.codec.long_texts) if self.codec is not None else ""
         made: wire_codec.Frame = item.cached(
             ("frame", self.topic, encoding, dialect.name, spelling),
-            lambda: wire_codec.encode_publish(
-                self.topic, item.payload, self.codec, encoding, dialect=dialect, stamp_ns=item.stamp_ns
+            lambda: ENCODING.timed(
+                encoding,
+                lambda: wire_codec.encode_publish(
+                    self.topic, item.payload, self.codec, encoding, dialect=dialect, stamp_ns=item.stamp_ns
+                ),
             ),
         )
         return made
@@ -241,5 +245,5 @@ class Channel(Stream[Outgoing]):
                 self.chooser.measured(len(item.payload), len(packed), time.thread_time() - began)
             return packed
 
-        made: bytes = item.cached(("body", encoding), make)
+        made: bytes = item.cached(("body", encoding), lambda: ENCODING.timed(encoding, make))
         return made

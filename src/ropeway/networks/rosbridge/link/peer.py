@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
+from ropeway.delivery.codec_times import DECODING
 from ropeway.delivery.compression import filters
 from ropeway.errors import InvalidFrame, InvalidOperation, MessageTooBig, RopewayError, WireError
 from ropeway.fault_log import FaultLog
@@ -383,9 +384,10 @@ class Peer:
         if arrival.encoding == wire_codec.CBOR_RAW:
             return arrival.body
         encoding = wire_codec.encoding_name(arrival.encoding)
+        limit_bytes, body = self.limit_bytes, arrival.body
         if encoding == "zstd":
-            return filters.decode(arrival.body, self.limit_bytes)
-        return wire_codec.decode_msg(encoding, arrival.body, codec, limit_bytes=self.limit_bytes)
+            return DECODING.timed(encoding, lambda: filters.decode(body, limit_bytes))
+        return DECODING.timed(encoding, lambda: wire_codec.decode_msg(encoding, body, codec, limit_bytes=limit_bytes))
 
     def forget_inbound(self, channel: int) -> None:
         """Forget an inbound channel, with its unfinished message."""
