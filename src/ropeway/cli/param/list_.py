@@ -19,8 +19,8 @@ from ropeway.cli.session import (
     settle_services,
 )
 from ropeway.errors import CallError
+from ropeway.graph.parameter_server import ParameterServer
 from ropeway.graph.parameters import nodes_with_parameters
-from ropeway.networks.rosbridge.rosapi.master_params import ParameterServer
 
 __all__ = ["app", "list_all"]
 

@@ -9,8 +9,8 @@ from ropeway.cli.console import fail
 from ropeway.cli.session import OpenGraph, full_name
 from ropeway.errors import ValueMismatch
 from ropeway.graph import parameters as of_nodes
+from ropeway.graph.parameter_server import ParameterServer
 from ropeway.graph.parameters import ParameterDescription, ParameterValue, type_of
-from ropeway.networks.rosbridge.rosapi.master_params import ParameterServer
 
 __all__ = ["AtMaster", "AtNode", "Parameters", "label_of", "parameters_of", "place_name"]
 

@@ -1,4 +1,4 @@
-"""server.turns and rosapi_calls: who asks for much, or reads little, waits for it, and nobody else."""
+"""listener.turns and rosapi_calls: who asks for much, or reads little, waits for it, and nobody else."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from ropeway.limits import SEARCHES_PER_CLIENT, WAITING_ANSWERS, WAITING_OPERATIONS
-from ropeway.networks.rosbridge.server import turns
+from ropeway.listener import turns
 from tests.support.actions import FIBONACCI
 from tests.support.place import Place
 from tests.support.until import until

@@ -3,32 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from ropeway import aio
 from ropeway.errors import RopewayError
+from ropeway.graph.parameter_server import ParameterServer
 from ropeway.listener.globs import Globs
 from ropeway.networks.rosbridge.rosapi.params import from_json, to_json
 from ropeway.types.untrusted import json_value
 
-__all__ = ["MasterParams", "ParameterServer"]
-
-
-@runtime_checkable
-class ParameterServer(Protocol):
-    """A graph whose network keeps all parameters in one place."""
-
-    async def get_param(self, name: str) -> Any:
-        """Return the value of a parameter. Raises ``KeyError``."""
-
-    async def set_param(self, name: str, value: Any) -> None:
-        """Set it. Raises ``ValueError`` for what cannot be kept."""
-
-    async def delete_param(self, name: str) -> None:
-        """Delete it. Raises ``KeyError``."""
-
-    async def list_params(self) -> list[str]:
-        """Return all names."""
+__all__ = ["MasterParams"]
 
 
 class MasterParams:

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import CallFailed, InvalidTypeName, NotServed, TypesError, ValueMismatch
 from ropeway.graph.layout_border import Distributed
+from ropeway.graph.parameter_server import ParameterServer
 from ropeway.listener.globs import Globs
-from ropeway.networks.rosbridge.rosapi.definition_texts import Ros1Texts, Texts
-from ropeway.networks.rosbridge.rosapi.master_params import MasterParams, ParameterServer
+from ropeway.networks.rosbridge.rosapi.master_params import MasterParams
 from ropeway.networks.rosbridge.rosapi.params import Params
 from ropeway.networks.rosbridge.rosapi.snapshot import GraphSnapshot
+from ropeway.types.definition_texts import Ros1Texts, Texts
 from ropeway.types.described import DESCRIPTION_SERVICE, DESCRIPTION_TYPE, answer_for
 from ropeway.types.rosbridge import ROSBRIDGE_INTERFACES
 

@@ -11,9 +11,9 @@ from ropeway.networks.rosbridge.protocol import ops
 if TYPE_CHECKING:
     from ropeway.hub.hub import View
     from ropeway.listener.authorization import Access
+    from ropeway.listener.turns import Turns
     from ropeway.networks.rosbridge.link.peer import Peer
     from ropeway.networks.rosbridge.server.names import Names
-    from ropeway.networks.rosbridge.server.turns import Turns
     from ropeway.types import MessageCodec, TypeRegistry
 
 __all__ = ["RosapiAnswers", "SessionHost"]
@@ -41,7 +41,7 @@ class SessionHost(Protocol):
     gateway: bool
     view: View
     remote: dict[str, str]
-    turns: Turns
+    turns: Turns[Any]
     gone: bool
     """Whether the client has left, so that nothing new begins."""
     codec: Callable[[str], MessageCodec]

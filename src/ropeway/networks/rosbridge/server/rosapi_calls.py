@@ -16,8 +16,8 @@ from ropeway.networks.rosbridge.protocol import ops
 from ropeway.tasks import Chores
 
 if TYPE_CHECKING:
+    from ropeway.listener.turns import Turns
     from ropeway.networks.rosbridge.link.peer import Peer
-    from ropeway.networks.rosbridge.server.turns import Turns
 
 __all__ = ["RosapiCalls"]
 
@@ -30,7 +30,7 @@ Question = Callable[[], Any]
 class RosapiCalls:
     """Answers one client's calls of rosapi. ``fail`` answers a call that failed."""
 
-    def __init__(self, peer: Peer, turns: Turns, fail: Callable[[ops.CallService, Exception], None]) -> None:
+    def __init__(self, peer: Peer, turns: Turns[Any], fail: Callable[[ops.CallService, Exception], None]) -> None:
         self._peer, self._turns, self._fail = peer, turns, fail
         self._waiting: deque[tuple[ops.CallService, Question]] = deque()
         self._asking: dict[asyncio.Task[None], ops.CallService] = {}

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 from ropeway.errors import ConnectFailed, RopewayError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
+from ropeway.graph.ros1_spelling import ros1_spelling
 from ropeway.listener.authentication import Rejection, refusal, subprotocol, unserved
 from ropeway.listener.authorization import EVERYTHING, Access, Role
 from ropeway.listener.connection import Connection, Limits
@@ -33,7 +34,6 @@ from ropeway.networks.rosbridge.rosapi import Rosapi
 from ropeway.networks.rosbridge.server.http import Pages
 from ropeway.networks.rosbridge.server.lingering import Lingering
 from ropeway.networks.rosbridge.server.names import Names
-from ropeway.networks.rosbridge.server.ros1 import ros1_spelling
 from ropeway.networks.rosbridge.server.rosout import Rosout
 from ropeway.networks.rosbridge.server.session import Session
 from ropeway.tasks import Supervised, end

@@ -13,6 +13,7 @@ from ropeway.errors import AccessDenied, CallTimeout, InvalidOperation, RopewayE
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.limits import SEARCHES_PER_CLIENT, UNREAD_STATUS_BYTES
 from ropeway.listener.authorization import Access
+from ropeway.listener.turns import Turns
 from ropeway.networks.rosbridge.link.peer import Peer
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
@@ -22,10 +23,10 @@ from ropeway.networks.rosbridge.server.action_ops import ActionOps
 from ropeway.networks.rosbridge.server.graph_watch import Watch
 from ropeway.networks.rosbridge.server.host import RosapiAnswers
 from ropeway.networks.rosbridge.server.names import Names
+from ropeway.networks.rosbridge.server.retire import Retire
 from ropeway.networks.rosbridge.server.service_ops import ServiceOps
 from ropeway.networks.rosbridge.server.topic_channels import TopicIn, TopicOut
 from ropeway.networks.rosbridge.server.topic_ops import TopicOps
-from ropeway.networks.rosbridge.server.turns import Retire, Turns
 from ropeway.types.told_types import DefinitionTeller
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ class Session:
         self.codec: Callable[[str], MessageCodec] = registry.codec if self.gateway else self._own_codec
         self.view = hub.view(connection.peer, echo=not self.gateway)
         self.remote: dict[str, str] = {}
-        self.turns = Turns(self.peer)
+        self.turns: Turns[ops.Op | Retire] = Turns(connection, self.peer.op_sender)
         self.topics = TopicOps(self, unregister_timeout_s=unregister_timeout_s, on_advertised=on_advertised)
         self.services = ServiceOps(self, call_timeout_s=call_timeout_s)
         self.actions = ActionOps(self, cancel_goals=cancel_goals or self.gateway)

@@ -15,9 +15,9 @@ from ropeway.networks.rosbridge.protocol.dialect import ROSGW
 from ropeway.networks.rosbridge.protocol.records import Arrival
 from ropeway.networks.rosbridge.server.bodies import known_type_of
 from ropeway.networks.rosbridge.server.registrations import add_id, id_key, remove_request
+from ropeway.networks.rosbridge.server.retire import Retire
 from ropeway.networks.rosbridge.server.topic_channels import REGISTRATION_BYTES, TopicIn, TopicOut, topic_status
 from ropeway.networks.rosbridge.server.topic_errors import TopicTypeConflict, UnknownTopicError
-from ropeway.networks.rosbridge.server.turns import Retire
 from ropeway.qos import QoS
 from ropeway.tasks import Supervised, end
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from rosbags.typesys import get_types_from_msg
 
 from ropeway.errors import TypesError
-from ropeway.networks.rosbridge.rosapi.definition_texts import Texts
 from ropeway.types import TypeRegistry
+from ropeway.types.definition_texts import Texts
 
 _base = TypeRegistry()
 RULE = "=" * 80

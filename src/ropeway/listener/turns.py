@@ -9,37 +9,39 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
 from ropeway.limits import UNREAD_S, WAITING_ANSWERS, WAITING_OPERATIONS, WAITING_OPERATIONS_BYTES
 
 if TYPE_CHECKING:
-    from ropeway.networks.rosbridge.link.peer import Peer
-    from ropeway.networks.rosbridge.protocol import ops
+    from ropeway.listener.connection import Connection
 
-__all__ = ["Retire", "Turns"]
+__all__ = ["Answers", "Turns"]
+
+Op = TypeVar("Op")
 
 _RESUME_AT: Final = 32  # operations that still wait when the socket is read again
 
 
-@dataclass(frozen=True, slots=True)
-class Retire:
-    """The time that a withdrawn topic was kept for its client is over."""
+class Answers(Protocol):
+    """Holds the answers that wait until their client reads them."""
 
-    topic: str
-    op: str = "unadvertise"
+    count: int
+    """The number of answers that wait."""
+    on_gone: Callable[[], None] | None
+    """Is called for each answer that has gone."""
 
 
-class Turns:
+class Turns(Generic[Op]):
     """Queues the operations of one client."""
 
-    def __init__(self, peer: Peer) -> None:
-        self.waiting: deque[ops.Op | Retire] = deque()
+    def __init__(self, connection: Connection, answers: Answers) -> None:
+        self.waiting: deque[Op] = deque()
         self.questions = 0
-        """The number of calls of rosapi that are not answered."""
+        """The number of requests beside the operations that are not answered."""
         self.paused = False
-        self._peer, self._answers = peer, peer.op_sender
+        self._connection, self._answers = connection, answers
         self._idle_bytes = 0  # what had been received before operations had to wait
         self._wake = asyncio.Event()
         self._moved_s = time.monotonic()  # when an answer went last
@@ -48,12 +50,12 @@ class Turns:
     @property
     def bytes(self) -> int:
         """The number of bytes received while operations waited."""
-        return self._peer.connection.bytes_in - self._idle_bytes if self.waiting else 0
+        return self._connection.bytes_in - self._idle_bytes if self.waiting else 0
 
-    def push(self, op: ops.Op | Retire) -> None:
+    def push(self, op: Op) -> None:
         """Let an operation wait for its turn."""
         if not self.waiting:
-            self._idle_bytes = self._peer.connection.bytes_in
+            self._idle_bytes = self._connection.bytes_in
         self.waiting.append(op)
         self._wake.set()
 
@@ -84,7 +86,7 @@ class Turns:
             or self._answers.count > WAITING_ANSWERS
         ):
             self.paused = True
-            self._peer.connection.pause_reading()
+            self._connection.pause_reading()
 
     def ease(self) -> None:
         """Read the client's socket again, if there is room."""
@@ -95,13 +97,13 @@ class Turns:
             and self._answers.count <= WAITING_ANSWERS // 2
         ):
             self.paused = False
-            self._peer.connection.resume_reading()
+            self._connection.resume_reading()
 
     def tick(self) -> None:
         """Close a client that takes none of many answers; called about once a second."""
         if self.paused and self._answers.count > WAITING_ANSWERS // 2:
             if time.monotonic() - self._moved_s > UNREAD_S:
-                self._peer.connection.close(1008, "answers are not read")
+                self._connection.close(1008, "answers are not read")
         else:
             self._moved_s = time.monotonic()
 

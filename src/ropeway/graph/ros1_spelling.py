@@ -13,12 +13,12 @@ __all__ = ["ros1_spelling"]
 
 @runtime_checkable
 class _SpeaksRos1(Protocol):
-    """A graph of ROS 1, whose clients expect what ROS 1's rosbridge says."""
+    """A graph of ROS 1, whose clients expect messages as ROS 1 writes them."""
 
     @property
     def ros1_spelling(self) -> Ros1Spelling: ...
 
 
 def ros1_spelling(graph: Graph) -> Ros1Spelling | None:
-    """Return the spelling of messages of ``graph`` for rosbridge clients; ``None`` for anything but ROS 1."""
+    """Return the spelling of messages of ``graph`` for web clients; ``None`` for anything but ROS 1."""
     return graph.ros1_spelling if isinstance(graph, _SpeaksRos1) else None
