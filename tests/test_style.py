@@ -121,6 +121,7 @@ ALLOWED_TASKS = {
     "iort.py:_spawn": ANSWERED,
     "listener/connection.py:on_ws_connected": ANSWERED,
     "networks/overlay/rpc.py:_channel": AWAITED,
+    "networks/foxglove/server.py:welcome": ANSWERED,
     "networks/rosbridge/server/action_offers.py:run": AWAITED,
     "networks/rosbridge/server/action_ops.py:__init__": ANSWERED,
     "networks/rosbridge/rosapi/params.py:names": AWAITED,
@@ -204,6 +205,7 @@ ALLOWED_BROAD = {
         "networks/ros2/spinner.py:_handle",
         "networks/rosbridge/server/lingering.py:_withdraw_first",
         "networks/rosbridge/server/server.py:_tick_all",
+        "networks/foxglove/server.py:_tick_all",
         "store/store.py:_tell",
     },
     "whoever waits for the outcome gets the error": {

@@ -323,6 +323,26 @@ WRONG_TOKEN_DELAY_S: Final = 0.1
 ADDRESSES: Final = 4_096
 """Addresses whose wrong tokens are remembered. Above, the one that was quiet longest is forgotten."""
 
+# ── Foxglove viewers ───────────────────────────────────────────────────────────────────────────────────────────────
+
+VIEWER_ITEMS_PER_OPERATION: Final = 4_096
+"""Channels, subscriptions or parameters in one operation of a viewer. A large robot has 600 topics."""
+
+VIEWER_PARAMETER_CHARACTERS: Final = 513
+"""A parameter with its node before it: two names and a dot."""
+
+VIEWER_STATUSES: Final = 50
+"""Complaints that a viewer is told at once; the next ones follow at `VIEWER_STATUSES_PER_S`, all are counted."""
+
+VIEWER_STATUSES_PER_S: Final = 5.0
+"""See `VIEWER_STATUSES`. A person cannot read more."""
+
+ASSET_URI_CHARACTERS: Final = 1_024
+"""The name of a file that a viewer fetches."""
+
+ASSET_BYTES: Final = 64 << 20
+"""A file that a viewer fetches: as much as the largest message. Meshes of robots have up to 20 MiB."""
+
 # ── Readers of the store, and IoRT nodes ───────────────────────────────────────────────────────────────────────────
 
 WATCHER_UNREAD_BYTES: Final = 4 << 20

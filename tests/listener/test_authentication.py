@@ -162,7 +162,7 @@ def test_subprotocols(offered: str, chosen: str) -> None:
 def test_subprotocols_of_others(offered: str) -> None:
     """Who offers subprotocols of others alone is told which are served; what was offered is not repeated."""
     told = unserved(request(sec_websocket_protocol=offered))
-    assert "rosbridge, ropeway.1 and none at all" in told
+    assert "ropeway.1, rosbridge and none at all" in told
     assert offered not in told
     assert unserved(request(sec_websocket_protocol=f"{offered}, rosbridge")) == unserved(request()) == ""
 

@@ -84,9 +84,8 @@ def _states_here(gateway: Gateway) -> Iterator[ObjectState]:
         for running in remote.joined():
             bridge, name = running.bridge, _route(running.route.operation, running.route.name, address)
             yield ObjectState("route", name, bridge.state if state == "connected" else state, bridge.error)
-    for server in gateway.servers:
-        for session in server.sessions:
-            yield ObjectState("client", session.peer.connection.peer, "connected", session.remote.get("name", ""))
+    for session in gateway.sessions:
+        yield ObjectState("client", session.connection.peer, "connected", session.remote.get("name", ""))
 
 
 def _route(operation: str, name: str, address: str) -> str:

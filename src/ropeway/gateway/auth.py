@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Final
 from urllib.parse import urlsplit
 
 from ropeway.errors import ConfigError
+from ropeway.gateway.config.address import is_loopback, is_secure
 from ropeway.gateway.config.auth_model import ALL, AuthConfig, GlobsConfig, RoleConfig, Secret
 from ropeway.gateway.config.model import GatewayConfig
 from ropeway.gateway.tls import certificate_names
@@ -16,7 +18,9 @@ from ropeway.listener.authentication import CertificateRule, Door, TokenRule
 from ropeway.listener.authorization import EVERYTHING, Globs, Role
 from ropeway.listener.hosts import Hosts, host_of, own_names
 
-__all__ = ["make_door", "read_secret"]
+__all__ = ["make_door", "read_secret", "warn_of_tokens"]
+
+log = logging.getLogger("ropeway.gateway")
 
 _LONGEST: Final = 4096  # characters of a token: it has to fit the head of a request
 
@@ -58,6 +62,12 @@ def read_secret(secret: Secret, path: str) -> str:
     if not token or len(token) > _LONGEST or not all("!" <= c <= "~" for c in token):
         raise ConfigError([(where, f"expected 1 to {_LONGEST} printable ASCII characters without a space")])
     return token
+
+
+def warn_of_tokens(settings: GatewayConfig, url: str) -> None:
+    """Say that tokens can be read on their way to a listener that other machines reach without TLS."""
+    if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
+        log.warning("%s: tokens are sent unencrypted here; %ss:// would encrypt them", url, urlsplit(url).scheme)
 
 
 def _hosts(settings: GatewayConfig) -> Hosts:

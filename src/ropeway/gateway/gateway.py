@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 from ropeway.delivery.codec_times import codec_status
 from ropeway.errors import RopewayError
 from ropeway.gateway.apply import ConfigChange
-from ropeway.gateway.auth import make_door
-from ropeway.gateway.config.address import is_iort, is_loopback, is_secure
+from ropeway.gateway.auth import make_door, warn_of_tokens
+from ropeway.gateway.config.address import is_foxglove, is_iort, is_secure
 from ropeway.gateway.config.config import Config, Route
 from ropeway.gateway.config.iort_model import StoreConfig
 from ropeway.gateway.config.type_hints import learn_types, type_hints
@@ -43,8 +43,11 @@ if TYPE_CHECKING:
     from ropeway.gateway.nodes import Nodes
     from ropeway.gateway.safety import GuardedTopic
     from ropeway.listener.listener import Listener
+    from ropeway.networks.foxglove.server import FoxgloveServer
+    from ropeway.networks.foxglove.session import ViewerSession
     from ropeway.networks.overlay.node import OverlayNode
     from ropeway.networks.rosbridge.server import RosbridgeServer
+    from ropeway.networks.rosbridge.server.session import Session
     from ropeway.store import Store
 
 __all__ = ["Gateway"]
@@ -83,6 +86,7 @@ class Gateway:
         self.config = config
         self.hubs: dict[str, Hub] = {}
         self.servers: list[RosbridgeServer] = []
+        self.viewers: FoxgloveServer | None = None
         self.running: list[RunningRemote] = []
         self.store: Store | None = None
         self.budget = config.gateway.budget()
@@ -152,9 +156,20 @@ class Gateway:
             await Diagnostics(settings.name, self.status, self.registry).open(self.hubs.values(), stack)
 
     async def _bring_up_server(self, stack: AsyncExitStack, limits: Limits) -> None:
-        """Listen for rosbridge clients and gateways."""
+        """Listen for rosbridge clients, gateways and viewers."""
         settings = self.config.gateway
-        links = [url for url in settings.listen if not is_iort(url)]
+        links = [url for url in settings.listen if not is_iort(url) and not is_foxglove(url)]
+        viewers = [url for url in settings.listen if is_foxglove(url)]
+        if viewers or (links and settings.foxglove.enabled):
+            from ropeway.gateway.viewers import serve_viewers
+
+            hub = self.hubs[settings.graphs[0]]
+            self.viewers = serve_viewers(settings, hub, self.registry, limits, self._entrance)
+            stack.push_async_callback(self.viewers.close)
+            for url in viewers:
+                secure = self._tls if is_secure(url) else None
+                await self.viewers.listen(url, ssl_context=secure, reuse_port=self._reuse_port)
+                warn_of_tokens(settings, url)
         if not links:
             return
         from ropeway.listener.store_pages import StorePages
@@ -178,6 +193,7 @@ class Gateway:
             publish_clients=settings.clients.publish_clients,
             publish_rosout=settings.clients.publish_rosout,
             pages=None if self.store is None else StorePages(self.store, self.registry),
+            guests=self.viewers if settings.foxglove.enabled else None,
         )
         stack.push_async_callback(server.close)
         self.servers.append(server)
@@ -185,8 +201,7 @@ class Gateway:
             secure = self._tls if is_secure(url) else None
             address = url + settings.clients.path.removesuffix("/")
             await server.listen(address, ssl_context=secure, reuse_port=self._reuse_port)
-            if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
-                log.warning("%s: tokens are sent unencrypted here; wss:// would encrypt them", url)
+            warn_of_tokens(settings, url)
 
     async def _open_store(self, stack: AsyncExitStack) -> Store:
         from ropeway.store import Store, default_path, make_backend, make_mirror
@@ -219,8 +234,7 @@ class Gateway:
         stack.push_async_callback(self.nodes.close)
         for url in urls:
             await self.nodes.listen(url, ssl_context=self._tls if is_secure(url) else None)
-            if settings.auth.tokens and not is_secure(url) and not is_loopback(url):
-                log.warning("%s: tokens are sent unencrypted here; iorts:// would encrypt them", url)
+            warn_of_tokens(settings, url)
 
     async def _bring_up_remotes(self) -> None:
         routes: dict[int, list[Route]] = {}
@@ -243,6 +257,17 @@ class Gateway:
         for running in reversed(self.running):
             await running.close()
         self.running.clear()
+
+    @property
+    def listening(self) -> list[RosbridgeServer | FoxgloveServer]:
+        """The servers of clients and viewers."""
+        return [*self.servers, *([] if self.viewers is None else [self.viewers])]
+
+    @property
+    def sessions(self) -> list[Session | ViewerSession]:
+        """The clients, gateways and viewers that are connected."""
+        viewers = [] if self.viewers is None else self.viewers.sessions
+        return [*(session for server in self.servers for session in server.sessions), *viewers]
 
     @property
     def node(self) -> OverlayNode | None:
@@ -280,7 +305,7 @@ class Gateway:
         """Return why the gateway is not ready for clients, in sentences; empty once all graphs and listeners are up."""
         settings = self.config.gateway
         reasons = [f"{url} is not open" for url in settings.graphs if url not in self.hubs]
-        up = sum(len(server.listeners) for server in self.servers)
+        up = sum(len(server.listeners) for server in self.listening)
         up += 0 if self.nodes is None else len(self.nodes.server.listeners)
         if up < len(settings.listen):
             reasons.append(f"{up} of {len(settings.listen)} listeners are up")
@@ -306,7 +331,7 @@ class Gateway:
         def renew() -> None:
             certificates = trusted != self._trusted
             self._entrance.door, self._tls, self._trusted = door, context, trusted
-            for server in self.servers:
+            for server in self.listening:
                 _renew(server.listeners, context)
                 server.recheck(certificates=certificates)
             if self.nodes is not None:
@@ -381,14 +406,14 @@ class Gateway:
             ],
             "listen": [
                 {"address": listener.address, "port": listener.port, "clients": len(server.sessions)}
-                for server in self.servers
+                for server in self.listening
                 for listener in server.listeners
             ],
             "remotes": [remote.status() for remote in self.remotes],
             "routes": [row.to_json() for row in self.routes()],
             "memory": self.budget.status(),
-            "access": summed([self._entrance.status(), *(server.status() for server in self.servers)]),
-            "sessions": [session.status() for server in self.servers for session in server.sessions],
+            "access": summed([self._entrance.status(), *(server.status() for server in self.listening)]),
+            "sessions": [session.status() for session in self.sessions],
             **({} if self.store is None else {"store": self.store.status()}),
             **({} if self.nodes is None else {"nodes": self.nodes.status()}),
             **({"safety": [topic.status() for topic in self.guarded]} if self.guarded else {}),

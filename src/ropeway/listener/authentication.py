@@ -16,7 +16,7 @@ from ropeway.limits import SHOWN_TEXT_CHARACTERS
 from ropeway.listener.authorization import EVERYTHING, Globs, Role
 from ropeway.listener.hosts import Hosts, host_of
 from ropeway.listener.http import HttpRequest, Response, reply
-from ropeway.listener.subprotocols import PLAIN_SUBPROTOCOL, ROPEWAY_SUBPROTOCOL
+from ropeway.listener.subprotocols import GATEWAY_SUBPROTOCOLS, PLAIN_SUBPROTOCOL
 
 __all__ = [
     "BEARER",
@@ -191,28 +191,31 @@ def given_token(request: HttpRequest) -> list[str]:
     return [*query.get("token", ()), *query.get("access_token", ())][:1]
 
 
-def subprotocol(request: HttpRequest) -> str:
-    """Return what a client that is let in is told: ours or ``rosbridge``, never what carried its token.
+def subprotocol(request: HttpRequest, served: Sequence[str] = GATEWAY_SUBPROTOCOLS) -> str:
+    """Return what a client that is let in is told: the first of those ``served``, never what carried its token.
 
     A browser takes no other than those it offered, so a page offers ``rosbridge`` beside its token.
     """
     offered = request.subprotocols
-    return next((known for known in (ROPEWAY_SUBPROTOCOL, PLAIN_SUBPROTOCOL) if known in offered), "")
+    return next((known for known in served if known in offered), "")
 
 
-def unserved(request: HttpRequest) -> str:
+def unserved(request: HttpRequest, served: Sequence[str] = GATEWAY_SUBPROTOCOLS, *, plain: bool = True) -> str:
     """Return why a client cannot be served that insists on subprotocols of others; ``""`` where it does not.
 
-    A browser ends a connection for which none of those is chosen that it offered, and gives no reason.
+    ``plain``: who offers none speaks rosbridge, and is served. A browser ends a connection for which none of those is
+    chosen that it offered, and gives no reason.
     """
     others = [name for name in request.subprotocols if not name.startswith(BEARER)]
     browser = bool(request.headers.get("origin"))
-    if subprotocol(request) or not (others or (browser and request.subprotocols)):
+    if subprotocol(request, served) or (plain and not (others or (browser and request.subprotocols))):
         return ""
+    names = ", ".join(served)
+    if not plain:
+        return f"this port is for viewers that offer one of the subprotocols {names}"
     return (  # what was offered is not repeated: a token may be among it
-        f"none of the subprotocols offered is served here, but {PLAIN_SUBPROTOCOL}, {ROPEWAY_SUBPROTOCOL} and none at "
-        f"all (which is rosbridge) are; in a viewer, open a rosbridge connection; a page that offers {BEARER}<token> "
-        f"offers {PLAIN_SUBPROTOCOL} beside it"
+        f"none of the subprotocols offered is served here, but {names} and none at all (which is rosbridge) are; in a "
+        f"viewer, open a rosbridge connection; a page that offers {BEARER}<token> offers {PLAIN_SUBPROTOCOL} beside it"
     )
 
 

@@ -5,16 +5,25 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
+from dataclasses import replace
 
 from ropeway.fault_log import FaultLog
 from ropeway.listener.authentication import Door, Rejection, given_token, refusal
 from ropeway.listener.authorization import Role
+from ropeway.listener.connection import Limits
 from ropeway.listener.http import HttpRequest
 from ropeway.listener.lobby import Lobby, network_of
 from ropeway.listener.lockout import Lockout
 from ropeway.listener.presence import ip_address
 
-__all__ = ["Entrance"]
+__all__ = ["Entrance", "narrowed"]
+
+
+def narrowed(limits: Limits, role: Role) -> Limits:
+    """Return the limits of the connection of a client of this role."""
+    if role.max_message_bytes is None:
+        return limits
+    return replace(limits, max_message_bytes=min(role.max_message_bytes, limits.max_message_bytes))
 
 
 class Entrance:
@@ -62,6 +71,24 @@ class Entrance:
         if role.max_clients is not None and self._inside[role.name] >= role.max_clients:
             return f"there are {role.max_clients} clients of this role, and no more may come"
         return ""
+
+    def crowded(self, role: Role, limits: Limits, clients: int) -> Rejection | None:
+        """Return the answer that refuses another client of this role beside ``clients`` of a server, if it has to."""
+        most = self.door.max_clients
+        why = limits.budget.full
+        if not why and most is not None and clients >= most:
+            why = f"there are {most} clients, and no more may come"
+        why = why or self.full(role)
+        return refusal(503, why, Retry_After="10") if why else None
+
+    def keeps(self, request: HttpRequest | None, role: Role, *, certificates: bool) -> bool:
+        """Return whether a client that came with this request would get the same role again.
+
+        With ``certificates`` whoever showed one has to show it again.
+        """
+        if request is None or (certificates and request.fingerprint):
+            return False
+        return self.door.role_of(request) == role
 
     def came(self, role: Role) -> None:
         """Count another client of a role, until ``left``."""

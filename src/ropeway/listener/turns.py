@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
 from ropeway.limits import UNREAD_S, WAITING_ANSWERS, WAITING_OPERATIONS, WAITING_OPERATIONS_BYTES
@@ -17,18 +17,21 @@ from ropeway.limits import UNREAD_S, WAITING_ANSWERS, WAITING_OPERATIONS, WAITIN
 if TYPE_CHECKING:
     from ropeway.listener.connection import Connection
 
-__all__ = ["Answers", "Turns"]
+__all__ = ["Turns", "WaitingAnswers"]
 
 Op = TypeVar("Op")
 
 _RESUME_AT: Final = 32  # operations that still wait when the socket is read again
 
 
-class Answers(Protocol):
+class WaitingAnswers(Protocol):
     """Holds the answers that wait until their client reads them."""
 
-    count: int
-    """The number of answers that wait."""
+    @property
+    def count(self) -> int:
+        """The number of answers that wait."""
+        ...
+
     on_gone: Callable[[], None] | None
     """Is called for each answer that has gone."""
 
@@ -36,7 +39,7 @@ class Answers(Protocol):
 class Turns(Generic[Op]):
     """Queues the operations of one client."""
 
-    def __init__(self, connection: Connection, answers: Answers) -> None:
+    def __init__(self, connection: Connection, answers: WaitingAnswers) -> None:
         self.waiting: deque[Op] = deque()
         self.questions = 0
         """The number of requests beside the operations that are not answered."""
@@ -77,6 +80,15 @@ class Turns(Generic[Op]):
         """Forget the first operation: it was carried out."""
         self.waiting.popleft()
         self.ease()
+
+    async def carry_out(self, do: Callable[[Op], Awaitable[None]], over: Callable[[], bool]) -> None:
+        """Carry out the operations with ``do``, one after the other, until it is ``over``."""
+        while not over():
+            await self.wait()
+            while self.ready and not over():
+                await do(self.waiting[0])
+                self.done()
+                await asyncio.sleep(0)  # others have their turn, however much this client asks for
 
     def look(self) -> None:
         """Stop reading the client's socket if too much waits."""

@@ -60,6 +60,7 @@ class _Made(NamedTuple):
     source: str  # the registry's full text, "" for a failure
     missing: str = ""
     until_s: float = 0.0
+    failed: bool = False
 
 
 class Texts:
@@ -71,12 +72,20 @@ class Texts:
 
     def of(self, type: str) -> str:
         """Return the text of a message and all that it contains; if there is none, a comment that says why."""
+        return self._look_up(type).text
+
+    def find(self, type: str) -> str | None:
+        """Return the same, ``None`` if there is none."""
+        made = self._look_up(type)
+        return None if made.failed else made.text
+
+    def _look_up(self, type: str) -> _Made:
         made = self._made.get(type)
         if made is None or not self._holds(type, made):
             if len(self._made) >= _MOST:
                 self._made.clear()
             made = self._made[type] = self._make(type)
-        return made.text
+        return made
 
     def _holds(self, type: str, made: _Made) -> bool:
         if made.source:
@@ -93,7 +102,7 @@ class Texts:
             return _Made(_readable(type, source, self._registry), source)
         except TypesError as error:
             missing = error.name if isinstance(error, UnknownType) else ""
-            return _Made(_failure(type, error), "", missing, self._clock() + _RETRY_S)
+            return _Made(_failure(type, error), "", missing, self._clock() + _RETRY_S, failed=True)
 
 
 class Ros1Texts:
@@ -108,6 +117,13 @@ class Ros1Texts:
             return self._spelling.text(type)
         except TypesError as error:
             return _failure(type, error)
+
+    def find(self, type: str) -> str | None:
+        """Return the same, ``None`` if there is none."""
+        try:
+            return self._spelling.text(type)
+        except TypesError:
+            return None
 
 
 def _failure(type: str, reason: object) -> str:

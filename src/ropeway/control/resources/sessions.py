@@ -40,12 +40,7 @@ async def kick(asked: ControlRequest) -> Any:
 
 async def disconnect(gateway: Gateway, params: Mapping[str, Any]) -> Any:
     """Close the connection of a client; return whether it was there."""
-    found = [
-        session
-        for server in gateway.servers
-        for session in server.sessions
-        if session.peer.connection.peer == params["peer"]
-    ]
+    found = [session for session in gateway.sessions if session.connection.peer == params["peer"]]
     for session in found:
-        session.peer.connection.close(_POLICY_VIOLATION, "disconnected by an operator")
+        session.connection.close(_POLICY_VIOLATION, "disconnected by an operator")
     return bool(found)

@@ -18,7 +18,9 @@ from ropeway.types.distros import ROS2_DISTROS
 __all__ = [
     "GRAPHS",
     "LINKS",
+    "LISTENERS",
     "default_graph",
+    "is_foxglove",
     "is_iort",
     "is_loopback",
     "is_secure",
@@ -31,8 +33,13 @@ DEFAULT_PORT: Final = 9090
 
 IORT_PORT: Final = 7410
 
+FOXGLOVE_PORT: Final = 8765
+
 LINKS: Final[Mapping[str, int]] = {"ws": DEFAULT_PORT, "wss": DEFAULT_PORT, "iort": IORT_PORT, "iorts": IORT_PORT}
-"""The schemes a remote or a listener may have, and the port where the address names none."""
+"""The schemes a remote may have, and the port where the address names none."""
+
+LISTENERS: Final[Mapping[str, int]] = {**LINKS, "foxglove": FOXGLOVE_PORT, "foxgloves": FOXGLOVE_PORT}
+"""The same of a listener."""
 
 GRAPHS: Final[Mapping[str, str]] = {
     "dds": r"dds:(?P<domain>\d{1,3})(\?[\w.%,:/=&+-]+)?",
@@ -72,10 +79,10 @@ def parse_link(text: str) -> str:
 
 def parse_listen(text: str) -> str:
     """Normalise a listener's address; port 0 takes any free port. Raises ``ValueError`` with what was expected."""
-    parts = _split(text)
+    parts = _split(text, among=LISTENERS)
     if parts.path not in ("", "/") or parts.query:
         raise ValueError(f"a listener has no path; expected ws://host:port, got {show(text)}")
-    port = parts.port if parts.port is not None else LINKS[parts.scheme]
+    port = parts.port if parts.port is not None else LISTENERS[parts.scheme]
     return f"{parts.scheme}://{_bracketed(parts.hostname or '')}:{port}"
 
 
@@ -119,7 +126,7 @@ def is_loopback(address: str) -> bool:
 
 def is_secure(address: str) -> bool:
     """Return whether the (parsed) address uses TLS."""
-    return address.startswith(("wss:", "iorts:"))
+    return address.startswith(("wss:", "iorts:", "foxgloves:"))
 
 
 def is_iort(address: str) -> bool:
@@ -127,13 +134,18 @@ def is_iort(address: str) -> bool:
     return address.startswith(("iort:", "iorts:"))
 
 
-def _split(text: str, others: tuple[str, ...] = ()) -> SplitResult:
-    wanted = f"expected {' or '.join((*(f'{scheme}://host:port' for scheme in LINKS), *others))}, got {show(text)}"
+def is_foxglove(address: str) -> bool:
+    """Return whether the (parsed) address is that of a server of Foxglove viewers alone."""
+    return address.startswith(("foxglove:", "foxgloves:"))
+
+
+def _split(text: str, others: tuple[str, ...] = (), *, among: Mapping[str, int] = LINKS) -> SplitResult:
+    wanted = f"expected {' or '.join((*(f'{scheme}://host:port' for scheme in among), *others))}, got {show(text)}"
     scheme, colon, _ = text.strip().partition("://")
     if not colon:
         raise ValueError(wanted)
-    if scheme.lower() not in LINKS:
-        raise ValueError(f"{wanted}{did_you_mean(scheme, (*LINKS, *others))}")
+    if scheme.lower() not in among:
+        raise ValueError(f"{wanted}{did_you_mean(scheme, (*among, *others))}")
     try:
         parts = urlsplit(text.strip())
         _ = parts.port

@@ -18,6 +18,7 @@ from ropeway.gateway.config.address import default_graph, parse_graph, parse_lis
 from ropeway.gateway.config.auth_model import AuthConfig, GlobsConfig, Secret
 from ropeway.gateway.config.control_model import ControlConfig, ControlItem
 from ropeway.gateway.config.fields import ExistingPath, Many, Model, Switch
+from ropeway.gateway.config.foxglove_model import FoxgloveConfig
 from ropeway.gateway.config.graph_model import Distro, GraphConfig, GraphItem
 from ropeway.gateway.config.group_model import Addresses, AnycastConfig
 from ropeway.gateway.config.iort_model import IortConfig, MapList, StoreConfig
@@ -234,11 +235,12 @@ class GatewayConfig(Model):
     )
     listen: Many[Annotated[str, AfterValidator(parse_listen)]] = Field(
         ("ws://127.0.0.1:9090",),
-        description="where other gateways and rosbridge clients connect (ws, wss) and IoRT nodes (iort, iorts); "
+        description="where other gateways, rosbridge clients and Foxglove viewers connect (ws, wss), viewers alone "
+        "(foxglove, foxgloves) and IoRT nodes (iort, iorts); "
         "[] for nowhere, which is the default where active remotes are named",
     )
     insecure: bool = Field(False, description="true allows listeners that other machines reach without authentication")
-    tls: ListenTls | None = Field(None, description="for wss:// listeners")
+    tls: ListenTls | None = Field(None, description="for wss:// and other secure listeners")
     auth: AuthConfig = Field(
         default_factory=lambda: AuthConfig.model_validate({}), description="who may connect, and do what"
     )
@@ -259,6 +261,9 @@ class GatewayConfig(Model):
     )
     clients: ClientsConfig = Field(
         default_factory=lambda: ClientsConfig.model_validate({}), description="how rosbridge clients are served"
+    )
+    foxglove: FoxgloveConfig = Field(
+        default_factory=lambda: FoxgloveConfig.model_validate({}), description="what Foxglove viewers are shown"
     )
     control: ControlItem = Field(
         default_factory=lambda: ControlConfig.model_validate({}),

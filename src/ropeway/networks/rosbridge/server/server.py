@@ -8,7 +8,6 @@ import ssl
 import weakref
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -18,7 +17,7 @@ from ropeway.graph.ros1_spelling import ros1_spelling
 from ropeway.listener.authentication import Rejection, refusal, subprotocol, unserved
 from ropeway.listener.authorization import EVERYTHING, Access, Role
 from ropeway.listener.connection import Connection, Limits
-from ropeway.listener.entrance import Entrance
+from ropeway.listener.entrance import Entrance, narrowed
 from ropeway.listener.globs import Globs
 from ropeway.listener.http import HttpRequest, Response
 from ropeway.listener.http_upgrade import Admission
@@ -26,10 +25,10 @@ from ropeway.listener.listener import Listener
 from ropeway.listener.presence import Presence, ip_address
 from ropeway.listener.store_pages import StorePages
 from ropeway.listener.store_watcher import StoreWatcher
+from ropeway.listener.subprotocols import GATEWAY_SUBPROTOCOLS, ROPEWAY_SUBPROTOCOL, Guests
 from ropeway.listener.watchers import Watchers
 from ropeway.listener.websocket import listen
 from ropeway.networks.rosbridge.link.express import HEADER
-from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY_SUBPROTOCOL
 from ropeway.networks.rosbridge.rosapi import Rosapi
 from ropeway.networks.rosbridge.server.http import Pages
 from ropeway.networks.rosbridge.server.lingering import Lingering
@@ -59,7 +58,7 @@ class RosbridgeServer:
     default is 10 s), so that what it said last is heard. ``rosapi_globs`` limits what rosapi shows, and
     ``params_timeout_s`` bounds what it asks of nodes. Private names of clients (``~/x``) are those of our
     ``node``. ``publish_clients`` publishes ``/client_count`` and ``/connected_clients``, ``publish_rosout`` our own
-    warnings and errors on ``/rosout``, from the first ``listen`` on.
+    warnings and errors on ``/rosout``, from the first ``listen`` on. ``guests`` serve clients of other protocols.
     """
 
     def __init__(
@@ -83,6 +82,7 @@ class RosbridgeServer:
         cancel_goals: bool = True,
         pages: StorePages | None = None,
         node: str = "",
+        guests: Guests | None = None,
     ) -> None:
         self.hub, self.registry = hub, registry
         self.gateway_id, self.name = gateway_id, name
@@ -107,6 +107,8 @@ class RosbridgeServer:
         )
         self._pages = Pages(reasons, self.entrance.admit_page, self._more_pages)
         self._store_pages = pages
+        self._guests = guests
+        self._served = (*GATEWAY_SUBPROTOCOLS, *(() if guests is None else guests.subprotocols))
         self.watchers = Watchers()
         self.presence: Presence | None = None
         self.rosout: Rosout | None = None
@@ -169,9 +171,11 @@ class RosbridgeServer:
         found = pages(request, Access(role, self.entrance.door.globs, client=request.peer, tally=self.denied))
         if not isinstance(found, StoreWatcher):
             return found
-        full = self._full(role) or self.watchers.full(request)
-        if full:
-            return self.entrance.refuse(request, refusal(503, full, Retry_After="10"))
+        crowded = self._crowded(role)
+        if crowded is None and (full := self.watchers.full(request)):
+            crowded = refusal(503, full, Retry_After="10")
+        if crowded is not None:
+            return self.entrance.refuse(request, crowded)
         found.request = request
         found.on_begin, found.on_end = self._watcher_came, self._watcher_left
         return found
@@ -192,46 +196,32 @@ class RosbridgeServer:
             found = self._refusal(role, request)
             if found is not None:
                 return self.entrance.refuse(request, found)
-        limits = self.limits
-        if role.max_message_bytes is not None:
-            size = min(role.max_message_bytes, limits.max_message_bytes)
-            limits = replace(limits, max_message_bytes=size)
-        return Admission(subprotocol(request), limits, role)
+        return Admission(subprotocol(request, self._served), narrowed(self.limits, role), role)
 
     def _refusal(self, role: Role, request: HttpRequest) -> Rejection | None:
         """Return the answer to a client of this role that is allowed in, but not now or not like this."""
-        if full := self._full(role):
-            return refusal(503, full, Retry_After="10")
-        offered = unserved(request)
+        crowded = self._crowded(role)
+        if crowded is not None:
+            return crowded
+        offered = unserved(request, self._served)
         return refusal(400, offered) if offered else None
 
-    def _full(self, role: Role) -> str:
-        """Return why there is no room for another client of this role, ``""`` if there is."""
-        if full := self.limits.budget.full:
-            return full
-        most = self.entrance.door.max_clients
-        if most is not None and len(self.sessions) + len(self.watchers) >= most:
-            return f"there are {most} clients, and no more may come"
-        return self.entrance.full(role)
+    def _crowded(self, role: Role) -> Rejection | None:
+        guests = 0 if self._guests is None else len(self._guests)
+        return self.entrance.crowded(role, self.limits, len(self.sessions) + len(self.watchers) + guests)
 
     def recheck(self, *, certificates: bool = False) -> None:
         """Disconnect clients that would no longer come in with the same role (1008): the rules have changed.
 
         With ``certificates`` whoever showed one has to show it again. Globs of rosapi stay as they were.
         """
-        door = self.entrance.door
-
-        def stays(request: HttpRequest | None, role: Role) -> bool:
-            if request is None or (certificates and request.fingerprint):
-                return False
-            return door.role_of(request) == role
-
+        keeps = self.entrance.keeps
         for session in self.sessions:
             connection = session.peer.connection
-            if not stays(connection.handshake, session.access.role):
+            if not keeps(connection.handshake, session.access.role, certificates=certificates):
                 connection.close(1008, "what this client may do has changed; connect again")
         for watcher in self.watchers:
-            if not stays(watcher.request, watcher.access.role):
+            if not keeps(watcher.request, watcher.access.role, certificates=certificates):
                 watcher.end()
 
     def _access(self, role: Role, peer: str) -> Access:
@@ -261,6 +251,9 @@ class RosbridgeServer:
                 link.peer.express.attach(connection)
             else:
                 connection.close(1008, "there is no link with this secret")
+            return
+        if self._guests is not None and connection.subprotocol in self._guests.subprotocols:
+            self._guests.welcome(connection)
             return
         if connection.subprotocol != ROPEWAY_SUBPROTOCOL:
             connection.silence_s = self.silence_s

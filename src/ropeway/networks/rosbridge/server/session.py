@@ -122,6 +122,11 @@ class Session:
             self.peer.ping()
 
     @property
+    def connection(self) -> Connection:
+        """The connection of the client."""
+        return self.peer.connection
+
+    @property
     def inputs(self) -> dict[str, TopicIn]:
         """The topics that a plain client publishes."""
         return self.topics.inputs
@@ -136,12 +141,7 @@ class Session:
     async def run(self) -> None:
         """Carry out the client's operations until it leaves, then take back what it created."""
         try:
-            while not self.gone:
-                await self.turns.wait()
-                while self.turns.ready and not self.gone:
-                    await self._carry_out(self.turns.waiting[0])
-                    self.turns.done()
-                    await asyncio.sleep(0)  # others have their turn, however much this client asks for
+            await self.turns.carry_out(self._carry_out, lambda: self.gone)
         finally:
             self.gone = True
             await self._leave()
