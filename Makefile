@@ -11,7 +11,7 @@ PARALLEL = -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 COVERAGE = $(shell $(BIN)/python -c 'import sys; print("COVERAGE_CORE=sysmon" * (sys.version_info >= (3, 12)))' 2>/dev/null)
 export PYTHON
 
-.PHONY: help demo demo-anycast demo-iort test test-all test-arm64 test-dds cov lint bench deb fuzz dist clean
+.PHONY: help demo demo-anycast demo-iort demo-robots test test-all test-arm64 test-dds cov lint bench deb fuzz dist clean
 
 help: ## show this
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-12s %s\n", $$1, $$2}'
@@ -24,6 +24,9 @@ demo-iort: $(VENV)/demo.stamp ## one command to a ROS 2, a ROS 1 and another rob
 
 demo-anycast: $(VENV)/demo.stamp ## one of two edges and a cloud; a link is made slow; DEMO="--for 30 -o FILE"
 	@$(BIN)/ropeway demo-anycast $(DEMO)
+
+demo-robots: $(VENV)/demo.stamp ## five robots that are alike in one picture; DEMO="--for 20 -o FILE"
+	@$(BIN)/ropeway demo-robots $(DEMO)
 
 test: $(VENV)/dev.stamp ## all tests but the slow ones; TEST="-k outbox" for some
 	@$(BIN)/python -m pytest -q $(PARALLEL) -m "not slow" $(TEST)

@@ -17,6 +17,9 @@ NAME_CHARACTERS: Final = 256
 TYPE_NAME_CHARACTERS: Final = 256
 """The name of a type. The longest in the standard distributions has 57 characters."""
 
+FRAME_PREFIX_CHARACTERS: Final = 128
+"""What is put before the names of coordinate frames, or taken away: the name of a robot."""
+
 ID_CHARACTERS: Final = 1_024
 """The id of an operation, which is kept until it is answered or taken back. Clients put the longest names in it."""
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 from ropeway.bridge.handover import Overlap, drained, matched
 from ropeway.bridge.upkeep import RETRY_S, Upkeep
 from ropeway.delivery.passage import Keep, Passage
-from ropeway.delivery.pipeline import build
+from ropeway.delivery.pipeline import Step, build
 from ropeway.graph.base import NO_HINTS, Delivery, Graph, Publisher, Subscription, look_up
 from ropeway.qos import DEFAULT, QoS, common_qos
 
@@ -26,8 +26,8 @@ class TopicBridge:
     ``qos=None`` adopts what the source's publishers offer and follows it. ``delivery`` says how the link between
     the two treats the topic; it goes to whichever side is a link. The pipeline's limits are applied on the near
     side of the link only (``limit``), so that nothing crosses that will be dropped. With ``keep`` the last message is
-    kept, and late joiners on the target get it, whether the source has it latched or not. A side that refuses is asked
-    again after ``retry_s``.
+    kept, and late joiners on the target get it, whether the source has it latched or not; ``frames`` renames the
+    coordinate frames of what passes. A side that refuses is asked again after ``retry_s``.
     """
 
     def __init__(
@@ -42,17 +42,19 @@ class TopicBridge:
         delivery: Delivery = NO_HINTS,
         limit: bool = True,
         keep: Keep | None = None,
+        frames: Step | None = None,
         retry_s: float = RETRY_S,
     ) -> None:
         self.source, self.target = source, target
         self.source_topic, self.target_topic, self.type = source_topic, target_topic, type
         self.delivery = delivery
-        self.passage = Passage(build(delivery) if limit else (), keep=keep)
+        self._frames, self._limit = frames, limit
+        self.passage = Passage(self._steps(), keep=keep)
         self.meter, self.drops = self.passage.meter, self.passage.drops
         self.publisher: Publisher | None = None
         self.subscription: Subscription | None = None
         self.keep = keep
-        self._asked, self._limit = qos, limit
+        self._asked = qos
         self._turn = asyncio.Lock()  # either side is changed by one at a time
         label = f"{source_topic} to {target.name}"
         self._upkeep = Upkeep(self._set_right, source, "publisher", source_topic, label=label, retry_s=retry_s)
@@ -61,7 +63,12 @@ class TopicBridge:
         """Bring the bridge up; what fails now is tried again until it works."""
         self._upkeep.start()
 
-    async def change(self, *, qos: QoS | None, delivery: Delivery, keep: Keep | None) -> None:
+    def _steps(self) -> list[Step]:
+        return [*(build(self.delivery) if self._limit else ()), *(() if self._frames is None else (self._frames,))]
+
+    async def change(
+        self, *, qos: QoS | None, delivery: Delivery, keep: Keep | None, frames: Step | None = None
+    ) -> None:
         """Treat the topic in another way from now on: what reads and publishes is replaced, and no message is lost.
 
         Both the old and the new are there for a moment; what comes over both is passed on once.
@@ -71,7 +78,8 @@ class TopicBridge:
             publishes_anew = delivery != self.delivery and self._limit
             self._asked, self.delivery = qos, delivery
             self.keep = self.passage.keep = keep
-            self.passage.steps = build(delivery) if self._limit else ()
+            self._frames = frames
+            self.passage.steps = self._steps()
             if publishes_anew and self.publisher is not None:
                 await self._publish_anew(self.publisher, self._wanted_qos())
             if reads_anew and self.subscription is not None:

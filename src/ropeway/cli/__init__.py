@@ -41,6 +41,7 @@ VERBS = {
     "demo": "ropeway.cli.demo",
     "demo-iort": "ropeway.cli.demo_iort",
     "demo-anycast": "ropeway.cli.demo_anycast",
+    "demo-robots": "ropeway.cli.demo_robots",
 }
 
 

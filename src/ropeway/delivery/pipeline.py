@@ -19,6 +19,7 @@ class Drop(enum.Enum):
     RATE = "more often than the rate limit"
     EXPIRED = "older than its lifespan"
     INACTIVE = "nobody asked for it"
+    FRAMES = "its frames could not be renamed"
 
 
 Reason = Drop | Lost

@@ -9,6 +9,7 @@ from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
 from ropeway.delivery.passage import Keep
+from ropeway.delivery.pipeline import Step
 from ropeway.gateway.config.config import Route
 from ropeway.graph.base import Graph
 
@@ -24,11 +25,11 @@ def fetch(routes: Iterable[Route]) -> bool:
 
 
 def make_bridge(
-    route: Route, local: Graph, remote: Graph, keep: Keep | None = None
+    route: Route, local: Graph, remote: Graph, keep: Keep | None = None, frames: Step | None = None
 ) -> TopicBridge | ServiceBridge | ActionBridge:
     """Make a bridge between two graphs, not started yet."""
     if route.kind == "topic":
-        return make_topic_bridge(route, local, remote, keep)
+        return make_topic_bridge(route, local, remote, keep, frames)
     source, target, source_name, target_name = _ends(route, local, remote)
     kind = ServiceBridge if route.kind == "service" else ActionBridge
     return kind(
@@ -42,7 +43,9 @@ def make_bridge(
     )
 
 
-def make_topic_bridge(route: Route, local: Graph, remote: Graph, keep: Keep | None = None) -> TopicBridge:
+def make_topic_bridge(
+    route: Route, local: Graph, remote: Graph, keep: Keep | None = None, frames: Step | None = None
+) -> TopicBridge:
     """Make a bridge for a topic, not started yet."""
     source, target, source_name, target_name = _ends(route, local, remote)
     return TopicBridge(
@@ -55,6 +58,7 @@ def make_topic_bridge(route: Route, local: Graph, remote: Graph, keep: Keep | No
         delivery=route.delivery,
         limit=route.operation not in INWARD,
         keep=keep,
+        frames=frames,
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final, Literal
 
 from ropeway.errors import ConfigError
@@ -296,7 +296,8 @@ def _route_differences(was: Route, becomes: Route) -> list[str]:
     """Return the options of a route that differ, with both values."""
 
     def options(route: Route) -> dict[str, Any]:
-        shape = {name: getattr(route.delivery, name) for name in route.delivery.__slots__}
+        shape: dict[str, Any] = {name: getattr(route.delivery, name) for name in route.delivery.__slots__}
+        shape["frames"] = route.frames and asdict(route.frames)
         return shape | {"qos": route.qos and route.qos.to_json(), "timeout_s": route.timeout_s, "store": route.store}
 
     return _compared(options(was), options(becomes))

@@ -9,6 +9,7 @@ from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Final, Protocol
 
 from ropeway.bridge.topic import TopicBridge
+from ropeway.delivery.frame_prefix import frame_step
 from ropeway.gateway.bridges import fetch, make_bridge
 from ropeway.gateway.config.config import Config, Route
 from ropeway.gateway.config.model import RemoteConfig
@@ -19,6 +20,8 @@ from ropeway.tasks import describe
 
 if TYPE_CHECKING:
     from ropeway.delivery.passage import Keep
+    from ropeway.delivery.pipeline import Step
+    from ropeway.types import TypeRegistry
 
 __all__ = ["RemoteHost", "RunningRemote"]
 
@@ -33,6 +36,7 @@ class RemoteHost(Protocol):
 
     config: Config
     hubs: dict[str, Hub]
+    registry: TypeRegistry
 
     def keeper(self, route: Route) -> Keep | None:
         """Return what keeps the last message of a route, if its configuration asks for it."""
@@ -74,9 +78,13 @@ class RunningRemote:
             self.remote.begin_watch()
         view = self._view(route.graph)
         view.hub.advisers[self.remote.graph] = None
-        bridge = make_bridge(route, view, self.remote.graph, self._host.keeper(route))
+        bridge = make_bridge(route, view, self.remote.graph, self._host.keeper(route), self._frames(route))
         await bridge.start()
         self.remote.running[route.key] = RunningRoute(route, bridge)
+
+    def _frames(self, route: Route) -> Step | None:
+        """Return the step that renames the coordinate frames of a route's messages, where it is to."""
+        return None if route.frames is None else frame_step(self._host.registry, route.type, route.frames)
 
     async def remove(self, key: str) -> None:
         """End a route: what is under way has a moment to end."""
@@ -88,7 +96,8 @@ class RunningRemote:
         """Carry a route of the same key out in another way; messages go on, calls that take longer end."""
         running = self.remote.running.get(route.key)
         if running is not None and isinstance(running.bridge, TopicBridge):
-            await running.bridge.change(qos=route.qos, delivery=route.delivery, keep=self._host.keeper(route))
+            keep, frames = self._host.keeper(route), self._frames(route)
+            await running.bridge.change(qos=route.qos, delivery=route.delivery, keep=keep, frames=frames)
             running.route = route
             return
         if running is not None:

@@ -27,6 +27,7 @@ from ropeway.gateway.config.route_model import OPERATIONS, ActionItem, BridgedNa
 from ropeway.gateway.config.safety_model import SafetyItem
 from ropeway.graph.base import Delivery
 from ropeway.qos import QoS
+from ropeway.types.frame_names import FrameNames
 
 __all__ = ["Config", "GatewayConfig", "RemoteConfig", "Route", "load", "parse"]
 
@@ -51,6 +52,7 @@ class Route:
     graph: str
     timeout_s: float | None = None  # of a call or a goal
     store: bool = False  # the last message is kept
+    frames: FrameNames | None = None  # how coordinate frames are called on the other side
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,7 @@ class Config:
             graph=graph,
             timeout_s=item.timeout_s if isinstance(item, (ServiceItem, ActionItem)) else None,
             store=isinstance(item, TopicItem) and item.store,
+            frames=item.frames() if isinstance(item, TopicItem) else None,
         )
 
     def safeties(self) -> list[tuple[str, SafetyItem]]:

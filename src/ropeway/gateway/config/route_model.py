@@ -17,12 +17,14 @@ from pydantic import (
 )
 
 from ropeway.errors import InvalidName, InvalidTypeName
-from ropeway.gateway.config.fields import Model, Switch, below
+from ropeway.gateway.config.fields import Many, Model, Switch, below
 from ropeway.gateway.config.overlay_model import METADATA, METADATUM, Metadatum
 from ropeway.gateway.config.suggest import one_of, show, unknown_key
 from ropeway.graph.base import Delivery, resolve_name
+from ropeway.limits import FRAME_PREFIX_CHARACTERS
 from ropeway.qos import QoS
 from ropeway.types.definition import canonical_name
+from ropeway.types.frame_names import FrameNames
 
 __all__ = [
     "ENCODINGS",
@@ -146,6 +148,7 @@ Profile = Annotated[
     ),
 ]
 Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+FramePrefix = Annotated[str, Field(pattern=rf"^([^\s/]\S{{0,{FRAME_PREFIX_CHARACTERS - 1}}})?$")]
 
 
 TopicTypeName = Annotated[str, _type_of("topic")]
@@ -237,6 +240,13 @@ class TopicItem(BridgedName):
         None,
         description="of a topic of commands that is subscribed: lease, limits, lifespan, drivers; see gateway.safety",
     )
+    frame_prefix: FramePrefix = Field(
+        "", description='put before the coordinate frames in the messages that cross, such as "robot1/"'
+    )
+    frame_prefix_removed: FramePrefix = Field(
+        "", description="taken away from the coordinate frames in the messages that cross, where they have it"
+    )
+    frames_kept: Many[str] = Field(("map", "earth"), description="frames that all share, and that stay as they are")
     expected: ExpectedTraffic | None = Field(
         None, description="what to expect of it, for ropeway predict and for a warning where it does not fit the link"
     )
@@ -250,6 +260,12 @@ class TopicItem(BridgedName):
             depth=self.depth,
             weight=self.weight,
         )
+
+    def frames(self) -> FrameNames | None:
+        """Return how coordinate frames are called on the other side, ``None`` where they have the same names."""
+        if not (self.frame_prefix or self.frame_prefix_removed):
+            return None
+        return FrameNames(self.frame_prefix, self.frame_prefix_removed, self.frames_kept)
 
 
 class RenamedTopicItem(TopicItem):
