@@ -121,6 +121,8 @@ ALLOWED_TASKS = {
     "iort.py:_spawn": ANSWERED,
     "listener/connection.py:on_ws_connected": ANSWERED,
     "networks/overlay/rpc.py:_channel": AWAITED,
+    "networks/foxglove/calls.py:call": ANSWERED,
+    "networks/foxglove/parameters.py:_of_each": AWAITED,
     "networks/foxglove/server.py:welcome": ANSWERED,
     "networks/rosbridge/server/action_offers.py:run": AWAITED,
     "networks/rosbridge/server/action_ops.py:__init__": ANSWERED,

@@ -334,6 +334,12 @@ VIEWER_ITEMS_PER_OPERATION: Final = 4_096
 VIEWER_PARAMETER_CHARACTERS: Final = 513
 """A parameter with its node before it: two names and a dot."""
 
+VIEWER_PARAMETERS_WATCHED: Final = 4_096
+"""Parameters whose changes one viewer is told. A robot with Nav2 has about 2,000."""
+
+VIEWER_QUESTIONS: Final = 32
+"""Requests of one viewer for parameters and files that are not answered yet."""
+
 VIEWER_STATUSES: Final = 50
 """Complaints that a viewer is told at once; the next ones follow at `VIEWER_STATUSES_PER_S`, all are counted."""
 

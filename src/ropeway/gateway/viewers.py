@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ropeway.limits import LONGEST_CALL_S
 from ropeway.networks.foxglove.server import FoxgloveServer
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ def serve_viewers(
         name=settings.name,
         limits=limits,
         entrance=entrance,
+        call_timeout_s=settings.clients.call_timeout_s or LONGEST_CALL_S,
+        params_timeout_s=settings.clients.params_timeout_s,
         silence_s=settings.clients.silence_s,
         ping_interval_s=settings.clients.ping_interval_s,
     )

@@ -72,16 +72,16 @@ def _content(path: Path, uri: str) -> bytes:
         number = os.open(path, _OPEN)
     except OSError as error:
         raise AssetRefused(f"{uri} cannot be read: {error.strerror}") from None
-    with os.fdopen(number, "rb") as file:
+    try:
         about = os.fstat(number)
         if not stat.S_ISREG(about.st_mode):
             raise AssetRefused(f"{uri} is not a file")
         if about.st_size > ASSET_BYTES:
             raise AssetRefused(f"{uri} has {about.st_size} bytes; at most {ASSET_BYTES} are sent")
-        try:
-            content = file.read(ASSET_BYTES + 1)
-        except OSError as error:
-            raise AssetRefused(f"{uri} cannot be read: {error.strerror}") from None
-    if len(content) > ASSET_BYTES:  # it grows
-        raise AssetRefused(f"{uri} has more than {ASSET_BYTES} bytes")
+        with os.fdopen(number, "rb", closefd=False) as file:
+            content = file.read(about.st_size)  # and no more, should it grow
+    except OSError as error:
+        raise AssetRefused(f"{uri} cannot be read: {error.strerror}") from None
+    finally:
+        os.close(number)
     return content

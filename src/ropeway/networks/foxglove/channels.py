@@ -85,7 +85,7 @@ class SchemaWriter:
 class Catalogue:
     """The channels and services of a graph as ``view`` sees it, but for hidden ones.
 
-    ``changed`` is called, on the event loop, when it has others than before.
+    ``changed`` is called, on the event loop, when it may have others than before, or others use them.
     """
 
     def __init__(
@@ -118,7 +118,8 @@ class Catalogue:
         self.look()
         async for _ in changes:
             await asyncio.sleep(_GATHER_S)
-            self.look()
+            self.update()
+            self._changed()  # also where the table is as before: viewers may watch who uses what
 
     def look(self) -> None:
         """Bring the table up to date, and tell if that changed it."""

@@ -8,7 +8,9 @@ if TYPE_CHECKING:
     from ropeway.fault_log import FaultLog
     from ropeway.hub.hub import View
     from ropeway.listener.authorization import Access
+    from ropeway.networks.foxglove.assets import Assets
     from ropeway.networks.foxglove.channels import Catalogue, SchemaWriter
+    from ropeway.networks.foxglove.parameters import ParameterSource
     from ropeway.networks.foxglove.sender import ViewerSender
     from ropeway.networks.foxglove.settings import FoxgloveSettings
 
@@ -39,8 +41,15 @@ class Place(Protocol):
     settings: FoxgloveSettings
     writer: SchemaWriter
     catalogue: Catalogue
+    parameters: ParameterSource
+    assets: Assets
+    call_timeout_s: float
     greeting: bytes
     """The operation that each viewer gets first."""
+
+    def watch_parameters(self) -> None:
+        """See again which parameters viewers watch."""
+        ...
 
     def offers(self, capability: str) -> bool:
         """Return whether viewers may use this part of the protocol."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 from ropeway.delivery.outbox import SMALL_BYTES, Lost, Outbox, Queue
 from ropeway.errors import TypesError
 from ropeway.limits import UNREAD_ANSWERS_BYTES, WAITING_ANSWERS
-from ropeway.networks.foxglove.wire import MESSAGE_HEADER_BYTES
+from ropeway.networks.foxglove.wire import MESSAGE_HEADER_BYTES, time_frame
 
 if TYPE_CHECKING:
     from ropeway.graph.base import Sample
@@ -62,6 +62,7 @@ class ViewerSender:
         self._connection, self._flow = connection, connection.flow
         self._loop = asyncio.get_running_loop()
         self._scheduled = False
+        self._late = False  # the viewer does not know the time
         connection.on_writable = self._pump
         connection.account.hold("messages that wait", lambda: self.outbox.bytes)
         connection.account.hold("answers that wait", lambda: self.answers_bytes)
@@ -83,6 +84,14 @@ class ViewerSender:
     def binary(self, data: bytes) -> None:
         """Send a binary answer, after those before it."""
         self._answer(_Answer(data, False))
+
+    def tell_time(self, time_ns: int) -> None:
+        """Tell the time of a simulation, which is that of messages from now on; of several only the last waits."""
+        self.now_ns = time_ns
+        if self._flow.free:
+            self._connection.send_binary(time_frame(time_ns))
+        else:
+            self._late = True
 
     def _answer(self, answer: _Answer) -> None:
         if self._flow.free and not self._answers:
@@ -127,6 +136,9 @@ class ViewerSender:
                 self.on_gone()
             if not answers and self.on_idle is not None:
                 self.on_idle()
+        if self._late and self.now_ns is not None and flow.free:
+            self._late = False
+            self._connection.send_binary(time_frame(self.now_ns))
         while outbox.messages and flow.free:
             self._send_next()
 

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 
 from ropeway.errors import ConnectFailed, InvalidOperation
+from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.graph.layout_border import Distributed
+from ropeway.graph.parameter_server import ParameterServer
 from ropeway.graph.ros1_spelling import ros1_spelling
 from ropeway.listener.authentication import refusal, subprotocol, unserved
 from ropeway.listener.authorization import EVERYTHING, Access, Role
@@ -20,7 +22,10 @@ from ropeway.listener.entrance import Entrance, narrowed
 from ropeway.listener.http_upgrade import Admission
 from ropeway.listener.subprotocols import FOXGLOVE_SUBPROTOCOLS
 from ropeway.listener.websocket import listen
+from ropeway.networks.foxglove.assets import Assets
 from ropeway.networks.foxglove.channels import Catalogue, SchemaWriter
+from ropeway.networks.foxglove.events import clock, parameter_events
+from ropeway.networks.foxglove.parameters import MASTER_SERVICES, parameter_source
 from ropeway.networks.foxglove.session import ViewerSession
 from ropeway.networks.foxglove.settings import FoxgloveSettings
 from ropeway.networks.foxglove.wire import dumps
@@ -40,7 +45,6 @@ log = logging.getLogger("ropeway.server")
 _PORT: Final = 8765  # where viewers look unless they are told otherwise
 _SILENCE_S: Final = 30.0  # as of rosbridge clients
 _PING_S: Final = 5.0
-_SERVED: Final = frozenset(("clientPublish",))  # the parts of the protocol that are there
 _STOPS: Final = "the gateway stops"
 _LEAVE_S: Final = 5.0  # for sessions to withdraw what they have
 
@@ -61,6 +65,8 @@ class FoxgloveServer:
         name: str = "ropeway",
         limits: Limits | None = None,
         entrance: Entrance | None = None,
+        call_timeout_s: float = DEFAULT_TIMEOUT_S,
+        params_timeout_s: float = DEFAULT_TIMEOUT_S,
         silence_s: float | None = _SILENCE_S,
         ping_interval_s: float = _PING_S,
     ) -> None:
@@ -73,10 +79,27 @@ class FoxgloveServer:
         self.writer = SchemaWriter(registry, ros1_spelling(hub.graph))
         self._view = hub.view("viewers", alone=True)
         self.catalogue = Catalogue(self._view, self.writer, self.settings, self._tell_all)
-        self._offered = self.settings.capabilities & _SERVED
+        self._offered = self._capabilities()
+        self.parameters = parameter_source(self._view, registry, self.settings, params_timeout_s)
+        self.assets = Assets(self.settings)
+        self.call_timeout_s = call_timeout_s
+        self._events = parameter_events(self._view, registry, self._parameter_changed)
+        self._clock = clock(self._view, registry, self._time)
         self.greeting = dumps(self._about(name))
         self._ticker: Supervised | None = None
         self._chores = Chores()
+
+    def _capabilities(self) -> frozenset[str]:
+        """Return the parts of the protocol that viewers may use: those that are left on, where they can be had."""
+        settings = self.settings
+        found = set(settings.capabilities)
+        if not settings.asset_roots:
+            found.discard("assets")
+        if isinstance(self.hub.graph, ParameterServer):
+            found.discard("parametersSubscribe")  # a master tells changes to nodes alone
+        if settings.sim_time:
+            found.add("time")
+        return frozenset(found)
 
     def _about(self, name: str) -> dict[str, Any]:
         """Return what a viewer is told of the server at first."""
@@ -144,11 +167,17 @@ class FoxgloveServer:
         if connection.ping_interval_s is not None:
             connection.ping_interval_s = self.ping_interval_s
         role = connection.grant if isinstance(connection.grant, Role) else EVERYTHING
-        ros1_actions = self.hub.graph.actions if self.hub.graph.kind == "ros1" else None
+        graph = self.hub.graph
         access = Access(
-            role, self.entrance.door.globs, client=connection.peer, tally=self.denied, ros1_actions=ros1_actions
+            role,
+            self.entrance.door.globs,
+            client=connection.peer,
+            tally=self.denied,
+            is_own=MASTER_SERVICES.__contains__ if isinstance(graph, ParameterServer) else None,
+            ros1_actions=graph.actions if graph.kind == "ros1" else None,
         )
         self.catalogue.start()
+        self._settle_shared()
         if self._ticker is None:
             self._ticker = Supervised(self._tick, "meters of viewers").start()
         session = ViewerSession(connection, self.hub.view(connection.peer, echo=True), access, self)
@@ -168,6 +197,7 @@ class FoxgloveServer:
         log.info("%s: viewer disconnected, %d in total", peer, len(self))
         if not self.sessions:
             self._chores.start(self.catalogue.stop(), "end of looking for channels")
+        self._settle_shared()
 
     def recheck(self, *, certificates: bool = False) -> None:
         """Disconnect viewers that would no longer come in with the same role (1008): the rules have changed.
@@ -189,6 +219,26 @@ class FoxgloveServer:
         """See ``Place.check_offered``."""
         if capability not in self._offered:
             raise InvalidOperation(op, f"this server does not offer {capability}")
+
+    def watch_parameters(self) -> None:
+        """See ``Place.watch_parameters``."""
+        self._settle_shared()
+
+    def _settle_shared(self) -> None:
+        """Read what all viewers share while one of them wants it."""
+        if self.settings.sim_time:
+            self._chores.start(self._clock.settle(lambda: bool(self.sessions)), "clock for viewers")
+        if "parametersSubscribe" in self._offered:
+            watched = self._events.settle(lambda: any(session.questions.watched for session in self.sessions))
+            self._chores.start(watched, "parameters for viewers")
+
+    def _parameter_changed(self, name: str, value: Any) -> None:
+        for session in list(self.sessions):
+            session.parameter_changed(name, value)
+
+    def _time(self, time_ns: int) -> None:
+        for session in list(self.sessions):
+            session.sender.tell_time(time_ns)
 
     def _tell_all(self) -> None:
         for session in list(self.sessions):
@@ -222,6 +272,7 @@ class FoxgloveServer:
         self._ticker = None
         tasks, connections = list(self.sessions.values()), [session.connection for session in self.sessions]
         for session in list(self.sessions):
+            await session.calls.give_up(_STOPS)
             session.connection.close(1001, _STOPS)
             session.leave()
         if tasks:

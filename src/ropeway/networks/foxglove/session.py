@@ -15,8 +15,11 @@ from ropeway.fault_log import FaultLog
 from ropeway.limits import TOPICS_PER_CLIENT
 from ropeway.listener.turns import Turns
 from ropeway.networks.foxglove import wire
+from ropeway.networks.foxglove.calls import ViewerCalls
 from ropeway.networks.foxglove.channels import ServiceChannel, TopicChannel
+from ropeway.networks.foxglove.graph_state import GraphState, graph_state, graph_update
 from ropeway.networks.foxglove.publishing import ViewerPublications
+from ropeway.networks.foxglove.questions import ViewerQuestions
 from ropeway.networks.foxglove.reading import ChannelReader
 from ropeway.networks.foxglove.sender import ViewerSender
 from ropeway.networks.foxglove.statuses import ERROR, Statuses
@@ -32,6 +35,8 @@ __all__ = ["ViewerSession"]
 _TOLD_AT_ONCE_BYTES: Final = 256 << 10  # of channels in one operation, so that messages have their turn between them
 _SHOWN_LACKING: Final = 20  # types without a definition that a viewer is warned of
 _READER_BYTES: Final = 2 << 10  # of one subscription: its names, its queue, and the place in tables
+
+_NOTHING: Final[GraphState] = {"published": {}, "subscribed": {}, "served": {}}
 
 _Entry = TypeVar("_Entry", TopicChannel, ServiceChannel)
 
@@ -56,12 +61,15 @@ class ViewerSession:
         self.statuses = Statuses(self.sender)
         self.turns: Turns[wire.ViewerOperation | _ChannelsGone] = Turns(connection, self.sender)
         self.publications = ViewerPublications(self)
+        self.calls = ViewerCalls(self, self._callable, timeout_s=place.call_timeout_s)
+        self.questions = ViewerQuestions(self, place)
         self.remote: dict[str, str] = {}
         self.requests_bytes = 0
         self.gone = False
         self._readers: dict[int, ChannelReader] = {}
         self._told: dict[int, TopicChannel] = {}
         self._told_services: dict[int, ServiceChannel] = {}
+        self._graph: GraphState | None = None  # what it knows of the graph, if it watches it
         self._news = False  # it has not been told what has changed
         self.sender.on_idle = self._catch_up
         connection.on_text = self._text
@@ -89,6 +97,8 @@ class ViewerSession:
         readers, self._readers = self._readers, {}
         for reader in readers.values():
             await reader.close()
+        await self.calls.close()
+        await self.questions.close()
         await self.publications.close()
         self.sender.close()
         await self.view.close()
@@ -130,6 +140,23 @@ class ViewerSession:
         if self.place.offers("services"):
             self._tell_services()
         self._warn()
+        self._tell_graph()
+        self.questions.tell_changes()
+
+    def _tell_graph(self) -> None:
+        if self._graph is not None:
+            before, self._graph = self._graph, graph_state(self.view, self.settings, self.access)
+            update = graph_update(before, self._graph)
+            if update is not None:
+                self.sender.text(wire.dumps(update))
+
+    def parameter_changed(self, name: str, value: Any) -> None:
+        """Tell a change of a parameter, if the viewer watches it."""
+        self.questions.changed(name, value)
+        if self.sender.idle:
+            self.questions.tell_changes()
+        else:
+            self._news = True
 
     def _tell_services(self) -> None:
         access, catalogue = self.access, self.place.catalogue
@@ -161,6 +188,9 @@ class ViewerSession:
     def _catch_up(self) -> None:
         if self._news:
             self.tell()
+
+    def _callable(self, service: int) -> ServiceChannel | None:
+        return self._told_services.get(service) if service in self.place.catalogue.services else None
 
     def visible(self, channel: int) -> TopicChannel | None:
         """Return a channel that the viewer was told of and that is still there."""
@@ -212,7 +242,10 @@ class ViewerSession:
         """Carry out an operation that needs no waiting; false for others."""
         match operation:
             case wire.ViewerMessage():
+                self.place.check_offered("clientPublish", operation.op)
                 self.publications.published(operation)
+            case wire.ViewerCall():
+                self.calls.call(operation)
             case _:
                 return False
         return True
@@ -233,10 +266,27 @@ class ViewerSession:
                     await self._each(operation.op, operation.ids, self.publications.remove)
                 case _ChannelsGone():
                     await self._close_readers(operation.ids)
-                case _:
-                    raise InvalidOperation(operation.op, "it is not served here")
+                case wire.WatchGraph():
+                    self.place.check_offered("connectionGraph", operation.op)
+                    self._graph = _NOTHING if operation.on else None
+                    self._tell_graph()
+                case wire.WatchParameters():
+                    self.place.check_offered("parametersSubscribe", operation.op)
+                    self.questions.watch(operation)
+                case wire.GetParameters() | wire.SetParameters():
+                    self.place.check_offered("parameters", operation.op)
+                    self.questions.ask(operation)
+                case wire.FetchAsset():
+                    self._fetch(operation)
         except RopewayError as error:
             self._failed(operation, error)
+
+    def _fetch(self, operation: wire.FetchAsset) -> None:
+        if self.place.offers("assets"):
+            self.questions.ask(operation)
+        else:
+            text = "this server offers no files: name directories with packages under gateway.foxglove.asset_roots"
+            self.sender.binary(wire.asset_error(operation.request_id, text))
 
     async def _each(self, op: str, items: Iterable[Any], do: Any) -> None:
         """Do something for each item of an operation; one that fails costs the others nothing."""
