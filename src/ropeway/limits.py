@@ -396,6 +396,9 @@ STATE_LEASE_S: Final = 3_600.0
 STATE_CHARACTERS: Final = 256
 """A state, and the name of its group."""
 
+HELD_STATES: Final = 256
+"""States that robots' gateways have given a member of the overlay. Above, the oldest is forgotten."""
+
 # ── The control API ────────────────────────────────────────────────────────────────────────────────────────────────
 
 CONTROL_CONNECTIONS: Final = 128

@@ -93,6 +93,17 @@ async def test_a_node_that_is_not_there(world: World) -> None:
     assert "/gpu watts" in robot.group["states"]["m0"]["refused"]
 
 
+async def test_a_node_that_comes_later(world: World) -> None:
+    """A node that was not there when its machine entered the state gets its parameters once it is."""
+    edges = await edges_of(world, "edge1", "edge2")
+    robot = Robot(world)
+    await robot.start(edges, state_definition=STATES, initial_policy=policy("service", "standby"), latency_bound={})
+    await until(lambda: robot.group["states"]["m0"]["refused"], timeout_s=20)
+    node = await ParameterNode({"watts": 10}).serve(edges[0].node, "/gpu")
+    await until(lambda: node.values["watts"] == 300, timeout_s=20)
+    await until(lambda: not robot.group["states"]["m0"]["refused"])
+
+
 async def test_the_robots_gateway_is_restarted(world: World) -> None:
     """A robot's gateway that is started anew finds its machines, and each frame is answered once, before and after."""
     edges = await edges_of(world, "edge1", "edge2")

@@ -19,8 +19,8 @@ from ropeway.gateway.group_states import GroupStates
 from ropeway.gateway.remote import NO_CREDENTIALS, Remote, SeveralLinks, overlay_state, shown_address
 from ropeway.graph.base import Graph, Sample, Subscription
 from ropeway.group.graph import Group
+from ropeway.group.state_lease import StateLease
 from ropeway.networks.rosbridge.client import RosbridgeGraph
-from ropeway.networks.rosbridge.protocol.state_lease import StateLease
 from ropeway.types import TypeRegistry
 
 if TYPE_CHECKING:
@@ -111,7 +111,8 @@ class GroupRemote(Remote):
         return self.graph.reached()
 
     def tell_state(self, name: str, state: str) -> None:
-        """Tell a member its state, where that is possible."""
+        """Tell the gateway of a member its state, if it takes that."""
+        raise NotImplementedError
 
     @property
     def current(self) -> str:
@@ -171,9 +172,15 @@ class OverlayGroupRemote(GroupRemote):
 
         assert config.anycast is not None
         answers = _exchanges(config.anycast.pairs, routes)
-        roster = OverlayPool(overlay, config.anycast.members or ("*",), answers)
-        super().__init__(config, routes, registry, gateway, members={}, roster=roster)
+        self._pool = OverlayPool(overlay, config.anycast.members or ("*",), answers)
+        super().__init__(config, routes, registry, gateway, members={}, roster=self._pool)
         self.overlay = overlay
+
+    def tell_state(self, name: str, state: str) -> None:
+        """Tell the gateway there its state, over the sealed channel to it."""
+        member = self._pool.members().get(name)
+        if member is not None:
+            self.overlay.node.states.tell(member.target, self.graph.name, state)
 
     @property
     def state(self) -> str:

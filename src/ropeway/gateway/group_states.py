@@ -7,6 +7,7 @@ and holds what it was told for a while, so that one whose robot is gone stands b
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Mapping
 from typing import Any, Final, Protocol
@@ -17,7 +18,7 @@ from ropeway.gateway.config.policy import Policies
 from ropeway.gateway.config.policy_model import SERVICE, STANDBY
 from ropeway.graph.base import Graph
 from ropeway.graph.parameters import ParameterValue, set_parameters
-from ropeway.networks.rosbridge.protocol.state_lease import LEASE_S
+from ropeway.group.state_lease import LEASE_S
 from ropeway.tasks import Supervised, describe, end
 from ropeway.types import TypeRegistry
 
@@ -30,6 +31,7 @@ _ROBOT: Final = ""
 """This gateway itself, among the machines."""
 
 _SET_S: Final = 5.0  # for the nodes of a machine to set their parameters
+_AGAIN_S: Final = 2.0  # after a node did not answer: it may have begun meanwhile
 
 
 class Machines(Protocol):
@@ -61,6 +63,7 @@ class GroupStates:
         self._group = group
         self._entered: dict[str, str] = {}  # the state whose parameters each machine has
         self._faults: dict[str, dict[str, str]] = {}
+        self._unreached: set[str] = set()  # machines with a node that did not answer
         self._to_tell, self._to_enter = asyncio.Event(), asyncio.Event()
         self._view: Graph | None = None
         self._tasks: tuple[Supervised, ...] = ()
@@ -126,31 +129,36 @@ class GroupStates:
             reached = self._machines.machines()
             for name in self._entered.keys() - {*reached, _ROBOT}:
                 del self._entered[name]  # it may be another machine when it comes back
+                self._unreached.discard(name)
             mine = {} if self._view is None else {_ROBOT: self._view}
             await asyncio.gather(*(self._enter(name, graph) for name, graph in {**mine, **reached}.items()))
-            await self._to_enter.wait()
+            with contextlib.suppress(TimeoutError):
+                async with timeout(_AGAIN_S if self._unreached else None):
+                    await self._to_enter.wait()
 
     async def _enter(self, address: str, graph: Graph) -> None:
         """Set the parameters of the state that a machine is in, once."""
         state = self.state_of(address) if address != _ROBOT else self._policies.mine
-        if self._entered.get(address) == state:
+        if self._entered.get(address) == state and address not in self._unreached:
             return
         self._entered[address] = state
+        self._unreached.discard(address)
         definition = self._policies.states.get(state)
         if definition is None:
             return
         who = address or "this gateway"
         faults: dict[str, str] = {}
         for node, values in definition.params.items():
-            faults |= await self._set(graph, node, values)
-        self._faults[address] = faults
-        for name, why in faults.items():
+            faults |= await self._set(address, graph, node, values)
+        before, self._faults[address] = self._faults.get(address), faults
+        for name, why in faults.items() if faults != before else ():
             log.warning("%s: %s enters state %s, but %s was not set: %s", self._group, who, state, name, why)
 
-    async def _set(self, graph: Graph, node: str, values: Mapping[str, ParameterValue]) -> dict[str, str]:
-        """Set the parameters of a node; return why which could not be."""
+    async def _set(self, address: str, graph: Graph, node: str, values: Mapping[str, ParameterValue]) -> dict[str, str]:
+        """Set the parameters of a node; return why which could not be. A node that does not answer is asked again."""
         try:
             answers = await set_parameters(graph, self._registry, node, values, timeout_s=_SET_S)
         except RopewayError as error:
+            self._unreached.add(address)
             return {f"{node} {name}": describe(error) for name in values}
         return {f"{node} {name}": why or "refused" for name, why in answers.items() if why is not None}

@@ -12,7 +12,12 @@ from ropeway.networks.overlay.announcement import NoteKey
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.refusal import Refusal
 
-__all__ = ["SHAPES", "KnownGateway", "gateway_of", "read_told"]
+__all__ = ["CHALLENGE_BYTES", "SHAPES", "KnownGateway", "clock_ahead_s", "gateway_of", "read_told"]
+
+CHALLENGE_BYTES: Final = 16
+_SKEW_S: Final = 120.0  # of a list that does not answer our challenge: an older one may be sent again
+_NO_WAY_S: Final = 4.0  # a way is there within tenths of a second, and a token goes within three
+_NS: Final = 10**9
 
 SHAPES: Final[Mapping[str, Mapping[str, type]]] = {
     "heartbeat": {"t": int, "v": int, "w": dict, "r": int},
@@ -38,6 +43,11 @@ class KnownGateway:
     synced: float = float("-inf")
     unanswered: float = 0.0  # since when it does not answer
     aims: bool = False  # it knows advertisements that are for one gateway alone
+    clock_ahead_s: float = 0.0  # its clock, beside ours
+
+    def silent(self, now_s: float) -> bool:
+        """Return whether it has not told who it is for so long that there must be no way to it."""
+        return self.certificate is None and bool(self.unanswered) and now_s - self.unanswered > _NO_WAY_S
 
 
 def read_told(answer: Any) -> tuple[list[bytes], NoteKey]:
@@ -55,3 +65,26 @@ def gateway_of(key: str) -> bytes | None:
     except ValueError:
         return None
     return gateway if len(gateway) == 16 else None
+
+
+def clock_ahead_s(hello: Mapping[str, Any], name: str, challenge: bytes | None, now_ns: int) -> float:
+    """Return by how much the clock of a gateway is ahead of ours, after the time that its list tells.
+
+    A list with our ``challenge`` answers what we asked just now, so it is no older one that somebody sends again,
+    whatever the clocks say; ``None`` for one from a sealed channel, which is as good. Raises ``SealError`` for an
+    answer to the challenge of others, and for one without any whose time is far from ours.
+    """
+    ahead_s = (hello["t"] - now_ns) / _NS
+    answered = hello.get("q")
+    if challenge is None or answered == challenge:
+        return float(ahead_s)
+    if answered:
+        raise SealError(Refusal.REPLAYED, f"a list of {name} that was told to somebody else")
+    if abs(ahead_s) > _SKEW_S:
+        way = "ahead of" if ahead_s > 0 else "behind"
+        raise SealError(
+            Refusal.TOO_OLD,
+            f"the clock of {name} is {abs(ahead_s):.0f} s {way} ours, or its list is an old one that is sent again; "
+            "set the clocks, or update that member, as newer ones prove that their lists are new",
+        )
+    return float(ahead_s)

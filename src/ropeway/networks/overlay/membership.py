@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from typing import Any, Final
@@ -26,8 +27,14 @@ from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.fabric import Fabric, Handle
+from ropeway.networks.overlay.known_gateway import (
+    CHALLENGE_BYTES,
+    KnownGateway,
+    clock_ahead_s,
+    gateway_of,
+    read_told,
+)
 from ropeway.networks.overlay.known_gateway import SHAPES as _SHAPES
-from ropeway.networks.overlay.known_gateway import KnownGateway, gateway_of, read_told
 from ropeway.networks.overlay.own_adverts import Notes, OwnAdverts, notes_of, read_raws, with_notes
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.networks.overlay.rib import Rib
@@ -43,8 +50,7 @@ LEASE_S: Final = 8.0
 _BEAT_S: Final = 1.0
 _AGAIN_S: Final = 0.02  # a way to a new gateway is there a moment after its token
 _SUSPECT_S: Final = 3.0  # a token that is gone may come back by another router
-_NO_WAY_S: Final = 4.0  # a way is there within tenths of a second, and a token goes within three
-_SKEW_NS: Final = 120 * 10**9
+_WRONG_CLOCK_S: Final = 5.0  # clocks that differ by more are told of
 _ASK_SEALED: Final = b"rw-list2"
 """Told in place of a list: it is told over sealed channels only."""
 _ASK_S: Final = 5.0
@@ -74,7 +80,9 @@ class Membership:
         on_newer_crl: Callable[[], None],
         on_gone: Callable[[bytes], None],
         refused: Callable[[str, SealError], None],
+        clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
+        self._clock_ns = clock_ns
         self._fabric, self._identity, self._trust = fabric, identity, trust
         self._rib, self._ask_list = rib, ask_list
         assert identity.name_secret is not None
@@ -157,7 +165,7 @@ class Membership:
         tails = self._tails()
         if len(tails) > _TAILS:
             tails = dict(list(tails.items())[:_TAILS])
-        beat: dict[str, Any] = {"t": time.time_ns(), "v": self._own.version, "w": tails, "r": self._trust.crl_number}
+        beat: dict[str, Any] = {"t": self._clock_ns(), "v": self._own.version, "w": tails, "r": self._trust.crl_number}
         if bye:
             beat["bye"] = True
         return beat
@@ -179,7 +187,7 @@ class Membership:
         if self._notes.id:
             asked.answer(_ASK_SEALED)
             return
-        for note in self._list_notes():
+        for note in self._list_notes(asked.payload[:CHALLENGE_BYTES]):
             asked.part(note)
         asked.done()
 
@@ -187,12 +195,13 @@ class Membership:
         """Return the whole list and the key of our notes, for a member in good standing."""
         return {"k": self._notes.secret, "i": self._notes.id, "n": list(self._list_notes())}
 
-    def _list_notes(self) -> Iterator[bytes]:
+    def _list_notes(self, challenge: bytes = b"") -> Iterator[bytes]:
         hello = {
             "c": self._identity.certificate.der,
             "n": self._identity.name,
-            "t": time.time_ns(),
+            "t": self._clock_ns(),
             "aims": True,
+            "q": challenge,  # of who asks: by it this is known to be no older list
             **self._own.head(),
         }
         yield self._note("hello", hello)
@@ -212,15 +221,7 @@ class Membership:
 
     def unreachable(self) -> bytes | None:
         """Return a gateway that is heard of, but has not told who it is for so long that there must be no way to it."""
-        now = self._loop.time()
-        return next(
-            (
-                id
-                for id, known in self._known.items()
-                if known.certificate is None and known.unanswered and now - known.unanswered > _NO_WAY_S
-            ),
-            None,
-        )
+        return next((id for id, known in self._known.items() if known.silent(self._loop.time())), None)
 
     def certificate(self, gateway: bytes) -> Certificate | None:
         """Return the certificate of a gateway's owner, ``None`` if it is not known."""
@@ -342,12 +343,12 @@ class Membership:
         pause_s = _AGAIN_S
         try:
             while self._known.get(gateway) is known:
-                key = f"rw/m/{gateway.hex()}"
-                answers, notes = await self._fabric.ask(key, b"", _ASK_S, limit_bytes=OVERLAY_LIST_BYTES), None
+                key, notes, challenge = f"rw/m/{gateway.hex()}", None, os.urandom(CHALLENGE_BYTES)
+                answers = await self._fabric.ask(key, challenge, _ASK_S, limit_bytes=OVERLAY_LIST_BYTES)
                 try:
                     if answers == [_ASK_SEALED]:
                         answers, notes = read_told(await self._ask_list(gateway, _ASK_S))
-                    version = await self._take_list(gateway, known, answers, notes or self._fleet_notes)
+                    version = await self._take_list(gateway, known, answers, notes, challenge)
                 except CallError as error:  # it is not there, or does not answer us
                     log.debug("overlay: gateway %s sends no list: %s", gateway.hex()[:8], error)
                     version = None
@@ -370,13 +371,15 @@ class Membership:
         finally:
             known.sync = None
 
-    async def _take_list(self, gateway: bytes, known: KnownGateway, answers: list[bytes], notes: NoteKey) -> int | None:
+    async def _take_list(
+        self, gateway: bytes, known: KnownGateway, answers: list[bytes], told: NoteKey | None, challenge: bytes
+    ) -> int | None:
         if not answers:
             return None
+        notes = told or self._fleet_notes
         hello = notes.open(answers[0], gateway, "hello", _SHAPES["hello"], lambda body: self._trust.check(body["c"]))
         certificate = self._trust.check(hello["c"])
-        if abs(hello["t"] - time.time_ns()) > _SKEW_NS:
-            raise SealError(Refusal.TOO_OLD, f"{certificate.name} tells a time that is far from ours")
+        ahead_s = clock_ahead_s(hello, certificate.name, None if told is not None else challenge, self._clock_ns())
         others = sum(other.name == certificate.name for other in self._known.values() if other is not known)
         if others >= OVERLAY_GATEWAYS_PER_MEMBER:
             raise SealError(Refusal.NO_RIGHT, f"{certificate.name} has {others} gateways already")
@@ -401,12 +404,15 @@ class Membership:
         first = known.certificate is None
         known.certificate, known.name, known.notes = certificate, certificate.name, notes
         known.told_ns = max(known.told_ns, hello["t"])
+        known.clock_ahead_s = ahead_s
         known.aims = hello.get("aims") is True
         known.heard = self._loop.time()
         self._rib.replace(gateway, certificate, adverts)
         self._news.set()
         if first:
             log.info("overlay: %s has joined with %d names", known.name, self._rib.count(gateway))
+            if abs(ahead_s) > _WRONG_CLOCK_S:
+                log.warning("overlay: the clock of %s is %+.0f s from ours; stamps will not fit", known.name, ahead_s)
         return int(hello["v"])
 
     # ── who goes ───────────────────────────────────────────────────────────────────────────────────────────────

@@ -34,8 +34,10 @@ from ropeway.networks.overlay.membership import Membership
 from ropeway.networks.overlay.publisher_source import PublisherSource
 from ropeway.networks.overlay.receipts import Receipts
 from ropeway.networks.overlay.refusal import Refusal
+from ropeway.networks.overlay.report import member_report
 from ropeway.networks.overlay.rib import Rib
 from ropeway.networks.overlay.rpc import Rpc, part
+from ropeway.networks.overlay.states import States
 from ropeway.networks.overlay.zenoh_config import gateway_id
 from ropeway.tasks import Supervised, end
 
@@ -77,7 +79,7 @@ class OverlayNode:
     ``routers`` and ``listen`` are Zenoh endpoints (``tls/host:7447``); left out, the routers are those of the bundle,
     and direct links are taken on every interface at a free port, with mutual authentication as everywhere. ``policy``
     is asked beyond certificates. ``rotate_s``: content keys serve so long. ``max_message_bytes``: what a message that
-    is read may have, unpacked.
+    is read may have, unpacked. ``clock_ns`` is the clock of this machine, which others are told.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class OverlayNode:
         policy: Policy | None = None,
         rotate_s: float = 600.0,
         max_message_bytes: int = OVERLAY_MESSAGE_BYTES,
+        clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         if identity.name_secret is None:
             raise IdentityError(identity.name, "it is a router, which reads and writes nothing; take a member's bundle")
@@ -121,8 +124,10 @@ class OverlayNode:
             on_newer_crl=lambda: self._ask_crl.set(),
             on_gone=self._gone,
             refused=self.refused,
+            clock_ns=clock_ns,
         )
         self.receipts = Receipts(self.fabric, self.rpc, self.membership.certificate, self.refused)
+        self.states = States(self.rpc)
         self.bypass = Bypass(self.fabric, self.links.client_config, self.routers, self._copy_came)
         self.sources: dict[bytes, PublisherSource] = {}
         self.askers: dict[str, Askers] = {}
@@ -149,6 +154,7 @@ class OverlayNode:
                 self.rpc.answers("call", self._answer_call)
                 self.rpc.answers("ping", self._answer_ping)
                 self.rpc.answers("list", self._answer_list)
+                self.states.open()
                 self.rpc.open()
                 self.receipts.open()
                 self.bypass.open()
@@ -179,6 +185,7 @@ class OverlayNode:
             await self.membership.close()
             await self.bypass.close()
             await self.receipts.close()
+            await self.states.close()
             await self.rpc.close()
             for handle in self._ends:
                 handle()
@@ -421,30 +428,4 @@ class OverlayNode:
 
     def status(self) -> dict[str, Any]:
         """Return the state of everything as JSON."""
-        certificate = self.identity.certificate
-        links = self.fabric.links()
-        known = self.membership.gateways()
-        return {
-            "name": self.identity.name,
-            "fleet": self.identity.fleet,
-            "gateway": self.gateway.hex(),
-            "expires": certificate.not_after.isoformat(),
-            "trouble": self.trouble or self.links.unlinked,
-            "routers": sorted(links - {gateway.hex() for gateway in known}),
-            "bypass": self.bypass.connection > 0,
-            "revocations": self.trust.crl_number,
-            "gateways": [
-                {
-                    "name": other.name,
-                    "gateway": gateway.hex(),
-                    "path": "direct" if gateway.hex() in links else "routed",
-                    "names": self.rib.count(gateway),
-                }
-                for gateway, other in sorted(known.items(), key=lambda item: item[1].name)
-            ],
-            "denied": dict(self.denials),
-            "missed": sum(feed.missed for feed in self.feeds.values()),
-            "refused": [
-                {"who": who, "reason": reason.value, "count": count} for (who, reason), count in self.refusals.items()
-            ],
-        }
+        return member_report(self)

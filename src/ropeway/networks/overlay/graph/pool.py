@@ -81,7 +81,7 @@ class OverlayPool:
 
         return end_want
 
-    def members(self) -> Mapping[str, Graph]:
+    def members(self) -> Mapping[str, MemberGraph]:
         """See ``Roster``."""
         return {member.name: member for member in self._members.values()}
 

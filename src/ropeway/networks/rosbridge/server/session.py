@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ropeway import aio
 from ropeway.errors import AccessDenied, CallTimeout, InvalidOperation, RopewayError, TypesError, WireError
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S
+from ropeway.group.state_lease import HeldState
 from ropeway.limits import SEARCHES_PER_CLIENT, UNREAD_STATUS_BYTES
 from ropeway.listener.authorization import Access
 from ropeway.listener.turns import Turns
@@ -18,7 +19,6 @@ from ropeway.networks.rosbridge.link.peer import Peer
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
 from ropeway.networks.rosbridge.protocol.records import Arrival
-from ropeway.networks.rosbridge.protocol.state_lease import HeldState
 from ropeway.networks.rosbridge.server.action_ops import ActionOps
 from ropeway.networks.rosbridge.server.graph_watch import Watch
 from ropeway.networks.rosbridge.server.host import RosapiAnswers

@@ -1,4 +1,7 @@
-"""The state that a robot's gateway gives a machine of its group for a while: ``state`` of the ``ropeway.1`` dialect."""
+"""The state that a robot's gateway gives a machine of its group for a while.
+
+It is the operation ``state`` of the ``ropeway.1`` dialect on a link, and a request in the overlay.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from ropeway.errors import InvalidOperation
-from ropeway.limits import STATE_CHARACTERS, STATE_LEASE_S
+from ropeway.limits import HELD_STATES, STATE_CHARACTERS, STATE_LEASE_S
 
-__all__ = ["LEASE_S", "HeldState", "StateLease"]
+__all__ = ["LEASE_S", "HeldState", "HeldStates", "StateLease"]
 
 log = logging.getLogger("ropeway.group")
 
@@ -68,3 +71,29 @@ class HeldState:
         """Return the state as JSON, empty where none is held."""
         lease = self.lease
         return {} if lease is None else {"state": {"group": lease.group, "state": lease.state}}
+
+
+class HeldStates:
+    """Holds the states that several robots' gateways have given this machine, up to a number; the oldest goes first."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._held: dict[tuple[str, str], HeldState] = {}
+
+    def told(self, message: Mapping[str, Any], by: str) -> None:
+        """Take a state. Raises ``InvalidOperation``."""
+        key = by, StateLease.read(message, self._clock()).group
+        held = self._held.pop(key, None) or HeldState(self._clock)
+        held.told(message, by)
+        self._held[key] = held  # as the newest
+        while len(self._held) > HELD_STATES:
+            del self._held[next(iter(self._held))]
+
+    def status(self) -> list[dict[str, str]]:
+        """Return whose states are held, and which, as JSON; those whose leases are over are forgotten."""
+        self._held = {key: held for key, held in self._held.items() if held.lease is not None}
+        return [
+            {"robot": by, "group": group, "state": lease.state}
+            for (by, group), held in self._held.items()
+            if (lease := held.lease) is not None
+        ]

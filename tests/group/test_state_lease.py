@@ -1,4 +1,4 @@
-"""ropeway.networks.rosbridge.protocol.state_lease: a state that a machine is told, and holds for a while."""
+"""ropeway.group.state_lease: a state that a machine is told, and holds for a while."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from ropeway.errors import InvalidOperation
-from ropeway.networks.rosbridge.protocol.state_lease import LEASE_S, HeldState, StateLease
+from ropeway.group.state_lease import LEASE_S, HeldState, HeldStates, StateLease
+from ropeway.limits import HELD_STATES
 
 
 def test_held_by_lease() -> None:
@@ -45,3 +46,18 @@ def test_garbage(changes: dict[str, Any]) -> None:
     with pytest.raises(InvalidOperation):
         held.told(StateLease.message("edges", "service") | changes, "robot")
     assert held.status()["state"]["state"] == "standby"
+
+
+def test_states_of_several_robots() -> None:
+    """The state of each robot's group is held on its own, a bounded number of them, and the oldest is forgotten."""
+    now = 10.0
+    held = HeldStates(lambda: now)
+    held.told(StateLease.message("edges", "service"), "robot1")
+    held.told(StateLease.message("edges", "standby"), "robot2")
+    assert [(row["robot"], row["state"]) for row in held.status()] == [("robot1", "service"), ("robot2", "standby")]
+    for number in range(HELD_STATES):
+        held.told(StateLease.message(f"g{number}", "standby"), "robot3")
+    assert len(held.status()) == HELD_STATES
+    assert {row["robot"] for row in held.status()} == {"robot3"}
+    now += LEASE_S
+    assert held.status() == []
