@@ -16,7 +16,7 @@ export PYTHON
 help: ## show this
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-12s %s\n", $$1, $$2}'
 
-demo: $(VENV)/runtime.stamp ## two networks, two gateways, a camera each way; DEMO="--for 60 --bag FILE" for more
+demo: $(VENV)/$(if $(findstring --web,$(DEMO)),demo,runtime).stamp ## two networks, two gateways, a camera each way; DEMO="--for 60 --bag FILE", or --web for a browser
 	@$(BIN)/ropeway demo $(DEMO)
 
 demo-iort: $(VENV)/demo.stamp ## one command to a ROS 2, a ROS 1 and another robot; DEMO="--keyboard" for yourself

@@ -13,6 +13,7 @@ __all__ = ["EXTRAS", "needing", "require"]
 
 EXTRAS: Final = {
     "bags": ("apsw", "mcap", "rosbags", "zstandard"),
+    "dashboard": ("nicegui",),
     "demo": ("matplotlib",),
     "mongo": ("pymongo",),
     "overlay": ("zenoh",),

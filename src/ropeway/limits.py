@@ -428,8 +428,46 @@ CONTROL_EVENT_BYTES: Final = 16 << 10
 CONTROL_EVENTS_KEPT: Final = 1_000
 """Events that a gateway remembers, for readers that come later."""
 
+CONTROL_ANSWER_BYTES: Final = 16 << 20
+"""An answer that our client takes, as the dashboard does. The status of 1,000 routes has 500 KiB."""
+
+CONTROL_STREAM_LINE_BYTES: Final = 8 << 20
+"""A line of a stream of events that our client takes: a message of a topic may hold a picture."""
+
+CONTROL_STORE_VALUES: Final = 2_000
+"""Values of the store that one answer lists: the newest."""
+
+LOOKED_AT_TOPICS: Final = 64
+"""Topics that are read for people who look at them, and as many that they publish on."""
+
+DIGEST_VALUES: Final = 2_000
+"""Fields and elements of a message that are shown to people."""
+
+DIGEST_TEXT_CHARACTERS: Final = 1_000
+"""A text in a message that is shown to people."""
+
+PICTURE_BYTES: Final = 1 << 20
+"""A compressed image that is shown to people as it is; a larger one is not."""
+
 JOURNAL_ENTRIES: Final = 20_000
 """Changes that a journal remembers. Above, the oldest are forgotten, a tenth at a time."""
 
 JOURNAL_BYTES: Final = 256 << 20
 """The configurations in a journal, compressed, and each that is the same once."""
+
+# ── The dashboard ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+DASHBOARD_SESSIONS: Final = 1_000
+"""Browsers that are logged in at a time. Above, the one that came first has to log in again."""
+
+DASHBOARD_WATCHES: Final = 1_000
+"""Gateways that are watched, counted once for each token that is shown to them."""
+
+DASHBOARD_LOGIN_BYTES: Final = 8 << 10
+"""The form of a login."""
+
+DASHBOARD_ROWS: Final = 500
+"""Rows of a table that a page shows; it says how many there are."""
+
+DASHBOARD_CONNECTIONS: Final = 512
+"""Connections of browsers at a time; a page has a few. More are answered 503."""

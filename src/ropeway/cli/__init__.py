@@ -18,6 +18,7 @@ VERBS = {
     "status": "ropeway.cli.status",
     "events": "ropeway.cli.events",
     "session": "ropeway.cli.client_sessions",
+    "dashboard": "ropeway.cli.dashboard",
     "server": "ropeway.cli.server",
     "config": "ropeway.cli.config",
     "route": "ropeway.cli.route",

@@ -74,7 +74,7 @@ class TcpAdmission:
         if isinstance(role, Rejection):
             await asyncio.sleep(role.delay_s)
             raise ControlRefused(role.status, json.loads(role.body)["error"], headers=role.headers)
-        return Caller(f"role {role.name}", peer.address, role.control)
+        return Caller(f"role {role.name}", peer.address, role.control, role)
 
 
 def _user(uid: int) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from ropeway.errors import ControlRefused
-from ropeway.listener.authorization import CONTROL_RIGHTS
+from ropeway.listener.authorization import CONTROL_RIGHTS, EVERYTHING, Role
 
 __all__ = ["Caller", "ControlPeer"]
 
@@ -30,11 +30,15 @@ class ControlPeer:
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """A person or a program that was let in. ``name`` and ``where`` go to the journal and the log."""
+    """A person or a program that was let in. ``name`` and ``where`` go to the journal and the log.
+
+    ``role`` says which topics it may read and publish.
+    """
 
     name: str
     where: str
     rights: frozenset[str] = CONTROL_RIGHTS
+    role: Role = EVERYTHING
 
     def demand(self, right: str) -> None:
         """Raise ``ControlRefused`` where the caller lacks a right."""
@@ -43,3 +47,9 @@ class Caller:
                 _STATUS_FORBIDDEN,
                 f'{self.name} lacks the right "{right}"; list it under "control" of the role in gateway.auth.roles',
             )
+
+    def demand_topic(self, verb: str, topic: str) -> None:
+        """Raise ``ControlRefused`` where the role does not let the caller ``publish`` or ``subscribe`` to a topic."""
+        rule = self.role.rule_against(verb, topic)
+        if rule:
+            raise ControlRefused(_STATUS_FORBIDDEN, f"{self.name} may not {verb} {topic}: {rule}")

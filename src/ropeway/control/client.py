@@ -19,7 +19,7 @@ import httpx
 from ropeway.control.place import SUFFIX, running, search_directories
 from ropeway.errors import ConfigError, ControlRefused, ControlUnavailable
 
-__all__ = ["ControlClient", "ControlTarget", "find_target", "fleet"]
+__all__ = ["ControlClient", "ControlTarget", "find_target", "fleet", "read_answer", "unavailable"]
 
 _TIMEOUT_S: Final = 10.0
 _APPLY_S: Final = 120.0
@@ -140,8 +140,8 @@ class ControlClient:
                 method, path, params=dict(query or {}), content=content, headers=sent, timeout=wait_s
             )
         except httpx.HTTPError as error:
-            raise self._unavailable(error) from None
-        return _read(answer)
+            raise unavailable(self.target, error) from None
+        return read_answer(answer)
 
     def events(self, *, after: int | None = None) -> Iterator[dict[str, Any]]:
         """Yield events as they happen, until the gateway ends; with ``after``, first those behind a number."""
@@ -150,33 +150,41 @@ class ControlClient:
             with self._client.stream("GET", "/v1/events/stream", params=query, timeout=None) as answer:
                 if answer.status_code != httpx.codes.OK:
                     answer.read()
-                    _read(answer)
+                    read_answer(answer)
                 for line in answer.iter_lines():
                     if line.startswith("data: "):
                         yield json.loads(line.removeprefix("data: "))
         except httpx.HTTPError as error:
-            raise self._unavailable(error) from None
-
-    def _unavailable(self, error: httpx.HTTPError) -> ControlUnavailable:
-        where = str(self.target.socket or self.target.url)
-        if isinstance(error, httpx.ConnectError):
-            return ControlUnavailable(where, f"nobody answers there ({error}); is the gateway running?")
-        if isinstance(error, httpx.TimeoutException):
-            return ControlUnavailable(where, "no answer in time")
-        return ControlUnavailable(where, f"the connection broke: {error or type(error).__name__}")
+            raise unavailable(self.target, error) from None
 
 
-def _read(answer: httpx.Response) -> Any:
+def unavailable(target: ControlTarget, error: httpx.HTTPError) -> ControlUnavailable:
+    """Return the error to raise where a request got no answer."""
+    where = str(target.socket or target.url)
+    if isinstance(error, httpx.ConnectError):
+        return ControlUnavailable(where, f"nobody answers there ({error}); is the gateway running?")
+    if isinstance(error, httpx.TimeoutException):
+        return ControlUnavailable(where, "no answer in time")
+    return ControlUnavailable(where, f"the connection broke: {error or type(error).__name__}")
+
+
+def read_answer(answer: httpx.Response) -> Any:
+    """Return an answer that was read: as JSON, or as text where it is none.
+
+    Raises ``ControlRefused`` or ``ConfigError`` for one that is an error.
+    """
     plain = answer.headers.get("content-type", "").partition(";")[0] != "application/json"
     try:
         value = answer.text if plain else answer.json()
-    except ValueError:
+    except (ValueError, RecursionError):
         value = answer.text
     if answer.is_success:
         return value
-    if isinstance(value, dict) and answer.status_code == httpx.codes.UNPROCESSABLE_ENTITY and value.get("problems"):
-        problems = [(str(fault.get("path")), str(fault.get("problem"))) for fault in value["problems"]]
-        raise ConfigError(problems)
+    faults = value.get("problems") if isinstance(value, dict) else None
+    if answer.status_code == httpx.codes.UNPROCESSABLE_ENTITY and isinstance(faults, list):
+        problems = [(str(row.get("path")), str(row.get("problem"))) for row in faults if isinstance(row, dict)]
+        if problems:
+            raise ConfigError(problems)
     text = value.get("error", "") if isinstance(value, dict) else str(value)
     details = value if isinstance(value, dict) else {}
     raise ControlRefused(answer.status_code, text or f"HTTP {answer.status_code}", details, headers=answer.headers)

@@ -84,6 +84,10 @@ class Manager:
         """
         return await self.running.ask(question, params)
 
+    async def ask_one(self, question: Question, params: Mapping[str, Any]) -> Any:
+        """Return one answer to a question about the networks, which the gateway and all its workers know alike."""
+        return await self.running.ask_one(question, params)
+
     def on_door(self, renew: Callable[[Door], None]) -> None:
         """Call ``renew`` with the rules for who may come in, whenever they have changed."""
         self._on_door.append(renew)

@@ -31,6 +31,7 @@ from ropeway.gateway.remote_factory import RemoteFactory
 from ropeway.gateway.route import RouteStatus, paused_status
 from ropeway.gateway.running_remote import RunningRemote
 from ropeway.gateway.tls import server_context, trusted_files
+from ropeway.gateway.topic_looks import TopicLooks
 from ropeway.graph.layout_border import Distributed
 from ropeway.hub.hub import Hub
 from ropeway.listener.connection import Limits
@@ -98,6 +99,7 @@ class Gateway:
         self._trusted = b""
         self._entrance = Entrance()
         self._watch = RouteWatch(lambda: self.remotes)
+        self.looks = TopicLooks(self.hubs, self.registry)
 
     async def __aenter__(self) -> Gateway:
         """Bring everything up. Raises ``RopewayError`` if a graph or a listener cannot be had; nothing stays up."""
@@ -130,6 +132,7 @@ class Gateway:
             hub = self.hubs[url] = Hub(graph, gateway_id=self.gateway_id)
             await hub.open()
             stack.push_async_callback(hub.close)
+        stack.push_async_callback(self.looks.close)
         if self.config.safeties():
             from ropeway.gateway.safety import guard_topics
 
@@ -385,6 +388,10 @@ class Gateway:
     async def ask(self, question: Question, params: Mapping[str, Any]) -> list[Any]:
         """Return the answer to a question as the only one in a list, as a ``Supervisor`` has one of each worker."""
         return [await question(self, params)]
+
+    async def ask_one(self, question: Question, params: Mapping[str, Any]) -> Any:
+        """Return the answer to a question that a ``Supervisor`` has one worker answer."""
+        return await question(self, params)
 
     async def explain(self, name: str, to: str = "") -> list[Explanation]:
         """Explain why a name crosses to a remote or does not; see ``ropeway.gateway.explain``."""

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from rich.console import Console, Group
 
-from ropeway.cli.status.tables import duration, tables
+from ropeway.cli.status.tables import tables
+from ropeway.control.figures import duration
 
 ROUTE = {
     "operation": "publish",

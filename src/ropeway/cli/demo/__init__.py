@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import signal
 import sys
@@ -15,11 +16,12 @@ import typer
 
 from ropeway.cli.console import answer, complain, print_json
 from ropeway.cli.demo.flow import Tally
-from ropeway.cli.demo.gateways import GatewayProcess, configurations, figures, free_port, running
+from ropeway.cli.demo.gateways import GatewayProcess, configurations, dashboard, figures, free_port, running
 from ropeway.cli.demo.scene import DemoTopic, recorded_parts, synthetic_parts
 from ropeway.cli.demo.table import brief, live_table, summary_table
 from ropeway.cli.loop import run
 from ropeway.errors import RopewayError
+from ropeway.extras import require
 from ropeway.graph.base import Graph
 from ropeway.networks import open_graph
 from ropeway.types import TypeRegistry
@@ -27,6 +29,7 @@ from ropeway.types import TypeRegistry
 __all__ = ["app"]
 
 app = typer.Typer(add_completion=False)
+_FOR_S: Final = 15.0
 _REFRESH_S: Final = 0.25
 _LINE_S: Final = 5.0
 _CONNECT_S: Final = 20.0
@@ -38,7 +41,13 @@ def demo(
     bag: Annotated[
         Path | None, typer.Option("--bag", help="Send a recording's camera and odometry.", show_default=False)
     ] = None,
-    for_s: Annotated[float, typer.Option("--for", min=1.0, help="Seconds to run.")] = 15.0,
+    for_s: Annotated[
+        float | None,
+        typer.Option(
+            "--for", min=1.0, help="Seconds to run; default: 15, with --web until Ctrl-C.", show_default=False
+        ),
+    ] = None,
+    web: Annotated[bool, typer.Option("--web", help="Show it in a browser, on the dashboard.")] = False,
     domains: Annotated[tuple[int, int], typer.Option("--domains", help="The DDS domains of robot and cloud.")] = (
         71,
         72,
@@ -46,7 +55,10 @@ def demo(
     as_json: Annotated[bool, typer.Option("--json", help="Print only the summary, as JSON.")] = False,
 ) -> None:
     """Join two DDS networks of this machine and show what crosses; exit status 0 if every route carried messages."""
-    flows, told = run(_demo(bag, for_s, domains, shown=not as_json))
+    if web:
+        require("dashboard", "ropeway demo --web")
+    seconds = for_s or (None if web else _FOR_S)
+    flows, told = run(_demo(bag, seconds, domains, shown=not as_json, web=web))
     ok = all(flow.arrived for flow in flows)
     if as_json:
         rows = [
@@ -68,7 +80,7 @@ def demo(
 
 
 async def _demo(
-    bag: Path | None, for_s: float, domains: tuple[int, int], *, shown: bool
+    bag: Path | None, for_s: float | None, domains: tuple[int, int], *, shown: bool, web: bool
 ) -> tuple[list[Tally], dict[str, dict[str, Any]]]:
     registry = TypeRegistry()
     parts = recorded_parts(registry, bag) if bag else synthetic_parts(registry)
@@ -84,7 +96,8 @@ async def _demo(
             try:
                 for side, url in (("robot", robot_url), ("cloud", cloud_url)):
                     graphs[side] = await open_graph(url, registry=registry, name=f"{side}_{os.getpid()}")
-                await _cross(parts, flows, graphs, gateways, for_s, stop, shown=shown)
+                async with dashboard() if web else contextlib.nullcontext():
+                    await _cross(parts, flows, graphs, gateways, for_s, stop, shown=shown)
             finally:
                 for graph in graphs.values():
                     await graph.close()
@@ -97,7 +110,7 @@ async def _cross(
     flows: list[Tally],
     graphs: Mapping[str, Graph],
     gateways: Mapping[str, GatewayProcess],
-    for_s: float,
+    for_s: float | None,
     stop: asyncio.Event,
     *,
     shown: bool,
@@ -137,7 +150,7 @@ async def _first(
     wanted: Iterable[asyncio.Task[Any]],
     stopped: asyncio.Task[Any],
     lasting: Iterable[asyncio.Task[Any]],
-    timeout_s: float,
+    timeout_s: float | None,
 ) -> None:
     """Wait for what is wanted, the end, or ``timeout_s``; what should last but has ended raises its error."""
     lasting = list(lasting)

@@ -19,7 +19,7 @@ from ropeway import aio
 from ropeway.cli.demo.scene import DemoTopic
 from ropeway.errors import RopewayError
 
-__all__ = ["GatewayProcess", "configurations", "figures", "free_port", "running"]
+__all__ = ["GatewayProcess", "configurations", "dashboard", "figures", "free_port", "running"]
 
 _STOP_S: Final = 5.0
 _STATUS_S: Final = "0.25"
@@ -114,6 +114,20 @@ def figures(gateways: Mapping[str, GatewayProcess]) -> dict[str, dict[str, Any]]
             if known["encoding"] == "auto":  # the robot only receives it; the sender knows
                 known["encoding"] = topic.get("encoding", "auto")
     return out
+
+
+@asynccontextmanager
+async def dashboard() -> AsyncIterator[None]:
+    """Show the gateways of this machine in a browser for the length of the block."""
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "ropeway", "dashboard", "--open"),
+        stdin=asyncio.subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        yield
+    finally:
+        await GatewayProcess("dashboard", process, Path()).stop()
 
 
 @asynccontextmanager

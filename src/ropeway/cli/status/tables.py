@@ -9,9 +9,10 @@ from typing import Any, Final
 from rich.markup import escape
 
 from ropeway.cli.fitting_table import FittingTable
+from ropeway.control.figures import duration, shown_number
 from ropeway.control.links import each_link
 
-__all__ = ["duration", "session_table", "tables"]
+__all__ = ["session_table", "tables"]
 
 _GOOD: Final = ("active", "connected")
 _BAD: Final = ("failed", "waiting to retry", "closed")
@@ -38,10 +39,10 @@ def _links(name: str, remotes: Iterable[Mapping[str, Any]]) -> FittingTable:
         table.add_row(
             escape(address),
             _state(link.get("state", "")),
-            _number(link.get("rtt_ms")),
-            _number(link.get("pace_bps"), 1e-6),
-            _number(link.get("bytes_in"), 1e-6),
-            _number(link.get("bytes_out"), 1e-6),
+            shown_number(link.get("rtt_ms")),
+            shown_number(link.get("pace_bps"), 1e-6),
+            shown_number(link.get("bytes_in"), 1e-6),
+            shown_number(link.get("bytes_out"), 1e-6),
             str(link.get("connections", "-")),
             escape(link.get("error", "")),
         )
@@ -62,9 +63,9 @@ def _routes(routes: Iterable[Mapping[str, Any]]) -> FittingTable:
             _state(route["state"]),
             str(route.get("publishers", "-")),
             _count(route.get("readers")),
-            _number(route.get("rate_hz")),
-            _number(route.get("delay_ms", route.get("took_ms"))),
-            _number(route.get("bandwidth_bps"), 1e-6),
+            shown_number(route.get("rate_hz")),
+            shown_number(route.get("delay_ms", route.get("took_ms"))),
+            shown_number(route.get("bandwidth_bps"), 1e-6),
             str(sum(route.get("drops", {}).values())),
             route.get("encoding", ""),
             escape(route["error"] or route.get("reason", "")),
@@ -88,35 +89,17 @@ def session_table(sessions: Iterable[Mapping[str, Any]]) -> FittingTable:
             duration(time.time() - session["since"]),
             str(len(session["topics"])),
             str(len(session["services"])),
-            _number(session["bytes_in"], 1e-6),
-            _number(session["bytes_out"], 1e-6),
+            shown_number(session["bytes_in"], 1e-6),
+            shown_number(session["bytes_out"], 1e-6),
             str(sum(session["denied"].values())),
             escape(session["agent"]),
         )
     return table
 
 
-def duration(seconds: float) -> str:
-    """Return a time span in its two largest units."""
-    whole = max(int(seconds), 0)
-    days, hours, minutes = whole // 86400, whole // 3600 % 24, whole // 60 % 60
-    if days:
-        return f"{days} d {hours} h"
-    if hours:
-        return f"{hours} h {minutes} min"
-    return f"{minutes} min {whole % 60} s" if minutes else f"{whole} s"
-
-
 def _state(state: str) -> str:
     colour = "green" if state in _GOOD else "red" if state in _BAD else "yellow"
     return f"[{colour}]{escape(state)}[/{colour}]"
-
-
-def _number(value: float | None, factor: float = 1.0) -> str:
-    if value is None:
-        return "-"
-    shown = value * factor
-    return f"{shown:.0f}" if shown >= 100 else f"{shown:.1f}" if shown >= 1 or not shown else f"{shown:.2g}"
 
 
 def _count(value: int | None) -> str:

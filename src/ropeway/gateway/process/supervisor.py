@@ -227,6 +227,10 @@ class Supervisor:
         """Return the answers of all workers to a question. Raises what one of them raises."""
         return list(await asyncio.gather(*(w.ask(question, params, timeout_s=timeout_s) for w in self.workers)))
 
+    async def ask_one(self, question: Question, params: Mapping[str, Any], *, timeout_s: float = _ASK_S) -> Any:
+        """Return the answer of the first worker to a question about the networks, which all of them have joined."""
+        return await self.workers[0].ask(question, params, timeout_s=timeout_s)
+
     def status(self) -> dict[str, Any]:
         """Return what all workers report, as if they were one gateway."""
         told = [worker.status for worker in self.workers if worker.status]
