@@ -51,8 +51,8 @@ async def test_a_route_says_why_nothing_crosses(begin: Begin, serve: Serve, open
 @pytest.mark.parametrize("width", [390, 1100])
 async def test_names_are_no_markup(begin: Begin, serve: Serve, open_page: Open, width: int) -> None:
     """A title that holds markup is shown as it is written, on all pages, and nothing of it runs."""
-    cloud, robot = await pair(begin, {"name": "/chatter", "type": STRING}, title=EVIL)
-    dashboard = await serve(robot, cloud)
+    _, robot = await pair(begin, {"name": "/chatter", "type": STRING}, title=EVIL)
+    dashboard = await serve(robot)
     page = await open_page(dashboard.url, width=width)
     await drawn(page, "onerror" if width > 400 else "img").wait_for()
     assert await page.locator("img[src=x]").count() == 0
