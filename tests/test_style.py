@@ -235,6 +235,7 @@ ALLOWED_BROAD = {
         "networks/ros1/xmlrpc.py:_loads",
     },
     "it supervises: what fails is noted, and begun again": {
+        "audit/trail.py:_run",
         "bridge/upkeep.py:_run",
         "iort.py:_keep_connected",
         "networks/ros1/master_registration.py:_run",

@@ -471,3 +471,34 @@ DASHBOARD_ROWS: Final = 500
 
 DASHBOARD_CONNECTIONS: Final = 512
 """Connections of browsers at a time; a page has a few. More are answered 503."""
+
+# ── The audit log ───────────────────────────────────────────────────────────────────────────────────────────────────
+
+AUDIT_QUEUE_BYTES: Final = 8 << 20
+"""Notes that wait to be written to the audit log, with payloads that are not hashed yet: images of a moment. What does
+not fit is counted, and the log says so."""
+
+AUDIT_WINDOW_S: Final = 10.0
+"""Time in which the same again becomes no further entry of the audit log, but a number in one."""
+
+AUDIT_ENTRIES_PER_SENDER: Final = 100
+"""Different entries of one kind that one address gets in the audit log within that time. The rest is one entry that
+says how many there were. Some 10 MB an hour, whatever a client tries."""
+
+AUDIT_SENDERS: Final = 256
+"""Addresses that get entries of their own within that time; further ones share one."""
+
+AUDIT_KEPT: Final = 1_000
+"""Entries of the audit log that are kept in memory, to be read, and to be written once a full disk has room again."""
+
+AUDIT_SCAN_BYTES: Final = 32 << 20
+"""The part of the audit log that one request looks through: a tenth of a second. The answer says where to go on."""
+
+AUDIT_ANSWER_ENTRIES: Final = 5_000
+"""Entries in one answer."""
+
+AUDIT_NAME_CHARACTERS: Final = 256
+"""A name in an entry of the audit log, which a client may have chosen."""
+
+AUDIT_TEXT_CHARACTERS: Final = 500
+"""A reason in an entry of the audit log: as much as is logged of a peer's error."""

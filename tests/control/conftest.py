@@ -11,6 +11,8 @@ from typing import Any
 import httpx
 import pytest
 
+from ropeway.audit.note import NO_AUDIT
+from ropeway.audit.trail import AuditTrail
 from ropeway.control.client import ControlTarget, find_target
 from ropeway.control.control import Control
 from ropeway.control.manager import Manager
@@ -39,7 +41,7 @@ async def begin() -> AsyncIterator[Begin]:
     """Begin gateways; everything that was begun ends with the test."""
     async with AsyncExitStack() as stack:
 
-        async def begin(remotes: Any = (), **settings: Any) -> Controlled:
+        async def begin(remotes: Any = (), *, trail: AuditTrail | None = None, **settings: Any) -> Controlled:
             number = next(_numbers)
             document = {
                 "gateway": {
@@ -50,8 +52,9 @@ async def begin() -> AsyncIterator[Begin]:
                 },
                 "remotes": list(remotes),
             }
-            gateway = await stack.enter_async_context(Gateway(config.parse(document)))
-            manager = Manager(gateway)
+            audit = NO_AUDIT if trail is None else trail
+            gateway = await stack.enter_async_context(Gateway(config.parse(document), audit=audit))
+            manager = Manager(gateway, None, trail)
             stack.push_async_callback(manager.close)
             control = await stack.enter_async_context(Control(manager))
             target = find_target(control.name)

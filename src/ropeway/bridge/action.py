@@ -7,6 +7,7 @@ import contextlib
 import logging
 
 from ropeway.bridge.offer import Offer
+from ropeway.delivery.pipeline import Witness
 from ropeway.errors import CallTimeout, GoalRejected, GraphError
 from ropeway.graph.base import NO_HINTS, Delivery, Graph
 from ropeway.graph.calls import (
@@ -44,8 +45,11 @@ class ActionBridge(Offer):
         *,
         timeout_s: float | None = None,
         delivery: Delivery = NO_HINTS,
+        witness: Witness | None = None,
     ) -> None:
-        super().__init__(source, target, source_name, target_name, type, timeout_s=timeout_s, delivery=delivery)
+        super().__init__(
+            source, target, source_name, target_name, type, timeout_s=timeout_s, delivery=delivery, witness=witness
+        )
         self._goals: dict[bytes, ClientGoal] = {}
 
     async def make_client(self) -> ActionClient:
@@ -60,6 +64,8 @@ class ActionBridge(Offer):
     async def _accept(self, goal: ServerGoal) -> bool:
         if goal.id in self._goals:
             return False
+        if self.witness is not None:
+            self.witness(goal.payload, goal.caller)
         try:
             self._goals[goal.id] = await self._client.send_goal(
                 Goal(goal.payload, goal.id, goal.via, goal.caller),

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Final, Protocol
 from ropeway import aio
 from ropeway.bridge.upkeep import Upkeep
 from ropeway.delivery.histogram import Histogram
+from ropeway.delivery.pipeline import Witness
 from ropeway.graph.base import NO_HINTS, Delivery, Graph
 from ropeway.graph.link_parts import Contended, Encoded
 
@@ -41,7 +42,7 @@ class Offer:
     """A name served on ``source`` as ``source_name``, offered on ``target`` as ``target_name``.
 
     ``counts``: requests by how they ended (``answered``, or the name of the error). ``timeout_s``: how long one may
-    take.
+    take. ``witness`` is told what is asked for.
     """
 
     kind: ClassVar[str] = ""
@@ -57,8 +58,10 @@ class Offer:
         *,
         timeout_s: float | None = None,
         delivery: Delivery = NO_HINTS,
+        witness: Witness | None = None,
     ) -> None:
         self.source, self.target = source, target
+        self.witness = witness
         self.source_name, self.target_name, self.type = source_name, target_name, type
         self.timeout_s, self.delivery = timeout_s or self.default_timeout_s, delivery
         self.taken_by = ""

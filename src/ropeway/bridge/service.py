@@ -33,6 +33,8 @@ class ServiceBridge(Offer):
         assert self.timeout_s is not None
         timeout_s = self.timeout_s if request.timeout_s is None else min(self.timeout_s, request.timeout_s)
         request.timeout_s = timeout_s
+        if self.witness is not None:
+            self.witness(request.payload, request.caller)
         clock = asyncio.get_running_loop().time
         began, how = clock(), "given up"
         self.under_way += 1

@@ -13,7 +13,7 @@ from dataclasses import replace
 from ropeway.bridge.handover import Overlap, drained, matched
 from ropeway.bridge.upkeep import RETRY_S, Upkeep
 from ropeway.delivery.passage import Keep, Passage
-from ropeway.delivery.pipeline import Step, build
+from ropeway.delivery.pipeline import Step, Witness, build, witnessed
 from ropeway.graph.base import NO_HINTS, Delivery, Graph, Publisher, Subscription, look_up
 from ropeway.qos import DEFAULT, QoS, common_qos
 
@@ -27,7 +27,8 @@ class TopicBridge:
     the two treats the topic; it goes to whichever side is a link. The pipeline's limits are applied on the near
     side of the link only (``limit``), so that nothing crosses that will be dropped. With ``keep`` the last message is
     kept, and late joiners on the target get it, whether the source has it latched or not; ``frames`` renames the
-    coordinate frames of what passes. A side that refuses is asked again after ``retry_s``.
+    coordinate frames of what passes, and ``witness`` is told of it. A side that refuses is asked again after
+    ``retry_s``.
     """
 
     def __init__(
@@ -43,12 +44,13 @@ class TopicBridge:
         limit: bool = True,
         keep: Keep | None = None,
         frames: Step | None = None,
+        witness: Witness | None = None,
         retry_s: float = RETRY_S,
     ) -> None:
         self.source, self.target = source, target
         self.source_topic, self.target_topic, self.type = source_topic, target_topic, type
         self.delivery = delivery
-        self._frames, self._limit = frames, limit
+        self._frames, self._witness, self._limit = frames, witness, limit
         self.passage = Passage(self._steps(), keep=keep)
         self.meter, self.drops = self.passage.meter, self.passage.drops
         self.publisher: Publisher | None = None
@@ -64,10 +66,19 @@ class TopicBridge:
         self._upkeep.start()
 
     def _steps(self) -> list[Step]:
-        return [*(build(self.delivery) if self._limit else ()), *(() if self._frames is None else (self._frames,))]
+        steps = build(self.delivery) if self._limit else []
+        if self._frames is not None:
+            steps.append(self._frames)
+        return [*steps, *witnessed(self._witness)]
 
     async def change(
-        self, *, qos: QoS | None, delivery: Delivery, keep: Keep | None, frames: Step | None = None
+        self,
+        *,
+        qos: QoS | None,
+        delivery: Delivery,
+        keep: Keep | None,
+        frames: Step | None = None,
+        witness: Witness | None = None,
     ) -> None:
         """Treat the topic in another way from now on: what reads and publishes is replaced, and no message is lost.
 
@@ -78,7 +89,7 @@ class TopicBridge:
             publishes_anew = delivery != self.delivery and self._limit
             self._asked, self.delivery = qos, delivery
             self.keep = self.passage.keep = keep
-            self._frames = frames
+            self._frames, self._witness = frames, witness
             self.passage.steps = self._steps()
             if publishes_anew and self.publisher is not None:
                 await self._publish_anew(self.publisher, self._wanted_qos())

@@ -17,6 +17,7 @@ VERBS = {
     "run": "ropeway.cli.run",
     "status": "ropeway.cli.status",
     "events": "ropeway.cli.events",
+    "audit": "ropeway.cli.audit",
     "session": "ropeway.cli.client_sessions",
     "dashboard": "ropeway.cli.dashboard",
     "server": "ropeway.cli.server",

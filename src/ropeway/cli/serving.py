@@ -27,6 +27,7 @@ from ropeway.gateway.factory import make_gateway
 from ropeway.tasks import Chores, Supervised
 
 if TYPE_CHECKING:
+    from ropeway.audit.trail import AuditTrail
     from ropeway.control.record import ChangeRecord
     from ropeway.gateway.config.config import Config
     from ropeway.gateway.gateway import Gateway
@@ -47,8 +48,9 @@ class Serving:
     """Says how a gateway is run: for how long, how often it prints its status as JSON, and what it says once it is up.
 
     ``beside`` is entered with the gateway and left before it ends. ``control``: others may see and change it over its
-    control API, as its configuration says. ``watch``: the file is applied again when it has changed.
-    ``retry_s``: an address that is taken is tried again after so many seconds, for ever; ``None`` gives up at once.
+    control API, as its configuration says; ``trail`` is its audit log. ``watch``: the file is applied again when it has
+    changed. ``retry_s``: an address that is taken is tried again after so many seconds, for ever; ``None`` gives up at
+    once.
     """
 
     config: Config
@@ -60,6 +62,7 @@ class Serving:
     beside: Callable[[Any], AbstractAsyncContextManager[None]] | None = None
     control: bool = False
     watch: bool = False
+    trail: AuditTrail | None = None
 
 
 async def serve(serving: Serving) -> None:
@@ -125,7 +128,7 @@ async def _plain_reload(gateway: Gateway | Supervisor) -> str:
 
 async def _brought_up(serving: Serving, notifier: Notifier) -> Gateway | Supervisor:
     while True:
-        gateway = make_gateway(serving.config, log_level=serving.level)
+        gateway = make_gateway(serving.config, log_level=serving.level, audit=serving.trail)
         try:
             return await gateway.__aenter__()
         except ConnectFailed as error:
@@ -144,9 +147,13 @@ async def _managed(serving: Serving, notifier: Notifier, stack: AsyncExitStack) 
         return gateway, partial(_plain_reload, gateway)
     from ropeway.control.caller import Caller
     from ropeway.control.manager import Manager
+    from ropeway.gateway.audit import open_trail
 
-    gateway, record = await _restored(serving, notifier, stack)
-    manager = Manager(gateway, record)
+    trail = open_trail(serving.config)
+    if trail is not None:
+        stack.push_async_callback(asyncio.to_thread, trail.close)
+    gateway, record = await _restored(replace(serving, trail=trail), notifier, stack)
+    manager = Manager(gateway, record, trail)
     stack.push_async_callback(manager.close)
     if gateway.config.gateway.control.enabled:
         control = await asyncio.to_thread(importlib.import_module, "ropeway.control.control")  # 0.2 s for HTTP
@@ -161,7 +168,7 @@ async def _restored(
     serving: Serving, notifier: Notifier, stack: AsyncExitStack
 ) -> tuple[Gateway | Supervisor, ChangeRecord]:
     """Bring up what was applied last, or the file, as ``control/startup.py`` decides."""
-    from ropeway.control.startup import candidates, note_start, open_record
+    from ropeway.control.startup import audit_start, candidates, note_start, open_record
 
     record = await asyncio.to_thread(open_record, serving.config)
     stack.push_async_callback(record.close)
@@ -180,6 +187,8 @@ async def _restored(
             break
     stack.push_async_exit(gateway.__aexit__)
     await asyncio.to_thread(note_start, record, candidate, failed)
+    if serving.trail is not None:
+        audit_start(serving.trail, candidate)
     return gateway, record
 
 

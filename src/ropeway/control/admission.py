@@ -8,6 +8,7 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Protocol
 
+from ropeway.audit.note import NO_AUDIT, AuditNote, Auditor
 from ropeway.control.caller import Caller, ControlPeer
 from ropeway.errors import ControlRefused
 from ropeway.listener.authentication import Door, Rejection
@@ -34,13 +35,21 @@ class AnyAdmission(Protocol):
 class UnixAdmission:
     """Lets in the user whom the socket belongs to, and root; the operating system says who it is."""
 
+    def __init__(self, audit: Auditor = NO_AUDIT) -> None:
+        self._audit = audit
+
     async def admit(self, peer: ControlPeer, method: str, target: str, headers: Mapping[str, str]) -> Caller:
         """See ``AnyAdmission``."""
         if headers.get("origin"):
-            raise ControlRefused(403, "web pages may not use this socket")
+            raise self._refused(peer, "web pages may not use this socket")
         if peer.uid not in (os.geteuid(), _ROOT):
-            raise ControlRefused(403, f"the socket belongs to another user than the one with number {peer.uid}")
+            raise self._refused(peer, f"the socket belongs to another user than the one with number {peer.uid}")
         return Caller(_user(peer.uid), peer.address, CONTROL_RIGHTS)
+
+    def _refused(self, peer: ControlPeer, why: str) -> ControlRefused:
+        who = "" if peer.uid is None else _user(peer.uid)
+        self._audit.note(AuditNote("refused", "connect", "control", who, peer.address, "refused", why))
+        return ControlRefused(403, why)
 
 
 class TcpAdmission:
@@ -50,8 +59,8 @@ class TcpAdmission:
     refused. Everything refused is counted and logged.
     """
 
-    def __init__(self, door: Door) -> None:
-        self.entrance = Entrance(replace(door, default=None))
+    def __init__(self, door: Door, audit: Auditor = NO_AUDIT) -> None:
+        self.entrance = Entrance(replace(door, default=None), audit=audit)
 
     def renew(self, door: Door) -> None:
         """Go by other rules from now on."""

@@ -7,6 +7,7 @@ import contextlib
 import dataclasses
 import logging
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, cast
 
 import orjson
@@ -19,8 +20,8 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ropeway import aio
-from ropeway.control.caller import Caller
 from ropeway.control.openapi import document
+from ropeway.control.request_audit import audited
 from ropeway.control.resource import Answer, ControlRequest, Resource, collect
 from ropeway.errors import ConfigError, ControlRefused, JournalError, RopewayError
 from ropeway.gateway.config.shape import json_path
@@ -140,10 +141,17 @@ class _Endpoint:
         if resource is None:
             allow = ", ".join(sorted(self._by_method))
             return _refusal(ControlRefused(405, f"{request.url.path} knows {allow}", headers={"allow": allow}))
-        caller: Caller = request.state.caller
+        asked = ControlRequest(
+            self._manager,
+            request.state.caller,
+            path=dict(request.path_params),
+            query=dict(request.query_params),
+            headers=dict(request.headers),
+        )
         try:
-            caller.demand(resource.right)
-            return await _handled(resource, request, self._manager, caller, self._room)
+            with audited(resource, asked):
+                asked.caller.demand(resource.right)
+                return await _handled(resource, request, asked, self._room)
         except RopewayError as error:
             return _refusal(error)
         except ClientDisconnect:
@@ -153,18 +161,10 @@ class _Endpoint:
             return _refusal(ControlRefused(500, f"this failed for a reason that is in the log: {describe(error)}"))
 
 
-async def _handled(resource: Resource, request: Request, manager: Manager, caller: Caller, room: _Room) -> Response:
+async def _handled(resource: Resource, request: Request, asked: ControlRequest, room: _Room) -> Response:
     with room.take(_announced_bytes(request)):
-        body = await _body(request)
-        asked = ControlRequest(
-            manager,
-            caller,
-            path=dict(request.path_params),
-            query=dict(request.query_params),
-            headers=dict(request.headers),
-            body=_checked(resource, body),
-        )
-        found = await resource.handler(asked)
+        body = _checked(resource, await _body(request))
+        found = await resource.handler(replace(asked, body=body))
     return _answer(found if isinstance(found, Answer) else Answer(found))
 
 

@@ -145,9 +145,12 @@ class ControlClient:
 
     def events(self, *, after: int | None = None) -> Iterator[dict[str, Any]]:
         """Yield events as they happen, until the gateway ends; with ``after``, first those behind a number."""
-        query = {} if after is None else {"after": after}
+        yield from self.stream("/v1/events/stream", **({} if after is None else {"after": after}))
+
+    def stream(self, path: str, **query: Any) -> Iterator[dict[str, Any]]:
+        """Yield what a stream of server-sent events tells, until the gateway ends."""
         try:
-            with self._client.stream("GET", "/v1/events/stream", params=query, timeout=None) as answer:
+            with self._client.stream("GET", path, params=query, timeout=None) as answer:
                 if answer.status_code != httpx.codes.OK:
                     answer.read()
                     read_answer(answer)

@@ -79,9 +79,9 @@ class Control:
             log.warning('%s; nobody can see or change this gateway ("control": false says that is meant)', error)
             return
         stack.callback(claim.close)
-        await self._serve(stack, UnixAdmission(), claim.socket)
+        await self._serve(stack, UnixAdmission(self.manager.audit), claim.socket)
         if control.listen or control.metrics:
-            admission = self._admission = TcpAdmission(make_door(settings))
+            admission = self._admission = TcpAdmission(make_door(settings), self.manager.audit)
             self.manager.on_door(admission.renew)
             for url in control.listen:
                 self.addresses.append(await self._listen(stack, admission, url))

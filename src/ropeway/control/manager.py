@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway.audit.note import NO_AUDIT, Auditor
+from ropeway.control.auditing import reload_audited
 from ropeway.control.edits import Edit
 from ropeway.control.events import Events
 from ropeway.control.record import ChangeRecord, file_digest
@@ -22,6 +24,7 @@ from ropeway.gateway.config.config import Config, parse
 from ropeway.gateway.plan import ConfigPlan, make_plan
 
 if TYPE_CHECKING:
+    from ropeway.audit.trail import AuditTrail
     from ropeway.control.caller import Caller
     from ropeway.control.metrics import Metrics
     from ropeway.gateway.gateway import Gateway
@@ -51,8 +54,12 @@ class Applied:
 class Manager:
     """Stands between the control API and what runs: a gateway in this process, or the supervisor of workers."""
 
-    def __init__(self, running: Gateway | Supervisor, record: ChangeRecord | None = None) -> None:
+    def __init__(
+        self, running: Gateway | Supervisor, record: ChangeRecord | None = None, trail: AuditTrail | None = None
+    ) -> None:
         self.running = running
+        self.trail = trail
+        self.audit: Auditor = NO_AUDIT if trail is None else trail
         self.events = Events()
         self.record = record or ChangeRecord(None)
         self._metrics: Metrics | None = None
@@ -143,6 +150,10 @@ class Manager:
 
         Raises ``RopewayError``; nothing has changed then.
         """
+        with reload_audited(self.audit, caller):
+            return await self._apply_file(caller)
+
+    async def _apply_file(self, caller: Caller) -> str:
         file = self.record.file
         changed = file is not None and await asyncio.to_thread(self.record.file_changed)
         self.reload()

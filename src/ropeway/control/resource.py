@@ -21,12 +21,27 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel
 
+from ropeway.audit.note import AuditKind
 from ropeway.control.caller import Caller
 
 if TYPE_CHECKING:
     from ropeway.control.manager import Manager
 
-__all__ = ["Answer", "ControlRequest", "Handler", "Resource", "Resources", "Right", "collect"]
+__all__ = ["Answer", "Audited", "ControlRequest", "Handler", "Resource", "Resources", "Right", "collect"]
+
+
+@dataclass(frozen=True, slots=True)
+class Audited:
+    """Says how the audit log calls a request: its operation, and the part of the path that has the name of its object.
+
+    What asks for the right ``configure`` is of kind ``change``, and for ``operate`` of kind ``operate``, if not said
+    otherwise.
+    """
+
+    operation: str
+    name: str = ""
+    kind: AuditKind | None = None
+
 
 Right = Literal["observe", "configure", "operate"]
 Method = Literal["GET", "POST", "PUT", "DELETE"]
@@ -42,6 +57,8 @@ class ControlRequest:
     query: Mapping[str, str] = field(default_factory=dict)
     headers: Mapping[str, str] = field(default_factory=dict)
     body: Any = None
+    noted: dict[str, Any] = field(default_factory=dict)
+    """What the handler adds to the entry of the audit log: ``name``, and details."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +88,7 @@ class Resource:
     takes: type[BaseModel] | None = None
     gives: Any = None
     media_type: str = "application/json"
+    audited: Audited | None = None
 
     @property
     def summary(self) -> str:
@@ -92,20 +110,34 @@ class Resources:
         return self._add("GET", path, right, None, gives, media_type)
 
     def post(
-        self, path: str, *, right: Right, takes: type[BaseModel] | None = None, gives: Any = None
+        self,
+        path: str,
+        *,
+        right: Right,
+        takes: type[BaseModel] | None = None,
+        gives: Any = None,
+        audited: Audited | None = None,
     ) -> Callable[[Handler], Handler]:
         """Offer something to do."""
-        return self._add("POST", path, right, takes, gives)
+        return self._add("POST", path, right, takes, gives, audited=audited)
 
     def put(
-        self, path: str, *, right: Right, takes: type[BaseModel] | None = None, gives: Any = None
+        self,
+        path: str,
+        *,
+        right: Right,
+        takes: type[BaseModel] | None = None,
+        gives: Any = None,
+        audited: Audited | None = None,
     ) -> Callable[[Handler], Handler]:
         """Offer something to replace."""
-        return self._add("PUT", path, right, takes, gives)
+        return self._add("PUT", path, right, takes, gives, audited=audited)
 
-    def delete(self, path: str, *, right: Right, gives: Any = None) -> Callable[[Handler], Handler]:
+    def delete(
+        self, path: str, *, right: Right, gives: Any = None, audited: Audited | None = None
+    ) -> Callable[[Handler], Handler]:
         """Offer something to remove."""
-        return self._add("DELETE", path, right, None, gives)
+        return self._add("DELETE", path, right, None, gives, audited=audited)
 
     def _add(
         self,
@@ -115,9 +147,13 @@ class Resources:
         takes: type[BaseModel] | None,
         gives: Any,
         media_type: str = "application/json",
+        audited: Audited | None = None,
     ) -> Callable[[Handler], Handler]:
+        if method != "GET" and audited is None:
+            audited = Audited(f"{method} {path}")
+
         def add(handler: Handler) -> Handler:
-            self.listed.append(Resource(method, path, right, handler, takes, gives, media_type))
+            self.listed.append(Resource(method, path, right, handler, takes, gives, media_type, audited))
             return handler
 
         return add

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from ropeway.audit.note import AuditNote, Auditor
 from ropeway.control.caller import Caller
 from ropeway.control.record import ChangeRecord, file_digest
 from ropeway.errors import ConfigError, JournalError
@@ -21,7 +22,7 @@ from ropeway.gateway.config.config import Config, parse
 from ropeway.gateway.journal import Journal, JournalEntry, default_journal
 from ropeway.gateway.plan import ConfigPlan, make_plan
 
-__all__ = ["Candidate", "candidates", "note_start", "open_record"]
+__all__ = ["Candidate", "audit_start", "candidates", "note_start", "open_record"]
 
 log = logging.getLogger("ropeway.control")
 
@@ -131,6 +132,13 @@ def note_start(record: ChangeRecord, started: Candidate, failed: list[tuple[Cand
         journal.confirm(journal.begin(entry, started.config.to_json()).number)
     except JournalError as error:
         log.warning("%s; this start is not remembered", error)
+
+
+def audit_start(audit: Auditor, started: Candidate) -> None:
+    """Tell the audit log who has started the gateway, and with what."""
+    caller, entry = _starter(), started.entry
+    details = {"etag": started.config.etag, **({} if entry is None else {"number": entry.number})}
+    audit.note(AuditNote("change", "start", started.config.source, caller.name, caller.where, details=details))
 
 
 def _starter() -> Caller:

@@ -10,7 +10,7 @@ from typing import Final
 from ropeway.delivery.outbox import Lost
 from ropeway.graph.base import Delivery, Sample
 
-__all__ = ["Drop", "RateLimit", "Reason", "Step", "build", "lifespan"]
+__all__ = ["Drop", "RateLimit", "Reason", "Step", "Witness", "build", "lifespan", "witnessed"]
 
 
 class Drop(enum.Enum):
@@ -27,6 +27,9 @@ Reason = Drop | Lost
 
 Step = Callable[[Sample], Sample | Drop | Lost | None]
 """Gives the message that goes on, or the reason for which none does; ``None`` if the step holds it."""
+
+Witness = Callable[[bytes, str], None]
+"""Is told the payload of every message, call or goal that passes, and who sent it, where that is known."""
 
 _EARLY: Final = 0.2  # of a period: a source with jitter still reaches the rate that was asked for
 _LATE: Final = 0.5  # of a period: so much of a late message is made up for by the next
@@ -62,6 +65,18 @@ def lifespan(seconds: float, clock: Callable[[], int] = time.time_ns) -> Step:
         return Drop.EXPIRED if clock() - (sample.sent_ns or sample.stamp_ns) > limit_ns else sample
 
     return step
+
+
+def witnessed(witness: Witness | None) -> tuple[Step, ...]:
+    """Return a step that passes everything and tells ``witness``, or none where nobody wants to know."""
+    if witness is None:
+        return ()
+
+    def step(sample: Sample) -> Sample:
+        witness(sample.payload, "")
+        return sample
+
+    return (step,)
 
 
 def build(delivery: Delivery) -> list[Step]:

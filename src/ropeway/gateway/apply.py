@@ -65,7 +65,7 @@ class ConfigChange:
         for remote in plan.remotes:
             if remote.before is None:
                 read_credentials(new.remotes[remote.index], remote.index)
-        if plan.restart or plan.live & {"auth", "globs", "tls"}:
+        if plan.restart or plan.live & {"audit", "auth", "globs", "tls"}:
             self._renew = self.gateway.read_access(new)
         if plan.restart:
             known_types(new)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
@@ -28,7 +29,9 @@ _LONGEST: Final = 4096  # characters of a token: it has to fit the head of a req
 def make_door(settings: GatewayConfig) -> Door:
     """Build the rules for who may come in, and in which role. Raises ``ConfigError`` where a token cannot be read."""
     auth = settings.auth
-    roles = {ALL: EVERYTHING, **{name: _role(name, role) for name, role in auth.roles.items()}}
+    audit = settings.audit
+    everything = replace(EVERYTHING, audited=audit.audited(ALL)) if audit.audited(ALL) else EVERYTHING
+    roles = {ALL: everything, **{name: _role(name, role, audit.audited(name)) for name, role in auth.roles.items()}}
     default = roles[auth.default_role] if auth.default_role is not None else None
     return Door(
         tokens=[_token(auth, index, roles) for index in range(len(auth.tokens))],
@@ -36,7 +39,7 @@ def make_door(settings: GatewayConfig) -> Door:
             CertificateRule(roles[item.role], item.common_name or "", item.san or "", item.fingerprint or "")
             for item in auth.certificates
         ],
-        default=default if default is not None or auth.asks else EVERYTHING,
+        default=default if default is not None or auth.asks else everything,
         hosts=_hosts(settings),
         globs=_globs(settings.globs),
         max_clients=settings.clients.max_clients,
@@ -87,7 +90,7 @@ def _token(auth: AuthConfig, index: int, roles: Mapping[str, Role]) -> TokenRule
     return TokenRule.plain(read_secret(item.token, f"gateway.auth.tokens[{index}].token"), roles[item.role])
 
 
-def _role(name: str, config: RoleConfig) -> Role:
+def _role(name: str, config: RoleConfig, audited: tuple[str, ...]) -> Role:
     return Role(
         name,
         config.by_verb(),
@@ -97,6 +100,7 @@ def _role(name: str, config: RoleConfig) -> Role:
         max_message_bytes=config.max_message_bytes,
         max_clients=config.max_clients,
         control=frozenset(config.control),
+        audited=audited,
     )
 
 

@@ -9,7 +9,7 @@ from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
 from ropeway.delivery.passage import Keep
-from ropeway.delivery.pipeline import Step
+from ropeway.delivery.pipeline import Step, Witness
 from ropeway.gateway.config.config import Route
 from ropeway.graph.base import Graph
 
@@ -25,11 +25,16 @@ def fetch(routes: Iterable[Route]) -> bool:
 
 
 def make_bridge(
-    route: Route, local: Graph, remote: Graph, keep: Keep | None = None, frames: Step | None = None
+    route: Route,
+    local: Graph,
+    remote: Graph,
+    keep: Keep | None = None,
+    frames: Step | None = None,
+    witness: Witness | None = None,
 ) -> TopicBridge | ServiceBridge | ActionBridge:
     """Make a bridge between two graphs, not started yet."""
     if route.kind == "topic":
-        return make_topic_bridge(route, local, remote, keep, frames)
+        return make_topic_bridge(route, local, remote, keep, frames, witness)
     source, target, source_name, target_name = _ends(route, local, remote)
     kind = ServiceBridge if route.kind == "service" else ActionBridge
     return kind(
@@ -40,11 +45,17 @@ def make_bridge(
         route.type,
         timeout_s=route.timeout_s,
         delivery=route.delivery,
+        witness=witness,
     )
 
 
 def make_topic_bridge(
-    route: Route, local: Graph, remote: Graph, keep: Keep | None = None, frames: Step | None = None
+    route: Route,
+    local: Graph,
+    remote: Graph,
+    keep: Keep | None = None,
+    frames: Step | None = None,
+    witness: Witness | None = None,
 ) -> TopicBridge:
     """Make a bridge for a topic, not started yet."""
     source, target, source_name, target_name = _ends(route, local, remote)
@@ -59,6 +70,7 @@ def make_topic_bridge(
         limit=route.operation not in INWARD,
         keep=keep,
         frames=frames,
+        witness=witness,
     )
 
 

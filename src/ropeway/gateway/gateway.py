@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway.audit.note import NO_AUDIT, Auditor
 from ropeway.delivery.codec_times import codec_status
 from ropeway.errors import RopewayError
 from ropeway.gateway.apply import ConfigChange
@@ -40,6 +41,7 @@ from ropeway.tasks import Supervised, failing
 from ropeway.types import TypeRegistry
 
 if TYPE_CHECKING:
+    from ropeway.delivery.pipeline import Witness
     from ropeway.gateway.last_value import LastValue
     from ropeway.gateway.nodes import Nodes
     from ropeway.gateway.safety import GuardedTopic
@@ -62,7 +64,7 @@ class Gateway:
     """Runs a configuration: ``async with Gateway(config) as gateway: await gateway.wait()``.
 
     ``gateway_id`` names it to other gateways (8 random bytes unless given); ``reuse_port`` lets workers share a
-    listener.
+    listener. ``audit`` takes notes for the audit log.
     """
 
     def __init__(
@@ -73,11 +75,13 @@ class Gateway:
         gateway_id: str | None = None,
         node: str | None = None,
         reuse_port: bool = False,
+        audit: Auditor = NO_AUDIT,
     ) -> None:
         self.registry = registry or TypeRegistry()
         self.gateway_id = gateway_id or os.urandom(8).hex()
         self._node = node
         self._reuse_port = reuse_port
+        self.audit = audit
         self.change: ConfigChange | None = None  # what was prepared
         self._given_up: asyncio.Future[None] | None = None
         self._begin(config)
@@ -97,7 +101,7 @@ class Gateway:
         self._stack = AsyncExitStack()
         self._tls: ssl.SSLContext | None = None
         self._trusted = b""
-        self._entrance = Entrance()
+        self._entrance = Entrance(audit=self.audit)
         self._watch = RouteWatch(lambda: self.remotes)
         self.looks = TopicLooks(self.hubs, self.registry)
 
@@ -290,6 +294,14 @@ class Gateway:
         from ropeway.gateway.last_value import LastValue, key_of
 
         return LastValue(self.store, *key_of(route.name, self.config.gateway.name), route.type)
+
+    def witness(self, route: Route) -> Witness | None:
+        """Return what writes down what crosses a route, if its configuration asks for it."""
+        if not route.audit:
+            return None
+        from ropeway.gateway.audit import route_witness
+
+        return route_witness(self.audit, route)
 
     async def _update_meters(self) -> None:
         while True:

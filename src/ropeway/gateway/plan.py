@@ -20,7 +20,7 @@ from ropeway.listener.http import without_token
 
 __all__ = ["ConfigPlan", "PlanStep", "RemotePlan", "make_plan", "remote_keys"]
 
-_LIVE: Final = frozenset(("auth", "globs", "tls", "types", "insecure"))
+_LIVE: Final = frozenset(("audit", "auth", "globs", "tls", "types", "insecure"))
 """The keys of the gateway that are changed while everything goes on."""
 
 _NEXT_START: Final = frozenset(("control",))
@@ -175,6 +175,7 @@ def _gateway_steps(old: Config, new: Config, steps: list[PlanStep]) -> tuple[lis
 
 _EVERYTHING: Final = "all links, clients and routes, for about a second"
 _LIVE_INTERRUPTS: Final[Mapping[str, str]] = {
+    "audit": "clients whose commands are written down from now on, or no more",
     "auth": "clients whose credentials are no longer good",
     "tls": "clients whose certificates are no longer good",
 }
@@ -237,7 +238,7 @@ def _kept(index: int, place: int, before: Mapping[str, Route], after: Mapping[st
 
 
 def _shape(route: Route) -> tuple[Any, ...]:
-    return route.delivery, route.qos, route.timeout_s, route.store
+    return route.delivery, route.qos, route.timeout_s, route.store, route.frames, route.audit
 
 
 def _remote_steps(
@@ -298,7 +299,8 @@ def _route_differences(was: Route, becomes: Route) -> list[str]:
     def options(route: Route) -> dict[str, Any]:
         shape: dict[str, Any] = {name: getattr(route.delivery, name) for name in route.delivery.__slots__}
         shape["frames"] = route.frames and asdict(route.frames)
-        return shape | {"qos": route.qos and route.qos.to_json(), "timeout_s": route.timeout_s, "store": route.store}
+        more = {name: getattr(route, name) for name in ("timeout_s", "store", "audit")}
+        return shape | {"qos": route.qos and route.qos.to_json()} | more
 
     return _compared(options(was), options(becomes))
 

@@ -20,7 +20,7 @@ from ropeway.tasks import describe
 
 if TYPE_CHECKING:
     from ropeway.delivery.passage import Keep
-    from ropeway.delivery.pipeline import Step
+    from ropeway.delivery.pipeline import Step, Witness
     from ropeway.types import TypeRegistry
 
 __all__ = ["RemoteHost", "RunningRemote"]
@@ -40,6 +40,10 @@ class RemoteHost(Protocol):
 
     def keeper(self, route: Route) -> Keep | None:
         """Return what keeps the last message of a route, if its configuration asks for it."""
+        ...
+
+    def witness(self, route: Route) -> Witness | None:
+        """Return what writes down what crosses a route, if its configuration asks for it."""
         ...
 
 
@@ -78,7 +82,8 @@ class RunningRemote:
             self.remote.begin_watch()
         view = self._view(route.graph)
         view.hub.advisers[self.remote.graph] = None
-        bridge = make_bridge(route, view, self.remote.graph, self._host.keeper(route), self._frames(route))
+        keep, frames, witness = self._host.keeper(route), self._frames(route), self._host.witness(route)
+        bridge = make_bridge(route, view, self.remote.graph, keep, frames, witness)
         await bridge.start()
         self.remote.running[route.key] = RunningRoute(route, bridge)
 
@@ -96,8 +101,10 @@ class RunningRemote:
         """Carry a route of the same key out in another way; messages go on, calls that take longer end."""
         running = self.remote.running.get(route.key)
         if running is not None and isinstance(running.bridge, TopicBridge):
-            keep, frames = self._host.keeper(route), self._frames(route)
-            await running.bridge.change(qos=route.qos, delivery=route.delivery, keep=keep, frames=frames)
+            keep, frames, witness = self._host.keeper(route), self._frames(route), self._host.witness(route)
+            await running.bridge.change(
+                qos=route.qos, delivery=route.delivery, keep=keep, frames=frames, witness=witness
+            )
             running.route = route
             return
         if running is not None:

@@ -16,10 +16,11 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
+from ropeway.audit.note import NO_AUDIT, AuditNote, Auditor
 from ropeway.errors import AccessDenied
 from ropeway.listener.globs import Globs
 
@@ -67,7 +68,7 @@ class Role:
 
     ``messages_per_s`` and ``bytes_per_s`` bound what a client sends, on average over a second;
     ``max_message_bytes`` one message, and ``max_clients`` how many clients have the role at a time. ``control`` are
-    the rights at the control API.
+    the rights at the control API. ``audited`` are patterns of names whose commands go to the audit log.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Role:
     max_message_bytes: int | None = None
     max_clients: int | None = None
     control: frozenset[str] = frozenset()
+    audited: tuple[str, ...] = ()
 
     def rule_against(self, verb: str, name: str, *, own: bool = False) -> str:
         """Return what of this role forbids it, ``""`` where nothing does; ``own`` is a service of our rosapi."""
@@ -113,6 +115,7 @@ class Access:
     ``client`` names it in the log; ``tally`` counts denials of all clients by rule. ``denied`` counts those of this
     one. ``limited`` is false where ``spend`` has nothing to watch. ``is_own`` tells the services of our rosapi from
     those of nodes. ``ros1_actions`` gives the actions of a ROS 1 network, where their parts are ordinary topics.
+    ``audit`` is told of denials, and of commands where the role says so.
     """
 
     def __init__(
@@ -125,12 +128,13 @@ class Access:
         clock: Callable[[], float] = time.monotonic,
         is_own: Callable[[str], bool] | None = None,
         ros1_actions: Callable[[], Container[str]] | None = None,
+        audit: Auditor = NO_AUDIT,
     ) -> None:
         self._is_own, self._ros1_actions = is_own or _nobody, ros1_actions
         self.role, self.globs, self.client = role, globs or Globs(), client
         self.denied: Counter[str] = Counter()
         self.limited = role.messages_per_s is not None or role.bytes_per_s is not None
-        self._tally = tally
+        self._tally, self._audit = tally, audit
         self._clock = clock
         self._known: dict[tuple[str, str], str] = {}
         self._said: dict[str, float] = {}  # by rule: when the log told of it
@@ -155,7 +159,24 @@ class Access:
     @property
     def unrestricted(self) -> bool:
         """Return whether the client may do everything."""
-        return self.role is EVERYTHING and self.globs == Globs()
+        return replace(self.role, audited=()) == EVERYTHING and self.globs == Globs()
+
+    def command(self, verb: str, name: str, payload: bytes | None = None) -> None:
+        """Tell the audit log of a command, where the role says so."""
+        if self._audits(name):
+            self._tell_command(verb, name, payload)
+
+    def witness(self, verb: str, name: str) -> Callable[[bytes, str], None] | None:
+        """Return what tells the audit log of each command to ``name``, where the role says so."""
+        if not self._audits(name):
+            return None
+        return lambda payload, _: self._tell_command(verb, name, payload)
+
+    def _audits(self, name: str) -> bool:
+        return bool(self.role.audited) and _matches(_absolute(name), self.role.audited)
+
+    def _tell_command(self, verb: str, name: str, payload: bytes | None) -> None:
+        self._audit.note(AuditNote("command", verb, name, f"role {self.role.name}", self.client, payload=payload))
 
     def sees(self, kind: str, name: str) -> bool:
         """Return whether the client may do anything with a topic, service or action (``kind`` in plural)."""
@@ -206,6 +227,9 @@ class Access:
     def _refused(self, verb: str, name: str, rule: str) -> AccessDenied:
         error = AccessDenied(verb, name[:200], rule)
         self.denied[rule] += 1
+        self._audit.note(
+            AuditNote("denied", verb, name, f"role {self.role.name}", self.client, outcome="refused", why=rule)
+        )
         if self._tally is not None:
             self._tally[rule] += 1
         now = self._clock()

@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from dataclasses import replace
 
+from ropeway.audit.note import NO_AUDIT, AuditNote, Auditor
 from ropeway.fault_log import FaultLog
 from ropeway.listener.authentication import Door, Rejection, given_token, refusal
 from ropeway.listener.authorization import Role
@@ -29,10 +30,19 @@ def narrowed(limits: Limits, role: Role) -> Limits:
 class Entrance:
     """Admits clients, slows down guessing of tokens, counts refusals and logs them.
 
-    ``door`` may be replaced at any time. ``lobby`` has the connections that are not let in yet.
+    ``door`` may be replaced at any time. ``lobby`` has the connections that are not let in yet. ``audit`` is told of
+    everybody who is refused, and of what the clients' roles are denied.
     """
 
-    def __init__(self, door: Door | None = None, *, lobby: Lobby | None = None, lockout: Lockout | None = None) -> None:
+    def __init__(
+        self,
+        door: Door | None = None,
+        *,
+        lobby: Lobby | None = None,
+        lockout: Lockout | None = None,
+        audit: Auditor = NO_AUDIT,
+    ) -> None:
+        self.audit = audit
         self.door, self.lockout = door or Door(), lockout or Lockout()
         self.lobby = Lobby() if lobby is None else lobby
         self.refused: Counter[str] = Counter()  # by status and reason
@@ -102,8 +112,17 @@ class Entrance:
         """Count and log a refusal; return it."""
         self.refused[found.reason] += 1
         text = json.loads(found.body)["error"]
+        said = {"status": found.status}
+        self.audit.note(
+            AuditNote("refused", "connect", where=request.peer, outcome="refused", why=found.reason, details=said)
+        )
         self._fault_log.note(found.kind, "", f"{request.peer} is refused: {found.status} {text}")
         return found
+
+    def tell_kicked(self, peer: str, role: Role) -> None:
+        """Tell the audit log of a client that is disconnected because the rules have changed."""
+        why = f"what role {role.name} may do has changed"
+        self.audit.note(AuditNote("kicked", "disconnect", peer, "configuration", peer, why=why))
 
     def status(self) -> dict[str, dict[str, int]]:
         """Return who was refused, and how many wait to be let in, as JSON."""

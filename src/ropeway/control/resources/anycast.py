@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import Field
 
-from ropeway.control.resource import ControlRequest, Resources
+from ropeway.control.resource import Audited, ControlRequest, Resources
 from ropeway.errors import ControlRefused
 from ropeway.gateway.config.fields import Model
 
@@ -41,19 +41,25 @@ async def list_profiles(asked: ControlRequest) -> Any:
     return [group for answer in await asked.manager.ask(list_groups, {}) for group in answer]
 
 
-@resources.post("/v1/anycast/profile", right="operate", takes=GroupRequest, gives=dict[str, Any])
+@resources.post(
+    "/v1/anycast/profile", right="operate", takes=GroupRequest, gives=dict[str, Any], audited=Audited("anycast profile")
+)
 async def profile(asked: ControlRequest) -> Any:
     """Ask each member of a group for a moment, use the best, and return the profile."""
     return await _command(asked, "profile")
 
 
-@resources.post("/v1/anycast/switch", right="operate", takes=SwitchRequest, gives=dict[str, Any])
+@resources.post(
+    "/v1/anycast/switch", right="operate", takes=SwitchRequest, gives=dict[str, Any], audited=Audited("anycast switch")
+)
 async def switch(asked: ControlRequest) -> Any:
     """Use a member of a group from the next request on, and return the profile."""
     return await _command(asked, "switch")
 
 
-@resources.post("/v1/anycast/pause", right="operate", takes=PauseRequest, gives=dict[str, Any])
+@resources.post(
+    "/v1/anycast/pause", right="operate", takes=PauseRequest, gives=dict[str, Any], audited=Audited("anycast pause")
+)
 async def pause(asked: ControlRequest) -> Any:
     """Have the scheduler of a group keep the member in use, or choose again, and return the profile."""
     return await _command(asked, "pause")
@@ -64,6 +70,7 @@ async def _command(asked: ControlRequest, command: str) -> Any:
 
     known = [group["group"] for group in await list_profiles(asked)]
     params = {**asked.body.model_dump(), "command": command}
+    asked.noted.update(name=params["group"], **{key: params[key] for key in ("member", "paused") if key in params})
     wanted = params["group"]
     if wanted and wanted not in known:
         raise ControlRefused(404, f'no group is called "{wanted}"; there are: {", ".join(known) or "none"}')

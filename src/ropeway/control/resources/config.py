@@ -6,14 +6,17 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ropeway.control.resource import Answer, ControlRequest, Resources
+from ropeway.control.manager import Applied
+from ropeway.control.resource import Answer, Audited, ControlRequest, Resources
 from ropeway.errors import ControlRefused
+from ropeway.gateway.plan import ConfigPlan
 
-__all__ = ["resources"]
+__all__ = ["note_applied", "resources"]
 
 resources = Resources()
 
 _MOST_ENTRIES: Final = 1_000
+_MOST_STEPS: Final = 50  # in the audit log; the journal has all
 
 
 class ConfigBody(BaseModel):
@@ -68,28 +71,33 @@ async def read_config(asked: ControlRequest) -> Answer:
     return Answer(body, headers={"etag": f'"{config.etag}"'})
 
 
-@resources.put("/v1/config", right="configure", takes=ConfigBody, gives=AppliedModel)
+@resources.put("/v1/config", right="configure", takes=ConfigBody, gives=AppliedModel, audited=Audited("apply"))
 async def apply_config(asked: ControlRequest) -> Answer:
     """Apply a configuration: all of it or nothing. With ``If-Match``, 409 tells what was changed meanwhile."""
     body: ConfigBody = asked.body
     config = await asked.manager.read(body.config, body.directory)
     done = await asked.manager.apply(config, asked.caller, note=body.note, if_match=asked.headers.get("if-match"))
+    note_applied(asked, done)
     return Answer(done, headers={"etag": f'"{config.etag}"'})
 
 
-@resources.post("/v1/config/plan", right="configure", takes=ConfigBody, gives=PlanModel)
+@resources.post("/v1/config/plan", right="configure", takes=ConfigBody, gives=PlanModel, audited=Audited("plan"))
 async def plan_config(asked: ControlRequest) -> Answer:
     """Return what a configuration would start, stop and change, and what that interrupts. Nothing is done."""
     body: ConfigBody = asked.body
     plan = await asked.manager.plan(await asked.manager.read(body.config, body.directory))
+    _note_plan(asked, plan)
     return Answer(plan, headers={"etag": f'"{asked.manager.config.etag}"'})
 
 
-@resources.post("/v1/config/rollback", right="configure", takes=RollbackBody, gives=AppliedModel)
+@resources.post(
+    "/v1/config/rollback", right="configure", takes=RollbackBody, gives=AppliedModel, audited=Audited("rollback")
+)
 async def roll_back(asked: ControlRequest) -> Any:
     """Go back to a configuration that has run."""
     body: RollbackBody = asked.body
-    return await asked.manager.rollback(asked.caller, body.number, if_match=asked.headers.get("if-match"))
+    done = await asked.manager.rollback(asked.caller, body.number, if_match=asked.headers.get("if-match"))
+    return note_applied(asked, done)
 
 
 @resources.get("/v1/config/history", right="observe")
@@ -106,6 +114,18 @@ async def read_history(asked: ControlRequest) -> Any:
     """Return a change with its configuration."""
     entry = await asked.manager.record.entry(_number(asked.path["number"], "number"))
     return {**entry.to_json(), "config": await asked.manager.record.config(entry)}
+
+
+def note_applied(asked: ControlRequest, done: Applied) -> Applied:
+    """Add what was done to the entry of the audit log; return it."""
+    asked.noted["number"] = done.number
+    _note_plan(asked, done.plan)
+    return done
+
+
+def _note_plan(asked: ControlRequest, plan: ConfigPlan) -> None:
+    steps = [f"{step.action} {step.what} {step.name}" for step in plan.steps]
+    asked.noted.update(etag=plan.new.etag, steps=steps[:_MOST_STEPS], step_count=len(steps))
 
 
 def _number(text: str, what: str) -> int:

@@ -6,9 +6,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ropeway.control.edits import add_route, remove_route, set_active
-from ropeway.control.resource import ControlRequest, Resources
-from ropeway.control.resources.config import AppliedModel
+from ropeway.control.edits import Edit, add_route, remove_route, set_active
+from ropeway.control.resource import Audited, ControlRequest, Resources
+from ropeway.control.resources.config import AppliedModel, note_applied
 
 __all__ = ["resources"]
 
@@ -31,30 +31,34 @@ async def list_routes(asked: ControlRequest) -> Any:
     return asked.manager.status()["routes"]
 
 
-@resources.post("/v1/routes", right="configure", takes=RouteBody, gives=AppliedModel)
+@resources.post("/v1/routes", right="configure", takes=RouteBody, gives=AppliedModel, audited=Audited("route add"))
 async def add(asked: ControlRequest) -> Any:
     """Add a route; everything else goes on."""
     body: RouteBody = asked.body
-    edit = add_route(body.remote, body.operation, body.item)
-    return await asked.manager.edit(edit, asked.caller, action="route add", if_match=asked.headers.get("if-match"))
+    asked.noted["name"] = f"{body.operation} {body.item.get('name', '')} {body.remote}"
+    return await _edited(asked, add_route(body.remote, body.operation, body.item), "route add")
 
 
-@resources.delete("/v1/routes/{key}", right="configure", gives=AppliedModel)
+@resources.delete("/v1/routes/{key}", right="configure", gives=AppliedModel, audited=Audited("route rm", "key"))
 async def remove(asked: ControlRequest) -> Any:
     """Remove a route."""
-    edit = remove_route(asked.path["key"])
-    return await asked.manager.edit(edit, asked.caller, action="route rm", if_match=asked.headers.get("if-match"))
+    return await _edited(asked, remove_route(asked.path["key"]), "route rm")
 
 
-@resources.post("/v1/routes/{key}/pause", right="configure", gives=AppliedModel)
+@resources.post("/v1/routes/{key}/pause", right="configure", gives=AppliedModel, audited=Audited("route pause", "key"))
 async def pause(asked: ControlRequest) -> Any:
     """Pause a route: it stays in the configuration, and nothing crosses."""
-    edit = set_active(asked.path["key"], active=False)
-    return await asked.manager.edit(edit, asked.caller, action="route pause", if_match=asked.headers.get("if-match"))
+    return await _edited(asked, set_active(asked.path["key"], active=False), "route pause")
 
 
-@resources.post("/v1/routes/{key}/resume", right="configure", gives=AppliedModel)
+@resources.post(
+    "/v1/routes/{key}/resume", right="configure", gives=AppliedModel, audited=Audited("route resume", "key")
+)
 async def resume(asked: ControlRequest) -> Any:
     """Let a paused route go on."""
-    edit = set_active(asked.path["key"], active=True)
-    return await asked.manager.edit(edit, asked.caller, action="route resume", if_match=asked.headers.get("if-match"))
+    return await _edited(asked, set_active(asked.path["key"], active=True), "route resume")
+
+
+async def _edited(asked: ControlRequest, edit: Edit, action: str) -> Any:
+    done = await asked.manager.edit(edit, asked.caller, action=action, if_match=asked.headers.get("if-match"))
+    return note_applied(asked, done)

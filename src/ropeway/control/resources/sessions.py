@@ -6,7 +6,7 @@ import logging
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from ropeway.control.resource import ControlRequest, Resources
+from ropeway.control.resource import Audited, ControlRequest, Resources
 from ropeway.errors import ControlRefused
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ async def sessions(asked: ControlRequest) -> Any:
     return asked.manager.status()["sessions"]
 
 
-@resources.delete("/v1/sessions/{peer}", right="operate")
+@resources.delete("/v1/sessions/{peer}", right="operate", audited=Audited("disconnect", "peer", "kicked"))
 async def kick(asked: ControlRequest) -> Any:
     """Disconnect the client at ``peer``, its address and port; it may come back."""
     peer = asked.path["peer"]

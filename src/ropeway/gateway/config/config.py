@@ -53,6 +53,7 @@ class Route:
     timeout_s: float | None = None  # of a call or a goal
     store: bool = False  # the last message is kept
     frames: FrameNames | None = None  # how coordinate frames are called on the other side
+    audit: bool = False  # what crosses is written down
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,7 @@ class Config:
             timeout_s=item.timeout_s if isinstance(item, (ServiceItem, ActionItem)) else None,
             store=isinstance(item, TopicItem) and item.store,
             frames=item.frames() if isinstance(item, TopicItem) else None,
+            audit=item.audit,
         )
 
     def safeties(self) -> list[tuple[str, SafetyItem]]:

@@ -15,6 +15,7 @@ from pydantic import (
 
 from ropeway.budget import ACCOUNT_BYTES, PROCESS_BYTES, Budget
 from ropeway.gateway.config.address import default_graph, parse_graph, parse_listen
+from ropeway.gateway.config.audit_model import AuditConfig, AuditItem
 from ropeway.gateway.config.auth_model import AuthConfig, GlobsConfig, Secret
 from ropeway.gateway.config.control_model import ControlConfig, ControlItem
 from ropeway.gateway.config.fields import ExistingPath, Many, Model, Switch
@@ -268,6 +269,10 @@ class GatewayConfig(Model):
     control: ControlItem = Field(
         default_factory=lambda: ControlConfig.model_validate({}),
         description="how the running gateway is seen and changed; false: not at all",
+    )
+    audit: AuditItem = Field(
+        default_factory=lambda: AuditConfig.model_validate({}),
+        description="the log of who changed, commanded, was denied or disconnected; false: none",
     )
     workers: Annotated[
         Annotated[int, Field(ge=0, le=_MAX_WORKERS)] | Literal["per-remote"], BeforeValidator(_workers)

@@ -190,6 +190,9 @@ class BridgedName(Model):
     priority: Priority = Field(4, description="lanes: 0 (command) is sent first, 4 is the default, 7 (bulk) last")
 
     active: Switch = Field(True, description="false: parsed and checked, but paused")
+    audit: bool = Field(
+        False, description="true writes down every message, call or goal in the audit log: when, from where, its hash"
+    )
 
     author: Metadatum = Field(None, description=METADATUM)
     maintainer: Metadatum = Field(None, description="likewise")

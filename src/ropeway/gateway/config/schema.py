@@ -7,6 +7,7 @@ from typing import Any, Final
 from pydantic import AliasChoices, BaseModel
 from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
+from ropeway.gateway.config.audit_model import AuditConfig
 from ropeway.gateway.config.auth_model import GlobsConfig, Patterns, RoleConfig
 from ropeway.gateway.config.control_model import ControlConfig
 from ropeway.gateway.config.graph_model import GraphConfig
@@ -46,7 +47,7 @@ class _Plain(GenerateJsonSchema):
 
 def build() -> dict[str, Any]:
     """Build the schema of all three forms: the full object, a list of remotes, one remote."""
-    models: tuple[type[BaseModel], ...] = (Document, GraphConfig, ControlConfig, *_ITEMS)
+    models: tuple[type[BaseModel], ...] = (Document, GraphConfig, ControlConfig, AuditConfig, *_ITEMS)
     _, made = models_json_schema([(model, "validation") for model in models], schema_generator=_Plain)
     definitions: dict[str, Any] = made["$defs"]
     for model in _ITEMS:

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from ropeway import aio
+from ropeway.audit.trail import AuditTrail
 from ropeway.delivery.histogram import added
 from ropeway.errors import GraphUnavailable, RopewayError
 from ropeway.gateway.config.config import Config
@@ -86,7 +87,15 @@ class Supervisor:
     intervals.
     """
 
-    def __init__(self, config: Config, *, log_level: str = "INFO", steady_s: float = _STEADY_S) -> None:
+    def __init__(
+        self,
+        config: Config,
+        *,
+        log_level: str = "INFO",
+        steady_s: float = _STEADY_S,
+        audit: AuditTrail | None = None,
+    ) -> None:
+        self._audit = audit
         self.config = config
         self.gateway_id = os.urandom(8).hex()
         self.spare = Spare()
@@ -97,7 +106,8 @@ class Supervisor:
         self._ended = asyncio.Event()
 
     def _worker(self, name: str, part: Config) -> WorkerProcess:
-        return WorkerProcess(name, self._order(name, part), self.spare, steady_s=self._steady_s)
+        on_audit = None if self._audit is None else self._audit.take_entries
+        return WorkerProcess(name, self._order(name, part), self.spare, steady_s=self._steady_s, on_audit=on_audit)
 
     def _order(self, name: str, part: Config) -> dict[str, Any]:
         return {
@@ -107,6 +117,7 @@ class Supervisor:
             "node": f"{part.gateway.name}_{name}",
             "reuse_port": True,  # there may be more workers soon
             "log_level": self._log_level,
+            "audit": self._audit is not None,
         }
 
     async def __aenter__(self) -> Supervisor:

@@ -2,8 +2,8 @@
 
 Lines of JSON come in: first the order, then questions, ``{"id": 1, "ask": "module:function", "params": {...}}``. Lines
 of JSON on standard output tell the supervisor: ``{"ready": true}`` once, then ``{"status": {...}}`` about once a
-second, or ``{"error": "..."}`` before a failed start ends the process; and for each question ``{"answer": 1, "value":
-...}``, or ``"error"`` with its text.
+second, ``{"audit": [...]}`` what the audit log is to have, or ``{"error": "..."}`` before a failed start ends the
+process; and for each question ``{"answer": 1, "value": ...}``, or ``"error"`` with its text.
 """
 
 from __future__ import annotations
@@ -15,9 +15,14 @@ import json
 import logging
 import signal
 import sys
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from ropeway import aio
+from ropeway.audit.files import AuditLine
+from ropeway.audit.merging import AuditEntry
+from ropeway.audit.note import NO_AUDIT
+from ropeway.audit.trail import AuditTrail
 from ropeway.errors import ConfigError, ControlRefused, RopewayError
 from ropeway.gateway.config.config import parse
 from ropeway.gateway.gateway import Gateway
@@ -36,6 +41,29 @@ _STATUS_S = 1.0
 def _say(message: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()
+
+
+class _ToSupervisor:
+    """Hands entries of the audit log to the supervisor, which writes those of all workers."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+
+    def open(self) -> int:
+        """See ``AuditSink``."""
+        return 0
+
+    def append(self, entries: Sequence[AuditEntry]) -> None:
+        """See ``AuditSink``."""
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(_say, {"audit": list(entries)})
+
+    def backwards(self, wanted: Callable[[bytes], bool], before: int | None) -> Iterable[AuditLine]:
+        """See ``AuditSink``."""
+        return ()
+
+    def close(self) -> None:
+        """See ``AuditSink``."""
 
 
 def _reload(gateway: Gateway) -> None:
@@ -67,11 +95,13 @@ async def _answer(gateway: Gateway, message: dict[str, Any]) -> None:
 
 
 async def _run(order: dict[str, Any], stdin: asyncio.StreamReader) -> int:
+    trail = AuditTrail(_ToSupervisor()) if order.get("audit") else None
     gateway = Gateway(
         parse(order["config"], order.get("source", "")),
         gateway_id=order["gateway_id"],
         node=order["node"],
         reuse_port=order["reuse_port"],
+        audit=NO_AUDIT if trail is None else trail,
     )
     try:
         async with gateway:
@@ -88,6 +118,10 @@ async def _run(order: dict[str, Any], stdin: asyncio.StreamReader) -> int:
     except RopewayError as error:
         _say({"error": str(error)})
         return 1
+    finally:
+        if trail is not None:
+            await asyncio.to_thread(trail.close)
+            await asyncio.sleep(0)  # what it handed over last is said
     return 0
 
 

@@ -1,6 +1,7 @@
 """A worker as its supervisor sees it: its process, started again when it falls, its status, and questions to it.
 
-Lines of JSON go to the worker: first its order, then questions. Lines of JSON come back: its status, and answers.
+Lines of JSON go to the worker: first its order, then questions. Lines of JSON come back: its status, answers, and
+what the audit log is to have.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ import json
 import logging
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from ropeway import aio
+from ropeway.audit.merging import AuditEntry
 from ropeway.errors import ConfigError, ControlRefused, GraphUnavailable
 from ropeway.gateway.process.questions import Question, question_name
 
@@ -75,7 +77,15 @@ class Spare:
 class WorkerProcess:
     """A process and its slice. ``order`` may be replaced: the process that is started next gets the new one."""
 
-    def __init__(self, name: str, order: dict[str, Any], spare: Spare, *, steady_s: float) -> None:
+    def __init__(
+        self,
+        name: str,
+        order: dict[str, Any],
+        spare: Spare,
+        *,
+        steady_s: float,
+        on_audit: Callable[[list[AuditEntry]], None] | None = None,
+    ) -> None:
         self.name = name
         self.order = order
         self.status: dict[str, Any] = {}
@@ -83,7 +93,7 @@ class WorkerProcess:
         self.process: asyncio.subprocess.Process | None = None
         self.ready = asyncio.Event()
         self.error = ""
-        self._spare = spare
+        self._spare, self._on_audit = spare, on_audit
         self._steady_s = steady_s
         self._numbers = itertools.count(1)
         self._asked: dict[int, asyncio.Future[Any]] = {}
@@ -172,6 +182,8 @@ class WorkerProcess:
         if "answer" in message:
             self._answered(message)
             return
+        if "audit" in message and self._on_audit is not None:
+            self._on_audit(message["audit"])
         self.status = message.get("status", self.status)
         self.error = message.get("error", self.error)
         if "ready" in message:

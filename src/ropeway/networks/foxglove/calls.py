@@ -72,6 +72,7 @@ class ViewerCalls:
         viewer.requests_bytes += held
         try:
             request = Request(read(op.data), new_id(), (), viewer.peer_name, self._timeout_s)
+            viewer.access.command("call_service", service.service, request.payload)
             client = await self._client(service)
             body = write(await client.call(request, self._timeout_s))
         except (RopewayError, ValueError) as error:

@@ -114,6 +114,7 @@ class NodeParameters:
         async def set_those(node: str) -> Mapping[str, str | None]:
             access.check("call_service", f"{node}/set_parameters")
             wanted = by_node[node]
+            access.command("call_service", f"{node}/set_parameters")
             view, registry, timeout_s = self._view, self._registry, min(_NODE_S, self._timeout_s)
             now = await get_parameters(view, registry, node, wanted, timeout_s=timeout_s)
             values = {name: wanted_value(parameter, now[name]) for name, parameter in wanted.items()}
@@ -183,6 +184,7 @@ class MasterParameters:
         """See ``ParameterSource.set``."""
         try:
             access.check("call_service", "/rosapi/set_param")
+            access.command("call_service", "/rosapi/set_param")
             async with aio.timeout(self._timeout_s):
                 for parameter in given:
                     await self._set(parameter, complain)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.delivery.passage import Passage
+from ropeway.delivery.pipeline import witnessed
 from ropeway.errors import InvalidOperation, RopewayError
 from ropeway.graph.base import SEQ_NONE, Sample, new_origin, resolve_name
 from ropeway.limits import TOPICS_PER_CLIENT
@@ -86,6 +87,7 @@ class ViewerPublications:
             self._teller.tell(type, offer.schema)
         publication = _Publication(offer, type, decoder(viewer, type, offer.encoding))
         publication.publisher = await viewer.view.create_publisher(name, type)
+        publication.passage.steps = witnessed(viewer.access.witness("publish", name))
         publication.passage.sink = publication.publisher.publish
         self._channels[offer.id] = publication
 

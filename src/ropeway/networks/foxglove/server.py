@@ -175,6 +175,7 @@ class FoxgloveServer:
             tally=self.denied,
             is_own=MASTER_SERVICES.__contains__ if isinstance(graph, ParameterServer) else None,
             ros1_actions=graph.actions if graph.kind == "ros1" else None,
+            audit=self.entrance.audit,
         )
         self.catalogue.start()
         self._settle_shared()
@@ -207,6 +208,7 @@ class FoxgloveServer:
         for session in self.sessions:
             connection = session.connection
             if not self.entrance.keeps(connection.handshake, session.access.role, certificates=certificates):
+                self.entrance.tell_kicked(connection.peer, session.access.role)
                 connection.close(1008, "what this client may do has changed; connect again")
 
     # ── what sessions share ────────────────────────────────────────────────────────────────────────────────────

@@ -225,7 +225,9 @@ class IortServer:
             self.entrance.left(before)
         self.entrance.came(role)
         size = min(self.max_packet_bytes, role.max_message_bytes or self.max_packet_bytes)
-        session.let_in(Access(role, self.entrance.door.globs, client=session.peer, tally=self.denied), size)
+        entrance = self.entrance
+        access = Access(role, entrance.door.globs, client=session.peer, tally=self.denied, audit=entrance.audit)
+        session.let_in(access, size)
 
     def _rename(self, session: IortSession, name: str) -> None:
         self._names[session.node] -= 1

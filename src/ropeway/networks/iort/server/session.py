@@ -260,6 +260,8 @@ class IortSession(NodeConnection):
         access.check(verb, f"/{packet.system}/{packet.topic}")
         if access.limited:
             access.spend(verb, f"/{packet.system}/{packet.topic}", len(packet.data))
+        if verb == "publish":
+            access.command(verb, f"/{packet.system}/{packet.topic}", packet.data)
         return access
 
     def _publish_plain(self, packet: Packet) -> None:

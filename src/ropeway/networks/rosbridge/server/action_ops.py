@@ -127,6 +127,7 @@ class ActionOps:
     def cancel(self, op: ops.CancelActionGoal) -> None:
         """Cancel a goal of the client, or without an id all its goals of the action."""
         name = self.session.names.resolve(op.name)
+        self.session.access.command("cancel_action_goal", name)
         found = [g for g in self.goals if g.name == name and (not ops.present(op.id) or g.op.id == op.id)]
         for goal in found:
             self._cancelling.start(goal.cancel(answer=self.session.gateway), f"cancel goal of {name}")
@@ -212,6 +213,7 @@ class SentGoal:
         if types and type not in types:
             raise TypeConflict(name, types[0], type)
         payload = decode_args(session, op.args, op.compression, type + "_Goal")
+        session.access.command("send_action_goal", name, payload)
         op.args = None  # in CDR it takes least
         codecs = [codec_of(session, type + part) for part in ("_Result", "_Feedback")]
         encoding = answer_encoding(session, op)

@@ -168,7 +168,7 @@ class RosbridgeServer:
         role = self.entrance.admit(request)
         if not isinstance(role, Role):
             return role
-        found = pages(request, Access(role, self.entrance.door.globs, client=request.peer, tally=self.denied))
+        found = pages(request, self._access(role, request.peer))
         if not isinstance(found, StoreWatcher):
             return found
         crowded = self._crowded(role)
@@ -219,6 +219,7 @@ class RosbridgeServer:
         for session in self.sessions:
             connection = session.peer.connection
             if not keeps(connection.handshake, session.access.role, certificates=certificates):
+                self.entrance.tell_kicked(connection.peer, session.access.role)
                 connection.close(1008, "what this client may do has changed; connect again")
         for watcher in self.watchers:
             if not keeps(watcher.request, watcher.access.role, certificates=certificates):
@@ -233,6 +234,7 @@ class RosbridgeServer:
             tally=self.denied,
             is_own=self.rosapi.serves,
             ros1_actions=self.hub.graph.actions if ros1 else None,
+            audit=self.entrance.audit,
         )
 
     def _link_of(self, request: HttpRequest | None) -> Session | None:

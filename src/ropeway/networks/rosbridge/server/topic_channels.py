@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ropeway.delivery.early_queue import EarlyQueue
 from ropeway.delivery.outbox import Lost
 from ropeway.delivery.passage import Passage
-from ropeway.delivery.pipeline import Drop, RateLimit, Step
+from ropeway.delivery.pipeline import Drop, RateLimit, Step, witnessed
 from ropeway.delivery.throttle import Throttle
 from ropeway.graph.base import SEQ_NONE, Sample, Undelivered, new_origin
 from ropeway.limits import LONGEST_THROTTLE_MS, QOS_DEPTH_SAMPLES, REMEMBERED_PUBLISH_IDS
@@ -73,7 +73,8 @@ class TopicIn(Inbound):
         """Take the publisher that was made, and publish what came early."""
         peer, number = self.session.peer, self.number
         self.publisher = publisher
-        self.passage.steps, self.passage.sink = (), publisher.publish
+        self.passage.steps = witnessed(self.session.access.witness("publish", publisher.topic))
+        self.passage.sink = publisher.publish
         self.passage.pass_on(self._early.take())
         if number is not None:
             if not self.session.access.limited:  # what is counted for a role goes by way of the session
