@@ -17,6 +17,7 @@ EXTRAS: Final = {
     "demo": ("matplotlib",),
     "mongo": ("pymongo",),
     "overlay": ("zenoh",),
+    "zenoh": ("xxhash", "zenoh"),
 }
 """The modules that each extra brings."""
 

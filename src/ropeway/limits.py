@@ -276,6 +276,36 @@ OVERLAY_FILE_BYTES: Final = 16 << 20
 OVERLAY_REMEMBERED_BYTES: Final = 16 << 20
 """Answers of one service that are kept for requests that come twice."""
 
+# ── rmw_zenoh ──────────────────────────────────────────────────────────────────────────────────────────────────────
+
+ZENOH_TOKEN_CHARACTERS: Final = 4_096
+"""A token by which a node or an endpoint shows itself. The longest names make one of 1,500."""
+
+ZENOH_TOKENS: Final = 100_000
+"""Tokens that are kept of one network. 500 nodes have some 15,000; more are counted and not listed."""
+
+ZENOH_TOKENS_BYTES: Final = 64 << 20
+"""Tokens that wait for the event loop. Above, the oldest go, and all tokens are asked for again."""
+
+ZENOH_HASHES_PER_NAME: Final = 8
+"""Hashes of a type under which one endpoint shows itself: one for each distribution that has another layout of it."""
+
+ZENOH_READ_BYTES: Final = 32 << 20
+"""Messages of one topic that wait for the event loop. Above, the oldest go."""
+
+ZENOH_UNSENT_BYTES: Final = 32 << 20
+"""Messages of one publisher that wait for the network. Above, the oldest go; of best effort topics as many wait as the
+profile keeps."""
+
+ZENOH_REQUESTS_BYTES: Final = 64 << 20
+"""Requests of one service, or answers to one client, that wait for the event loop. Above, the oldest go."""
+
+ZENOH_REQUESTS: Final = 1_024
+"""Requests of one service that are carried out at a time. More are answered at once, with the default response."""
+
+ZENOH_MESSAGE_BYTES: Final = 256 << 20
+"""One message of the network, which Zenoh puts together."""
+
 # ── The log ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 LOG_BURST_LINES: Final = 60

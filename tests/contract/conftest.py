@@ -28,6 +28,8 @@ from ropeway.networks.ros1 import Ros1Graph
 from ropeway.networks.ros2 import Ros2Graph
 from ropeway.networks.rosbridge.client import RosbridgeGraph
 from ropeway.networks.rosbridge.server import RosbridgeServer
+from ropeway.networks.zenoh import ZenohGraph
+from ropeway.networks.zenoh.address import ZenohAddress
 from ropeway.store import Store, StoreLimits, make_backend
 from ropeway.types import TypeRegistry
 from tests.networks.overlay.fleet import member
@@ -216,6 +218,18 @@ async def open_ros1(stack: AsyncExitStack) -> Pair:
     return Pair(ends[0], ends[1], stack)
 
 
+async def open_zenoh(stack: AsyncExitStack) -> Pair:
+    """Two nodes on a network of rmw_zenoh, of which one connects to the other."""
+    where = (f"tcp/{free_endpoint().partition('/')[2]}",)
+    addresses = (ZenohAddress(0, (), where, "peer"), ZenohAddress(0, where, (), "peer"))
+    ends = [ZenohGraph(address, name=name) for address, name in zip(addresses, ("near", "far"), strict=True)]
+    for end in ends:
+        await end.open()
+        stack.push_async_callback(end.close)
+    await until(lambda: all("/near" in end.nodes() and "/far" in end.nodes() for end in ends))
+    return Pair(ends[0], ends[1], stack)
+
+
 KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
     "memory": open_memory,
     "hub": open_hub,
@@ -225,6 +239,7 @@ KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
     "dds": open_dds,
     "overlay": open_overlay,
     "rosbridge": open_rosbridge,
+    "zenoh": open_zenoh,
 }
 if HAS_MASTER:
     KINDS["ros1"] = open_ros1

@@ -17,6 +17,8 @@ def test_kinds() -> None:
     for url, kind, name in (
         ("dds:7", "dds", "dds:7"),
         ("ros2:7", "ros2", "ros2:7"),
+        ("zenoh", "zenoh", "zenoh"),
+        ("zenoh:tcp/robot:7447?domain=5", "zenoh", "zenoh:tcp/robot:7447?domain=5"),
         ("memory:x", "memory", "memory:x"),
         ("ros1:http://robot:11312", "ros1", "ros1:http://robot:11312"),
         ("ros1://robot", "ros1", "ros1:http://robot:11311"),
@@ -55,6 +57,8 @@ def test_master_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
         "ros2:x",
         "ros2:0?interface=lo",
         "dds:0?color=red",
+        "zenoh:robot",
+        "zenoh?color=red",
         "rso2:0",
         "http://x",
     ],

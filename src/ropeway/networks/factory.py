@@ -1,5 +1,6 @@
 """Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ros1``, ``ros1:http://host:11311``,
-``ws://host:9090``, ``memory:x``, ``overlay:robot1.ropeway``, ``iort://host:7410``. Several ``ws://`` addresses with
+``zenoh``, ``zenoh:tcp/host:7447``, ``ws://host:9090``, ``memory:x``, ``overlay:robot1.ropeway``, ``iort://host:7410``.
+Several ``ws://`` addresses with
 commas between are a group.
 
 ``ros2`` goes through the installed rclpy, in the domain of ``ROS_DOMAIN_ID`` unless it names one. ``auto`` is ``ros2``
@@ -56,16 +57,7 @@ def make_graph(
             raise GraphUnavailable(url, f"{domain!r} is not a DDS domain; write dds:0 to dds:232")
         interface, distro = query.pop("interface", None), query.pop("distro", distro)
         _no_more(url, query)
-        network = None
-        if distro or types:
-            from ropeway.types import TypeRegistry
-            from ropeway.types.variant import make_network
-
-            registry = registry or TypeRegistry()
-            try:
-                network = make_network(registry, distro, types, label=url.partition("?")[0])
-            except ValueError as error:
-                raise GraphUnavailable(url, str(error)) from None
+        registry, network = _variant(url, registry, distro, types)
         return DdsGraph(
             int(domain), name=name, interface=interface, gateway_id=gateway_id, registry=registry, network=network
         )
@@ -77,6 +69,8 @@ def make_graph(
             raise GraphUnavailable(url, f"{domain!r} is not a ROS domain; write ros2, or ros2:0 to ros2:232")
         _no_more(url, query)
         return Ros2Graph(int(domain), name=name, gateway_id=gateway_id, registry=registry)
+    if scheme == "zenoh" or url.partition("?")[0] == "zenoh":
+        return _zenoh(url, registry, name, gateway_id, distro, types)
     if scheme == "ros1" or url == "ros1":
         from ropeway.networks.ros1 import Ros1Graph
 
@@ -99,8 +93,8 @@ def make_graph(
         return _overlay(url, parts.path or parts.netloc, query, registry)
     raise GraphUnavailable(
         url,
-        "is not a graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, ros1, ros1:http://host:11311, "
-        "ws://host:9090, wss://host, iort://host:7410 or overlay:NAME.ropeway",
+        "is not a graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, zenoh, zenoh:tcp/host:7447, ros1, "
+        "ros1:http://host:11311, ws://host:9090, wss://host, iort://host:7410 or overlay:NAME.ropeway",
     )
 
 
@@ -115,6 +109,38 @@ def _group(url: str, **options: Any) -> Graph:
             raise GraphUnavailable(url, f"{address!r} cannot be in a group; write ws://edge1:9090,ws://edge2:9090")
     members = {without_token(address): RosbridgeGraph(address, **options) for address in addresses}
     return Group(members, name=without_token(url), registry=options["registry"])
+
+
+def _zenoh(
+    url: str, registry: TypeRegistry | None, name: str, gateway_id: str, distro: str | None, types: Sequence[str]
+) -> Graph:
+    """Make the graph of a network of rmw_zenoh; ``zenoh`` alone is that of a router on this machine."""
+    require("zenoh", "a network on rmw_zenoh")
+    from ropeway.networks.zenoh import ZenohGraph
+    from ropeway.networks.zenoh.address import parse_address
+
+    try:
+        address = parse_address(url)
+    except ValueError as error:
+        raise GraphUnavailable(url, str(error)) from None
+    registry, network = _variant(url, registry, address.distro or distro, types)
+    return ZenohGraph(address, label=url, name=name, gateway_id=gateway_id, registry=registry, network=network)
+
+
+def _variant(
+    url: str, registry: TypeRegistry | None, distro: str | None, types: Sequence[str]
+) -> tuple[TypeRegistry | None, TypeRegistry | None]:
+    """Return our types, and those of a network where it is told that it has others."""
+    if not (distro or types):
+        return registry, None
+    from ropeway.types import TypeRegistry
+    from ropeway.types.variant import make_network
+
+    registry = registry or TypeRegistry()
+    try:
+        return registry, make_network(registry, distro, types, label=url.partition("?")[0])
+    except ValueError as error:
+        raise GraphUnavailable(url, str(error)) from None
 
 
 def _iort(url: str, query: dict[str, str], name: str, registry: TypeRegistry | None, **options: Any) -> Graph:

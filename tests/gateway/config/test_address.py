@@ -16,6 +16,10 @@ from ropeway.gateway.config.address import parse_graph, parse_link, parse_listen
         "ros2:0",
         "ros2:232",
         "auto",
+        "zenoh",
+        "zenoh?domain=5",
+        "zenoh:tcp/robot:7447,tls/[::1]:7448?ca=/etc/ca.pem&distro=humble",
+        "zenoh:peer",
         "memory:x",
         "ros1",
         "ros1:http://robot:11311",
@@ -38,6 +42,9 @@ def test_graphs(text: str) -> None:
         ("ros1:robot", "expected ros1 or ros1:http://host:11311"),
         ("ros3:0", "did you mean"),
         ("memory:", "expected memory:name"),
+        ("zenoh:robot:7447", "expected zenoh, zenoh:tcp/host:7447 or zenoh:peer"),
+        ("zenoh:tcp/robot", "write tcp/host:7447"),
+        ("zenoh?domain=400", "from 0 to 232"),
     ],
 )
 def test_refused(text: str, said: str) -> None:

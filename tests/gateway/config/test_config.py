@@ -165,7 +165,7 @@ def test_networks_that_cannot_have_types_of_their_own() -> None:
         }
     )
     assert said["gateway.graphs[0].distro"] == (
-        "only dds graphs have this key; ros2 has the types of the ROS 2 that is sourced"
+        "only dds and zenoh graphs have this key; ros2 has the types of the ROS 2 that is sourced"
     )
     assert said["gateway.graphs[1].distro"].startswith("expected one of foxy, galactic, humble")
     assert said["gateway.graphs[2].distro"] == "dds:2?distro=humble says it, too; keep one"

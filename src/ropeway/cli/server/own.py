@@ -22,7 +22,7 @@ _OPTIONS: Final = (
     *("topics_pub_glob", "topics_sub_glob", "services_glob", "actions_glob", "params_glob", "params_timeout"),
 )
 _RETRY_S: Final = 2.0  # rosbridge's, which tries again for ever
-_GRAPHS: Final = ("dds", "ros2", "memory")  # where nodes have parameter services
+_GRAPHS: Final = ("dds", "ros2", "zenoh", "memory")  # where nodes have parameter services
 _ADDRESS: Final = "127.0.0.1"
 
 

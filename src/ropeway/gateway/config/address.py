@@ -13,6 +13,7 @@ from typing import Final
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from ropeway.gateway.config.suggest import did_you_mean, one_of, show
+from ropeway.networks.zenoh.address import parse_address
 from ropeway.types.distros import ROS2_DISTROS
 
 __all__ = [
@@ -45,6 +46,7 @@ GRAPHS: Final[Mapping[str, str]] = {
     "dds": r"dds:(?P<domain>\d{1,3})(\?[\w.%,:/=&+-]+)?",
     "ros2": r"ros2(:(?P<domain>\d{1,3}))?",
     "auto": r"auto",
+    "zenoh": r"zenoh(:(peer|[a-z]+/[\w.:\[\]%,/-]+)?)?(\?[\w.%,:/=&+~-]+)?",
     "ros1": r"ros1(:(http:)?//[\w.:\[\]-]+/?)?",
     "memory": r"memory:[A-Za-z0-9_.-]+",
 }
@@ -54,6 +56,7 @@ _WRITTEN: Final = {
     "dds": "dds:0",
     "ros2": "ros2 or ros2:0",
     "auto": "auto",
+    "zenoh": "zenoh, zenoh:tcp/host:7447 or zenoh:peer",
     "ros1": "ros1 or ros1:http://host:11311",
     "memory": "memory:name",
 }
@@ -88,7 +91,7 @@ def parse_listen(text: str) -> str:
 
 def parse_graph(text: str) -> str:
     """Normalise the address of a graph. Raises ``ValueError`` with what was expected."""
-    kind = text.partition(":")[0]
+    kind = re.split("[:?]", text, maxsplit=1)[0]
     if kind not in GRAPHS:
         near = did_you_mean(kind, GRAPHS)
         raise ValueError(f"expected a graph such as dds:0 (kinds: {', '.join(GRAPHS)}), got {show(text)}{near}")
@@ -98,6 +101,8 @@ def parse_graph(text: str) -> str:
     domain = match.groupdict().get("domain")
     if domain is not None and int(domain) > _MAX_DOMAIN:
         raise ValueError(f"expected a {_DOMAINS[kind]} domain from 0 to {_MAX_DOMAIN}, got {show(text)}")
+    if kind == "zenoh":
+        parse_address(text, {})
     distro = dict(parse_qsl(text.partition("?")[2])).get("distro")
     if distro is not None and distro not in ROS2_DISTROS:
         raise ValueError(f"distro: {one_of(distro, ROS2_DISTROS)}")

@@ -162,8 +162,9 @@ def _graphs(gateway: Mapping[str, Any], addresses: list[Any]) -> Iterable[Proble
     for number, graph in _objects(gateway.get("graphs")):
         where, address = f"gateway.graphs[{number}]", _attempt(parse_graph, graph.get("address"))
         for key in ("distro", "types"):
-            if address is not None and graph.get(key) is not None and not address.startswith("dds:"):
-                yield f"{where}.{key}", f"only dds graphs have this key; {_WHY_NOT[address.partition(':')[0]]}"
+            if address is not None and graph.get(key) is not None and not address.startswith(("dds:", "zenoh")):
+                why = _WHY_NOT[address.partition(":")[0]]
+                yield f"{where}.{key}", f"only dds and zenoh graphs have this key; {why}"
         if graph.get("distro") is not None and address is not None and "distro=" in address:
             yield f"{where}.distro", f"{address} says it, too; keep one"
     for number, address in enumerate(addresses):

@@ -38,10 +38,10 @@ class GraphConfig(Model):
     address: Annotated[str, AfterValidator(parse_graph)] = Field(description="as gateway.graphs lists them")
     distro: Distro | None = Field(
         None,
-        description="dds: the distribution of ROS 2 whose layouts of types the network has; default: detected",
+        description="dds, zenoh: the distribution of ROS 2 whose layouts of types the network has; default: detected",
     )
     types: Many[ExistingPath] = Field(
-        (), description="dds: files and directories with definitions that count on this network alone"
+        (), description="dds, zenoh: files and directories with definitions that count on this network alone"
     )
 
     @model_serializer

@@ -231,8 +231,9 @@ class GatewayConfig(Model):
         default_factory=_default_graphs,
         alias="graphs",
         description="the local networks: dds:<domain> (without ROS), ros2 or ros2:<domain> (through the sourced ROS 2, "
-        "any RMW), auto (ros2 where ROS 2 is sourced, else dds), ros1 or ros1:http://host:11311 (a ROS 1 master); left "
-        "out: dds with ROS_DOMAIN_ID. An object with address, distro and types says more of a network",
+        "any RMW), auto (ros2 where ROS 2 is sourced, else dds), ros1 or ros1:http://host:11311 (a ROS 1 master), "
+        "zenoh or zenoh:tcp/host:7447 (nodes on rmw_zenoh, without ROS); left out: dds with ROS_DOMAIN_ID. An object "
+        "with address, distro and types says more of a network",
     )
     listen: Many[Annotated[str, AfterValidator(parse_listen)]] = Field(
         ("ws://127.0.0.1:9090",),

@@ -20,9 +20,9 @@ import zenoh
 
 from ropeway import aio
 from ropeway.errors import GraphUnavailable
+from ropeway.graph.inlet import Inlet, one_by_one
 from ropeway.limits import OVERLAY_NOTE_BYTES, OVERLAY_ROUTED_BYTES, OVERLAY_WAITING_NOTES_BYTES
 from ropeway.networks.overlay.asked import Asked
-from ropeway.networks.overlay.inlet import Inlet, one_by_one
 from ropeway.networks.overlay.link_sockets import Losses, set_options
 from ropeway.networks.overlay.zenoh_config import MEMBER_DEAD_MS, ROUTER_DEAD_MS
 from ropeway.tasks import Supervised, end

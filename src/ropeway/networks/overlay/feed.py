@@ -17,6 +17,7 @@ from typing import Any, Final, Protocol
 import zenoh
 
 from ropeway.errors import CallError, RopewayError, SealError
+from ropeway.graph.inlet import Inlet
 from ropeway.limits import (
     OVERLAY_BATCH_BYTES,
     OVERLAY_COPY_BYTES,
@@ -32,7 +33,6 @@ from ropeway.networks.overlay.data_key import data_key, publisher_of
 from ropeway.networks.overlay.fabric import Fabric, Handle
 from ropeway.networks.overlay.follower import Follower
 from ropeway.networks.overlay.held_bytes import HeldBytes
-from ropeway.networks.overlay.inlet import Inlet
 from ropeway.networks.overlay.packet_assembly import PacketAssembly
 from ropeway.networks.overlay.packet_item import PacketItem, read_item, read_items
 from ropeway.networks.overlay.packet_mark import Mark

@@ -1,4 +1,4 @@
-"""ropeway.networks.overlay.inlet: what waits for the event loop is bounded and counted."""
+"""ropeway.graph.inlet: what waits for the event loop is bounded and counted."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from ropeway.networks.overlay.inlet import Inlet, one_by_one
+from ropeway.graph.inlet import Inlet, one_by_one
 from tests.support.until import until
 
 
