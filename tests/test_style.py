@@ -291,6 +291,7 @@ def test_everything_is_caught_at_boundaries_only() -> None:
 LONGEST_LINES = 450
 LONGER = {
     "iort.py": 2200,  # one file by design: nodes copy it
+    "limits.py": 600,  # one table by design: whoever looks for a limit finds it here
 }
 """The modules that are longer than others may be, and how long at most."""
 
