@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 import typer
 
-from ropeway.cli.server import _config, app
-from ropeway.cli.server.own import declared
+from ropeway.cli.server import _completed, _config, app
+from ropeway.cli.server.own import declared, declared_to_viewers
 from ropeway.cli.server.parameters import WITHOUT_EFFECT, arguments, notes
 from ropeway.cli.server.rosargs import split
 from ropeway.errors import ConfigError
@@ -174,7 +174,7 @@ def configured(*given: str) -> Config:
     """The configuration of a command line."""
     command = typer.main.get_command(app)
     context = command.make_context("server", list(given))
-    return _config(context.params)
+    return _config(_completed(context.params))
 
 
 def test_defaults() -> None:
@@ -329,3 +329,86 @@ def test_parameters_over_dds(background: Start, ropeway: Ropeway) -> None:
     refused = ropeway("param", "set", "/bridge", "port", "1", *domain)
     assert refused.returncode == 1
     assert "port is read-only while /bridge runs: start the server with --port" in refused.stderr
+
+
+# ── in the place of foxglove_bridge ────────────────────────────────────────────────────────────────────────────────
+
+FOXGLOVE = (
+    *("port", "address", "tls", "certfile", "keyfile", "topic_whitelist", "service_whitelist", "param_whitelist"),
+    *("client_topic_whitelist", "best_effort_qos_topic_whitelist", "min_qos_depth", "max_qos_depth"),
+    *("send_buffer_limit", "use_sim_time", "capabilities", "include_hidden", "asset_uri_allowlist", "num_threads"),
+)
+
+
+def as_launched(*given: str) -> Config:
+    """The configuration of a command line with ROS arguments."""
+    command = typer.main.get_command(app)
+    context = command.make_context("server", ["--foxglove", *given])
+    return _config(_completed(context.params))
+
+
+def test_every_parameter_of_foxglove_bridge_is_an_option() -> None:
+    """Every parameter of foxglove_bridge is an option here."""
+    command = typer.main.get_command(app)
+    options = {name for param in command.params for name in param.opts}
+    assert {"--" + name.replace("_", "-") for name in FOXGLOVE} <= options
+
+
+def test_in_the_place_of_foxglove_bridge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The parameters of foxglove_bridge's launch file mean what they mean there."""
+    (tmp_path / "share").mkdir()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path}:{tmp_path}/missing")
+    gateway = as_launched(
+        *("--insecure", "--ros-args", "-p", "port:=8766", "-p", "address:=0.0.0.0", "-p", "tls:=false"),
+        *("-p", "topic_whitelist:=['/a.*','/it{1,2}']", "-p", r"asset_uri_allowlist:=['^package://.*\.stl$']"),
+        *("-p", "max_qos_depth:=10", "-p", "send_buffer_limit:=1000", "-p", "use_sim_time:=true"),
+        *("-p", "capabilities:=[clientPublish,services]", "-p", "include_hidden:=true", "-p", "num_threads:=4"),
+        *("-p", "best_effort_qos_topic_whitelist:=['(?!)']", "-p", "certfile:=", "-p", "sysinfo:=true"),
+    ).gateway
+    assert (gateway.name, gateway.listen) == ("foxglove_bridge", ("foxglove://0.0.0.0:8766",))
+    settings = gateway.foxglove
+    assert settings.topic_whitelist == ("/a.*", "/it{1,2}")
+    assert settings.asset_uri_allowlist == (r"^package://.*\.stl$",)
+    assert settings.asset_roots == (str(tmp_path / "share"),)
+    assert (settings.max_qos_depth, settings.send_buffer_limit, settings.use_sim_time) == (10, 1000, True)
+    assert (settings.capabilities, settings.include_hidden) == (("clientPublish", "services"), True)
+    assert as_launched().gateway.listen == ("foxglove://127.0.0.1:8765",)
+    assert as_launched().gateway.foxglove.asset_roots == ()
+
+
+def test_tls_of_viewers(tmp_path: Path) -> None:
+    """The certificate counts where ``tls`` is true, as in foxglove_bridge."""
+    files = Authority(tmp_path, "ours").sign("server")
+    given = ("--certfile", files["certificate"], "--keyfile", files["key"])
+    assert as_launched("--tls", *given).gateway.listen == ("foxgloves://127.0.0.1:8765",)
+    assert as_launched(*given).gateway.listen == ("foxglove://127.0.0.1:8765",)
+    with pytest.raises(typer.Exit):
+        as_launched("--tls")
+    with pytest.raises(ConfigError, match="topic_whitelist"):
+        as_launched("--topic-whitelist", "['(']")
+
+
+async def test_serves_viewers(background: Start) -> None:
+    """The server serves viewers as a process, tells what has no effect in one line, and ends in order."""
+    process = background(
+        *("server", *MEMORY, "--foxglove", "--port", "0", "--json", "--period", "0.1", "--num-threads", "4"),
+        *("--ros-args", "-p", "message_backlog_size:=5", "--"),
+    )
+    status = await asyncio.to_thread(first, process)
+    async with Client(status["listen"][0]["port"], subprotocol="foxglove.sdk.v1") as viewer:
+        assert (await viewer.json())["op"] == "serverInfo"
+    process.send_signal(signal.SIGINT)
+    _, err = await asyncio.to_thread(process.communicate, timeout=10)
+    assert process.returncode == 0
+    (line,) = [line for line in err.splitlines() if "without effect" in line]
+    assert "num_threads" in line
+    assert "message_backlog_size" in line
+
+
+def test_parameters_of_the_node_of_viewers() -> None:
+    """The parameters of foxglove_bridge are there in their types, and ``port`` is the one that was taken."""
+    given = {"address": "", "tls": False, "certfile": "", "keyfile": ""}
+    found = {each.name: each.value for each in declared_to_viewers(as_launched().gateway.foxglove, given, 41234)}
+    assert (found["port"], found["address"], found["tls"]) == (41234, "127.0.0.1", False)
+    assert found["topic_whitelist"] == [".*"]
+    assert {type(value) for value in found.values()} <= {int, bool, str, list}

@@ -12,6 +12,7 @@ import typer.core
 from ropeway.cli.console import fail
 from ropeway.cli.logs import LEVELS, set_up
 from ropeway.cli.loop import run
+from ropeway.cli.server.foxglove import FOXGLOVE_NODE, FOXGLOVE_PORT, foxglove_settings
 from ropeway.cli.server.parameters import NODE, arguments, notes
 
 if TYPE_CHECKING:
@@ -22,7 +23,9 @@ __all__ = ["app"]
 app = typer.Typer(add_completion=False)
 log = logging.getLogger("ropeway")
 
+_PORT = 9090
 _SAME = "As in rosbridge_websocket"
+_VIEWERS = "As in foxglove_bridge, for viewers"
 _ACCEPTED = "Accepted for rosbridge's sake, without effect"
 
 
@@ -40,6 +43,14 @@ def _same(help: str) -> Any:
     return typer.Option(help=help, rich_help_panel=_SAME)
 
 
+def _viewers(help: str) -> Any:
+    return typer.Option(help=help, rich_help_panel=_VIEWERS, show_default=False)
+
+
+def _expressions(what: str) -> Any:
+    return _viewers(f"Regular expressions of {what}, as \"['/a','/b.*']\".")
+
+
 def _glob(what: str) -> Any:
     return _same(f"Patterns of {what}, as \"['/a','/b*']\"; '' filters nothing, '[]' allows nothing.")
 
@@ -51,7 +62,7 @@ OptionalPath = Annotated[Path | None, typer.Option(show_default=False)]
 
 @app.command("server", cls=_Command)
 def server_command(
-    port: Annotated[int, _same("The port; 0 takes a free one.")] = 9090,
+    port: Annotated[int | None, _same("The port; 0 takes a free one; left out: 9090, with --foxglove 8765.")] = None,
     address: Annotated[str, _same("Where to listen; left out: 127.0.0.1, this machine only.")] = "",
     url_path: Annotated[str, _same("The path of the WebSocket.")] = "/",
     certfile: Annotated[str, _same("The certificate chain, PEM; with --keyfile the server speaks wss.")] = "",
@@ -70,6 +81,28 @@ def server_command(
     actions_glob: Annotated[str, _glob("actions")] = "",
     params_glob: Annotated[str, _glob("parameters")] = "",
     params_timeout: Annotated[float, _same("Seconds that rosapi waits for a node.")] = 5.0,
+    foxglove: Annotated[
+        bool,
+        typer.Option("--foxglove", help="Serve Foxglove viewers alone, in the place of foxglove_bridge."),
+    ] = False,
+    tls: Annotated[bool, _viewers("With --foxglove: speak TLS, with --certfile and --keyfile.")] = False,
+    topic_whitelist: Annotated[str, _expressions("topics that viewers see")] = "",
+    service_whitelist: Annotated[str, _expressions("services that viewers see")] = "",
+    param_whitelist: Annotated[str, _expressions("parameters that viewers see, as /node.parameter")] = "",
+    client_topic_whitelist: Annotated[str, _expressions("topics that viewers may publish")] = "",
+    best_effort_qos_topic_whitelist: Annotated[str, _expressions("topics that are read as best effort")] = "",
+    min_qos_depth: Annotated[int | None, _viewers("Messages of a topic that wait for a viewer, at least.")] = None,
+    max_qos_depth: Annotated[int | None, _viewers("Messages of a topic that wait for a viewer, at most.")] = None,
+    send_buffer_limit: Annotated[int | None, _viewers("Bytes of messages that wait for one viewer.")] = None,
+    use_sim_time: Annotated[bool, _viewers("Viewers are told the time of /clock.")] = False,
+    capabilities: Annotated[
+        str, _viewers("The parts of the protocol that viewers may use, as [clientPublish,…].")
+    ] = "",
+    include_hidden: Annotated[bool, _viewers("Show hidden topics and services.")] = False,
+    asset_uri_allowlist: Annotated[str, _expressions("files that viewers may fetch (package://…)")] = "",
+    asset_roots: Annotated[
+        list[Path] | None, _viewers("A directory with packages, whose files viewers may fetch; may be repeated.")
+    ] = None,
     graph: Annotated[
         str, typer.Option("--graph", "-g", envvar="ROPEWAY_GRAPH", help="The network: auto, dds:0, ros2, ros1.")
     ] = "auto",
@@ -124,16 +157,18 @@ def server_command(
     send_action_goals_in_new_thread: Accepted = None,
     bson_only_mode: Accepted = None,
     binary_encoder: Accepted = None,
+    num_threads: Accepted = None,
 ) -> None:
     """Serve rosbridge clients on the local network, in the place of rosbridge_websocket and rosapi.
 
     Options may be written with underscores, and ROS arguments (--ros-args -p port:=9091) are understood, so that
     launch files of rosbridge work. Ctrl-C and SIGTERM end it in order; SIGHUP makes it read certificates and tokens
     again. rosbridge listens on all interfaces; this server on 127.0.0.1, unless it is told another --address, which
-    needs --token-file, --auth, --cafile or --insecure.
+    needs --token-file, --auth, --cafile or --insecure. Foxglove viewers are served on the same port, and with
+    --foxglove on one of their own, in the place of foxglove_bridge and with its parameters.
     """
     level = set_up("warning" if quiet else log_level)
-    given = dict(locals())
+    given = _completed(dict(locals()))
     config = _config(given)
     idle = [*notes(given), *(note or ())]
     if idle:
@@ -159,6 +194,13 @@ def server_command(
         return
 
 
+def _completed(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the options with the port and the name of the server in whose place this one is."""
+    viewers = given["foxglove"]
+    port = given["port"] if given["port"] is not None else FOXGLOVE_PORT if viewers else _PORT
+    return {**given, "port": port, "name": FOXGLOVE_NODE if viewers and given["name"] == NODE else given["name"]}
+
+
 def _config(given: dict[str, Any]) -> Config:
     """Turn the options into a configuration. Raises ``ConfigError``, or ends with a sentence."""
     from ropeway.gateway.config.address import is_loopback
@@ -174,7 +216,12 @@ def _config(given: dict[str, Any]) -> Config:
         if given[option] and not Path(given[option]).is_file():
             fail(f"--{option}: {given[option]} is not a file", 2)
     host = given["address"] or "127.0.0.1"
-    url = f"{'wss' if certfile else 'ws'}://{f'[{host}]' if ':' in host else host}:{given['port']}"
+    if given["foxglove"] and not given["tls"]:
+        certfile = keyfile = ""  # as in foxglove_bridge
+    elif given["foxglove"] and not certfile:
+        fail("--tls needs --certfile and --keyfile", 2)
+    scheme = ("foxglove" if given["foxglove"] else "ws") + ("s" if certfile else "")
+    url = f"{scheme}://{f'[{host}]' if ':' in host else host}:{given['port']}"
     directory = Path.cwd()
     auth: Any = {}
     if given["auth"] is not None:
@@ -207,6 +254,7 @@ def _config(given: dict[str, Any]) -> Config:
         "auth": auth,
         "tls": tls,
         "globs": {key: given[key] for key in _GLOBS},
+        "foxglove": foxglove_settings(given),
         "max_message_bytes": given["max_message_bytes"],
         "types": [str(path.absolute()) for path in given["types"] or ()],
         "clients": {
@@ -238,4 +286,5 @@ def _greet(gateway: Any) -> None:
     status = gateway.status()
     where = ", ".join(f"{row['address'].rpartition(':')[0]}:{row['port']}" for row in status["listen"])
     graphs = [hub.graph.name for hub in gateway.hubs.values()]  # auto by what it has become
-    log.info("rosbridge clients are served at %s, on %s", where, ", ".join(graphs))
+    who = "rosbridge clients" if gateway.config.gateway.listen[0].startswith("ws") else "viewers"
+    log.info("%s are served at %s, on %s", who, where, ", ".join(graphs))

@@ -12,9 +12,10 @@ from ropeway.cli.server.parameters import WITHOUT_EFFECT
 from ropeway.networks.rosbridge.server.own_parameters import OwnParameter, OwnParameters
 
 if TYPE_CHECKING:
+    from ropeway.gateway.config.foxglove_model import FoxgloveConfig
     from ropeway.gateway.gateway import Gateway
 
-__all__ = ["declared", "parameters_served"]
+__all__ = ["declared", "declared_to_viewers", "parameters_served"]
 
 _OPTIONS: Final = (
     *("port", "address", "url_path", "certfile", "keyfile", "retry_startup_delay", "websocket_ping_interval"),
@@ -46,6 +47,20 @@ def declared(given: Mapping[str, Any], actual_port: int) -> list[OwnParameter]:
     return sorted(found, key=lambda parameter: parameter.name)
 
 
+def declared_to_viewers(settings: FoxgloveConfig, given: Mapping[str, Any], actual_port: int) -> list[OwnParameter]:
+    """Return the parameters in the place of foxglove_bridge's, which tells the port that was taken as ``port``."""
+    values: dict[str, Any] = {
+        name: getattr(settings, name) for name in type(settings).model_fields if name != "enabled"
+    }
+    values |= {"port": actual_port, "address": given["address"] or _ADDRESS}
+    values |= {name: given[name] for name in ("tls", "certfile", "keyfile")}
+    change = "start the server with another value"
+    return [
+        OwnParameter(name, list(value) if isinstance(value, tuple) else value, "As in foxglove_bridge", change)
+        for name, value in sorted(values.items())
+    ]
+
+
 @asynccontextmanager
 async def parameters_served(gateway: Gateway, given: Mapping[str, Any]) -> AsyncIterator[None]:
     """Serve the parameters while the gateway runs, on a network whose nodes have such services."""
@@ -54,8 +69,10 @@ async def parameters_served(gateway: Gateway, given: Mapping[str, Any]) -> Async
         yield
         return
     view = hub.view("parameters of the server", alone=True)
-    port = gateway.servers[0].listeners[0].port
-    own = OwnParameters(view, gateway.registry, f"/{gateway.config.gateway.name}", declared(given, port))
+    port = gateway.listening[0].listeners[0].port
+    settings = gateway.config.gateway
+    shown = declared_to_viewers(settings.foxglove, given, port) if given["foxglove"] else declared(given, port)
+    own = OwnParameters(view, gateway.registry, f"/{settings.name}", shown)
     try:
         await own.open()
         yield

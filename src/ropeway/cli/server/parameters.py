@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from ropeway.cli.server.foxglove import FOXGLOVE_NODE, UNUSED
 from ropeway.cli.server.rosargs import split
 from ropeway.errors import ConfigError
 
@@ -36,6 +37,7 @@ _SWITCHES: Final = frozenset(
 ) | {"bson_only_mode"}
 
 
+_UNSET: Final = (None, "", False, 0, "0", "false")
 _OF_EVERY_NODE: Final = ("use_sim_time", "start_type_description_service", "qos_overrides")
 _TRUTHS: Final = {
     **dict.fromkeys(("true", "yes", "y", "on"), True),
@@ -48,7 +50,9 @@ def arguments(given: Sequence[str], known: Sequence[str], flags: Sequence[str]) 
 
     ``known`` are the names of options, ``flags`` those that take no value. Raises ``ConfigError``.
     """
-    others, said = split(given, NODE)
+    viewers = "--foxglove" in given
+    node = FOXGLOVE_NODE if viewers else NODE
+    others, said = split(given, node)
     out: list[str] = []
     for index, argument in enumerate(others):
         name, equals, value = argument.partition("=")
@@ -61,15 +65,20 @@ def arguments(given: Sequence[str], known: Sequence[str], flags: Sequence[str]) 
             following = others[index + 1].lower() if index + 1 < len(others) else ""
             if following not in ("true", "false"):
                 out.append("true")
-    if said.node != NODE:
+    if said.node != NODE:  # what is left out stands for rosbridge's
         out.append(f"--name={said.node}")
     if said.log_level:
         out.append(f"--log-level={said.log_level}")
     for key, value in said.parameters.items():
         option = str(key).replace("_", "-")
-        if option not in known:
+        if viewers and key in UNUSED:
+            if value not in _UNSET:
+                said.notes.append(f"{key} ({UNUSED[key]})")
+        elif option not in known:
             if not str(key).startswith(_OF_EVERY_NODE):
-                said.notes.append(f"the parameter {key} (rosbridge has none of this name)")
+                said.notes.append(
+                    f"the parameter {key} ({'foxglove_bridge' if viewers else 'rosbridge'} has none of this name)"
+                )
         elif option in flags:
             out += [f"--{option}"] if _truth(key, value) else []
         elif value not in (None, ""):
@@ -92,12 +101,12 @@ def notes(given: Mapping[str, Any]) -> list[str]:
         value = given.get(name)
         if value is not None and _text(value) not in expected:
             out.append(f"{name} ({reason})")
-    return out
+    return out + [f"{name} ({reason})" for name, reason in UNUSED.items() if given.get(name) not in _UNSET]
 
 
 def _text(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
-        return "[" + ",".join(f"'{item}'" for item in value) + "]"
+        return "[" + ",".join("'" + str(item).replace("'", "''") + "'" for item in value) + "]"
     return str(value).lower() if str(value).lower() in ("true", "false") else str(value)
