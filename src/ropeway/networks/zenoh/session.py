@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable
 from typing import Any, Final, TypeVar
 
 import zenoh
-
 from ropeway import aio
 from ropeway.errors import GraphUnavailable
 from ropeway.limits import ZENOH_HASHES_PER_NAME
