@@ -36,7 +36,7 @@ test-all: $(VENV)/dev.stamp ## all tests, with a short run of the fuzzer and of 
 
 test-dds: $(VENV)/dev.stamp ## the tests of DDS against the C library of Debian (apt install cyclonedds-tools), not the wheel's
 	@ROPEWAY_DDS_LIBRARY=$(or $(DDS_LIBRARY),$(lastword $(sort $(wildcard /usr/lib/*/libddsc.so.*.*.*)))) \
-		$(BIN)/python -m pytest -q $(PARALLEL) -m "not slow" --ignore tests/networks/dds/fastdds tests/networks/dds $(TEST)
+		$(BIN)/python -m pytest -q $(PARALLEL) -m "not slow" tests/networks/dds $(TEST)
 
 test-arm64: $(VENV)/dev.stamp ## the wheel in an emulated Debian for ARM, as root, in hours; ARM64="tests/store" for some
 	@.ci/arm64 $(ARM64)

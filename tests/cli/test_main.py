@@ -32,6 +32,13 @@ def test_help_lists_every_verb() -> None:
         assert CliRunner().invoke(app, [verb, "--help"]).exit_code == 0
 
 
+@pytest.mark.parametrize("start", [("-m", "ropeway"), ("-c", "from ropeway.cli import main; main()")])
+def test_its_name(start: tuple[str, str]) -> None:
+    """The command calls itself by its name, also where a script of another name starts it."""
+    told = subprocess.run([sys.executable, *start, "topic", "--help"], capture_output=True, text=True, check=True)
+    assert "Usage: ropeway topic " in told.stdout
+
+
 @pytest.mark.parametrize("verb", ["list", "type", "info", "find", "echo", "hz", "bw", "delay", "pub"])
 def test_help_of_topic_verbs(verb: str) -> None:
     """Every verb of ``topic`` has its help and a way to choose the network."""

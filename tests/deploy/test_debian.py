@@ -2,35 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
 import socket
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.deploy.debian import debian, need
-from tests.deploy.place import DEPLOY, ROOT
+from tests.deploy.debian import debian
+from tests.deploy.place import DEPLOY
 from tests.support.until import PATIENCE_S
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
-
-
-@pytest.fixture(scope="module")
-def packages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The packages of both architectures; ``ROPEWAY_DEBS`` names a directory that has them already."""
-    need("dpkg-deb")
-    there = os.environ.get("ROPEWAY_DEBS")
-    out = Path(there) if there else tmp_path_factory.mktemp("debs")
-    if not there:
-        subprocess.run(
-            [sys.executable, "deploy/debian/build.py", "amd64", "arm64", "--out", str(out)], cwd=ROOT, check=True
-        )
-    return {file.stem.rpartition("_")[2]: file for file in out.glob("ropeway_*.deb")}
 
 
 @pytest.fixture(scope="module")

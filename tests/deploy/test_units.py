@@ -45,6 +45,6 @@ def test_systemd_understands_it(unit: Path) -> None:
 def test_what_a_unit_promises(unit: Path) -> None:
     """A unit tells when it is ready, is watched, can be reloaded, and keeps its state in a directory of its own."""
     text = unit.read_text("utf-8")
-    for line in ("Type=notify", "WatchdogSec=30", "ExecReload=/bin/kill -HUP $MAINPID", "Restart=on-failure"):
+    for line in ("Type=notify", "WatchdogSec=30", 'ExecReload=/bin/sh -c "kill -HUP $MAINPID"', "Restart=on-failure"):
         assert f"\n{line}\n" in text
     assert re.search(r"^StateDirectory=ropeway", text, re.MULTILINE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import Callable
 from typing import Final
 
@@ -10,8 +11,10 @@ from ropeway import aio
 
 __all__ = ["PATIENCE_S", "until"]
 
-PATIENCE_S: Final = 60.0
-"""How long a test waits for what must happen: only a test that fails waits so long, however busy the machine is."""
+PATIENCE_S: Final = 60.0 * float(os.environ.get("ROPEWAY_PATIENCE", "1"))
+"""How long a test waits for what must happen: only a test that fails waits so long, however busy the machine is.
+``ROPEWAY_PATIENCE`` multiplies it where the machine itself is slow, as an emulated one is.
+"""
 
 
 async def until(condition: Callable[[], object], timeout_s: float = PATIENCE_S) -> None:

@@ -82,4 +82,4 @@ def ropeway(
 def main() -> None:
     """Run the command line; the entry point of the package."""
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to look for them reads the metadata of all packages
-    app()
+    app(prog_name="ropeway")  # however it was started: the package for Debian has no script of that name

@@ -30,6 +30,7 @@ def _has(module: str) -> bool:
 
 
 HAS_MASTER = Path(MASTER).exists()
+HAS_TOOLS = all(Path(f"/usr/bin/{tool}").exists() for tool in ("rostopic", "rosservice", "rosnode"))
 HAS_ROSPY = HAS_MASTER and _has("rospy, std_msgs.msg, std_srvs.srv, sensor_msgs.msg, actionlib")
 
 
@@ -59,11 +60,12 @@ class RosMaster:
         self._process = subprocess.Popen(
             command, env=self.env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
-        ends = time.monotonic() + 20
+        ends = time.monotonic() + PATIENCE_S
         while time.monotonic() < ends:
             with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):
                 return
             time.sleep(0.02)
+        self.kill()
         raise TimeoutError("the master does not listen")
 
     def kill(self) -> None:

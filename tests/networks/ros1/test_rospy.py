@@ -15,7 +15,7 @@ from tests.support.until import PATIENCE_S, until
 
 from .conftest import Join
 from .messages import STRING, Box, sample, text
-from .network import HAS_ROSPY, RosMaster, rospy, running
+from .network import HAS_ROSPY, HAS_TOOLS, RosMaster, rospy, running
 
 pytestmark = pytest.mark.skipif(not HAS_ROSPY, reason="needs rospy, which .ci/run installs on Debian")
 
@@ -249,6 +249,7 @@ async def test_service(master: RosMaster, join: Join) -> None:
     assert len([line for line in caller.lines if "failed" in line and "stays on" in line]) == 2
 
 
+@pytest.mark.skipif(not HAS_TOOLS, reason="needs rostopic, rosservice and rosnode, which .ci/run installs on Debian")
 async def test_tools(master: RosMaster, join: Join) -> None:
     """rostopic, rosservice and rosnode see the node and all that it has."""
     graph = await join()

@@ -11,7 +11,7 @@ of them are replaced here, once per process:
 * ``free`` is called when a serdata goes, and its note with it. So there are never more notes than samples in the
   library's own histories, which are bounded.
 
-All this relies on memory layouts of the pinned version. Each is checked before it is relied upon, ``selfcall`` then
+All this relies on memory layouts of known versions. Each is checked before it is relied upon, ``selfcall`` then
 makes a call through the network, and it all happens in a process that nobody depends on. Functions that run on behalf
 of the library never raise: what goes wrong there is counted in ``faults``.
 """
@@ -25,7 +25,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from ropeway.networks.dds import memory, raw
 from ropeway.networks.dds.fastdds.identity import HEADER_BYTES, SampleIdentity, SampleOrigin, pack_parameter, parse
@@ -34,7 +34,18 @@ from ropeway.networks.dds.raw_endpoints import tell_padding
 
 __all__ = ["HookError", "RelatedWriter", "faults", "install", "notes", "origin_of"]
 
-_VERSION: Final = "11.0"  # whose layouts these are
+
+class _Version(NamedTuple):
+    """Says what differs from version to version; the rest of the layouts is the same in all of them."""
+
+    no_key: bytes  # the hash of a key that a type lacks
+    seq: int  # the number of the last sample in struct ddsi_writer, from the pointer to its sertype on
+
+
+_VERSIONS: Final = {
+    "11.0": _Version(no_key=bytes.fromhex("d41d8cd98f00b204e9800998ecf8427e"), seq=-112),
+    "0.10": _Version(no_key=bytes(16), seq=-120),
+}
 # struct ddsi_sertype
 _SERTYPE_OPS: Final = 8
 _SERTYPE_NAME: Final = 32
@@ -50,7 +61,7 @@ _RDATA = struct.Struct("=QQIIHH")  # message, next fragment, first byte, end, su
 _MESSAGE_BYTES: Final = 48  # struct ddsi_rmsg; the RTPS message follows
 _MAX_PARAMETER_BYTES: Final = 8192
 # struct ddsi_writer, from the pointer to its sertype on: no mutex lies in between, whose size differs by machine
-_FROM_TYPE: Final = {"seq": -112, "whc": 40, "readers": 80, "keyhash": 88, "acks": 120}
+_FROM_TYPE: Final = {"whc": 40, "readers": 80, "keyhash": 88, "acks": 120}
 _WRITER_GUID: Final = 4
 _SEARCH_BYTES: Final = 1024
 _MAX_READERS: Final = 100_000
@@ -60,7 +71,6 @@ _STATUS_PARAMETER = struct.pack("=HH", 0x0071, 8)
 _PAD_PARAMETER = bytes(4)
 _MAGIC = b"ropeway related\0"  # the key hash until it is replaced: 16 bytes
 _MAX_NOTES: Final = 65536
-_NO_KEY = bytes.fromhex("d41d8cd98f00b204e9800998ecf8427e")  # the hash of nothing
 
 _FromSer = ct.CFUNCTYPE(ct.c_void_p, ct.c_void_p, ct.c_int, ct.c_void_p, ct.c_size_t)
 _ToSerRef = ct.CFUNCTYPE(ct.c_void_p, ct.c_void_p, ct.c_size_t, ct.c_size_t, ct.c_void_p)
@@ -186,8 +196,8 @@ def install(sertype: int, type_name: str) -> None:
 
     To be called before the first reader or writer of the process. Raises ``HookError``.
     """
-    if lib.version != _VERSION:
-        raise HookError(f"it needs Cyclone DDS {_VERSION}, and this is {lib.name}")
+    if _number() not in _VERSIONS:
+        raise HookError(f"it needs Cyclone DDS {' or '.join(_VERSIONS)}, and this is {lib.name}")
     name = _read(_word(sertype + _SERTYPE_NAME), len(type_name) + 1)
     if name != type_name.encode() + b"\0":
         raise HookError("the name of a type is not where it should be")
@@ -207,6 +217,10 @@ def install(sertype: int, type_name: str) -> None:
         raise HookError("the end of a sample is not told")
 
 
+def _number() -> str:
+    return lib.version.split()[0]  # shared memory changes none of these layouts
+
+
 def _check_table(table: int, serdata: int, payload: bytes) -> None:
     """See that the functions that matter are where they should be, by what the ones beside them do."""
     slots = (ct.c_uint64 * _OPS).from_buffer_copy(_read(table, _OPS * 8))
@@ -220,7 +234,7 @@ def _check_table(table: int, serdata: int, payload: bytes) -> None:
     lib.serdata_to_ser_unref(reference, ct.byref(out))
     keyhash = ct.create_string_buffer(b"\xff" * 17, 17)
     _GetKeyhash(slots[_GET_KEYHASH])(serdata, ct.addressof(keyhash), False)
-    if not same or keyhash.raw != _NO_KEY + b"\xff":
+    if not same or keyhash.raw != _VERSIONS[_number()].no_key + b"\xff":
         raise HookError("the table of functions has another order")
 
 
@@ -266,7 +280,7 @@ class RelatedWriter:
         if _word(self._sertype + _SERTYPE_OPS) not in _hooks:
             raise HookError("a writer has a type that is not hooked")
         at = _find_writer(entity, self.guid, self._sertype)
-        self._seq, self._keyhash = _u64_at(at + _FROM_TYPE["seq"]), _u32_at(at + _FROM_TYPE["keyhash"])
+        self._seq, self._keyhash = _u64_at(at + _VERSIONS[_number()].seq), _u32_at(at + _FROM_TYPE["keyhash"])
         self._acks = _u32_at(at + _FROM_TYPE["acks"])
         low, high = struct.unpack("=II", _read(at + _FROM_TYPE["whc"], 8))
         readers, reliable = struct.unpack("=II", _read(at + _FROM_TYPE["readers"], 8))
