@@ -267,3 +267,24 @@ async def test_who_may_come_in(world: World) -> None:
     await world.cloud.apply(new)
     assert world.cloud.servers[0].entrance.door.globs.topics_pub == ("/only",)
     assert world.cloud.servers[0].sessions is connections
+
+
+@pytest.mark.parametrize("change", [{"compression": "zstd"}, {"qos": {"depth": 7}}], ids=str)
+async def test_a_peer_that_vanishes_in_mid_swap(world: World, monkeypatch: pytest.MonkeyPatch, change: Any) -> None:
+    """Where the peer goes while routes hand over, the change is made all the same, and works once the peer is back."""
+    await world.apply(topics("/n"))
+    talk = Talk(world.here, world.there, "/n")
+    await talk.start()
+    swap = ConfigChange._swap
+
+    async def vanish(self: ConfigChange) -> None:
+        for session in world.cloud.servers[0].sessions:
+            session.peer.connection.abort("the peer vanished")
+        await swap(self)
+
+    monkeypatch.setattr(ConfigChange, "_swap", vanish)
+    await world.apply({"publish": [item("/n", **change)]})
+    assert [row.name for row in world.robot.routes()] == ["/n"]
+    heard = len(talk.heard)
+    await until(lambda: len(talk.heard) > heard + 10)
+    assert world.robot.remotes[0].status()["connections"] == 2

@@ -18,7 +18,6 @@ __all__ = ["Overlap", "drained", "matched"]
 _MATCH_S: Final = 1.0  # a far gateway tells its readers within a round trip; a DDS reader matches in milliseconds
 _FIRST_S: Final = 0.5  # of a topic that is silent for longer, nothing is lost between the two
 _DRAIN_S: Final = 1.0
-_ARRIVE_S: Final = 0.25  # longer than most links and a busy machine take
 _LOOK_S: Final = 0.005
 
 
@@ -37,7 +36,7 @@ async def matched(new: Publisher, old: Publisher, limit_s: float = _MATCH_S) -> 
 
 
 async def drained(publisher: Publisher, limit_s: float = _DRAIN_S) -> None:
-    """Wait until nothing waits for the link any more, for ``limit_s`` at most, and then until it has arrived.
+    """Wait until nothing waits for the link any more and all of it has arrived, for ``limit_s`` at most.
 
     A small message may go over a second connection, and be overtaken by the word that the topic is withdrawn.
     """
@@ -47,7 +46,7 @@ async def drained(publisher: Publisher, limit_s: float = _DRAIN_S) -> None:
         async with aio.timeout(limit_s):
             while publisher.waiting:  # noqa: ASYNC110 - an outbox tells nobody
                 await asyncio.sleep(_LOOK_S)
-    await asyncio.sleep(_ARRIVE_S)
+            await publisher.arrived()
 
 
 class Overlap:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,6 +30,14 @@ def run_command(
     period: Annotated[float, typer.Option("--period", min=0.05, help="Seconds between two lines of --json.")] = 1.0,
     log_level: Annotated[str, typer.Option("--log-level", help=f"{', '.join(LEVELS)}.")] = "info",
     watch: Annotated[bool, typer.Option("--watch", help="Apply CONFIG again whenever it changes.")] = False,
+    live: Annotated[
+        bool | None,
+        typer.Option(
+            "--live/--no-live",
+            help="Draw the status below the log; default: where stdout is a terminal.",
+            show_default=False,
+        ),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only warnings and errors.")] = False,
 ) -> None:
     """Run the gateway that CONFIG describes. Ctrl-C and SIGTERM end it in order, with exit status 0.
@@ -42,7 +51,9 @@ def run_command(
     loaded = load(config)
     try:
         period_s = period if as_json else None
-        run(serve(Serving(loaded, level, for_s or None, period_s, up=_greet, control=True, watch=watch)))
+        drawn = not as_json and (sys.stdout.isatty() and not quiet if live is None else live)
+        serving = Serving(loaded, level, for_s or None, period_s, up=_greet, control=True, watch=watch, live=drawn)
+        run(serve(serving))
     except KeyboardInterrupt:  # before the handler was there: nothing had been started
         return
 

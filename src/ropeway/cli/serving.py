@@ -28,6 +28,7 @@ from ropeway.tasks import Chores, Supervised
 
 if TYPE_CHECKING:
     from ropeway.audit.trail import AuditTrail
+    from ropeway.cli.live_status import LiveStatus
     from ropeway.control.record import ChangeRecord
     from ropeway.gateway.config.config import Config
     from ropeway.gateway.gateway import Gateway
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["Serving", "serve"]
 
 log = logging.getLogger("ropeway")
+_LIVE_S: Final = 1.0  # rates are those of the last second
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -49,8 +51,8 @@ class Serving:
 
     ``beside`` is entered with the gateway and left before it ends. ``control``: others may see and change it over its
     control API, as its configuration says; ``trail`` is its audit log. ``watch``: the file is applied again when it has
-    changed. ``retry_s``: an address that is taken is tried again after so many seconds, for ever; ``None`` gives up at
-    once.
+    changed. ``live``: the status is drawn on the terminal once a second. ``retry_s``: an address that is taken is tried
+    again after so many seconds, for ever; ``None`` gives up at once.
     """
 
     config: Config
@@ -63,6 +65,7 @@ class Serving:
     control: bool = False
     watch: bool = False
     trail: AuditTrail | None = None
+    live: bool = False
 
 
 async def serve(serving: Serving) -> None:
@@ -192,6 +195,17 @@ async def _restored(
     return gateway, record
 
 
+def _printer(serving: Serving) -> tuple[Printer | LiveStatus | None, float]:
+    """Return what shows the status again and again, if anything does, and the seconds between two times."""
+    if serving.period_s is not None:
+        return Printer(sys.stdout.fileno()), serving.period_s
+    if not serving.live:
+        return None, math.inf
+    from ropeway.cli.live_status import LiveStatus  # it loads what draws tables
+
+    return LiveStatus(), _LIVE_S
+
+
 async def _run(serving: Serving, running: list[Reload], notifier: Notifier) -> None:
     loop = asyncio.get_running_loop()
     async with AsyncExitStack() as stack:
@@ -204,19 +218,19 @@ async def _run(serving: Serving, running: list[Reload], notifier: Notifier) -> N
         notifier.ready("running")
         gc.freeze()  # what was loaded stays: looking for garbage in it would stop messages for 40 ms now and then
         ends = math.inf if serving.for_s is None else loop.time() + serving.for_s
-        printer = None if serving.period_s is None else Printer(sys.stdout.fileno())
+        printer, period_s = _printer(serving)
         failing = asyncio.create_task(gateway.wait(), name="gateway failure")
         try:
             while not failing.done() and loop.time() < ends:
-                pause = min(ends - loop.time(), math.inf if serving.period_s is None else serving.period_s)
+                pause = min(ends - loop.time(), period_s)
                 await asyncio.wait([failing], timeout=None if math.isinf(pause) else pause)
                 if printer is not None:
                     printer.put(gateway.status())
             if failing.done():
                 await failing
+        finally:
             if printer is not None:
                 printer.close()
-        finally:
             running.clear()
             failing.cancel()
             await asyncio.wait([failing])

@@ -52,6 +52,9 @@ class Draining(Protocol):
     def waiting(self) -> int:
         """The number of messages that wait to be sent."""
 
+    async def arrived(self) -> None:
+        """Wait until what was sent so far has arrived, or what the far side is told next cannot overtake it."""
+
 
 @runtime_checkable
 class Encoded(Protocol):

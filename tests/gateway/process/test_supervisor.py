@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import json
 import os
@@ -19,7 +20,10 @@ import pytest
 
 from ropeway.errors import ConfigError, ConnectFailed, GraphUnavailable
 from ropeway.gateway.config import config
+from ropeway.gateway.process.changes import commit, prepare
+from ropeway.gateway.process.questions import Question
 from ropeway.gateway.process.supervisor import Supervisor, places, slices
+from ropeway.gateway.process.worker_process import WorkerProcess
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.hub.hub import Hub
 from ropeway.networks.dds import DdsGraph
@@ -302,6 +306,32 @@ async def test_all_workers_or_none(stack: AsyncExitStack, monkeypatch: pytest.Mo
     await supervisor.apply(made(route(clouds[0], "/more")))
     assert [worker.name for worker in supervisor.workers] == ["remote0"]
     assert await supervisor.ask(route_names, {}) == [["/n", "/more"]]
+
+
+@pytest.mark.parametrize("question", [prepare, commit])
+async def test_a_worker_killed_in_a_change(
+    stack: AsyncExitStack, monkeypatch: pytest.MonkeyPatch, question: Question
+) -> None:
+    """Where a worker is killed while it prepares or before it swaps, all workers change, or none does."""
+    supervisor, clouds, made = await two_clouds(stack, "per-remote")
+    before, after = supervisor.config, made(*(route(cloud, "/more") for cloud in clouds))
+    ask, killed = WorkerProcess.ask, []
+
+    async def ask_and_kill(worker: WorkerProcess, asked: Question, params: Any, *, timeout_s: float) -> Any:
+        if asked is question and not killed and worker.process is not None:
+            killed.append(worker.process.pid)
+            worker.process.kill()
+        return await ask(worker, asked, params, timeout_s=timeout_s)
+
+    monkeypatch.setattr(WorkerProcess, "ask", ask_and_kill)
+    with contextlib.suppress(GraphUnavailable):
+        await supervisor.apply(after)
+    assert killed
+    await until(lambda: all(worker.running for worker in supervisor.workers))
+    has_more = supervisor.config.etag == after.etag
+    assert has_more or supervisor.config.etag == before.etag
+    names = ["/n", "/more"] if has_more else ["/n"]
+    assert await supervisor.ask(route_names, {}) == [names, names]
 
 
 @pytest.mark.timeout(120)

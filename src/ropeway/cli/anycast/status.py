@@ -24,7 +24,7 @@ _PERIOD_S: Final = 0.5
 @app.command()
 def status(
     where: WhereArgument = "",
-    live: Annotated[bool, typer.Option("--live", "-l", help="Draw it anew until Ctrl-C.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", "-w", "--live", "-l", help="Go on until Ctrl-C.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print each group as JSON, on one line.")] = False,
     token: TokenOption = "",
     ca: CaOption = "",
@@ -37,7 +37,7 @@ def status(
         groups = client.get("/v1/anycast")
         if not groups and not as_json:
             answer("no group: give a remote several addresses (docs/groups.md)")
-        elif not live:
+        elif not watch:
             show(groups, as_json=as_json)
         else:
             _follow(client, as_json)

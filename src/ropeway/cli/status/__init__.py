@@ -23,7 +23,7 @@ _PERIOD_S: Final = 1.0
 @app.command("status")
 def status_command(
     where: WhereArgument = "",
-    watch: Annotated[bool, typer.Option("--watch", "-w", help="Go on until Ctrl-C, once a second.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", "-w", "--live", help="Go on until Ctrl-C, once a second.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the status as JSON, one line each time.")] = False,
     token: TokenOption = "",
     ca: CaOption = "",

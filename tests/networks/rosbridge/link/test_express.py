@@ -212,3 +212,30 @@ async def test_a_large_message_follows_at_once(pair: Pair, small: int) -> None:
     assert pair.bodies(1) == sent
     assert channel.sender is pair.near.sender
     assert pair.seconds[0].bytes_out < 100_000
+
+
+async def test_a_mark_comes_behind_what_was_sent(pair: Pair) -> None:
+    """What a topic has sent on the second connection has arrived once its mark is reached."""
+    await pair.second()
+    channel = pair.channel(1, depth=1000)
+    for number in range(100):
+        channel.put(sample(text(str(number))))
+    await until(lambda: not channel.queue.waiting and not channel.queue.under_way)
+    reached = pair.near.express.mark(channel)
+    assert reached is not None
+    await reached
+    assert pair.bodies(1) == [text(str(number)) for number in range(100)]
+
+
+async def test_a_mark_is_not_waited_for_in_vain(pair: Pair) -> None:
+    """A topic of the first connection needs no mark, and one that waits goes on when the second connection is gone."""
+    first = pair.channel(1)
+    assert pair.near.express.mark(first) is None
+    second = await pair.second()
+    channel = pair.channel(2)
+    channel.put(sample(text("a")))
+    await until(lambda: channel.sender.second)
+    reached = pair.near.express.mark(channel)
+    assert reached is not None
+    second.abort("lost")
+    await reached

@@ -81,6 +81,13 @@ class RemotePublisher(PublisherBase[LinkGraph]):
         """The number of messages that wait for the link, with the one that is being sent."""
         return 0 if self.channel is None else len(self.channel.queue.waiting) + self.channel.queue.under_way
 
+    async def arrived(self) -> None:
+        """See ``Draining.arrived``."""
+        peer, channel = self.graph.peer, self.channel
+        reached = None if peer is None or channel is None else peer.express.mark(channel)
+        if reached is not None:
+            await reached
+
     @property
     def refused(self) -> str:
         """The reason why the far side does not take the topic, ``""`` if it does."""

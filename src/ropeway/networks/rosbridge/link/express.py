@@ -96,6 +96,7 @@ class Express:
         self._connection: Connection | None = None
         self._sender: _ExpressSender | None = None
         self._fences: dict[int, tuple[Stream[Any], asyncio.TimerHandle, Sequence[Outgoing]]] = {}
+        self._marks: dict[int, asyncio.Future[None]] = {}
 
     @property
     def open(self) -> bool:
@@ -144,6 +145,7 @@ class Express:
         for _, timer, _ in self._fences.values():
             timer.cancel()
         self._fences.clear()
+        self._reach_marks()
 
     def place(self, channel: Channel) -> None:
         """Choose the connection of a topic for messages such as the one that is about to wait."""
@@ -156,10 +158,43 @@ class Express:
     def arrived(self, pong: Mapping[str, Any]) -> bool:
         """Take a ``pong``; return whether a topic waited for it."""
         key = pong.get("t")
-        if not isinstance(key, int) or key not in self._fences:
+        if not isinstance(key, int):
+            return False
+        mark = self._marks.pop(key, None)
+        if mark is not None:
+            if not mark.done():
+                mark.set_result(None)
+            return True
+        if key not in self._fences:
             return False
         self._pass(key)
         return True
+
+    def mark(self, channel: Channel) -> asyncio.Future[None] | None:
+        """Return what is done once all that a topic has sent on the second connection has arrived, or that is lost.
+
+        ``None`` where the topic goes by the first connection, on which the next operation arrives after it anyway.
+        """
+        if self._connection is None or channel.sender is not self._sender:
+            return None
+        reached: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._marks[self._ping(self._connection)] = reached
+        return reached
+
+    def _reach_marks(self) -> None:
+        """Let nobody wait for marks on a connection that is gone."""
+        for reached in self._marks.values():
+            if not reached.done():
+                reached.set_result(None)
+        self._marks.clear()
+
+    def _ping(self, connection: Connection) -> int:
+        """Send a ping behind all that was sent on a connection; return what its pong will say."""
+        key = time.time_ns()
+        while key in self._fences or key in self._marks:
+            key += 1
+        connection.send_text(b'{"op":"ping","t":%d}' % key)
+        return key
 
     def _move(self, channel: Channel, to: StreamSender) -> None:
         queue, old = channel.queue, channel.sender
@@ -195,12 +230,9 @@ class Express:
 
         What it is to send ``again`` goes first; it is not lost if the link is gone before.
         """
-        key = time.time_ns()
-        while key in self._fences:
-            key += 1
+        key = self._ping(connection)
         timer = asyncio.get_running_loop().call_later(_FENCE_S, self._pass, key)
         self._fences[key] = (channel, timer, again)
-        connection.send_text(b'{"op":"ping","t":%d}' % key)
 
     def _pass(self, key: int) -> None:
         channel, timer, again = self._fences.pop(key)
@@ -218,6 +250,7 @@ class Express:
         express, self._sender, self._connection = self._sender, None, None
         if express is None:
             return
+        self._reach_marks()
         for key in list(self._fences):  # no pong comes by a connection that is gone
             self._pass(key)
         main = self._peer.sender
