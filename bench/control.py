@@ -1,4 +1,7 @@
-"""The control plane: a route added to 100 that run, plans of 1,000, a restart with a journal of 10,000 changes."""
+"""The control plane: a route added to 100 that run, plans of 1,000, a restart with a journal of 10,000 changes.
+
+And what it costs to be there and to be watched (``bench/control_plane.py``).
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ from typing import Any
 
 import uvloop
 
+from bench.control_plane import ask_ms, explain_s, start_up, watched_share
 from bench.report import table
 from ropeway.control.caller import Caller
 from ropeway.control.client import ControlClient
@@ -201,6 +205,7 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--seconds", type=int, default=20, help="of being asked once a second")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     rows: list[list[Any]] = []
@@ -211,10 +216,20 @@ def main() -> None:
             rows.append(["apply to 100 routes", first_ms, lost, busy - quiet])
         plans = [plan_once() for _ in range(args.runs)]
         restarts = [restart_once(directory) for _ in range(args.runs)]
+        asked = ask_ms(directory, ROUTES, 10 * args.runs)
+        shares = watched_share(directory, ROUTES, args.seconds)
+        explained = explain_s(directory, args.runs)
+        started = start_up(directory, 2 * args.runs)
     table("apply", ["", "first message ms (< 300)", "lost", "delay added, p99 ms (<= 5)"], rows, as_json=args.json)
     other = [["plan, 1,000 routes: ms (< 200)", statistics.median(plans), max(plans)]]
     other.append(["restart, 10,000 changes: s (< 1.5)", statistics.median(restarts), max(restarts)])
     table("plan and restart", ["", "median", "slowest"], other, as_json=args.json)
+    heads = ["asked of 1,000 routes", "ms, median (< 50)", "ms, slowest", "% of a core, once a second (< 1)"]
+    watched = [[*row, share] for row, (_, share) in zip(asked, shares, strict=True)]
+    table("watched", heads, watched, as_json=args.json)
+    table("explain, the peer at 35 ms", ["s, slowest (< 1)"], [[explained]], as_json=args.json)
+    heads = ["control plane", "s until it is up (< 0.7)", "memory MB (+15 at most)"]
+    table("start", heads, [list(row) for row in started], as_json=args.json)
 
 
 if __name__ == "__main__":

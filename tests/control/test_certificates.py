@@ -11,7 +11,7 @@ import pytest
 from ropeway.control.client import find_target
 from ropeway.errors import ControlUnavailable
 from tests.control.conftest import Begin, Controlled
-from tests.gateway.test_tls import Authority
+from tests.support.authority import Authority
 
 
 async def secured(begin: Begin, ours: Authority, **tls: Any) -> Controlled:

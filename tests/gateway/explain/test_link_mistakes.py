@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +11,13 @@ import pytest
 
 from ropeway.gateway.explain import Subject
 from ropeway.gateway.gateway import Gateway
-from ropeway.networks.overlay.crypto.identity import write_private
+from ropeway.networks.overlay.crypto.identity import Identity, write_private
+from ropeway.networks.overlay.fleet import Fleet
+from ropeway.networks.overlay.router import Router
 from tests.networks.overlay.fleet import member
 from tests.support.authority import Authority
 from tests.support.messages import STRING
-from tests.support.ports import free_port
+from tests.support.ports import free_endpoint, free_port
 from tests.support.until import until
 from tests.support.world import World
 
@@ -71,10 +75,35 @@ async def test_ws_and_wss_mixed_up(world: World, tmp_path: Path) -> None:
     assert "wss://" in await told(world, f"ws://127.0.0.1:{port(cloud)}")
 
 
-async def in_the_overlay(world: World, directory: Path, endpoint: str) -> str:
+@pytest.mark.parametrize("shown", ["nothing", "a stranger's"])
+async def test_a_client_certificate_that_is_missing_or_wrong(world: World, tmp_path: Path, shown: str) -> None:
+    """A remote that asks for a certificate of its own authority is told as such."""
+    ours = Authority(tmp_path, "ours")
+    tls = {**ours.sign("cloud"), "ca": ours.file}
+    cloud = await world.gateway("cloud", [], listen=["wss://127.0.0.1:0"], tls=tls)
+    mine = {} if shown == "nothing" else Authority(tmp_path, "another").sign("robot")
+    text = await told(world, f"wss://127.0.0.1:{port(cloud)}", tls={"ca": ours.file, **mine})
+    assert "certificate" in text
+    assert "tls.certificate" in text
+
+
+async def test_packets_that_vanish(world: World) -> None:
+    """An address that answers nothing at all, as behind a firewall, is told as such."""
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as hole, contextlib.ExitStack() as stack:
+        address = hole.getsockname()
+        for _ in range(4):  # what waits to be accepted fills it: from then on the kernel drops what comes
+            filler = stack.enter_context(socket.socket())
+            filler.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                filler.connect(address)
+        text = await told(world, f"ws://127.0.0.1:{address[1]}")
+    assert "no answer" in text
+
+
+async def in_the_overlay(world: World, directory: Path, endpoint: str, identity: Identity | None = None) -> str:
     """Return what a member explains about its way into the overlay through a router that does not take it."""
     bundle = directory / "robot.ropeway"
-    write_private(bundle, member("robot").to_text())
+    write_private(bundle, (identity or member("robot")).to_text())
     overlay = {"identity": str(bundle), "routers": [endpoint], "listen": []}
     remote = {"address": "overlay", "publish": [ROUTE]}
     robot = await world.gateway("robot", [remote], overlay=overlay, listen=[], insecure=True)
@@ -89,3 +118,12 @@ async def test_a_router_that_is_away(world: World, tmp_path: Path) -> None:
     """A router of the overlay that cannot be reached is told with its address."""
     endpoint = f"tls/127.0.0.1:{free_port()}"
     assert endpoint.removeprefix("tls/") in await in_the_overlay(world, tmp_path, endpoint)
+
+
+async def test_a_router_of_another_fleet(world: World, tmp_path: Path) -> None:
+    """A router of the overlay that belongs to another fleet is told as such."""
+    endpoint = free_endpoint()
+    router = Router(member("router", role="router"), listen=[endpoint])
+    await world.stack.enter_async_context(router)
+    stranger = Fleet.create("other", tmp_path / "other").issue("robot")
+    assert "another fleet" in await in_the_overlay(world, tmp_path, endpoint, stranger)

@@ -315,7 +315,8 @@ async def test_a_worker_killed_in_a_change(
     """Where a worker is killed while it prepares or before it swaps, all workers change, or none does."""
     supervisor, clouds, made = await two_clouds(stack, "per-remote")
     before, after = supervisor.config, made(*(route(cloud, "/more") for cloud in clouds))
-    ask, killed = WorkerProcess.ask, []
+    ask = WorkerProcess.ask
+    killed: list[int] = []
 
     async def ask_and_kill(worker: WorkerProcess, asked: Question, params: Any, *, timeout_s: float) -> Any:
         if asked is question and not killed and worker.process is not None:
