@@ -21,6 +21,7 @@ from ropeway.gateway.config.iort_model import StoreConfig
 from ropeway.gateway.config.type_hints import learn_types, type_hints
 from ropeway.gateway.credentials import read_credentials
 from ropeway.gateway.explain import Explanation, RouteWatch, explain
+from ropeway.gateway.graph_status import graph_status
 from ropeway.gateway.local_networks import open_network
 from ropeway.gateway.plan import ConfigPlan, make_plan
 from ropeway.gateway.process.allocator import FreedMemory, keep_freed_memory
@@ -33,7 +34,6 @@ from ropeway.gateway.route import RouteStatus, paused_status
 from ropeway.gateway.running_remote import RunningRemote
 from ropeway.gateway.tls import server_context, trusted_files
 from ropeway.gateway.topic_looks import TopicLooks
-from ropeway.graph.layout_border import Distributed
 from ropeway.hub.hub import Hub
 from ropeway.listener.connection import Limits
 from ropeway.listener.entrance import Entrance
@@ -413,16 +413,7 @@ class Gateway:
         """Return the state of everything as JSON."""
         return {
             "name": self.config.gateway.name,
-            "graphs": [
-                {
-                    "graph": url,
-                    **dict(zip(("topics", "nodes"), hub.graph.counts(), strict=True)),
-                    "duplicates": sum(hub.duplicates.values()),
-                    **({"distro": hub.graph.distro} if isinstance(hub.graph, Distributed) and hub.graph.distro else {}),
-                    "drops": {f"{topic}: {why.value}": n for (topic, why), n in hub.graph.drops.items() if n},
-                }
-                for url, hub in self.hubs.items()
-            ],
+            "graphs": [graph_status(url, hub) for url, hub in self.hubs.items()],
             "listen": [
                 {"address": listener.address, "port": listener.port, "clients": len(server.sessions)}
                 for server in self.listening
