@@ -112,6 +112,7 @@ async def main() -> None:
     name = order["name"]
     graph = order.get("graph", f"memory:{name}")
     settings = {"name": name, "graphs": [graph], "listen": order.get("listen", []), "insecure": True}
+    settings |= order.get("settings", {})
     robot = await open_graph(graph, name="robot")
     ends = asyncio.ensure_future(asyncio.to_thread(sys.stdin.readline))
     async with Gateway(config.parse({"gateway": settings, "remotes": order.get("remotes", [])})) as gateway:
@@ -124,8 +125,8 @@ async def main() -> None:
         if order.get("use"):
             talking += [asyncio.create_task(call(robot)), asyncio.create_task(send(robot))]
         for remote in gateway.remotes:
-            assert isinstance(remote.graph, RosbridgeGraph)
-            remote.graph.on_state(lambda state: tell(state=state.value))
+            if isinstance(remote.graph, RosbridgeGraph):
+                remote.graph.on_state(lambda state: tell(state=state.value))
         tell(ready=ports)
         sessions, told = 0, 0.0
         while not ends.done():

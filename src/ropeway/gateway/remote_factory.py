@@ -108,6 +108,7 @@ class RemoteFactory:
                 Identity.load(settings.identity),
                 routers=settings.routers,
                 listen=settings.listen,
+                interfaces=settings.interfaces,
                 max_message_bytes=self._settings.max_message_bytes,
             )
         about = Metadata(settings.author, settings.maintainer, settings.description, config.unique or "", settings.node)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import typer
 
@@ -13,6 +13,8 @@ from ropeway.cli.overlay.common import RoutersOption, joined
 from ropeway.cli.session import JsonOption, SpinOption
 
 __all__ = ["app"]
+
+_CLOCK_S: Final = 5.0  # clocks that differ by less serve all the same
 
 app = typer.Typer(add_completion=False)
 
@@ -44,6 +46,7 @@ def status(
         answer(f"  {found['trouble']}")
     for row in found["gateways"]:
         rtt = "no answer" if row["rtt_ms"] is None else f"{row['rtt_ms']:.1f} ms"
-        answer(f"  {row['name']:<24}{row['path']:<8}{rtt:>12}{row['names']:>8} names")
+        clock = f", its clock {row['clock_ahead_s']:+.0f} s from ours" if abs(row["clock_ahead_s"]) > _CLOCK_S else ""
+        answer(f"  {row['name']:<24}{row['path']:<8}{rtt:>12}{row['names']:>8} names{clock}")
     for row in found["refused"]:
         answer(f"  refused {row['count']} x of {row['who']}: {row['reason']}")

@@ -257,7 +257,8 @@ def _interfaces(remote: Mapping[str, Any], path: str, address: str | None) -> It
     if named and (not isinstance(address, str) or not address.startswith("ws")):
         yield (
             f"{path}.interfaces",
-            "only ws:// and wss:// remotes have this key; for others the system decides",
+            "only ws:// and wss:// remotes have this key; the overlay has its own in gateway.overlay, and for others "
+            "the system decides",
         )
     if isinstance(named, list | tuple) and len(set(map(str, named))) < len(named):
         yield f"{path}.interfaces", "the same interface twice; keep one"

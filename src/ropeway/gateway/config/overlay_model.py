@@ -24,10 +24,18 @@ METADATUM: Final = "overlay: goes into the global name; default: that of gateway
 
 _ENDPOINT: Final = re.compile(r"(tls|quic)/(\[[0-9a-fA-F:]+\]|[A-Za-z0-9._-]+):\d{1,5}")
 
+_INTERFACE: Final = re.compile(r"[A-Za-z0-9._-]{1,15}")
+
 
 def _endpoint(value: str) -> str:
     if not _ENDPOINT.fullmatch(value):
         raise ValueError(f"expected a Zenoh endpoint such as tls/router.example:7447 (or quic/…), got {show(value)}")
+    return value
+
+
+def _interface(value: str) -> str:
+    if not _INTERFACE.fullmatch(value):
+        raise ValueError(f"expected the name of a network interface such as wlan0, got {show(value)}")
     return value
 
 
@@ -37,6 +45,7 @@ def _pattern(value: str) -> str:
     return value
 
 
+Interface = Annotated[str, AfterValidator(_interface)]
 Endpoint = Annotated[str, AfterValidator(_endpoint)]
 Metadatum = Annotated[str | None, Field(max_length=OVERLAY_METADATA_CHARACTERS)]
 Pattern = Annotated[str, AfterValidator(_pattern)]
@@ -50,6 +59,11 @@ class OverlayConfig(Model):
     listen: Many[Endpoint] = Field(
         ("tls/0.0.0.0:0",),
         description="where other members may link directly, with certificates both ways; [] for nowhere",
+    )
+    interfaces: Many[Interface] = Field(
+        (),
+        description="network interfaces (wlan0, wwan0) to dial routers by, the best first; the next one is used once a "
+        "link is lost",
     )
     author: str = Field("", description="metadata that goes into every global name: all who share a name agree on it")
     maintainer: str = Field("", description="likewise")

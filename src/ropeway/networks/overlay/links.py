@@ -15,7 +15,7 @@ from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.fabric import Fabric
 from ropeway.networks.overlay.router_probe import unreachable
-from ropeway.networks.overlay.zenoh_config import client_config, gateway_config
+from ropeway.networks.overlay.zenoh_config import by_interface, client_config, gateway_config
 from ropeway.tasks import Supervised, end
 
 if TYPE_CHECKING:
@@ -45,11 +45,13 @@ class Links:
         listen: Sequence[str],
         max_message_bytes: int,
         *,
+        interfaces: Sequence[str] = (),
         link_s: float = _LINK_S,
     ) -> None:
         self.unlinked = ""
         self._identity, self._trust, self._gateway = identity, trust, gateway
         self._routers, self._listen = routers, listen
+        self._interfaces = tuple(interfaces)
         self._max_bytes = max_message_bytes + OVERLAY_ROUTED_BYTES - OVERLAY_MESSAGE_BYTES
         self._link_s = link_s
         self._mute = 0
@@ -99,15 +101,16 @@ class Links:
         return gateway_config(
             self._identity,
             gateway=self._gateway,
-            connect=self._routers,
+            connect=by_interface(self._routers, self._interfaces),
             listen=self._listen,
             max_message_bytes=self._max_bytes,
             denied=denied,
         )
 
     def client_config(self, id: bytes) -> zenoh.Config:
-        """Build the configuration of another session of this gateway, with a router alone."""
-        return client_config(self._identity, id=id, connect=self._routers, denied=self._to_deny())
+        """Build the configuration of another session of this gateway, with a router alone, by the last interface."""
+        connect = by_interface(self._routers, self._interfaces[::-1])
+        return client_config(self._identity, id=id, connect=connect, denied=self._to_deny())
 
     async def deny(self) -> None:
         """Make links anew where they could carry something for who was revoked."""

@@ -77,7 +77,8 @@ class OverlayNode:
     """A member: ``identity`` is its bundle.
 
     ``routers`` and ``listen`` are Zenoh endpoints (``tls/host:7447``); left out, the routers are those of the bundle,
-    and direct links are taken on every interface at a free port, with mutual authentication as everywhere. ``policy``
+    and direct links are taken on every interface at a free port, with mutual authentication as everywhere. Routers are
+    dialled by the first of ``interfaces`` (names of network interfaces), and by the others once that fails. ``policy``
     is asked beyond certificates. ``rotate_s``: content keys serve so long. ``max_message_bytes``: what a message that
     is read may have, unpacked. ``clock_ns`` is the clock of this machine, which others are told.
     """
@@ -88,6 +89,7 @@ class OverlayNode:
         *,
         routers: Sequence[str] | None = None,
         listen: Sequence[str] = ("tls/0.0.0.0:0",),
+        interfaces: Sequence[str] = (),
         policy: Policy | None = None,
         rotate_s: float = 600.0,
         max_message_bytes: int = OVERLAY_MESSAGE_BYTES,
@@ -109,7 +111,9 @@ class OverlayNode:
         self.closed = False  # its last user has left: it is not opened again
         self.trouble = ""  # why others refuse us
         self.policy = policy or (lambda verb, name, certificate: True)
-        self.links = Links(identity, self.trust, self.gateway, self.routers, self.listen, max_message_bytes)
+        self.links = Links(
+            identity, self.trust, self.gateway, self.routers, self.listen, max_message_bytes, interfaces=interfaces
+        )
         self.fabric = self.links.fabric
         self.rib = Rib(self.secret, refused=self.refused)
         self.rpc = Rpc(self.fabric, identity, self.trust, self.refused)

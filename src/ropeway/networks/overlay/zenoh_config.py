@@ -12,7 +12,16 @@ import zenoh
 from ropeway.limits import OVERLAY_ROUTED_BYTES
 from ropeway.networks.overlay.crypto.identity import Identity
 
-__all__ = ["KEYS", "MEMBER_DEAD_MS", "ROUTER_DEAD_MS", "client_config", "gateway_config", "gateway_id", "router_config"]
+__all__ = [
+    "KEYS",
+    "MEMBER_DEAD_MS",
+    "ROUTER_DEAD_MS",
+    "by_interface",
+    "client_config",
+    "gateway_config",
+    "gateway_id",
+    "router_config",
+]
 
 KEYS: Final = "rw/**"
 """All that travels in an overlay lies under this key expression."""
@@ -44,6 +53,14 @@ def gateway_id() -> bytes:
     raw[0] |= 0x80
     raw[15] |= 1
     return bytes(raw)
+
+
+def by_interface(endpoints: Sequence[str], interfaces: Sequence[str]) -> list[str]:
+    """Return endpoints to connect to by network interfaces, all of them by the first one first.
+
+    Zenoh has one link with a router. When that link is lost, it tries the others, so the next interface is used.
+    """
+    return [f"{endpoint}#iface={name}" for name in interfaces for endpoint in endpoints] or list(endpoints)
 
 
 def gateway_config(

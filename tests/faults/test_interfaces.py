@@ -1,0 +1,117 @@
+"""A member of the overlay with two network interfaces, one of which is cut."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+import time
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ropeway.networks.overlay.crypto.identity import write_private
+from tests.faults.conftest import ROOT, Machine, ip
+from tests.networks.overlay.fleet import member
+from tests.support.messages import STRING
+
+pytestmark = [pytest.mark.netns, pytest.mark.slow, pytest.mark.timeout(300)]
+
+HZ = 4.0  # what waits for two seconds is less than a publisher holds
+ROUTER = "10.99.9.9"
+"""Reached by both interfaces, as a router in the internet is by Wi-Fi and 5G."""
+
+
+class Place:
+    """A robot that two cables, ``wlan`` and ``wwan``, join with a router and a cloud."""
+
+    def __init__(self, stack: AsyncExitStack, directory: Path) -> None:
+        self.stack, self.directory = stack, directory
+        self.robot, self.far = f"rwi{os.getpid()}a", f"rwi{os.getpid()}b"
+
+    async def open(self) -> None:
+        for namespace in (self.robot, self.far):
+            ip(f"netns add {namespace}")
+            self.stack.callback(ip, f"netns del {namespace}")
+            ip(f"-n {namespace} link set lo up")
+        ip(f"-n {self.far} addr add {ROUTER}/32 dev lo")
+        for number, name in enumerate(("wlan", "wwan"), 1):
+            ip(f"link add {name} netns {self.robot} type veth peer name {name} netns {self.far}")
+            for namespace, end in ((self.robot, 1), (self.far, 2)):
+                ip(f"-n {namespace} addr add 10.99.{number}.{end}/24 dev {name}")
+                ip(f"-n {namespace} link set {name} up")
+            ip(f"-n {self.robot} route add {ROUTER} via 10.99.{number}.2 metric {number}")
+        await self._router()
+
+    async def _router(self) -> None:
+        bundle = self.bundle("router", role="router")
+        program = (
+            "import asyncio, pathlib, sys\n"
+            "from ropeway.networks.overlay.crypto.identity import Identity\n"
+            "from ropeway.networks.overlay.router import Router\n"
+            "async def main():\n"
+            "    async with Router(Identity.load(pathlib.Path(sys.argv[1])), listen=['tls/0.0.0.0:7447']):\n"
+            "        print('up', flush=True)\n"
+            "        await asyncio.Event().wait()\n"
+            "asyncio.run(main())\n"
+        )
+        words = ["ip", "netns", "exec", self.far, sys.executable, "-c", program, bundle]
+        process = await asyncio.create_subprocess_exec(*words, cwd=ROOT, stdout=asyncio.subprocess.PIPE)
+        self.stack.push_async_callback(process.wait)
+        self.stack.callback(process.kill)
+        assert process.stdout is not None
+        await process.stdout.readline()
+
+    def bundle(self, name: str, **options: Any) -> str:
+        path = self.directory / f"{name}.ropeway"
+        write_private(path, member(name, **options).to_text())
+        return str(path)
+
+    async def machine(self, namespace: str, name: str, router: str, **order: Any) -> Machine:
+        overlay = {"identity": self.bundle(name), "routers": [f"tls/{router}:7447"], "listen": []}
+        overlay |= order.pop("overlay", {})
+        made = Machine(namespace, {"name": name, "settings": {"overlay": overlay}, **order})
+        await made.start()
+        self.stack.push_async_callback(made.stop)
+        return made
+
+
+@pytest.fixture
+async def place(stack: AsyncExitStack, tmp_path: Path) -> AsyncIterator[Place]:
+    made = Place(stack, tmp_path)
+    await made.open()
+    yield made
+
+
+async def test_the_interface_in_use_is_cut(place: Place) -> None:
+    """Everything goes on by the other interface: nothing is lost, nothing comes twice, and nobody takes it for gone."""
+    topics = {"publish": [{"name": "/up", "type": STRING}], "subscribe": [{"name": "/down", "type": STRING}]}
+    back = {"publish": topics["subscribe"], "subscribe": topics["publish"]}
+    cloud = await place.machine(
+        place.far, "cloud", "127.0.0.1", remotes=[{"address": "overlay", **back}], publish={"/down": HZ}, read=["/up"]
+    )
+    robot = await place.machine(
+        place.robot,
+        "robot",
+        ROUTER,
+        overlay={"interfaces": ["wlan", "wwan"]},
+        remotes=[{"address": "overlay", **topics}],
+        publish={"/up": HZ},
+        read=["/down"],
+    )
+    await cloud.until(lambda: len(cloud.heard("/up")) > 8)
+    await robot.until(lambda: len(robot.heard("/down")) > 8)
+    cut = time.monotonic()
+    ip(f"-n {place.far} link set wlan down")
+    await cloud.until(lambda: len(cloud.heard("/up", cut + 5)) > 8)
+    await robot.until(lambda: len(robot.heard("/down", cut + 5)) > 8)
+    for machine, topic in ((cloud, "/up"), (robot, "/down")):
+        numbers = [number for _, number in machine.heard(topic)]
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    for machine in (cloud, robot):
+        assert not machine.status["remotes"][0]["overlay"]["refused"]
+        told = [e["status"]["remotes"][0]["overlay"] for e in machine.events if "status" in e and e["t"] > cut]
+        assert told and all(row["gateways"] for row in told)
