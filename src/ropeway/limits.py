@@ -532,3 +532,9 @@ AUDIT_NAME_CHARACTERS: Final = 256
 
 AUDIT_TEXT_CHARACTERS: Final = 500
 """A reason in an entry of the audit log: as much as is logged of a peer's error."""
+
+REPORTED_REASONS: Final = 32
+"""Reasons for drops that a far gateway reports of one topic: there are a dozen."""
+
+REPORTED_REASON_CHARACTERS: Final = 100
+"""One of these reasons, which people read."""

@@ -10,9 +10,11 @@ __all__ = [
     "Contended",
     "Draining",
     "Encoded",
+    "FarFigures",
     "LinkStatistics",
     "LinkedPublisher",
     "Refusable",
+    "Reported",
     "is_encoded",
     "is_linked",
     "is_refusable",
@@ -34,6 +36,22 @@ class LinkStatistics:
     lost: Mapping[str, int] = field(default_factory=dict)
     delay_s: float | None = None
     refused: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class FarFigures:
+    """Tells what the far gateway says of a topic: messages that it passed on, and those that it dropped, by reason."""
+
+    messages: int = 0
+    drops: Mapping[str, int] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Reported(Protocol):
+    """Is told by the far gateway what becomes of its messages there."""
+
+    far: FarFigures | None
+    """The last report, ``None`` before the first, and where the far side makes none."""
 
 
 @runtime_checkable

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
@@ -105,6 +106,33 @@ async def test_the_other_way(world: World) -> None:
     found = await only(robot, "/cmd_vel")
     assert found.target == here.name
     assert "did you mean /cmd_val?" in failures(found)[Subject.SOURCE]
+
+
+async def test_what_the_far_end_passes_and_drops(world: World) -> None:
+    """The remote tells how many messages of a route it has passed on, and how many it dropped, with the reason."""
+    cloud = await world.gateway("cloud", [])
+    limited = item("/fast", rate_hz=0.001)
+    remote = {"address": url(cloud), "publish": [item("/odom")], "subscribe": [limited]}
+    robot = await world.gateway("robot", [remote])
+    here, there = await world.robot("robot"), await world.robot("cloud")
+    await there.create_subscription("/odom", STRING, QoS(), Inbox())
+    await here.create_subscription("/fast", STRING, QoS(), Inbox())
+    odom, fast = await here.create_publisher("/odom", STRING), await there.create_publisher("/fast", STRING)
+    await until(lambda: odom.subscribers and fast.subscribers)
+    odom.publish(sample("a"))
+    for number in range(5):
+        fast.publish(sample(str(number)))
+
+    async def told(name: str) -> str:
+        while True:
+            findings = (await only(robot, name)).findings
+            texts = [found.text for found in findings if "have passed" in found.text]
+            if texts:
+                return texts[0]
+            await asyncio.sleep(0.01)
+
+    assert await told("/odom") == f"1 messages have passed {url(cloud)}"
+    assert "which dropped 4 more often than the rate limit" in await told("/fast")
 
 
 async def test_a_link_that_is_down(world: World) -> None:

@@ -14,6 +14,7 @@ from ropeway.gateway.explain.explanation import Explanation, Finding, Subject
 from ropeway.gateway.remote import Remote, shown_address
 from ropeway.gateway.route import Bridge, RunningRoute
 from ropeway.graph.base import Graph
+from ropeway.graph.link_parts import Reported
 
 __all__ = ["explain", "explain_route", "reason_of", "without_route"]
 
@@ -60,7 +61,7 @@ def explain_route(remote: Remote, running: RunningRoute, far: Graph | None = Non
         source=shown_address(remote.config) if inward else here,
         target=here if inward else shown_address(remote.config),
         path=route.path,
-        findings=(*_without_doubles(chain), *_traffic(bridge)),
+        findings=(*_without_doubles(chain), *_traffic(bridge), *_far_traffic(bridge, shown_address(remote.config))),
     )
 
 
@@ -138,6 +139,19 @@ def _traffic(bridge: Bridge) -> Iterable[Finding]:
     else:
         ended = _counts(bridge.counts)
         yield Finding(Subject.TRAFFIC, None, f"requests: {ended}" if ended else "no request has come yet")
+
+
+def _far_traffic(bridge: Bridge, address: str) -> Iterable[Finding]:
+    """Yield what the remote says of the topic: it tells each client of its own topics alone, once a second."""
+    if not isinstance(bridge, TopicBridge):
+        return
+    parts: tuple[object, ...] = (bridge.publisher, bridge.subscription)
+    far = next((part.far for part in parts if isinstance(part, Reported) and part.far is not None), None)
+    if far is None:
+        return
+    drops = _counts(far.drops)
+    text = f"{far.messages} messages have passed {address}{f', which dropped {drops}' if drops else ''}"
+    yield Finding(Subject.TRAFFIC, True if far.messages else False if drops else None, text, address)
 
 
 def _counts(counts: Mapping[str, int]) -> str:

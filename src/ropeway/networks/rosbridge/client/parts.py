@@ -12,7 +12,7 @@ from ropeway.delivery.outbox import Lost
 from ropeway.errors import MessageTooBig, TypesError
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample, SampleCallback, Undelivered, new_origin
 from ropeway.graph.history import History
-from ropeway.graph.link_parts import LinkStatistics
+from ropeway.graph.link_parts import FarFigures, LinkStatistics
 from ropeway.graph.parts import PublisherBase, SubscriptionBase
 from ropeway.graph.peer_answer import Answers
 from ropeway.networks.rosbridge.client.host import LinkGraph
@@ -43,6 +43,7 @@ class RemotePublisher(PublisherBase[LinkGraph]):
         self.lost: Counter[Lost] = Counter()
         self.sent = self.sent_bytes = 0
         self.answers = Answers()
+        self.far: FarFigures | None = None
         self.remote_delay_s: float | None = None  # from this gateway's reception to the far one's
         self._gid = new_origin()
         self._history = History(qos)
@@ -206,6 +207,7 @@ class RemoteSubscription(Inbound, SubscriptionBase[LinkGraph]):
         self.number = graph.table.next_number()
         self.id = f"subscribe:{topic}:{self.number}"
         self.answers = Answers()
+        self.far: FarFigures | None = None
         self._codec: MessageCodec | None = None
         self._plain_origin = new_origin()
         self._plain_seq = 0

@@ -129,15 +129,15 @@ class TopicIn(Inbound):
         return True
 
     def report(self) -> None:
-        """Tell a gateway how its topic arrives."""
-        meter = self.passage.meter
+        """Tell a gateway how its topic arrives, and what of it is dropped here."""
+        meter, drops = self.passage.meter, _counts(self.passage.drops)
         meter.update()
-        if self.number is not None and meter.messages:
+        if self.number is not None and (meter.messages or drops):
             delay = meter.delay_s
             stats: dict[str, Any] = {"op": "stats", "channel": self.number, "rate_hz": round(meter.rate_hz, 2)}
             if delay is not None:
                 stats["delay_ms"] = round(1e3 * delay, 3)
-            self.session.peer.send(stats)
+            self.session.peer.send({**stats, "messages": meter.messages, "drops": drops})
 
     async def close(self) -> None:
         """Withdraw the topic."""
@@ -163,6 +163,7 @@ class TopicOut:
         self._throttle: Throttle | None = None
         self._wanted_definition = False
         self._depth: int | None = None
+        self._reported: dict[str, int] = {}
 
     @property
     def held_bytes(self) -> int:
@@ -226,6 +227,17 @@ class TopicOut:
         self.passage.steps = steps
         self.passage.pass_on(waiting)
 
+    def report(self) -> None:
+        """Bring the meter up to date, and tell a gateway what of the topic is dropped here."""
+        meter, drops = self.passage.meter, _counts(self.passage.drops)
+        meter.update()
+        if self.channel is not None:
+            drops |= _counts(self.channel.queue.lost)
+        if self.session.gateway and drops and drops != self._reported:
+            self._reported = drops
+            stats = {"op": "stats", "channel": self.number, "messages": meter.messages, "drops": drops}
+            self.session.peer.send(stats)
+
     def _release(self, sample: Sample) -> None:
         self.passage.pass_on((sample,), held=True)
 
@@ -263,6 +275,11 @@ def topic_status(
 ) -> dict[str, Any]:
     """Return one row of the table of topics."""
     return {"name": topic, "direction": direction, "type": type, "encoding": encoding, **passage.status(lost or {})}
+
+
+def _counts(counts: Mapping[Any, int]) -> dict[str, int]:
+    """Return counts by what their reasons say, as far as there are any."""
+    return {reason.value: count for reason, count in counts.items() if count}
 
 
 def _number(value: object) -> float | None:

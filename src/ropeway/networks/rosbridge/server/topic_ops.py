@@ -90,7 +90,7 @@ class TopicOps:
         for topic in self._all_inputs():
             topic.report()
         for output in self._all_outputs():
-            output.passage.meter.update()
+            output.report()
 
     def status(self) -> Iterator[dict[str, Any]]:
         """Yield one row per topic."""
