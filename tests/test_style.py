@@ -214,6 +214,7 @@ ALLOWED_BROAD = {
     },
     "whoever waits for the outcome gets the error": {
         "control/app.py:_response",
+        "gateway/rest/app.py:__call__",
         "gateway/process/worker.py:_answer",
         "graph/actions/client.py:_follow",
         "graph/actions/client.py:_negotiate",

@@ -538,3 +538,32 @@ REPORTED_REASONS: Final = 32
 
 REPORTED_REASON_CHARACTERS: Final = 100
 """One of these reasons, which people read."""
+
+# ── Topics and services over REST ───────────────────────────────────────────────────────────────────────────────────
+
+REST_REQUESTS: Final = 128
+"""Requests for topics and services, streams included, that are under way at a listener. More are refused (503)."""
+
+REST_HEAD_BYTES: Final = 16 << 10
+"""The head of a request: as long as at the listeners."""
+
+REST_BODY_BYTES: Final = 16 << 20
+"""The body of a request: a message or the arguments of a call, as JSON."""
+
+REST_REQUEST_S: Final = 10.0
+"""Time in which a request has to come whole."""
+
+REST_UNREAD_BYTES: Final = 256 << 10
+"""The bytes of a stream that its reader has not read. Above, newer messages take the place of those that wait."""
+
+REST_READER_S: Final = 30.0
+"""Time for which a reader may take nothing of what is sent to it."""
+
+REST_TOPICS: Final = 256
+"""Topics that are published or read for requests at a time. Above, those not used for longest go."""
+
+REST_IDLE_S: Final = 30.0
+"""Time for which a topic is read on after the last request for it, so that the next gets its value at once."""
+
+REST_WAIT_S: Final = 30.0
+"""The longest that a request may wait for the first message of a topic."""

@@ -17,7 +17,6 @@ from ropeway.gateway.apply import ConfigChange
 from ropeway.gateway.auth import make_door, warn_of_tokens
 from ropeway.gateway.config.address import is_foxglove, is_iort, is_secure
 from ropeway.gateway.config.config import Config, Route
-from ropeway.gateway.config.iort_model import StoreConfig
 from ropeway.gateway.config.type_hints import learn_types, type_hints
 from ropeway.gateway.credentials import read_credentials
 from ropeway.gateway.explain import Explanation, RouteWatch, explain
@@ -32,6 +31,7 @@ from ropeway.gateway.remote import Remote
 from ropeway.gateway.remote_factory import RemoteFactory
 from ropeway.gateway.route import RouteStatus, paused_status
 from ropeway.gateway.running_remote import RunningRemote
+from ropeway.gateway.stores import open_store
 from ropeway.gateway.tls import server_context, trusted_files
 from ropeway.gateway.topic_looks import TopicLooks
 from ropeway.hub.hub import Hub
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from ropeway.gateway.last_value import LastValue
     from ropeway.gateway.nodes import Nodes
     from ropeway.gateway.safety import GuardedTopic
+    from ropeway.listener.client_pages import ClientPages
     from ropeway.listener.listener import Listener
     from ropeway.networks.foxglove.server import FoxgloveServer
     from ropeway.networks.foxglove.session import ViewerSession
@@ -146,7 +147,7 @@ class Gateway:
             room = make_room(settings.clients.max_clients + nodes)
             self._entrance.set_room(clients=room.clients, pending=room.pending)
         if self.config.stores:
-            self.store = await self._open_store(stack)
+            self.store = await open_store(self.config.gateway, stack)
         limits = Limits(max_message_bytes=settings.max_message_bytes, budget=self.budget)
         await self._bring_up_server(stack, limits)
         await self._bring_up_nodes(stack)
@@ -179,7 +180,6 @@ class Gateway:
                 warn_of_tokens(settings, url)
         if not links:
             return
-        from ropeway.listener.store_pages import StorePages
         from ropeway.networks.rosbridge.server import RosbridgeServer  # a gateway that only dials does not need it
 
         server = RosbridgeServer(
@@ -199,7 +199,7 @@ class Gateway:
             cancel_goals=settings.clients.cancel_goals,
             publish_clients=settings.clients.publish_clients,
             publish_rosout=settings.clients.publish_rosout,
-            pages=None if self.store is None else StorePages(self.store, self.registry),
+            pages=await self._pages(stack),
             guests=self.viewers if settings.foxglove.enabled else None,
         )
         stack.push_async_callback(server.close)
@@ -210,16 +210,12 @@ class Gateway:
             await server.listen(address, ssl_context=secure, reuse_port=self._reuse_port)
             warn_of_tokens(settings, url)
 
-    async def _open_store(self, stack: AsyncExitStack) -> Store:
-        from ropeway.store import Store, default_path, make_backend, make_mirror
+    async def _pages(self, stack: AsyncExitStack) -> list[ClientPages]:
+        """Make what the rosbridge listeners serve beside WebSockets."""
+        from ropeway.gateway.pages import client_pages
 
-        config = self.config.gateway.store or StoreConfig.model_validate({})
-        mirror = None if config.mongodb is None else make_mirror(config.mongodb)
-        backend = make_backend(config.path or default_path(self.config.gateway.name))
-        store = Store(backend, mirror=mirror, limits=config.limits())
-        await store.open()
-        stack.push_async_callback(store.close)
-        return store
+        hub = self.hubs[self.config.gateway.graphs[0]]
+        return await client_pages(self.config.gateway, hub, self.registry, self.store, stack)
 
     async def _bring_up_nodes(self, stack: AsyncExitStack) -> None:
         """Listen for IoRT nodes, and share what the maps name with the first graph."""

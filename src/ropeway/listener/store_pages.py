@@ -8,12 +8,12 @@ are, ``?history=1`` the values before, too. Names are percent-encoded; whatever 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any, Final, cast
 from urllib.parse import unquote
 
 from ropeway.errors import AccessDenied, StoreUnavailable
-from ropeway.listener.authorization import Access
+from ropeway.listener.authorization import Access, Role
 from ropeway.listener.http import HttpRequest, Response, reply
 from ropeway.listener.store_watcher import StoreWatcher, entry_json
 from ropeway.store import Entry, Store, as_json
@@ -34,6 +34,9 @@ class StorePages:
     def knows(self, path: str) -> bool:
         """Return whether ``path`` is one of its paths."""
         return path == _ROOT or path.startswith(f"{_ROOT}/")
+
+    def recheck(self, keeps: Callable[[HttpRequest, Role], bool]) -> None:
+        """See ``ClientPages``; watchers are those of the server."""
 
     def __call__(self, request: HttpRequest, access: Access) -> Response | asyncio.Protocol:
         """Return the answer, or the protocol that continues on the connection."""

@@ -28,7 +28,7 @@ _KEEP_ALIVE_S: Final = 10.0
 _COMMENT: Final = b": still here\n\n"
 
 
-class AuditAnswer(BaseModel):
+class AuditExcerpt(BaseModel):
     """Entries, the oldest first. ``before``: ask again with it for older ones; ``null`` where there are none.
 
     ``lost`` notes did not fit, ``unwritten`` entries are only in memory, because of ``error``.
@@ -41,7 +41,7 @@ class AuditAnswer(BaseModel):
     error: str
 
 
-@resources.get("/v1/audit", right="observe", gives=AuditAnswer)
+@resources.get("/v1/audit", right="observe", gives=AuditExcerpt)
 async def read_audit(asked: ControlRequest) -> Any:
     """Return the newest entries of the audit log that fit.
 

@@ -255,6 +255,9 @@ class GatewayConfig(Model):
         None,
         description='last values; there also without this where a listener is iort:// or a topic has "store": true',
     )
+    rest: bool = Field(
+        False, description="true: topics and services are also REST resources at ws and wss listeners, below /ros"
+    )
     safety: Many[SafetyItem] = Field(
         (), description="topics of commands, whoever publishes them through the gateway: lease, limits, drivers"
     )

@@ -16,6 +16,7 @@ from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.graph.ros1_spelling import ros1_spelling
 from ropeway.listener.authentication import Rejection, refusal, subprotocol, unserved
 from ropeway.listener.authorization import EVERYTHING, Access, Role
+from ropeway.listener.client_pages import ClientPages
 from ropeway.listener.connection import Connection, Limits
 from ropeway.listener.entrance import Entrance, narrowed
 from ropeway.listener.globs import Globs
@@ -23,7 +24,6 @@ from ropeway.listener.http import HttpRequest, Response
 from ropeway.listener.http_upgrade import Admission
 from ropeway.listener.listener import Listener
 from ropeway.listener.presence import Presence, ip_address
-from ropeway.listener.store_pages import StorePages
 from ropeway.listener.store_watcher import StoreWatcher
 from ropeway.listener.subprotocols import GATEWAY_SUBPROTOCOLS, ROPEWAY_SUBPROTOCOL, Guests
 from ropeway.listener.watchers import Watchers
@@ -80,7 +80,7 @@ class RosbridgeServer:
         silence_s: float | None = _CLIENT_SILENCE_S,
         ping_interval_s: float = _CLIENT_PING_S,
         cancel_goals: bool = True,
-        pages: StorePages | None = None,
+        pages: Sequence[ClientPages] = (),
         node: str = "",
         guests: Guests | None = None,
     ) -> None:
@@ -106,7 +106,7 @@ class RosbridgeServer:
             ros1=self._ros1,
         )
         self._pages = Pages(reasons, self.entrance.admit_page, self._more_pages)
-        self._store_pages = pages
+        self.pages = pages
         self._guests = guests
         self._served = (*GATEWAY_SUBPROTOCOLS, *(() if guests is None else guests.subprotocols))
         self.watchers = Watchers()
@@ -161,9 +161,9 @@ class RosbridgeServer:
             log.warning("%s does not accept what the server says about itself: %s", self.hub.graph.name, error)
 
     def _more_pages(self, request: HttpRequest) -> Response | asyncio.Protocol | None:
-        """Serve pages beyond the server's own: the values of the store, to clients that may read them."""
-        pages = self._store_pages
-        if pages is None or not pages.knows(request.path):
+        """Serve pages beyond the server's own to clients: values of the store, topics and services."""
+        pages = next((pages for pages in self.pages if pages.knows(request.path)), None)
+        if pages is None:
             return None
         role = self.entrance.admit(request)
         if not isinstance(role, Role):
@@ -221,6 +221,8 @@ class RosbridgeServer:
             if not keeps(connection.handshake, session.access.role, certificates=certificates):
                 self.entrance.tell_kicked(connection.peer, session.access.role)
                 connection.close(1008, "what this client may do has changed; connect again")
+        for pages in self.pages:
+            pages.recheck(lambda request, role: keeps(request, role, certificates=certificates))
         for watcher in self.watchers:
             if not keeps(watcher.request, watcher.access.role, certificates=certificates):
                 watcher.end()

@@ -1,0 +1,1 @@
+"""Topics and services as REST resources, on the ports of the rosbridge listeners."""
