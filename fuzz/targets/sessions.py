@@ -19,9 +19,12 @@ from tests.support.websocket import Client, ClosedByServer
 
 from fuzz.target import Target
 from fuzz.targets.operations import OPERATIONS
+from fuzz.targets.viewers import VIEWER_FRAMES, VIEWER_OPERATIONS
 from ropeway.hub.hub import Hub
 from ropeway.iort import pack
 from ropeway.listener.connection import Limits
+from ropeway.listener.subprotocols import FOXGLOVE_SUBPROTOCOLS
+from ropeway.networks.foxglove.server import FoxgloveServer
 from ropeway.networks.iort.server import IortServer
 from ropeway.networks.iort.space import Space
 from ropeway.networks.memory.graph import MemoryGraph
@@ -63,9 +66,12 @@ class _World:
     async def _open(self) -> None:
         graph = MemoryGraph("fuzz")
         await graph.open()
+        hub, registry = Hub(graph, gateway_id="f" * 16), TypeRegistry()
+        self.viewers = FoxgloveServer(hub, registry, call_timeout_s=0.01, params_timeout_s=0.01)
         self.server = RosbridgeServer(
-            Hub(graph, gateway_id="f" * 16),
-            TypeRegistry(),
+            hub,
+            registry,
+            guests=self.viewers,
             limits=Limits(max_message_bytes=1 << 16),
             gateway_id="f" * 16,
             unregister_timeout_s=0.0,
@@ -99,12 +105,18 @@ def _session(data: bytes) -> None:
     world.run(_talk(world, ROPEWAY_SUBPROTOCOL if data[:1] == b"g" else "", data[1:].split(_MARK)))
 
 
+def _viewer(data: bytes) -> None:
+    """Frames of a viewer between line feeds; a byte beyond ASCII before one makes it binary."""
+    world = _open()
+    world.run(_talk(world, FOXGLOVE_SUBPROTOCOLS[0], data.split(_MARK)))
+
+
 async def _talk(world: _World, subprotocol: str, frames: list[bytes]) -> None:
     with contextlib.suppress(ClosedByServer, ConnectionError, asyncio.IncompleteReadError):
         async with Client(world.port, subprotocol=subprotocol) as client:
             for frame in frames:
                 if frame and frame[0] & _BINARY:
-                    client.send_binary(frame)
+                    client.send_binary(frame[1:] if subprotocol in FOXGLOVE_SUBPROTOCOLS else frame)
                 else:
                     client.send(frame)
             client.send({"op": "unsubscribe", "topic": "/x"})
@@ -174,7 +186,30 @@ def _packets() -> list[bytes]:
     return [*said, b"".join(said)]
 
 
+def _views() -> list[bytes]:
+    lines = [json.dumps(operation).encode() for operation in VIEWER_OPERATIONS]
+    frames = [b"\xff" + frame for frame in VIEWER_FRAMES if _MARK not in frame]
+    return [_MARK.join(lines), _MARK.join([lines[2], *frames]), *lines, *frames]
+
+
 TARGETS: Final = {
+    "viewer-sessions": Target(
+        _viewer,
+        (),
+        _views,
+        (
+            b"\n",
+            b'{"op":"',
+            b'"channels":[',
+            b'"id":1',
+            b'"channelId":1',
+            b"\xff\x01",
+            b"\xff\x02",
+            b'"parameterNames":[]',
+        ),
+        memory_bytes=32 << 20,
+        cpu_s=2.0,
+    ),
     "sessions": Target(
         _session,
         (),
