@@ -167,7 +167,7 @@ async def _tick(page: Page, timer: ui.timer) -> None:
 
 def _head(page: Page, entry: PageEntry, entries: Sequence[PageEntry]) -> None:
     ui.page_title(f"Ropeway: {entry.title.lower()}")
-    drawer = ui.left_drawer(bordered=True).props("breakpoint=900 width=200")
+    drawer = ui.left_drawer(value=False, bordered=True).props("breakpoint=900 width=200 show-if-above")
     with drawer:
         for each in filter(lambda each: each.listed, entries):
             with ui.item().props(f'clickable {"active" if each is entry else ""} href="{page.link(each.path)}"'):

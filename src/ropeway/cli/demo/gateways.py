@@ -122,6 +122,7 @@ async def dashboard() -> AsyncIterator[None]:
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "ropeway", "dashboard", "--open"),
         stdin=asyncio.subprocess.DEVNULL,
+        stdout=sys.stderr,  # the address; stdout is for the figures
         start_new_session=True,
     )
     try:
