@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +189,8 @@ async def test_a_role_that_may_only_look(
     await page.get_by_text('role watcher lacks the right "operate"', exact=False).wait_for()
     await on(page, dashboard, "/configuration")
     assert await page.get_by_role("button", name="Apply").is_disabled()
+    await page.get_by_text("Log out").click()
+    await page.locator("#secret").wait_for()
     assert page.faults == []
 
 

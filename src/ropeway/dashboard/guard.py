@@ -21,7 +21,7 @@ _VIEWER: Final = "ropeway.viewer"
 _HEADERS: Final = (
     (b"content-security-policy", b"frame-ancestors 'none'; object-src 'none'; base-uri 'self'; form-action 'self'"),
     (b"x-content-type-options", b"nosniff"),
-    (b"referrer-policy", b"no-referrer"),  # a key may stand in the address
+    (b"referrer-policy", b"same-origin"),  # a key may stand in the address; "no-referrer" would hide our own Origin
     (b"x-frame-options", b"DENY"),
 )
 _POLICY_VIOLATION: Final = 1008  # of RFC 6455
