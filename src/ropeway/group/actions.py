@@ -4,10 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ActionClient, ClientGoal, Goal
+from ropeway.graph.calls import DEFAULT_TIMEOUT_S, ActionClient, ClientGoal, Goal, GoalStatus, Outcome
 from ropeway.group.calls import GroupUser, Ways
+from ropeway.group.chooser import Chooser
 
 __all__ = ["GroupActionClient"]
+
+
+class MemberGoal:
+    """A goal that a member has accepted; how long it takes is noted when it has succeeded."""
+
+    def __init__(self, goal: ClientGoal, member: str, group: Chooser, asked_s: float) -> None:
+        self.id = goal.id
+        self._goal, self._member, self._group, self._asked_s = goal, member, group, asked_s
+        self._noted = False
+
+    async def result(self, timeout_s: float | None = None) -> Outcome:
+        """See ``ClientGoal``."""
+        outcome = await self._goal.result(timeout_s)
+        if not self._noted and outcome.status is GoalStatus.SUCCEEDED:
+            self._noted = True
+            now_s = self._group.now()
+            self._group.scheduler.finished(self._member, now_s - self._asked_s, now_s)
+        return outcome
+
+    async def cancel(self, timeout_s: float = DEFAULT_TIMEOUT_S) -> bool:
+        """See ``ClientGoal``."""
+        return await self._goal.cancel(timeout_s)
 
 
 class GroupActionClient(GroupUser[ActionClient]):
@@ -28,11 +51,14 @@ class GroupActionClient(GroupUser[ActionClient]):
         on_feedback: Callable[[bytes], None] | None = None,
         timeout_s: float = DEFAULT_TIMEOUT_S,
     ) -> ClientGoal:
-        """See ``ActionClient``. The latency of the group's windows is the time until the goal is accepted."""
+        """See ``ActionClient``. The latency is the time until the goal is accepted, or until it has succeeded."""
         left_s = await self._ways.wait(self, timeout_s)
-        return await self._ways.ask(
-            lambda name, limit_s: self.part(name).send_goal(goal, on_feedback=on_feedback, timeout_s=limit_s),
-            self.serves,
-            left_s,
-            alone=True,
-        )
+        group = self._group
+
+        async def send(name: str, limit_s: float) -> ClientGoal:
+            asked_s = group.now()
+            sent = await self.part(name).send_goal(goal, on_feedback=on_feedback, timeout_s=limit_s)
+            return MemberGoal(sent, name, group, asked_s)
+
+        counted = not group.scheduler.options.judge_results
+        return await self._ways.ask(send, self.serves, left_s, alone=True, counted=counted)

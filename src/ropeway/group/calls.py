@@ -75,12 +75,13 @@ class Ways:
         timeout_s: float,
         *,
         alone: bool = False,
+        counted: bool = True,
         failed: Mapping[str, RopewayError] = NOBODY,
     ) -> T:
         """Return the answer of the first that answers; ``able`` tells who could. ``alone``: of one at a time.
 
-        Members that have ``failed`` already are not asked. Raises the error of the one whose failure says most, if none
-        answers.
+        Not ``counted``: its answer tells no latency. Members that have ``failed`` already are not asked. Raises the
+        error of the one whose failure says most, if none answers.
         """
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + timeout_s
@@ -107,7 +108,10 @@ class Ways:
             except BaseException as error:
                 self.failed(name, keys[name], error)
                 raise
-            scheduler.answered(name, keys[name], group.now())
+            if counted:
+                scheduler.answered(name, keys[name], group.now())
+            else:
+                scheduler.refused(name, keys[name])
             return answer
 
         def may_go_on(error: RopewayError) -> bool:

@@ -24,7 +24,8 @@ class Options:
     ``margin``: by how much of its latency the one in use must be beaten. ``least_dwell_s``: no second change sooner,
     unless the member is gone or the change proves wrong. ``penalty_s``: how long the loser of a comparison is left
     alone, doubled with each loss; after ``forgive_s`` without one it starts anew, and what was known of a member that
-    nobody has asked since counts no more.
+    nobody has asked since counts no more. ``judge_results``: the latency of an action is the time until a goal has
+    succeeded, and not until it is accepted.
     """
 
     window_s: float = WINDOW_S
@@ -35,3 +36,4 @@ class Options:
     least_dwell_s: float = 1.0
     penalty_s: float = 2.0
     forgive_s: float = 60.0
+    judge_results: bool = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from ropeway.group.bound import LatencyBound, Standing
@@ -25,6 +25,7 @@ class Replica:
 
     name: str
     window: LatencyWindow
+    results: LatencyWindow = field(default_factory=LatencyWindow)  # of its goals, until their ends
     here: bool = False
     late: int = 0  # answers above the limit, one after the other
     penalty_s: float = 0.0

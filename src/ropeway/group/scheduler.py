@@ -151,6 +151,7 @@ class Scheduler:
                     "here": m.here,
                     "standing": self.bound.judge(found).value,
                     "latency_s": None if found is None else found.as_json(),
+                    "result_s": None if (ends := m.results.statistics(now_s)) is None else ends.as_json(),
                     "in_flight": m.window.in_flight,
                     "alone_for_s": round(max(0.0, m.alone_until_s - now_s), 3),
                 }
@@ -255,6 +256,13 @@ class Scheduler:
         self._members[name].window.add(now_s, latency_s)
         if self._members[name].was(latency_s, self._limit_s):
             self._quiet_until_s = _NEVER_S
+
+    def finished(self, name: str, took_s: float, now_s: float) -> None:
+        """Note how long a goal of a member took until it succeeded."""
+        if name in self._members:
+            self._members[name].results.add(now_s, took_s)
+            if self.options.judge_results:
+                self.measured(name, took_s, now_s)
 
     def switch(self, name: str, now_s: float, why: str = "by hand") -> None:
         """Use ``name`` from the next request on, by hand. Raises ``KeyError`` for a member that is not there."""

@@ -133,6 +133,9 @@ class AnycastConfig(Model):
         "seconds",
     )
 
+    action_latency: Literal["accepted", "result"] = Field(
+        "accepted", description="what the latency of an action is: the time until a goal is accepted, or has succeeded"
+    )
     profile_s: float = Field(
         PROFILE_S, gt=0, le=10, allow_inf_nan=False, description="how long each address is asked at the start"
     )
@@ -187,5 +190,10 @@ class AnycastConfig(Model):
             "policy": Policy(self.policy),
             "bound": self.latency_bound,
             "stateless": self.stateless,
-            "options": Options(window_s=self.latency_window_s, profile_s=self.profile_s, pause_s=self.pause_s),
+            "options": Options(
+                window_s=self.latency_window_s,
+                profile_s=self.profile_s,
+                pause_s=self.pause_s,
+                judge_results=self.action_latency == "result",
+            ),
         }
