@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from ropeway.delivery.pacing.model import LinkModel, LinkReading
 
-__all__ = ["Path", "Tcp", "greedy", "images", "share", "simulate"]
+__all__ = ["Crowd", "Path", "Tcp", "greedy", "images", "simulate"]
 
 SEGMENT_BYTES = 1448
 HEADERS_BYTES = 52
@@ -77,6 +77,8 @@ class Path:
 class Tcp:
     """A sender's TCP: ``reno`` halves its window at losses, ``open`` sends whatever it is given."""
 
+    BETA = 0.5  # of the window is left after a loss
+
     def __init__(self, clock: Clock, path: Path, congestion: str = "open") -> None:
         self.clock, self.path, self.congestion = clock, path, congestion
         self.window = 10.0
@@ -88,6 +90,7 @@ class Tcp:
         self.deviation = self.rtt / 2
         self.lost = 0
         self.calm_until = 0.0
+        self.used_at = float("-inf")
         self.arrived: list[tuple[float, int]] = []
 
     def hand(self, size: int) -> None:
@@ -120,10 +123,22 @@ class Tcp:
         self.lost += 1
         self.packets -= 1
         if self.clock.now >= self.calm_until:
-            self.threshold = self.window = max(self.window / 2, 2.0)
+            self._yield()
             self.calm_until = self.clock.now + self.rtt
         self.again.append(size)
         self._push()
+
+    def _yield(self) -> None:
+        """Take a lost packet for a full link."""
+        self.threshold = self.window = max(self.BETA * self.window, 2.0)
+
+    def _grow(self) -> None:
+        """Send more, as a packet was acknowledged and the window was used."""
+        self.window += 1 if self.window < self.threshold else 1 / self.window
+
+    def start_again(self) -> None:
+        """Forget the losses."""
+        self.threshold = float("inf")
 
     def _acknowledge(self, size: int, sent: float) -> None:
         rtt = self.clock.now - sent
@@ -132,8 +147,10 @@ class Tcp:
         self.packets -= 1
         self.in_flight -= size
         self.delivered += size
-        if self.packets + 1 >= self.window - 1:  # validated: it was used
-            self.window += 1 if self.window < self.threshold else 1 / self.window
+        if self.packets + 1 >= self.window - 1:
+            self.used_at = self.clock.now
+        if self.clock.now - self.used_at <= self.rtt:  # validated, as Linux does it
+            self._grow()
         self._push()
 
     def reading(self) -> LinkReading:
@@ -150,6 +167,49 @@ class Tcp:
         )
 
 
+class Cubic(Tcp):
+    """A sender's TCP with the growth of CUBIC (RFC 9438)."""
+
+    BETA = 0.7
+    GROWTH = 0.4  # packets per cubic second
+
+    def __init__(self, clock: Clock, path: Path) -> None:
+        super().__init__(clock, path, "cubic")
+        self.most = 0.0  # the window before the last loss
+        self.began: float | None = None  # to grow after it
+        self.aim = self.wait_s = self.as_reno = 0.0
+
+    def _yield(self) -> None:
+        self.most = self.window if self.window >= self.most else self.window * (1 + self.BETA) / 2
+        self.began = None
+        super()._yield()
+
+    def _grow(self) -> None:
+        if self.window < self.threshold:
+            self.window += 1
+            return
+        if self.began is None:
+            self.began, self.as_reno = self.clock.now, self.window
+            self.aim = max(self.most, self.window)
+            self.wait_s = ((self.aim - self.window) / self.GROWTH) ** (1 / 3)
+        self.as_reno += 3 * (1 - self.BETA) / (1 + self.BETA) / self.window
+        seconds = self.clock.now - self.began + self.rtt - self.wait_s
+        target = min(max(self.aim + self.GROWTH * seconds**3, self.as_reno), 1.5 * self.window)
+        self.window += max((target - self.window) / self.window, 0.01 / self.window)
+
+    def start_again(self) -> None:
+        """Forget the losses."""
+        super().start_again()
+        self.most, self.began = 0.0, None
+
+
+CONTROLS: dict[str, Callable[[Clock, Path], Tcp]] = {
+    "open": Tcp,
+    "reno": lambda clock, path: Tcp(clock, path, "reno"),
+    "cubic": Cubic,
+}
+
+
 @dataclass
 class Outcome:
     """What a run showed after its first part."""
@@ -160,11 +220,18 @@ class Outcome:
     unsent_bytes: float
 
 
+def read(tcp: Tcp, model: LinkModel) -> None:
+    """Let the model see what the kernel tells, and do what it asks for."""
+    model.observe(tcp.reading())
+    if model.squeezed():
+        tcp.start_again()
+
+
 def greedy(clock: Clock, tcp: Tcp, model: LinkModel) -> None:
     """Send as much as the model allows, always."""
 
     def look() -> None:
-        model.observe(tcp.reading())
+        read(tcp, model)
         while model.room_bytes > 0:
             pace = model.pace.bytes_per_s
             part = model.window_bytes // 4 if pace is None else int(min(pace * 0.002, 1 << 20))
@@ -172,7 +239,7 @@ def greedy(clock: Clock, tcp: Tcp, model: LinkModel) -> None:
             model.handed(part)
             tcp.hand(part)
             if model.room_bytes <= 0:
-                model.observe(tcp.reading())
+                read(tcp, model)
         clock.at(clock.now + max(model.look_in_s, LOOK_S), look)
 
     look()
@@ -190,7 +257,7 @@ def simulate(
 ) -> Outcome:
     """Run a greedy sender for a while; its first round trip was shorter than others by ``luck_s``."""
     clock = Clock()
-    tcp, model = Tcp(clock, path, congestion), LinkModel()
+    tcp, model = CONTROLS[congestion](clock, path), LinkModel()
     tcp.rtt -= luck_s
     waits: list[float] = []
     unsent: list[int] = []
@@ -231,10 +298,10 @@ def images(clock: Clock, tcp: Tcp, model: LinkModel, size: int, hz: float) -> No
             model.handed(part)
             tcp.hand(part)
             if model.room_bytes <= 0:
-                model.observe(tcp.reading())
+                read(tcp, model)
 
     def look() -> None:
-        model.observe(tcp.reading())
+        read(tcp, model)
         pump()
         clock.at(clock.now + max(model.look_in_s, LOOK_S), look)
 
@@ -242,29 +309,63 @@ def images(clock: Clock, tcp: Tcp, model: LinkModel, size: int, hz: float) -> No
     look()
 
 
-def share(
-    path: Path, *, size: int, hz: float, count: int, congestion: str, seconds: float, late_s: float = 0.0
-) -> tuple[list[float], float]:
-    """Run some senders of pictures, and from the third second on one that fills the link until it loses packets.
+@dataclass
+class Shared:
+    """What senders of ours, and one that is not, got of a link, and the wait at its bottleneck."""
 
-    The pictures begin ``late_s`` seconds after the beginning.
+    ours: list[float]
+    other: float
+    queue_s: float
 
-    Return the rates of the senders, and of the other, over the second half.
+
+class Crowd:
+    """Some senders on one link, and another that fills it from a moment on until it loses packets.
+
+    Ours send pictures of ``size`` bytes, ``hz`` a second, or all that they can where ``size`` is 0, from ``late_s`` on.
     """
-    clock = Clock()
-    ours = [Tcp(clock, path, congestion) for _ in range(count)]
-    for number, tcp in enumerate(ours):
-        clock.at(late_s + 0.01 * number, lambda tcp=tcp: images(clock, tcp, LinkModel(), size, hz))
-    other = Tcp(clock, path, "reno")
 
-    def feed() -> None:
-        if other.unsent_bytes < 1 << 21:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        count: int,
+        congestion: str,
+        other: str,
+        size: int = 0,
+        hz: float = 15.0,
+        late_s: float = 0.0,
+    ) -> None:
+        self.clock = clock = Clock()
+        self.path = path
+        self.filling = False
+        self._ours = [CONTROLS[congestion](clock, path) for _ in range(count)]
+        self._other = CONTROLS[other](clock, path)
+        for number, tcp in enumerate(self._ours):
+            clock.at(late_s + 0.01 * number, lambda tcp=tcp: self._begin(tcp, size, hz))
+        clock.at(0.0, self._feed)
+
+    def _begin(self, tcp: Tcp, size: int, hz: float) -> None:
+        if size:
+            images(self.clock, tcp, LinkModel(), size, hz)
+        else:
+            greedy(self.clock, tcp, LinkModel())
+
+    def _feed(self) -> None:
+        other = self._other
+        if self.filling and other.unsent_bytes < 1 << 21:
             other.hand(1 << 19)
-        clock.at(clock.now + 0.005, feed)
+        elif not self.filling:
+            other.unsent.clear()
+            other.unsent_bytes = 0
+        self.clock.at(self.clock.now + 0.005, self._feed)
 
-    clock.at(3.0, feed)
-    clock.run(seconds / 2)
-    before = [tcp.delivered for tcp in (*ours, other)]
-    clock.run(seconds)
-    *rates, rest = ((tcp.delivered - was) / (seconds / 2) for tcp, was in zip((*ours, other), before, strict=True))
-    return rates, rest
+    def run(self, seconds: float) -> Shared:
+        """Go on for so long; tell what each got."""
+        began = self.clock.now
+        before = [tcp.delivered for tcp in (*self._ours, self._other)]
+        waits: list[float] = []
+        while self.clock.now < began + seconds:
+            self.clock.run(min(self.clock.now + 0.0037, began + seconds))
+            waits.append(self.path.queue_s(self.clock.now))
+        rates = [(t.delivered - was) / seconds for t, was in zip((*self._ours, self._other), before, strict=True)]
+        return Shared(rates[:-1], rates[-1], sum(waits) / len(waits))

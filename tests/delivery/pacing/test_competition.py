@@ -57,16 +57,78 @@ def test_a_queue_of_others() -> None:
     assert others.kept_bytes(100.0, 0.08) == 0
 
 
-def test_others_have_left() -> None:
-    """A queue that becomes shorter after all is ours: the shortest round trip is that of before."""
+def beside_others() -> Competition:
+    """Return one who knows that others fill the link, whose round trip was 20 ms without them and is 80 ms now."""
     others = Competition()
     others.advise(situation(80_000, 0.06))
     others.advise(situation(40_000, 0.06))
-    others.advise(situation(80_000, 0.06, 1.0, 0.08))
-    advice = others.advise(situation(40_000, 0.02, 1.0, 0.08))
+    assert others.competing
+    return others
+
+
+def told(others: Competition, window: int, rtt_s: float) -> float:
+    """Tell of a round trip; return the window that is advised."""
+    advice = others.advise(situation(window, rtt_s - 0.08, 1.0, 0.08))
+    assert advice is not None
+    return advice.window_bytes
+
+
+def test_more_of_a_link_that_others_fill() -> None:
+    """Beside others we send twice as much again and again, while that makes the queue no longer."""
+    others = beside_others()
+    assert told(others, 40_000, 0.08) == 80_000
+    assert told(others, 80_000, 0.085) == 160_000
+    assert others.competing
+
+
+def test_others_have_left() -> None:
+    """A queue that is longer with more of ours, and ever shorter with less, is ours: we yield to it again."""
+    others = beside_others()
+    told(others, 40_000, 0.08)
+    for window, rtt_s, then in ((80_000, 0.16, 20_000), (20_000, 0.11, 10_000), (10_000, 0.08, 5_000)):
+        assert told(others, window, rtt_s) == then
+    advice = others.advise(situation(5_000, 0.0, 1.0, 0.08))
     assert advice is not None
     assert advice.base_s == 0.02
-    assert others.kept_bytes(1.0, 0.02) == 0
+    assert not others.competing
+
+
+def test_a_path_that_became_longer() -> None:
+    """A round trip that is longer with more of ours, and then as long as before, is that of the path from now on."""
+    others = beside_others()
+    told(others, 40_000, 0.08)
+    assert told(others, 80_000, 0.16) == 20_000
+    assert told(others, 20_000, 0.08) == 10_000
+    advice = others.advise(situation(10_000, 0.0, 1.0, 0.08))
+    assert advice is not None
+    assert advice.base_s == pytest.approx(0.08)
+    assert not others.competing
+
+
+def test_no_queue_beside_others() -> None:
+    """Where the queue has gone, so have the others."""
+    others = beside_others()
+    assert others.advise(situation(40_000, 0.001)) is None
+    assert not others.competing
+
+
+def test_held_back_by_losses() -> None:
+    """TCP is to forget its losses now and then while others fill the link; after one it waits, and we doubt that."""
+    others = beside_others()
+    assert others.held_back(situation(30_000, 0.0, 1.0, 0.08)) is None
+    assert others.squeezed
+    others.squeezed = False
+    while not others.squeezed:
+        assert others.held_back(situation(30_000, 0.0, 1.0, 0.08)) is None
+    others.lost()
+    for _ in range(20):
+        advice = others.held_back(situation(30_000, 0.0, 1.0, 0.08))
+        if advice is not None:
+            break
+        others.squeezed = False
+    assert advice is not None
+    assert advice.window_bytes == 15_000
+    assert not others.squeezed
 
 
 def test_the_least_window() -> None:
@@ -105,3 +167,18 @@ def test_a_queue_that_stays() -> None:
     advice = others.advise(situation(int(window), 0.01))
     assert advice is not None
     assert advice.window_bytes == 20_000
+
+
+@pytest.mark.parametrize(("precise", "noticed"), [(True, True), (False, False)])
+def test_yielding_in_vain(precise: bool, noticed: bool) -> None:
+    """A queue that is no shorter though less and less is sent is part of the path, where round trips are precise."""
+    others, window = Competition(precise=precise), 40_000
+    advice = others.advise(situation(window, 0.006))
+    while advice is None and window > 30_000:
+        window -= 1_000
+        advice = others.advise(situation(window, 0.006))
+    assert (advice is not None) is noticed
+    if advice is not None:
+        assert advice.base_s == pytest.approx(0.026)
+        assert advice.window_bytes == pytest.approx(40_000)
+        assert not others.competing

@@ -101,3 +101,11 @@ def test_sending_again_soon(pair: tuple[socket.socket, socket.socket]) -> None:
     Tcp(near).retransmit_soon()
     near.sendall(b"whole")
     assert far.recv(5) == b"whole"
+
+
+def test_forgets_losses(pair: tuple[socket.socket, socket.socket]) -> None:
+    """A connection that starts again has the congestion control that it had."""
+    tcp = Tcp(pair[0])
+    assert tcp.use_congestion("reno")
+    tcp.start_again()
+    assert tcp.congestion == "reno"

@@ -128,3 +128,5 @@ class Flow:
         if model.losing and not self._bears_losses:
             self._bears_losses = True
             tcp.bear_losses()
+        elif model.squeezed():
+            tcp.start_again()

@@ -132,7 +132,7 @@ class LinkModel:
         self._drain_rounds = 0
         self._settling = 0
         self._round: _Round | None = None
-        self._others = Competition()
+        self._others = Competition(precise=not traits.slack_s)
         self._lossy_rounds = 0
         self._retransmissions = 0
 
@@ -204,6 +204,11 @@ class LinkModel:
         self.room_bytes -= size_bytes
         self.outstanding_bytes += size_bytes
         self._largest_bytes = max(size_bytes, self._largest_bytes * _FORGET)
+
+    def squeezed(self) -> bool:
+        """Return, once, whether the congestion control is to forget its losses: others fill the link, and not we."""
+        squeezed, self._others.squeezed = self._others.squeezed, False
+        return squeezed
 
     def observe(self, reading: LinkReading) -> None:
         """Take a reading: learn from it, and set ``room_bytes``."""
@@ -290,7 +295,8 @@ class LinkModel:
         queue_s = self.queue_s = max(0.0, ended.shortest_s - base)
         target_s = self._tolerated_s(ended.deviation_s)
         shallow_s = max(target_s, _MOST_QUEUE_SHARE * base)
-        self._lossy_rounds = (self._lossy_rounds << 1 | (lost and queue_s < shallow_s)) & _LOSS_MEMORY
+        full = queue_s >= shallow_s or self._others.competing
+        self._lossy_rounds = (self._lossy_rounds << 1 | (lost and not full)) & _LOSS_MEMORY
         self.losing = self._lossy_rounds.bit_count() >= _LOSSY_ROUNDS
         if queue_s < shallow_s:
             self._others.calm(self.pace.bytes_per_s or 0.0)
@@ -301,14 +307,24 @@ class LinkModel:
             self._held_in_slot = True
             if self.outstanding_bytes > 1.1 * self.window_bytes + self._least_bytes + self._largest_bytes:
                 self._settling = 1  # what was sent before a cut is still on the way
-            elif queue_s < (max(target_s, _MOST_QUEUE_S) if self.starting else target_s / 2):
+            elif queue_s < self._no_queue_s(target_s):
                 self._grow(base + target_s)
             elif self._settling:
                 self._settling -= 1  # what arrived was sent before the last change
             else:
                 self._fit(reading.now_s, base, queue_s, target_s)
-        elif ended.kernel_held:  # the window must not lie in wait far above what the kernel uses
-            self._set_window(min(self.window_bytes, 2 * ended.most_bytes))
+        elif ended.kernel_held:
+            self._set_window(min(self.window_bytes, 2 * ended.most_bytes))  # it must not lie in wait far above
+            situation = self._situation(reading.now_s, ended.most_bytes, queue_s, target_s)
+            advice = None if situation is None else self._others.held_back(situation)
+            if advice is not None:
+                self._take(advice)
+
+    def _no_queue_s(self, target_s: float) -> float:
+        """Return the queue below which the window is too small; beside others who fill the link none says so."""
+        if self._others.competing:
+            return 0.0
+        return max(target_s, _MOST_QUEUE_S) if self.starting else target_s / 2
 
     def _grow(self, busy_s: float) -> None:
         """Widen the window: the link is not full."""
@@ -338,7 +354,7 @@ class LinkModel:
             self.starting = False
         wanted = max(pace * (base + self.target_queue_s), self._least_bytes, others.least_cut_bytes())
         if wanted < _CUT * self.window_bytes:
-            others.test(self.window_bytes, pace, rtt_s - base)
+            others.test(self.window_bytes, pace, rtt_s - base, base)
             self._set_window(wanted)
 
     def _tolerated_s(self, deviation_s: float) -> float:
@@ -349,15 +365,22 @@ class LinkModel:
         """Fit the window to a full link, so that a queue of ``target_s`` is left, or as others on it demand."""
         self._quiet = 0
         self.starting = False
-        window, pace, others = self.window_bytes, self.pace.bytes_per_s, self._others
-        if pace is not None:
-            now = Situation(now_s, window, self._least_bytes, pace, base_s, queue_s, target_s, self._long_queue_s)
+        window, others = self.window_bytes, self._others
+        now = self._situation(now_s, window, queue_s, target_s)
+        if now is not None:
             advice = others.advise(now)
             if advice is not None:
                 self._take(advice)
                 return
         wanted = window * (base_s + target_s) / (base_s + queue_s)
-        self._set_window(max(wanted, others.kept_bytes(now_s, base_s)))
+        kept = max(window if others.competing else 0, others.kept_bytes(now_s, base_s))
+        self._set_window(max(wanted, kept))
+
+    def _situation(self, now_s: float, window_bytes: int, queue_s: float, target_s: float) -> Situation | None:
+        pace, base_s = self.pace.bytes_per_s, self.base_rtt_s
+        if pace is None or base_s is None:
+            return None
+        return Situation(now_s, window_bytes, self._least_bytes, pace, base_s, queue_s, target_s, self._long_queue_s)
 
     def _take(self, advice: Advice) -> None:
         if advice.base_s is not None:

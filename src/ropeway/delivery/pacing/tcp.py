@@ -141,6 +141,12 @@ class Tcp:
         if self.congestion == _LOSS_TOLERANT:
             self.use_congestion(_STEADY)
 
+    def start_again(self) -> None:
+        """Let the congestion control forget the losses that it has seen, and grow as at the start."""
+        name = self.congestion
+        if name != _LOSS_TOLERANT and self.use_congestion(_LOSS_TOLERANT):  # which removes the threshold
+            self.use_congestion(name)
+
     def bear_losses(self) -> None:
         """Begin with a congestion control that takes no loss for a full link, also where it is in use already."""
         self.stay_steady()
