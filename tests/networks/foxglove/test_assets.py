@@ -12,6 +12,7 @@ from ropeway.networks.foxglove import assets as module
 from ropeway.networks.foxglove.assets import AssetRefused, Assets
 from ropeway.networks.foxglove.settings import FoxgloveSettings, patterns
 from tests.networks.foxglove.viewer import Sight, Viewer
+from tests.support.until import until
 
 
 @pytest.fixture
@@ -120,3 +121,22 @@ async def test_without_roots(sight: Sight) -> None:
     assert "assets" not in (await viewer.op("serverInfo"))["capabilities"]
     status, text = await fetched(viewer, "package://robot/meshes/arm.stl")
     assert (status, b"asset_roots" in text) == (1, True)
+
+
+async def test_files_that_are_not_read(dark: Sight, root: Path) -> None:
+    """Of many large files that a viewer asks for and does not take, few are held at a time, and all come in the end."""
+    size = 8 << 20
+    (root / "robot" / "large.stl").write_bytes(bytes(size))
+    await dark.start(FoxgloveSettings(asset_roots=(root,)))
+    viewer = await dark.viewer(receive_bytes=1024)
+    await viewer.op("serverInfo")
+    for number in range(16):
+        viewer.send({"op": "fetchAsset", "uri": "package://robot/large.stl", "requestId": number})
+    session = dark.session
+    await until(lambda: session.sender.answers_bytes > 0)
+    most = 0
+    while len(viewer.binary) < 16:
+        await viewer.take()
+        most = max(most, session.sender.answers_bytes)
+    assert most <= size + 100
+    assert sorted(struct.unpack_from("<BI", data)[1] for data in viewer.binary) == list(range(16))

@@ -13,7 +13,7 @@ from ropeway.errors import CallFailed
 from ropeway.graph.calls import Request
 from ropeway.limits import CALLS_PER_CLIENT
 from tests.networks.foxglove.viewer import Sight, Viewer
-from tests.support.services import ADD, Gate, add, addends, total
+from tests.support.services import ADD, TEXT, Gate, add, addends, total
 from tests.support.until import until
 
 
@@ -143,3 +143,26 @@ async def test_the_server_stops_in_mid_call(sight: Sight) -> None:
     assert (await viewer.closed())[0] == 1001
     await stopping
     gate.open.set()
+
+
+async def test_answers_that_are_not_read(sight: Sight) -> None:
+    """Large answers that a viewer does not read are not kept without end: those after them fail."""
+    large = b"\0\1\0\0\1\0\0\0" + struct.pack("<I", 6 << 20) + b"x" * ((6 << 20) - 1) + b"\0"
+
+    async def talk(_: Request) -> bytes:
+        return large
+
+    await sight.robot.create_service("/talk", TEXT, talk)
+    viewer = await sight.viewer(receive_bytes=1024)
+    number = (await viewer.service("/talk"))["id"]
+    ask = sight.registry.codec(f"{TEXT}_Request").encode({})
+    for call_number in range(20):
+        viewer.send_binary(call(number, call_number, ask))
+    session = sight.session
+    await until(lambda: session.fault_log.counts["service call", ""] > 0)
+    assert session.sender.answers_bytes <= 24 << 20
+    answered = 0
+    while answered < 20:
+        got = await viewer.take()
+        answered += isinstance(got, bytes) or got["op"] == "serviceCallFailure"
+    assert session.sender.answers_bytes == 0

@@ -80,6 +80,9 @@ class ViewerCalls:
             return
         finally:
             viewer.requests_bytes -= held
+        if viewer.sender.crowded(len(body)):
+            self.refuse(op, CallFailed(service.service, "answers before this one have not been read"))
+            return
         viewer.sender.binary(wire.service_response(op.service, op.call, op.encoding, body))
 
     async def _client(self, service: ServiceChannel) -> ViewClient:

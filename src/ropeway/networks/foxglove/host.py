@@ -44,8 +44,11 @@ class Place(Protocol):
     parameters: ParameterSource
     assets: Assets
     call_timeout_s: float
-    greeting: bytes
-    """The operation that each viewer gets first."""
+
+    @property
+    def greeting(self) -> bytes:
+        """The operation that each viewer gets first."""
+        ...
 
     def watch_parameters(self) -> None:
         """See again which parameters viewers watch."""

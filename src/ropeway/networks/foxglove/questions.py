@@ -47,6 +47,7 @@ class ViewerQuestions:
 
     async def _get(self, op: wire.GetParameters) -> None:
         async with self._turn:
+            await self._viewer.sender.room()
             await self._show(op.names, op.id, op.op)
 
     async def _set(self, op: wire.SetParameters) -> None:
@@ -71,7 +72,8 @@ class ViewerQuestions:
         self._viewer.complain(op, "", InvalidOperation(op, why))
 
     async def _fetch(self, op: wire.FetchAsset) -> None:
-        async with self._turn:  # one file at a time is held
+        async with self._turn:
+            await self._viewer.sender.room()
             try:
                 content = await asyncio.to_thread(self._place.assets.read, op.uri)
             except AssetRefused as error:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from ropeway.delivery.outbox import SMALL_BYTES, Lost, Outbox, Queue
 from ropeway.errors import TypesError
+from ropeway.graph.signal import Signal
 from ropeway.limits import UNREAD_ANSWERS_BYTES, WAITING_ANSWERS
 from ropeway.networks.foxglove.wire import MESSAGE_HEADER_BYTES, time_frame
 
@@ -59,6 +60,7 @@ class ViewerSender:
         self.now_ns: int | None = None
         self.answers_bytes = 0
         self._answers: deque[_Answer] = deque()
+        self._taken = Signal()
         self._connection, self._flow = connection, connection.flow
         self._loop = asyncio.get_running_loop()
         self._scheduled = False
@@ -76,6 +78,15 @@ class ViewerSender:
     def idle(self) -> bool:
         """Whether no answer waits."""
         return not self._answers
+
+    async def room(self) -> None:
+        """Wait until the viewer has taken all its answers: for long ones, of which one at a time is held."""
+        while self._answers:
+            await self._taken.wait()
+
+    def crowded(self, size: int) -> bool:
+        """Return whether an answer of this size is one too many, as the viewer has not taken those before it."""
+        return bool(self._answers) and self.answers_bytes + size > UNREAD_ANSWERS_BYTES
 
     def text(self, data: bytes) -> None:
         """Send an operation, after those before it."""
@@ -134,8 +145,10 @@ class ViewerSender:
             self._give(answer)
             if self.on_gone is not None:
                 self.on_gone()
-            if not answers and self.on_idle is not None:
-                self.on_idle()
+            if not answers:
+                self._taken.notify()
+                if self.on_idle is not None:
+                    self.on_idle()
         if self._late and self.now_ns is not None and flow.free:
             self._late = False
             self._connection.send_binary(time_frame(self.now_ns))
@@ -174,4 +187,5 @@ class ViewerSender:
         """Forget what waits: the viewer is gone."""
         self._answers.clear()
         self.answers_bytes = 0
+        self._taken.notify()
         self.outbox.clear()

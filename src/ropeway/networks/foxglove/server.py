@@ -85,7 +85,7 @@ class FoxgloveServer:
         self.call_timeout_s = call_timeout_s
         self._events = parameter_events(self._view, registry, self._parameter_changed)
         self._clock = clock(self._view, registry, self._time)
-        self.greeting = dumps(self._about(name))
+        self._name, self._id = name, os.urandom(8).hex()
         self._ticker: Supervised | None = None
         self._chores = Chores()
 
@@ -101,19 +101,21 @@ class FoxgloveServer:
             found.add("time")
         return frozenset(found)
 
-    def _about(self, name: str) -> dict[str, Any]:
-        """Return what a viewer is told of the server at first."""
+    @property
+    def greeting(self) -> bytes:
+        """See ``Place.greeting``."""
         graph, metadata = self.hub.graph, {}
         if isinstance(graph, Distributed) and graph.distro:
             metadata["ROS_DISTRO"] = graph.distro
-        return {
+        about = {
             "op": "serverInfo",
-            "name": name,
+            "name": self._name,
             "capabilities": sorted(self._offered),
             "supportedEncodings": [self.writer.encoding, "json"],
-            "metadata": metadata,
-            "sessionId": os.urandom(8).hex(),
+            "metadata": metadata,  # what is known of the network by now
+            "sessionId": self._id,
         }
+        return dumps(about)
 
     @property
     def subprotocols(self) -> tuple[str, ...]:
