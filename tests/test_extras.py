@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -30,6 +32,27 @@ def test_what_is_missing_is_one_sentence(extra: str, monkeypatch: pytest.MonkeyP
     with pytest.raises(MissingExtra, match=re.escape(f"pip install 'ropeway[{extra}]'")) as caught:
         require(extra, "this test")
     assert (caught.value.extra, caught.value.purpose) == (extra, "this test")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("predict", "--topic", "/odom,bytes=720,hz=20", "--mbit", "20"),
+        ("topic", "list", "-g", "memory:here", "--spin-time", "0"),
+        ("doctor",),
+        ("keys", "init", "fleet"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_verbs_that_need_none(words: tuple[str, ...], tmp_path: Path) -> None:
+    """Verbs run where no extra is installed, as long as nothing is asked of them that one brings."""
+    code = (
+        "import sys; from ropeway.extras import EXTRAS; "
+        "sys.modules.update({module: None for modules in EXTRAS.values() for module in modules}); "
+        "from ropeway.cli import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_an_import_that_fails() -> None:

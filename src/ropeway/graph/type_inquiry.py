@@ -120,8 +120,8 @@ class TypeInquiry:
     def _owners(self, type: str, name: str) -> Iterator[tuple[str, str]]:
         """Yield the hashes under which nodes have a type, and the nodes.
 
-        Of services and actions discovery tells no hash, without which only gateways answer; nor does it where those
-        who publish do not know the type themselves.
+        Of services and actions discovery tells the hashes of their parts, and nodes answer for that of the whole alone:
+        only gateways, which need none, are asked. Nor is one told where those who publish do not know the type.
         """
         kind = _KINDS[type.split("/")[1]]
         for info in [self._graph.look_up(kind, name)] if name else self._all(kind):

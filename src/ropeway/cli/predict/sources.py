@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from ropeway.cli.bagfile import Bag
 from ropeway.cli.console import complain, fail
 from ropeway.cli.loop import run
 from ropeway.cli.session import OpenGraph, full_name, open_session, settle
 from ropeway.errors import TypesError
+from ropeway.extras import require
 from ropeway.gateway.config.config import parse
 from ropeway.gateway.config.document import read_file
 from ropeway.gateway.config.suggest import did_you_mean, one_of
@@ -167,6 +167,9 @@ def _registry(types: list[Path] | None) -> TypeRegistry:
 def _measure_bag(
     path: Path, names: list[str], seconds: float, told: PredictionInput, types: list[Path] | None
 ) -> dict[str, PlannedTopic]:
+    require("bags", "ropeway predict --bag")
+    from ropeway.cli.bagfile import Bag
+
     registry = _registry(types)
     samplers: dict[str, TopicSampler] = {}
     with Bag(path, registry) as recording:
