@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from ropeway.gateway.config.config import Config, Route
+from ropeway.gateway.config.expected_model import ExpectedTraffic
 from ropeway.gateway.config.model import RemoteConfig
-from ropeway.gateway.config.route_model import ExpectedTraffic, TopicItem
+from ropeway.gateway.config.route_model import TopicItem
 from ropeway.planning.plan import MBIT_BPS, PlannedLink, PlannedTopic, TrafficPlan
 from ropeway.planning.prediction import CONFIGURED, predict
 

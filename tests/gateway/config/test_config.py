@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from ropeway.errors import ConfigError
 from ropeway.gateway.config.config import Config, load, parse
-from ropeway.gateway.config.route_model import ENCODINGS
+from ropeway.gateway.config.route_fields import ENCODINGS
 from ropeway.gateway.config.suggest import nearest
 from ropeway.graph.base import Delivery
 from ropeway.networks.rosbridge import protocol as wire

@@ -18,6 +18,7 @@ from ropeway.gateway.config.address import default_graph, parse_graph, parse_lis
 from ropeway.gateway.config.audit_model import AuditConfig, AuditItem
 from ropeway.gateway.config.auth_model import AuthConfig, GlobsConfig, Secret
 from ropeway.gateway.config.control_model import ControlConfig, ControlItem
+from ropeway.gateway.config.expected_model import ExpectedLink
 from ropeway.gateway.config.fields import ExistingPath, Many, Model, Switch
 from ropeway.gateway.config.foxglove_model import FoxgloveConfig
 from ropeway.gateway.config.graph_model import Distro, GraphConfig, GraphItem
@@ -27,13 +28,12 @@ from ropeway.gateway.config.overlay_model import (
     AutomaticConfig,
     OverlayConfig,
 )
+from ropeway.gateway.config.route_fields import Namespace, Seconds
 from ropeway.gateway.config.route_model import (
     OPERATIONS,
     ActionItem,
     BridgedName,
-    Namespace,
     RenamedTopicItem,
-    Seconds,
     ServiceItem,
     TopicItem,
 )
@@ -45,7 +45,6 @@ from ropeway.graph.base import resolve_name
 __all__ = [
     "ClientsConfig",
     "Document",
-    "ExpectedLink",
     "GatewayConfig",
     "RemoteConfig",
 ]
@@ -103,14 +102,6 @@ def _hostname() -> str:
 
 
 # ---------------------------------------------------------------------------------------------------- models
-
-
-class ExpectedLink(Model):
-    """Says what to expect of the link to a remote, for predictions; nothing that runs depends on it."""
-
-    mbit: Seconds = Field(description="what it carries each way, in Mbit/s")
-    delay_ms: float = Field(0.0, ge=0, allow_inf_nan=False, description="its delay one way")
-    duplex: bool = Field(True, description="false: both ways share the rate, as on Wi-Fi")
 
 
 class RemoteConfig(Model):
