@@ -39,6 +39,7 @@ class ControlServer:
             ws="none",
             lifespan="off",
             log_config=None,
+            log_level="error",  # what a stranger sends is answered; it need not fill the log, too
             access_log=False,
             proxy_headers=False,
             server_header=False,

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 
 from ropeway.errors import ConfigError
-from ropeway.gateway.config.fields import Many, Model
 from ropeway.gateway.config.expected_model import ExpectedLink
+from ropeway.gateway.config.fields import Many, Model
 from ropeway.gateway.config.route_fields import Encoding, Name, Seconds
 from ropeway.gateway.config.shape import shape_problems
 from ropeway.planning.plan import MBIT_BPS, PlannedLink, PlannedTopic, TrafficPlan
