@@ -7,7 +7,7 @@ from xml.etree import ElementTree as Tree
 import pytest
 
 from ropeway.dashboard.answers import GroupRow, StatusAnswer, read
-from ropeway.dashboard.map import Place, draw_map, shares
+from ropeway.dashboard.map import MappedGateway, draw_map, shares
 from ropeway.dashboard.pages.groups import draw_windows
 from ropeway.dashboard.plot import draw_plot, numbers_of
 from ropeway.dashboard.svg import Drawing, colour_of, points
@@ -27,9 +27,9 @@ def status(name: str, **parts: object) -> StatusAnswer:
     return read(StatusAnswer, {"name": name, **parts})
 
 
-def robot(name: str = "robot", route: dict[str, object] = ROUTE, **link: object) -> Place:
+def robot(name: str = "robot", route: dict[str, object] = ROUTE, **link: object) -> MappedGateway:
     remote = {"address": "ws://c:1", "state": "connected", "gateway": "cloud", "rtt_ms": 2.4, **link}
-    return Place("robot", name, status(name, remotes=[remote], routes=[route]))
+    return MappedGateway("robot", name, status(name, remotes=[remote], routes=[route]))
 
 
 def texts(drawing: str) -> str:
@@ -38,7 +38,10 @@ def texts(drawing: str) -> str:
 
 def test_a_link_between_gateways_that_are_watched() -> None:
     """Two gateways are two boxes, whichever is asked first, with the route and its rate between them."""
-    places = [Place("cloud", "cloud", status("cloud", sessions=[{"peer": "1.2.3.4:5", "gateway": "robot"}])), robot()]
+    places = [
+        MappedGateway("cloud", "cloud", status("cloud", sessions=[{"peer": "1.2.3.4:5", "gateway": "robot"}])),
+        robot(),
+    ]
     drawing = draw_map(places, 400)
     assert len(Tree.fromstring(drawing).findall(f".//{SVG}rect")) == 2
     assert "/odom 49.8 Hz" in texts(drawing)
@@ -48,8 +51,8 @@ def test_a_link_between_gateways_that_are_watched() -> None:
 
 def test_a_gateway_that_is_away_and_a_client() -> None:
     """A gateway that does not answer is a red box, and a client that is no gateway is named."""
-    cloud = Place("cloud", "cloud", status("cloud", sessions=[{"peer": "1.2.3.4:5", "agent": "roslibjs"}]))
-    drawing = draw_map([cloud, Place("robot", "robot", error="nobody answers")], 760)
+    cloud = MappedGateway("cloud", "cloud", status("cloud", sessions=[{"peer": "1.2.3.4:5", "agent": "roslibjs"}]))
+    drawing = draw_map([cloud, MappedGateway("robot", "robot", error="nobody answers")], 760)
     assert "client 1.2.3.4:5 roslibjs" in texts(drawing)
     assert "away" in texts(drawing)
     assert colour_of("gone") in drawing
@@ -59,7 +62,7 @@ def test_many_routes_are_drawn_as_some_and_a_number() -> None:
     """A link with a thousand routes is as high as one with a few."""
     routes = [{**ROUTE, "name": f"/topic{number}"} for number in range(1_000)]
     remote = {"address": "ws://c:1", "state": "connected"}
-    drawing = draw_map([Place("r", "r", status("r", remotes=[remote], routes=routes))], 400)
+    drawing = draw_map([MappedGateway("r", "r", status("r", remotes=[remote], routes=routes))], 400)
     assert "and 986 more routes" in texts(drawing)
 
 

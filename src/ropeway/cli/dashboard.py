@@ -61,6 +61,9 @@ def dashboard_command(
     set_up(log_level)
     if bool(certfile) != bool(keyfile):
         fail("--certfile and --keyfile belong together", 2)
+    for option, file in (("--certfile", certfile), ("--keyfile", keyfile)):
+        if file and not Path(file).is_file():
+            fail(f"{option} {file}: there is no such file", 2)
     key = _key(key_file)
     if not (_is_loopback(address) or key or insecure):
         fail(f"--address {address} lets other machines in: choose a key with --key-file, or say --insecure", 2)

@@ -12,7 +12,7 @@ from ropeway.dashboard.answers import LinkRow, RouteRow, SessionRow, StatusAnswe
 from ropeway.dashboard.svg import Drawing, colour_of
 from ropeway.dashboard.texts import fitted, rate_of
 
-__all__ = ["Place", "draw_map", "shares"]
+__all__ = ["MappedGateway", "draw_map", "shares"]
 
 _ROW: Final = 18.0
 _HEAD: Final = 40.0
@@ -22,7 +22,7 @@ _MOST_ROUTES: Final = 14
 
 
 @dataclass
-class Place:
+class MappedGateway:
     """A gateway that is watched: its status, or why there is none."""
 
     key: str
@@ -63,7 +63,7 @@ class _Lines:
     more: int = 0
 
 
-def draw_map(places: Sequence[Place], width: float) -> str:
+def draw_map(places: Sequence[MappedGateway], width: float) -> str:
     """Return the map as SVG, ``width`` units wide."""
     drawing = Drawing(width)
     lefts, rights, links = _arranged(places)
@@ -80,7 +80,7 @@ def draw_map(places: Sequence[Place], width: float) -> str:
     return drawing.written()
 
 
-def _arranged(places: Sequence[Place]) -> tuple[list[_Box], list[_Box], list[_Lines]]:
+def _arranged(places: Sequence[MappedGateway]) -> tuple[list[_Box], list[_Box], list[_Lines]]:
     """Return the boxes of both sides: those that dial at the left, those that are dialled and clients at the right."""
     dialled = {link.gateway for place in places if place.status for link in place.status.remotes if link.gateway}
     lefts: list[_Box] = []
@@ -106,7 +106,7 @@ def _arranged(places: Sequence[Place]) -> tuple[list[_Box], list[_Box], list[_Li
     return lefts, list(rights.values()), links
 
 
-def _gateway_box(place: Place) -> _Box:
+def _gateway_box(place: MappedGateway) -> _Box:
     href = "/routes?" + urlencode({"gateway": place.key})
     if place.status is None:
         return _Box(place.name, ["away"], colour_of("gone"), href, rows=1)
@@ -164,7 +164,7 @@ def _draw_lines(drawing: Drawing, lines: _Lines, x1: float, x2: float) -> None:
         drawing.text(x1 + 8, y1 - 3, f"and {lines.more} more routes", size=10)
 
 
-def shares(places: Sequence[Place]) -> Mapping[str, int]:
+def shares(places: Sequence[MappedGateway]) -> Mapping[str, int]:
     """Return how many routes are in each state, over all gateways."""
     counts: dict[str, int] = {}
     for place in places:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import socket
+import ssl
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -16,7 +17,7 @@ from ropeway.dashboard.guard import LOGIN_PATH
 from ropeway.dashboard.site import make_site
 from ropeway.dashboard.viewers import Viewers
 from ropeway.dashboard.watch_list import WatchList
-from ropeway.errors import ConnectFailed
+from ropeway.errors import ConfigError, ConnectFailed
 from ropeway.limits import CONTROL_HEAD_BYTES, DASHBOARD_CONNECTIONS
 from ropeway.listener.hosts import Hosts, own_names
 
@@ -49,6 +50,8 @@ async def serve(settings: DashboardSettings, ready: Callable[[str], None]) -> No
     """Serve until SIGINT or SIGTERM. ``ready`` is called with the address to open, which has the key in it."""
     viewers = Viewers(settings.key, open=settings.insecure)
     secure = bool(settings.certificate)
+    if secure:
+        _check_certificate(settings)
     bound = _bind(settings.host, settings.port)
     fleet = WatchList(settings.targets)
     try:
@@ -72,6 +75,15 @@ async def serve(settings: DashboardSettings, ready: Callable[[str], None]) -> No
     finally:
         await fleet.close()
         bound.close()
+
+
+def _check_certificate(settings: DashboardSettings) -> None:
+    """Raise ``ConfigError`` where the certificate or its key is none, or they are of different pairs."""
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(settings.certificate, settings.certificate_key)
+    except (OSError, ssl.SSLError) as error:
+        fault = f"no certificate with its key, both PEM: {error.strerror or error}"
+        raise ConfigError([("--certfile, --keyfile", fault)]) from None
 
 
 def _address(bound: socket.socket, viewers: Viewers, *, secure: bool, open: bool) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from ropeway.control.resource import ControlRequest, Resources
+from ropeway.control.resource import Audited, ControlRequest, Resources
 from ropeway.errors import ControlRefused, InvalidName
 from ropeway.graph.base import resolve_name
 
@@ -59,7 +59,9 @@ async def read_value(asked: ControlRequest) -> Any:
     return _good(await asked.manager.ask_one(topic_questions.look_at_topic, params))
 
 
-@resources.post("/v1/topics/publish", right="operate", takes=MessageBody, gives=dict[str, Any])
+@resources.post(
+    "/v1/topics/publish", right="operate", takes=MessageBody, gives=dict[str, Any], audited=Audited("publish")
+)
 async def publish(asked: ControlRequest) -> Any:
     """Publish a message; the topic stays published for some seconds, so that more may follow.
 
@@ -68,7 +70,7 @@ async def publish(asked: ControlRequest) -> Any:
     from ropeway.gateway.process import topic_questions
 
     body: MessageBody = asked.body
-    name = _name(body.name)
+    name = asked.noted["name"] = _name(body.name)
     asked.caller.demand_topic("publish", name)
     params = {**body.model_dump(), "name": name, "driver": f"{asked.caller.name} {body.driver}".strip()}
     return _good(await asked.manager.ask_one(topic_questions.publish_message, params))

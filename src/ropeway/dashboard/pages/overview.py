@@ -7,7 +7,7 @@ from typing import Final
 from nicegui import ui
 
 from ropeway.dashboard.frame import Page
-from ropeway.dashboard.map import Place, draw_map, shares
+from ropeway.dashboard.map import MappedGateway, draw_map, shares
 from ropeway.dashboard.svg import colour_of
 
 __all__ = ["make"]
@@ -26,7 +26,7 @@ def make(page: Page) -> None:
     shown: dict[str, int] = {}
 
     def update() -> None:
-        places = [Place(watch.key, watch.name, watch.status, watch.error) for watch in page.watches]
+        places = [MappedGateway(watch.key, watch.name, watch.status, watch.error) for watch in page.watches]
         wide.set_content(draw_map(places, _WIDE))
         narrow.set_content(draw_map(places, _NARROW))
         found = dict(shares(places))
