@@ -70,3 +70,22 @@ def test_schema() -> None:
         result = CliRunner().invoke(app, ["config", "schema", *options])
         assert result.exit_code == 0
         assert json.loads(result.stdout) == Config.schema()
+
+
+def test_check_of_many_gateways(tmp_path: Path) -> None:
+    """A document for many gateways is checked as a whole, or one of them with --as."""
+    gateway = {"graphs": ["memory:a"], "listen": ["ws://127.0.0.1:9090"]}
+    members = {"cloud": {"gateway": gateway}, "robot": {"gateway": {**gateway, "listen": []}, "remotes": GOOD}}
+    file = tmp_path / "fleet.json"
+    file.write_text(json.dumps({"gateways": members}))
+    result = CliRunner().invoke(app, ["config", "check", str(file)])
+    assert result.exit_code == 0, result.stderr
+    assert "cloud: 0 remote(s), 0 route(s)\nrobot: 1 remote(s), 2 route(s)\n" in result.stdout
+    assert f"{file} is valid: 2 gateways." in result.stdout
+    told = json.loads(CliRunner().invoke(app, ["config", "check", str(file), "--json"]).stdout)
+    assert list(told["gateways"]) == ["cloud", "robot"]
+    one = CliRunner().invoke(app, ["config", "check", str(file), "--as", "robot"])
+    assert "is valid: 1 remote(s), 2 route(s)." in one.stdout
+    other = CliRunner().invoke(app, ["config", "check", str(file), "--as", "robt"])
+    assert other.exit_code == 2
+    assert "robot" in other.stderr

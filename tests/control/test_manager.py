@@ -271,3 +271,14 @@ async def test_without_a_journal(begin: Begin) -> None:
     answer = await made.client.get("/v1/config/history")
     assert answer.status_code == 404
     assert "nothing is remembered" in answer.json()["error"]
+
+
+async def test_a_part_of_a_file_is_applied_again(robot: Controlled, tmp_path: Path) -> None:
+    """Of a file with many gateways, the part of the one that runs is applied again."""
+    file = tmp_path / "fleet.json"
+    robot.manager.record = ChangeRecord(Journal(tmp_path / "part.journal"), file, "robot")
+    document = {"gateways": {"robot": await wanted(robot, "/a", "/part"), "other": {}}}
+    file.write_text(json.dumps(document))
+    assert "was applied" in await robot.manager.apply_file(ME)
+    assert names(robot) == ["/a", "/part"]
+    assert robot.gateway.config.part == "robot"

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["CaOption", "CertOption", "TokenOption", "WhereArgument", "WhereOption"]
+__all__ = ["AsOption", "CaOption", "CertOption", "TokenOption", "WhereArgument", "WhereOption"]
 
 _WHERE = "A running gateway: its name, the path of its socket, or http(s)://host:port; default: the only one here."
 
@@ -24,4 +24,7 @@ CertOption = Annotated[
         help="File with a certificate and its key to show, for https; instead of a token.",
         show_default=False,
     ),
+]
+AsOption = Annotated[
+    str, typer.Option("--as", help="Which of the gateways in the file, where it has many.", show_default=False)
 ]

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from ropeway.cli.asking import CaOption, TokenOption, WhereArgument
+from ropeway.cli.asking import CaOption, CertOption, TokenOption, WhereArgument
 from ropeway.cli.console import answer, complain, fail, print_json
 from ropeway.cli.session import JsonOption
 
@@ -38,6 +38,7 @@ def audit_command(
     as_json: JsonOption = False,
     token: TokenOption = "",
     ca: CaOption = "",
+    cert: CertOption = "",
 ) -> None:
     """Show the audit log of a running gateway, the newest entries last."""
     from ropeway.control.client import ControlClient
@@ -47,7 +48,7 @@ def audit_command(
         chosen["since"] = _moment(since, "--since")
     if until:
         chosen["until"] = _moment(until, "--until")
-    with ControlClient.find(where, token=token, ca=ca) as client:
+    with ControlClient.find(where, token=token, ca=ca, cert=cert) as client:
         found = client.get("/v1/audit", count=count, **chosen)
         for entry in found["entries"]:
             _show(entry, as_json=as_json)

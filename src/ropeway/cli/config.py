@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ropeway.cli.asking import AsOption
 from ropeway.cli.console import answer, complain, print_json
 from ropeway.cli.running_config import add_to
 from ropeway.errors import ConfigError
+
+if TYPE_CHECKING:
+    from ropeway.gateway.config.config import Config
+    from ropeway.gateway.config.fleet import Fleet
 
 __all__ = ["app"]
 
@@ -25,15 +30,22 @@ app = typer.Typer(
 @app.command()
 def check(
     file: Annotated[Path, typer.Argument(help="A configuration, JSON or YAML.", show_default=False)],
+    part: AsOption = "",
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Check FILE: print its routes, or every fault with its path. The exit status is 2 where there is a fault."""
-    from ropeway.gateway.config.config import load
-    from ropeway.gateway.config.type_hints import known_types, type_hints
-    from ropeway.planning.configured import unfitting
+    """Check FILE: print its routes, or every fault with its path. The exit status is 2 where there is a fault.
+
+    Where FILE has many gateways, all are checked, and whether they fit together.
+    """
+    from ropeway.gateway.config.document import read_file
+    from ropeway.gateway.config.fleet import is_fleet, load_one, read_fleet
 
     try:
-        config = load(file)
+        document = read_file(file)
+        if not part and is_fleet(document):
+            _say_fleet(file, read_fleet(document, str(file), directory=file.parent), as_json)
+        else:
+            _say_one(file, load_one(file, part), as_json)
     except ConfigError as error:
         if as_json:
             problems = [{"path": path, "problem": text} for path, text in error.problems]
@@ -44,33 +56,71 @@ def check(
             count = len(error.problems)
             complain(f"{count} problem{'s' if count > 1 else ''}; nothing would start.")
         raise typer.Exit(2) from None
-    routes = config.routes()
-    hints = type_hints(config, known_types(config)) + [("remotes", sentence) for sentence in unfitting(config)]
+
+
+def _say_one(file: Path, config: Config, as_json: bool) -> None:
+    hints = _hints(config)
     if as_json:
-        shown = [
-            {
-                "path": route.path,
-                "operation": route.operation,
-                "name": route.name,
-                "remote_name": route.remote_name,
-                "type": route.type,
-                "remote": route.remote.address,
-                "graph": route.graph,
-                "encoding": route.delivery.encoding,
-            }
-            for route in routes
-        ]
-        print_json({"valid": True, "file": str(file), "config": config.to_json(), "routes": shown, **_warned(hints)})
+        print_json({"valid": True, "file": str(file), **_shown(config), **_warned(hints)})
         return
-    for route in routes:
-        far = "" if route.remote_name == route.name else f" as {route.remote_name}"
-        arrow = "<-" if route.operation.startswith(("subscribe", "reserve")) else "->"
-        answer(f"{route.path}: {route.name} [{route.type}] {arrow} {route.remote.address}{far}")
+    _print_routes(config, "")
     for path, hint in hints:
         complain(f"{path}: {hint}")
+    answer(f"{file} is valid: {_counted(config)}.")
+
+
+def _say_fleet(file: Path, fleet: Fleet, as_json: bool) -> None:
+    hints = [
+        (f"gateways.{name}.{path}", hint) for name, config in fleet.members.items() for path, hint in _hints(config)
+    ]
+    hints += [(found.path, found.text) for found in fleet.findings()]
+    if as_json:
+        gateways = {name: _shown(config) for name, config in fleet.members.items()}
+        print_json({"valid": True, "file": str(file), "gateways": gateways, **_warned(hints)})
+        return
+    for name, config in fleet.members.items():
+        answer(f"{name}: {_counted(config)}")
+        _print_routes(config, "  ")
+    for path, hint in hints:
+        complain(f"{path}: {hint}")
+    answer(f"{file} is valid: {len(fleet.members)} gateways.")
+
+
+def _hints(config: Config) -> list[tuple[str, str]]:
+    from ropeway.gateway.config.type_hints import known_types, type_hints
+    from ropeway.planning.configured import unfitting
+
+    return type_hints(config, known_types(config)) + [("remotes", sentence) for sentence in unfitting(config)]
+
+
+def _counted(config: Config) -> str:
     asleep = sum(not remote.active for remote in config.remotes)
     also = f", {asleep} not active" if asleep else ""
-    answer(f"{file} is valid: {len(config.remotes)} remote(s){also}, {len(routes)} route(s).")
+    return f"{len(config.remotes)} remote(s){also}, {len(config.routes())} route(s)"
+
+
+def _print_routes(config: Config, indent: str) -> None:
+    for route in config.routes():
+        far = "" if route.remote_name == route.name else f" as {route.remote_name}"
+        arrow = "<-" if route.operation.startswith(("subscribe", "reserve")) else "->"
+        answer(f"{indent}{route.path}: {route.name} [{route.type}] {arrow} {route.remote.address}{far}")
+
+
+def _shown(config: Config) -> dict[str, Any]:
+    shown = [
+        {
+            "path": route.path,
+            "operation": route.operation,
+            "name": route.name,
+            "remote_name": route.remote_name,
+            "type": route.type,
+            "remote": route.remote.address,
+            "graph": route.graph,
+            "encoding": route.delivery.encoding,
+        }
+        for route in config.routes()
+    ]
+    return {"config": config.to_json(), "routes": shown}
 
 
 def _warned(hints: list[tuple[str, str]]) -> dict[str, list[dict[str, str]]]:

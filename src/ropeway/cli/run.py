@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ropeway.cli.asking import AsOption
 from ropeway.cli.logs import LEVELS, set_up
 from ropeway.cli.loop import run
 
@@ -29,6 +30,7 @@ def run_command(
     as_json: Annotated[bool, typer.Option("--json", help="Print the status as JSON, one line per --period.")] = False,
     period: Annotated[float, typer.Option("--period", min=0.05, help="Seconds between two lines of --json.")] = 1.0,
     log_level: Annotated[str, typer.Option("--log-level", help=f"{', '.join(LEVELS)}.")] = "info",
+    part: AsOption = "",
     watch: Annotated[bool, typer.Option("--watch", help="Apply CONFIG again whenever it changes.")] = False,
     live: Annotated[
         bool | None,
@@ -46,9 +48,9 @@ def run_command(
     """
     level = set_up("warning" if quiet else log_level)
     from ropeway.cli.serving import Serving, serve
-    from ropeway.gateway.config.config import load
+    from ropeway.gateway.config.fleet import load_one
 
-    loaded = load(config)
+    loaded = load_one(config, part)
     try:
         period_s = period if as_json else None
         drawn = not as_json and (sys.stdout.isatty() and not quiet if live is None else live)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ropeway.cli.asking import CaOption, CertOption, TokenOption, WhereOption
+from ropeway.cli.asking import AsOption, CaOption, CertOption, TokenOption, WhereOption
 from ropeway.cli.console import answer, complain, print_json
 from ropeway.errors import ControlRefused
 from ropeway.listener.http import without_token
@@ -35,6 +35,7 @@ def add_to(app: typer.Typer) -> None:
 def plan(
     file: FileArgument,
     where: WhereOption = "",
+    part: AsOption = "",
     as_json: JsonOption = False,
     token: TokenOption = "",
     ca: CaOption = "",
@@ -42,7 +43,7 @@ def plan(
 ) -> None:
     """Show what FILE would start, stop and change in a running gateway, and what that interrupts."""
     with _client(where, token, ca, cert) as client:
-        found = client.post("/v1/config/plan", _body(file))
+        found = client.post("/v1/config/plan", _body(file, part))
     if as_json:
         print_json(found)
     else:
@@ -52,6 +53,7 @@ def plan(
 def apply(
     file: FileArgument,
     where: WhereOption = "",
+    part: AsOption = "",
     note: Annotated[str, typer.Option("--note", help="A sentence for the history.", show_default=False)] = "",
     as_json: JsonOption = False,
     token: TokenOption = "",
@@ -62,7 +64,7 @@ def apply(
     with _client(where, token, ca, cert) as client:
         known = client.get("/v1/config")["etag"]
         done = _refused_with_steps(
-            lambda: client.put("/v1/config", {**_body(file), "note": note}, headers={"if-match": f'"{known}"'})
+            lambda: client.put("/v1/config", {**_body(file, part), "note": note}, headers={"if-match": f'"{known}"'})
         )
     _say_applied(done, as_json)
 
@@ -123,13 +125,14 @@ def diff(
     one: Annotated[str, typer.Argument(help="An entry of the history, or a file.", show_default=False)],
     other: Annotated[str, typer.Argument(help="Another; left out: what runs.", show_default=False)] = "",
     where: WhereOption = "",
+    part: AsOption = "",
     token: TokenOption = "",
     ca: CaOption = "",
     cert: CertOption = "",
 ) -> None:
     """Compare two configurations in the full form, line by line. The exit status is 1 where they differ."""
     with _client(where, token, ca, cert) as client:
-        left, right = (json.dumps(_config(client, name), indent=2, ensure_ascii=False) for name in (one, other))
+        left, right = (json.dumps(_config(client, name, part), indent=2, ensure_ascii=False) for name in (one, other))
     lines = list(difflib.unified_diff(left.splitlines(), right.splitlines(), one, other or "running", lineterm=""))
     for line in lines:
         answer(without_token(line))
@@ -171,21 +174,22 @@ def _refused_with_steps(work: Any) -> Any:
         raise
 
 
-def _body(file: Path) -> dict[str, Any]:
+def _body(file: Path, part: str) -> dict[str, Any]:
     from ropeway.gateway.config.document import read_file
+    from ropeway.gateway.config.fleet import select
 
-    return {"config": read_file(file), "directory": str(file.resolve().parent)}
+    return {"config": select(read_file(file), part), "directory": str(file.resolve().parent)}
 
 
-def _config(client: ControlClient, name: str) -> Any:
+def _config(client: ControlClient, name: str, part: str = "") -> Any:
     """Return a configuration in the full form: that of an entry or of a file, or the one that runs."""
     if not name:
         return client.get("/v1/config")["config"]
     if name.isascii() and name.isdigit():
         return client.get(f"/v1/config/history/{name}")["config"]
-    from ropeway.gateway.config.config import load
+    from ropeway.gateway.config.fleet import load_one
 
-    return load(name).to_json()
+    return load_one(name, part).to_json()
 
 
 def _client(where: str, token: str, ca: str, cert: str) -> ControlClient:

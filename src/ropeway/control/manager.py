@@ -159,10 +159,10 @@ class Manager:
         self.reload()
         if not changed or file is None:
             return "certificates and tokens were read again"
-        from ropeway.gateway.config.config import load
+        from ropeway.gateway.config.fleet import load_one
 
         async with self._changing:
-            config = await asyncio.to_thread(load, file)
+            config = await asyncio.to_thread(load_one, file, self.record.part)
             applied = await self._apply(config, caller, "reload", "", None)
             await asyncio.to_thread(self.record.file_changed, seen=True)
         steps = len(applied.plan.steps)

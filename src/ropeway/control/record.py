@@ -33,10 +33,13 @@ def file_digest(file: Path | None) -> str:
 
 
 class ChangeRecord:
-    """Keeps what is remembered of changes; without a journal nothing is, and nobody can go back."""
+    """Keeps what is remembered of changes; without a journal nothing is, and nobody can go back.
 
-    def __init__(self, journal: Journal | None, file: Path | None = None) -> None:
-        self.journal, self.file = journal, file
+    ``part`` is the name of the gateway in a file that has many.
+    """
+
+    def __init__(self, journal: Journal | None, file: Path | None = None, part: str = "") -> None:
+        self.journal, self.file, self.part = journal, file, part
         self._seen = file_digest(file)
         self._turn = asyncio.Lock()
 

@@ -42,16 +42,16 @@ def open_record(config: Config) -> ChangeRecord:
     control = config.gateway.control
     file = Path(config.source).resolve() if config.source and Path(config.source).exists() else None
     if not control.enabled or not control.remember or file is None:
-        return ChangeRecord(None, file)
+        return ChangeRecord(None, file, config.part)
     path = Path(control.journal).expanduser() if control.journal else None
     try:
         journal = Journal(path or default_journal(control.name or config.gateway.name, str(file)))
     except JournalError as error:
         log.warning("%s; changes are not remembered", error)
-        return ChangeRecord(None, file)
+        return ChangeRecord(None, file, config.part)
     if journal.set_aside is not None:
         log.warning("the journal was damaged; it is kept as %s, and a new one begins with %s", journal.set_aside, file)
-    return ChangeRecord(journal, file)
+    return ChangeRecord(journal, file, config.part)
 
 
 def candidates(config: Config, record: ChangeRecord) -> list[Candidate]:

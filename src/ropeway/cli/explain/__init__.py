@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ropeway.cli.asking import CaOption, CertOption, TokenOption, WhereOption
+from ropeway.cli.asking import AsOption, CaOption, CertOption, TokenOption, WhereOption
 from ropeway.cli.console import print_json
 from ropeway.cli.session import JsonOption, full_name
 
@@ -30,6 +30,7 @@ def explain_command(
     to: Annotated[
         str, typer.Option("--to", help="Only this remote: a part of its address, title or name.", show_default=False)
     ] = "",
+    part: AsOption = "",
     where: WhereOption = "",
     spin_time: Annotated[
         float, typer.Option("--spin-time", min=0.5, help="Seconds to try at most, for discovery and the link.")
@@ -46,7 +47,9 @@ def explain_command(
     from ropeway.cli.explain.words import lines
 
     topic = full_name(name)
-    found = _tried(config, topic, to, spin_time) if config is not None else _asked(where, topic, to, token, ca, cert)
+    found = (
+        _tried(config, part, topic, to, spin_time) if config is not None else _asked(where, topic, to, token, ca, cert)
+    )
     if as_json:
         print_json(found)
     else:
@@ -56,7 +59,7 @@ def explain_command(
         raise typer.Exit(1)
 
 
-def _tried(config: Path, name: str, to: str, spin_time_s: float) -> list[dict[str, Any]]:
+def _tried(config: Path, part: str, name: str, to: str, spin_time_s: float) -> list[dict[str, Any]]:
     from ropeway.cli.explain.trial import try_out
     from ropeway.cli.loop import run
 
@@ -64,7 +67,7 @@ def _tried(config: Path, name: str, to: str, spin_time_s: float) -> list[dict[st
     level = log.level
     log.setLevel(logging.ERROR)  # what goes wrong is what is explained
     try:
-        return [explanation.to_json() for explanation in run(try_out(config, name, to, spin_time_s))]
+        return [explanation.to_json() for explanation in run(try_out(config, name, to, spin_time_s, part))]
     finally:
         log.setLevel(level)
 

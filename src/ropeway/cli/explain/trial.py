@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from ropeway.cli.patience import patiently
-from ropeway.gateway.config.config import Config, load
+from ropeway.gateway.config.config import Config
+from ropeway.gateway.config.fleet import load_one
 from ropeway.gateway.config.route_model import TopicItem
 from ropeway.gateway.explain import Explanation
 from ropeway.gateway.explain.routes import without_route
@@ -19,9 +20,9 @@ __all__ = ["only_routes_of", "try_out"]
 _LOOK_S: Final = 0.25
 
 
-async def try_out(file: Path, name: str, to: str, spin_time_s: float) -> list[Explanation]:
+async def try_out(file: Path, name: str, to: str, spin_time_s: float, part: str = "") -> list[Explanation]:
     """Return what is found once the route crosses, or after ``spin_time_s``."""
-    config = load(file)
+    config = load_one(file, part)
     narrow = only_routes_of(config, name)
     if not narrow.routes():
         remotes = [remote for remote in config.remotes if remote.active]

@@ -86,6 +86,8 @@ def _full_form(obj: object) -> tuple[Mapping[str, Any], Problem | None]:
     if not isinstance(obj, Mapping):
         what = "the file is empty; " if obj is None else ""
         return {}, ("(top level)", f"{what}expected a list of remotes, or an object with gateway and remotes")
+    if "gateways" in obj:
+        return {}, ("gateways", "several gateways are described here; choose one of them with --as")
     if not obj.keys() & {"gateway", "remotes"}:
         keys = keys_of(RemoteConfig)
         meant = any(nearest(key, ("gateway", "remotes")) for key in obj if key not in keys)

@@ -58,11 +58,12 @@ class Route:
 
 @dataclass(frozen=True)
 class Config:
-    """A whole configuration, valid. ``source`` names the file it came from."""
+    """A whole configuration, valid. ``source`` names the file it came from, ``part`` its name in one of many."""
 
     gateway: GatewayConfig
     remotes: tuple[RemoteConfig, ...] = ()
     source: str = field(default="", compare=False)
+    part: str = field(default="", compare=False)
 
     def routes(self, *, active: bool = True) -> list[Route]:
         """Return the tasks of all active remotes, in order; or those of them that are paused."""
@@ -160,10 +161,11 @@ def load(path: str | Path) -> Config:
     return parse(read_file(path), str(path), directory=Path(path).parent)
 
 
-def parse(obj: object, source: str = "", *, directory: str | Path = ".") -> Config:
+def parse(obj: object, source: str = "", *, directory: str | Path = ".", part: str = "") -> Config:
     """Make a ``Config`` of a parsed JSON value. Raises ``ConfigError`` with every fault.
 
-    ``source`` stands before each of them; relative paths in ``obj`` start at ``directory``.
+    ``source`` stands before each of them; relative paths in ``obj`` start at ``directory``. ``part`` is the name in a
+    document of many.
     """
     document, problems = check(obj, Path(directory))
     if document is None or problems:
@@ -171,4 +173,4 @@ def parse(obj: object, source: str = "", *, directory: str | Path = ".") -> Conf
     gateway = document.gateway
     if "listen" not in gateway.model_fields_set and any(remote.active for remote in document.remotes):
         gateway = gateway.model_copy(update={"listen": ()})  # it only dials: no port is opened that nobody asked for
-    return Config(gateway, document.remotes, source)
+    return Config(gateway, document.remotes, source, part)

@@ -64,8 +64,23 @@ def build() -> dict[str, Any]:
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Ropeway configuration",
-        "anyOf": [{"type": "array", "items": remote}, remote, document],
+        "anyOf": [{"type": "array", "items": remote}, remote, document, _fleet(document)],
         "$defs": definitions,
+    }
+
+
+def _fleet(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a document with many gateways, each in the full form."""
+    host = {"type": "string", "description": "where others reach it, for the checks across"}
+    properties = {key: value for key, value in document["properties"].items() if key != "$schema"}
+    one = {**document, "properties": {"host": host, **properties}}
+    gateways = {"type": "object", "minProperties": 1, "additionalProperties": one}
+    described = {**gateways, "description": "many gateways by name; ropeway run FILE --as NAME runs one"}
+    return {
+        "type": "object",
+        "additionalProperties": False,
+        "required": ["gateways"],
+        "properties": {"$schema": document["properties"]["$schema"], "gateways": described},
     }
 
 
