@@ -325,3 +325,33 @@ def test_what_was_known_is_forgotten() -> None:
     assert play.scheduler.current == "edge1"
     play.run(12)
     assert play.scheduler.current == "edge2"
+
+
+def test_quiet() -> None:
+    """While nothing is to be decided a request goes to the one in use without being asked for, until something happens.
+
+    That is a late answer, a member that comes or goes, or a request that may be late by now.
+    """
+    scheduler = Scheduler(["a", "b"], LatencyBound.of({"p90": 0.05}), options=Options(profile_s=0.01))
+    for name in ("a", "b"):
+        scheduler.came(name, 0.0)
+    now_s = 0.0
+    for key in range(20):
+        now_s = 0.01 * key
+        names = scheduler.targets(now_s)
+        scheduler.asked(names, key, now_s)
+        scheduler.answered(names[0], key, now_s + 0.005)
+    scheduler.step(now_s)
+    current = scheduler.current
+    assert scheduler.alone(now_s) == current
+    scheduler.asked((current,), "late", now_s)
+    scheduler.answered(current, "late", now_s + 0.06)
+    assert scheduler.alone(now_s) == ""
+    scheduler.asked((current,), "good", now_s)
+    scheduler.answered(current, "good", now_s + 0.01)
+    scheduler.step(now_s + 0.08)
+    scheduler.asked((current,), "silent", now_s + 0.08)
+    scheduler.step(now_s + 0.081)
+    assert scheduler.alone(now_s + 0.2) == ""
+    scheduler.left(next(name for name in ("a", "b") if name != current), now_s + 0.2)
+    assert scheduler.alone(now_s + 0.2) == ""
