@@ -87,6 +87,7 @@ __all__ = [
     "OutboxFull",
     "OverlayError",
     "ProviderLost",
+    "RecordingFailed",
     "Refused",
     "RopewayError",
     "SealError",
@@ -432,6 +433,14 @@ class ControlRefused(ControlError):
 
 class BagUnreadable(RopewayError):
     """A recording that cannot be read."""
+
+    def __init__(self, path: str, reason: str) -> None:
+        self.path, self.reason = path, reason
+        super().__init__(f"{path}: {reason}")
+
+
+class RecordingFailed(RopewayError):
+    """A recording that cannot be written."""
 
     def __init__(self, path: str, reason: str) -> None:
         self.path, self.reason = path, reason

@@ -567,3 +567,11 @@ REST_IDLE_S: Final = 30.0
 
 REST_WAIT_S: Final = 30.0
 """The longest that a request may wait for the first message of a topic."""
+
+# ── Recordings ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+RECORDING_WAITING_BYTES: Final = 256 << 20
+"""Messages that wait for the disk. Above, what comes is left out, and counted: robots need their memory elsewhere."""
+
+RECORDED_MESSAGE_BYTES: Final = 256
+"""What a message that waits counts beside its bytes, so that a flood of small ones is bounded, too."""

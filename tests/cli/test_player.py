@@ -16,10 +16,13 @@ from ropeway.cli.bagfile import Bag, BagTopic, Record
 from ropeway.cli.player import PlaybackSchedule, Played, play, read_ahead, restamped
 from ropeway.cli.session import OpenGraph
 from ropeway.graph.base import Sample
+from ropeway.qos import LATCHED, QoS
+from ropeway.recording.channel import Recorded, cdr_channel
+from ropeway.recording.files import McapFiles
 from ropeway.types import TypeRegistry
 from tests.cli.conftest import Ropeway
 from tests.support.clock import Stopwatch
-from tests.support.messages import STRING
+from tests.support.messages import STRING, text
 from tests.support.until import until
 
 POINT = "geometry_msgs/msg/PointStamped"
@@ -258,3 +261,61 @@ def test_impossible_stamps_are_told(ropeway: Ropeway, tmp_path: Path) -> None:
     assert status == 0
     assert "Played 3 messages" in words
     assert "238 years were played as 1 s (2 of them)" in words
+
+
+@pytest.fixture
+def latched_recording(tmp_path: Path, registry: TypeRegistry) -> Path:
+    """A map that is latched, and points for a second behind it."""
+    files = McapFiles(tmp_path / "latched.mcap")
+    map_ = cdr_channel(registry, "/map", STRING, [LATCHED])
+    points = cdr_channel(registry, "/text", STRING, [])
+    files.write([Recorded(map_, 10**9, text("map"))])
+    files.write(Recorded(points, 10**9 + n * 10**8, text(str(n))) for n in range(10))
+    files.close()
+    return files.paths[0]
+
+
+@pytest.mark.jumping
+async def test_from_the_middle(
+    pair: tuple[OpenGraph, OpenGraph], latched_recording: Path, registry: TypeRegistry
+) -> None:
+    """With an offset what is latched comes first, then what was recorded from there on, under other names and QoS."""
+    here, there = pair
+    got: list[tuple[str, bytes]] = []
+    for name in ("/map", "/renamed"):
+        take = lambda batch, name=name: got.extend((name, one.payload) for one in batch)  # noqa: E731
+        await here.graph.create_subscription(name, STRING, None, take)
+    qos = QoS(reliability="best_effort")
+    with Bag(latched_recording, registry) as bag:
+        names = {"/text": "/renamed"}
+        await play(there.graph, bag, start_s=0.75, qos=qos, rename=lambda name: names.get(name, name))
+    await until(lambda: len(got) == 3)
+    assert got == [("/map", text("map")), ("/renamed", text("8")), ("/renamed", text("9"))]
+
+
+@pytest.mark.jumping
+async def test_clock(pair: tuple[OpenGraph, OpenGraph], latched_recording: Path, registry: TypeRegistry) -> None:
+    """The time of the recording goes on evenly on /clock, twice as fast where it is played so."""
+    here, there = pair
+    ticks: list[float] = []
+    clock = registry.codec("rosgraph_msgs/msg/Clock")
+
+    def tick(batch: Sequence[Sample]) -> None:
+        for one in batch:
+            time_ = clock.decode(one.payload)["clock"]
+            ticks.append(time_["sec"] + time_["nanosec"] / 1e9)
+
+    await here.graph.create_subscription("/clock", "rosgraph_msgs/msg/Clock", None, tick)
+    with Bag(latched_recording, registry) as bag:
+        await play(there.graph, bag, clock_hz=100.0, rate=2.0)
+    await until(lambda: len(ticks) > 30)
+    assert ticks == sorted(ticks)
+    assert 1.0 <= ticks[0] < 1.1
+    assert 1.8 < ticks[-1] <= 1.91
+
+
+@pytest.mark.parametrize("text_", ["/a", "/a:=", "/a b:=/c"])
+def test_no_other_name(in_process: Ropeway, recording: Path, text_: str) -> None:
+    """A name that is none ends with how to write one."""
+    ended = in_process("play", str(recording), "-g", "memory:x", "--remap", text_)
+    assert ended.returncode == 2

@@ -40,6 +40,8 @@ VERBS = {
     "anycast": "ropeway.cli.anycast",
     "predict": "ropeway.cli.predict",
     "play": "ropeway.cli.play",
+    "record": "ropeway.cli.record",
+    "bag": "ropeway.cli.bag",
     "demo": "ropeway.cli.demo",
     "demo-iort": "ropeway.cli.demo_iort",
     "demo-anycast": "ropeway.cli.demo_anycast",

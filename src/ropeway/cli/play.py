@@ -15,7 +15,19 @@ from ropeway.cli.bagfile import Bag
 from ropeway.cli.console import complain, fail, print_json
 from ropeway.cli.loop import run
 from ropeway.cli.player import MAX_GAP_S, Played, play
-from ropeway.cli.session import GraphOption, JsonOption, TypesOption, open_session
+from ropeway.cli.session import (
+    GraphOption,
+    JsonOption,
+    QosDepth,
+    QosDurability,
+    QosHistory,
+    QosProfile,
+    QosReliability,
+    TypesOption,
+    full_name,
+    open_session,
+    qos_of,
+)
 
 __all__ = ["app"]
 
@@ -43,11 +55,27 @@ def play_command(
         float,
         typer.Option("--max-gap", min=0.0, help="Seconds of the longest pause that is kept; others become 1 s."),
     ] = MAX_GAP_S,
+    start_offset: Annotated[
+        float, typer.Option("--start-offset", min=0.0, help="Begin so many seconds into it; latched messages first.")
+    ] = 0.0,
+    clock: Annotated[
+        float, typer.Option("--clock", min=0.0, help="Publish the time of the recording on /clock so often, in Hz.")
+    ] = 0.0,
+    remap: Annotated[
+        list[str] | None, typer.Option("--remap", "-m", help="Another name, as old:=new; may be repeated.")
+    ] = None,
+    qos_profile: QosProfile = "",
+    qos_depth: QosDepth = None,
+    qos_history: QosHistory = "",
+    qos_reliability: QosReliability = "",
+    qos_durability: QosDurability = "",
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
     types: TypesOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Publish the recording BAG at its own pace."""
+    """Publish the recording BAG at its own pace. Without --qos options, as its publishers offered it."""
+    names = _renamed(remap or [])
+    qos = qos_of(qos_profile, qos_depth, qos_history, qos_reliability, qos_durability)
     wanted = [name if name.startswith("/") else f"/{name}" for text in topics or [] for name in text.split(",") if name]
 
     async def main() -> tuple[Played, dict[str, int], int]:
@@ -65,6 +93,10 @@ def play_command(
                         for_s=for_s or None,
                         wait_s=wait,
                         max_gap_s=max_gap,
+                        start_s=start_offset,
+                        qos=qos,
+                        clock_hz=clock,
+                        rename=lambda name: names.get(name, name),
                         told=told,
                     )
                 return played, dict(opened.dropped), _held(opened, wanted)
@@ -110,6 +142,17 @@ def _tell_problems(bag: Bag, wanted: list[str]) -> None:
             complain(f"{topic.name} is not played: {topic.problem}")
     if chosen and all(topic.problem for topic in chosen):
         fail(f"nothing in {bag.path} can be played")
+
+
+def _renamed(remap: list[str]) -> dict[str, str]:
+    """Return the new names by the old ones, or end with a sentence."""
+    names = {}
+    for text in remap:
+        old, between, new = text.partition(":=")
+        if not between:
+            fail(f"{text!r} is no other name; write --remap /old:=/new", 2)
+        names[full_name(old)] = full_name(new)
+    return names
 
 
 def _held(bag: Bag, wanted: list[str]) -> int:

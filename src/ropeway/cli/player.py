@@ -11,7 +11,7 @@ import itertools
 import math
 import struct
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import aclosing
@@ -21,8 +21,10 @@ from typing import Final
 from ropeway import aio
 from ropeway.cli.bagfile import Bag, BagTopic, Record
 from ropeway.cli.patience import patiently
+from ropeway.cli.recorded_clock import RecordedClock
 from ropeway.errors import TypesError
 from ropeway.graph.base import SEQ_NONE, Graph, Publisher, Sample, new_origin
+from ropeway.qos import QoS
 from ropeway.types.definition import HEADER, FieldType
 
 __all__ = ["MAX_GAP_S", "PlaybackSchedule", "Played", "play", "read_ahead", "restamped"]
@@ -31,6 +33,7 @@ MAX_GAP_S: Final = 60.0
 """The longest pause that is played as it was recorded. Longer ones are seldom meant: a recorder that was stopped, a
 clock that was set, a stamp of 1970 or 2262."""
 
+_MOST_LATCHED: Final = 100  # messages of a latched topic that are published first
 _JUMP_S: Final = 1.0  # how long a longer pause is played
 
 _BATCH_BYTES: Final = 8 << 20  # two of them at most are held: the one that plays and the one that is read
@@ -161,6 +164,9 @@ async def play(
     for_s: float | None = None,
     wait_s: float = 0.0,
     max_gap_s: float = MAX_GAP_S,
+    start_s: float = 0.0,
+    qos: QoS | None = None,
+    clock_hz: float = 0.0,
     rename: Callable[[str], str] = str,
     told: Callable[[Played], None] = lambda played: None,
 ) -> Played:
@@ -168,10 +174,14 @@ async def play(
 
     ``rate`` is how much faster than recorded; ``for_s`` ends it after so many seconds (``None``: at its end);
     ``wait_s`` is how long to wait for subscribers first; ``max_gap_s`` the longest pause kept (``PlaybackSchedule``);
-    ``restamp`` puts the time of sending into headers; ``told`` is called after each message.
+    ``start_s`` leaves out what comes before that time of the recording, but for what is latched, which is published
+    first; ``restamp`` puts the time of sending into headers; ``qos`` is offered in place of what was recorded;
+    ``clock_hz`` publishes the time of the recording on ``/clock`` so often; ``rename`` gives topics other names;
+    ``told`` is called after each message.
     """
     chosen = [topic for topic in bag.topics if not topic.problem and (not topics or topic.name in topics)]
-    publishers = {t: await graph.create_publisher(rename(t.name), t.type, t.qos) for t in chosen}
+    publishers = {t: await graph.create_publisher(rename(t.name), t.type, qos or t.qos) for t in chosen}
+    ticks = await RecordedClock.on(graph, bag, clock_hz, rate) if clock_hz else None
     stamped = {topic for topic in chosen if restamp and _starts_with_header(bag, topic)}
     origin, played, before_s = new_origin(), Played(), 0.0
     clock = asyncio.get_running_loop()
@@ -182,12 +192,14 @@ async def play(
         while chosen:
             pace, first = PlaybackSchedule(max_gap_s), played.messages
             async with aclosing(read_ahead(bag.records(topics))) as batches:
-                async for record in _flat(batches):
+                async for record in _from(_flat(batches), bag.start_ns + int(start_s * 1e9)):
                     if not played.messages:  # the clock starts when the first batch has been read
                         began = clock.time()
                         ends = math.inf if for_s is None else began + for_s
                     offset_s = pace.due(record.time_ns)
                     due = began + (before_s + offset_s) / rate
+                    if ticks is not None:
+                        await ticks.until(record.time_ns, due, ends)
                     left = min(due, ends) - clock.time()
                     if left > 0 or played.messages % _BREATHER == 0:
                         await asyncio.sleep(max(left, 0))
@@ -210,6 +222,26 @@ async def play(
     finally:
         for publisher in publishers.values():
             await publisher.close()
+        if ticks is not None:
+            await ticks.close()
+
+
+async def _from(records: AsyncIterator[Record], start_ns: int) -> AsyncIterator[Record]:
+    """Leave out what comes before a time, but for the last messages of latched topics, which come first."""
+    latched: dict[BagTopic, deque[Record]] = {}
+    begun = False
+    async for record in records:
+        if not begun and record.time_ns < start_ns:
+            if record.topic.qos.transient_local:
+                kept = latched.setdefault(record.topic, deque(maxlen=min(record.topic.qos.depth or 1, _MOST_LATCHED)))
+                kept.append(record._replace(time_ns=start_ns))
+            continue
+        if not begun:
+            begun = True
+            for kept in latched.values():
+                for one in kept:
+                    yield one
+        yield record
 
 
 async def _flat(batches: AsyncIterator[list[Record]]) -> AsyncIterator[Record]:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter,
 from ropeway.errors import ControlRefused
 
 __all__ = [
-    "AuditAnswer",
+    "AuditPageAnswer",
     "AuditRow",
     "CallerRow",
     "ConfigAnswer",
@@ -334,7 +334,7 @@ class AuditRow(_Row):
     times: int = 1
 
 
-class AuditAnswer(_Row):
+class AuditPageAnswer(_Row):
     """Entries of the audit log, the oldest first."""
 
     entries: list[AuditRow] = Field(default_factory=list)

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from nicegui import ui
 
-from ropeway.dashboard.answers import AuditAnswer, AuditRow, read
+from ropeway.dashboard.answers import AuditPageAnswer, AuditRow, read
 from ropeway.dashboard.frame import Page
 from ropeway.dashboard.tables import fill, make_table
 from ropeway.dashboard.texts import at
@@ -39,7 +39,7 @@ def make(page: Page) -> None:
         if watch is None or watch.error:
             return
         try:
-            found = read(AuditAnswer, await watch.client.get("/v1/audit", count=_COUNT))
+            found = read(AuditPageAnswer, await watch.client.get("/v1/audit", count=_COUNT))
         except RopewayError as error:
             about.set_text(f"The audit log cannot be shown: {describe(error)}")
             return
