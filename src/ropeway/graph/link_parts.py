@@ -14,7 +14,7 @@ __all__ = [
     "LinkStatistics",
     "LinkedPublisher",
     "Refusable",
-    "Reported",
+    "ToldByPeer",
     "is_encoded",
     "is_linked",
     "is_refusable",
@@ -47,8 +47,8 @@ class FarFigures:
 
 
 @runtime_checkable
-class Reported(Protocol):
-    """Is told by the far gateway what becomes of its messages there."""
+class ToldByPeer(Protocol):
+    """Knows what the far gateway does with its messages."""
 
     far: FarFigures | None
     """The last report, ``None`` before the first, and where the far side makes none."""

@@ -14,7 +14,7 @@ from ropeway.gateway.explain.explanation import Explanation, Finding, Subject
 from ropeway.gateway.remote import Remote, shown_address
 from ropeway.gateway.route import Bridge, RunningRoute
 from ropeway.graph.base import Graph
-from ropeway.graph.link_parts import Reported
+from ropeway.graph.link_parts import ToldByPeer
 
 __all__ = ["explain", "explain_route", "reason_of", "without_route"]
 
@@ -146,7 +146,7 @@ def _far_traffic(bridge: Bridge, address: str) -> Iterable[Finding]:
     if not isinstance(bridge, TopicBridge):
         return
     parts: tuple[object, ...] = (bridge.publisher, bridge.subscription)
-    far = next((part.far for part in parts if isinstance(part, Reported) and part.far is not None), None)
+    far = next((part.far for part in parts if isinstance(part, ToldByPeer) and part.far is not None), None)
     if far is None:
         return
     drops = _counts(far.drops)
