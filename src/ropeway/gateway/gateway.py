@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from ropeway.delivery.pipeline import Witness
     from ropeway.gateway.last_value import LastValue
     from ropeway.gateway.nodes import Nodes
+    from ropeway.gateway.rest.outgoing import WebRule
     from ropeway.gateway.safety import GuardedTopic
     from ropeway.listener.client_pages import ClientPages
     from ropeway.listener.listener import Listener
@@ -99,6 +100,7 @@ class Gateway:
         self.nodes: Nodes | None = None
         self._factory: RemoteFactory | None = None
         self.guarded: list[GuardedTopic] = []
+        self.web: list[WebRule] = []
         self._stack = AsyncExitStack()
         self._tls: ssl.SSLContext | None = None
         self._trusted = b""
@@ -156,6 +158,10 @@ class Gateway:
         )
         stack.push_async_callback(self._close_remotes)
         await self._bring_up_remotes()
+        if settings.http:
+            from ropeway.gateway.rest.outgoing import open_rules
+
+            self.web = await open_rules(settings.http, self.hubs[settings.graphs[0]], self.registry, stack)
         stack.push_async_callback(Supervised(self._update_meters, "gateway meters").start().close)
         stack.push_async_callback(Supervised(self._watch.run, "gateway routes").start().close)
         if settings.diagnostics:
@@ -424,6 +430,7 @@ class Gateway:
             **({} if self.nodes is None else {"nodes": self.nodes.status()}),
             **({"safety": [topic.status() for topic in self.guarded]} if self.guarded else {}),
             "codecs": codec_status(),
+            **({"http": [rule.status() for rule in self.web]} if self.web else {}),
             "failed": failing(),
         }
 

@@ -131,6 +131,10 @@ class Config:
         gateway = self.gateway if listen else self.gateway.model_copy(update={"listen": ()})
         return replace(self, gateway=gateway, remotes=kept)
 
+    def without_http(self) -> Config:
+        """Return the same without what goes to web servers, for all workers but one."""
+        return replace(self, gateway=self.gateway.model_copy(update={"http": ()})) if self.gateway.http else self
+
     def to_json(self) -> dict[str, Any]:
         """Return the full form, for ``parse`` in another process: paths are absolute and all defaults are
         written out.

@@ -23,6 +23,7 @@ from ropeway.gateway.config.fields import ExistingPath, Many, Model, Switch
 from ropeway.gateway.config.foxglove_model import FoxgloveConfig
 from ropeway.gateway.config.graph_model import Distro, GraphConfig, GraphItem
 from ropeway.gateway.config.group_model import Addresses, AnycastConfig
+from ropeway.gateway.config.http_model import HttpRule
 from ropeway.gateway.config.iort_model import IortConfig, MapList, StoreConfig
 from ropeway.gateway.config.overlay_model import (
     AutomaticConfig,
@@ -245,6 +246,9 @@ class GatewayConfig(Model):
     store: StoreConfig | None = Field(
         None,
         description='last values; there also without this where a listener is iort:// or a topic has "store": true',
+    )
+    http: Many[HttpRule] = Field(
+        (), description="topics that are posted to URLs, and URLs that are offered as services"
     )
     rest: bool = Field(
         False, description="true: topics and services are also REST resources at ws and wss listeners, below /ros"

@@ -44,6 +44,11 @@ def slices(config: Config, before: Mapping[str, str] = NOWHERE) -> list[tuple[st
     ``before`` has the workers of remotes by key (``places``): a remote stays with its worker, whatever is inserted
     before it. New ones go to whoever has the fewest.
     """
+    parts = _parts(config, before)
+    return [parts[0], *((name, part.without_http()) for name, part in parts[1:])]  # each message is posted once
+
+
+def _parts(config: Config, before: Mapping[str, str]) -> list[tuple[str, Config]]:
     dealt = _dealt(config, before)
     listens = bool(config.gateway.listen)
     if config.gateway.workers == "per-remote":
