@@ -99,8 +99,7 @@ def parsed(workers: int | str, **more: Any) -> config.Config:
 def test_one_worker_posts_to_web_servers() -> None:
     """What goes to web servers is in the first slice alone: every message is posted once."""
     rule = {"url": "http://127.0.0.1:1/", "topic": "/a", "type": "std_msgs/msg/String"}
-    config = parse({"gateway": {"graphs": ["memory:a"], "workers": 3, "http": [rule]}})
-    assert [len(part.gateway.http) for _, part in slices(config)] == [1, 0, 0]
+    assert [len(part.gateway.http) for _, part in slices(parsed(3, http=[rule]))] == [1, 0, 0]
 
 
 def test_slices() -> None:
