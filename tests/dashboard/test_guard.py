@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import httpx
 import pytest
 
@@ -29,7 +31,7 @@ async def test_nobody_sees_a_page_without_a_login(begin: Begin, serve: Serve) ->
 
 
 async def test_a_wrong_token(begin: Begin, serve: Serve) -> None:
-    """A wrong secret is refused with a sentence, and after many the address is locked out, also for the right one."""
+    """A wrong secret is refused with a sentence; after some no token is passed on, and the key goes on to work."""
     robot = await begin(
         control={"listen": ["http://127.0.0.1:0"]}, auth={"tokens": [{"token": {"env": "WATCHER"}, "role": "all"}]}
     )
@@ -38,9 +40,42 @@ async def test_a_wrong_token(begin: Begin, serve: Serve) -> None:
         refused = await client.post("/login", data={"secret": "<b>wrong</b>"})
         assert refused.status_code == 401, refused.text[-600:]
         assert "No gateway knows this token" in refused.text
-        statuses = [(await client.post("/login", data={"secret": "wrong"})).status_code for _ in range(12)]
-        assert statuses[-1] == 429
+        statuses = [(await client.post("/login", data={"secret": "wrong"})).status_code for _ in range(6)]
+        assert statuses == [401] * 4 + [429] * 2
+        assert (await client.post("/login", data={"secret": KEY})).status_code == 303
+    assert robot.control.status()["tokens"] == {"wrong tokens": 5, "lockouts": 0, "locked out": 0}
+
+
+async def test_a_wrong_key(begin: Begin, serve: Serve) -> None:
+    """Whoever guesses the key is locked out, also with the right one."""
+    dashboard = await serve(await begin())
+    async with httpx.AsyncClient(base_url=dashboard.root) as client:
+        tried = [(await client.post("/login", data={"secret": "wrong"})).status_code for _ in range(12)]
+        assert tried[-1] == 429
         assert (await client.post("/login", data={"secret": KEY})).status_code == 429
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null"])
+async def test_sockets_of_strangers(begin: Begin, serve: Serve, origin: str) -> None:
+    """A WebSocket that a page of another site opens is refused, with the cookie of who is logged in."""
+    dashboard = await serve(await begin())
+    async with httpx.AsyncClient(base_url=dashboard.root) as client:
+        assert (await client.get(dashboard.url)).status_code == 303
+        cookie = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
+    head = {
+        "Host": f"127.0.0.1:{dashboard.port}",
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+        "Sec-WebSocket-Version": "13",
+        "Cookie": cookie,
+        "Origin": origin,
+    }
+    reader, writer = await asyncio.open_connection("127.0.0.1", dashboard.port)
+    lines = [f"{name}: {value}" for name, value in head.items()]
+    writer.write("\r\n".join(["GET /socket.io/?EIO=4&transport=websocket HTTP/1.1", *lines, "", ""]).encode())
+    assert b" 403 " in await reader.readline()
+    writer.close()
 
 
 async def test_a_token_of_a_gateway(begin: Begin, serve: Serve) -> None:

@@ -28,6 +28,10 @@ __all__ = ["LOGOUT_PATH", "Login"]
 
 LOGOUT_PATH: Final = "/logout"
 
+_ANYBODY: Final = "anybody"
+_COUNTS: Final = 2
+"""How often a wrong token counts towards the lockout of all that are new."""
+
 _PAGE: Final = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Ropeway: log in</title>
 <meta name="viewport" content="width=device-width, initial-scale=1"><style>
 body {{font: 16px system-ui, sans-serif; background: #f1f5f9; color: #0f172a; display: grid;
@@ -74,8 +78,9 @@ class Login:
         if locked_s > 0:
             return _page(f"Too many wrong tokens came from this address; try again in {math.ceil(locked_s)} s.", 429)
         try:
-            known = self._viewers.is_key(secret) or (bool(secret) and await self._fleet.knows(secret))
-        except ControlRefused as error:
+            known = self._viewers.is_key(secret) or await self._is_token(secret)
+        except ControlRefused as error:  # it may have been a guess at the key
+            await asyncio.sleep(self.lockout.wrong(sender))
             return _page(f"{error}.", error.status)
         if not known:
             await asyncio.sleep(self.lockout.wrong(sender))
@@ -84,6 +89,24 @@ class Login:
         answer = RedirectResponse("/", 303)
         answer.set_cookie(COOKIE, session, max_age=round(SESSION_S), httponly=True, samesite="lax", secure=self._secure)
         return answer
+
+    async def _is_token(self, secret: str) -> bool:
+        """Return whether a gateway takes a secret as a token. Raises ``ControlRefused`` where none can be asked now.
+
+        To a gateway all guesses come from this machine, and ten would lock out everybody here. So half as many are
+        passed on, whoever makes them, before tokens that are new have to wait.
+        """
+        locked_s = self.lockout.locked_s(_ANYBODY)
+        if locked_s > 0:
+            text = (
+                f"too many wrong tokens were tried here; try again in {math.ceil(locked_s)} s, or log in with the key"
+            )
+            raise ControlRefused(429, text)
+        known = bool(secret) and await self._fleet.knows(secret)
+        if not known:
+            for _ in range(_COUNTS):
+                self.lockout.wrong(_ANYBODY)
+        return known
 
     async def _logout(self, request: Request) -> Response:
         self._viewers.end(cookie_of(request.headers))

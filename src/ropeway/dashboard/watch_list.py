@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
+from ropeway.control.async_client import AsyncControlClient
 from ropeway.control.client import ControlTarget, fleet
 from ropeway.dashboard.watch import GatewayWatch
 from ropeway.errors import ControlRefused, RopewayError
@@ -43,22 +44,12 @@ class WatchList:
         return found
 
     async def knows(self, token: str) -> bool:
-        """Return whether a gateway takes a token. Raises ``ControlRefused`` where none could be asked."""
-        errors = []
-        for watch in self.watches(token):
-            watch.look()
-            try:
-                await watch.client.get("/v1/caller")
-                return True
-            except ControlRefused as error:
-                if error.status == 404:  # of another version, but past its door
-                    return True
-                errors.append(error)
-            except RopewayError:
-                continue
-        if not errors:
+        """Return whether a gateway takes a token. Raises ``ControlRefused`` where none answers that could."""
+        targets = [target for target in self._targets.values() if target.socket is None]
+        answers = [await _takes(_with(target, token)) for target in targets]
+        if answers and set(answers) == {None}:
             raise ControlRefused(503, "no gateway that takes tokens answers; log in with the key of the dashboard")
-        return False
+        return True in answers
 
     async def close(self) -> None:
         """End watching."""
@@ -97,6 +88,20 @@ def _by_key(targets: Sequence[ControlTarget]) -> dict[str, ControlTarget]:
             key = f"{name} ({number})"
         found[key] = target
     return found
+
+
+async def _takes(target: ControlTarget) -> bool | None:
+    """Return whether a gateway takes the token that is shown to it, ``None`` where it does not answer."""
+    client = AsyncControlClient(target)
+    try:
+        await client.get("/v1/caller")
+    except ControlRefused as error:
+        return error.status == 404  # of another version, but past its door
+    except RopewayError:
+        return None
+    finally:
+        await client.close()
+    return True
 
 
 def _with(target: ControlTarget, token: str) -> ControlTarget:

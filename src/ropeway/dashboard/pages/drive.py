@@ -85,7 +85,7 @@ class _Driving:
     async def _send(self, linear: float, angular: float) -> None:
         """Publish a command; while one is under way, only the newest waits."""
         self._next = (linear, angular)
-        if self._busy or not self._page.viewer.active:
+        if self._busy or self._watch.error or not self._page.viewer.active:
             return
         self._busy = True
         try:

@@ -51,6 +51,8 @@ class _TopicView:
         page.every(self._update)
 
     async def _update(self) -> None:
+        if self._watch.error:  # shown above the page; a wrong token that is shown again and again is locked out
+            return
         try:
             query = {"name": self._name, "graph": self._graph, "after": self._count}
             found = read(ValueAnswer, await self._watch.client.get("/v1/topics/value", **query))
