@@ -42,6 +42,8 @@ def running(directory: Path, name: str, *, namespace: str = "", **document: Any)
         for line in process.stderr:
             if f"{name} is on" in line:
                 break
+        else:
+            raise RuntimeError(f"{name} did not start")
         yield psutil.Process(process.pid)
     finally:
         process.terminate()
@@ -53,7 +55,7 @@ def pair(directory: Path, routes: int, ends: tuple[str, str, str] = ("", "", "12
     """Run a gateway with so many routes to another one; yield its process once they are linked."""
     url = f"ws://{ends[2]}:{_PORT}"
     items = [{"name": f"/t{number}", "type": _STRING} for number in range(routes)]
-    listen = {"listen": [f"ws://0.0.0.0:{_PORT}"]}
+    listen = {"listen": [f"ws://{ends[2]}:{_PORT}"], "insecure": True}
     with (
         running(directory, "cloud", namespace=ends[1], gateway=listen),
         running(directory, "robot", namespace=ends[0], remotes=[{"address": url, "publish": items}]) as robot,
