@@ -22,7 +22,7 @@ _MOST: Final = {
 async def test_messages_and_service_calls_cost_no_more_python_calls_than_they_did() -> None:
     """A warm message, and a service call with its answer, take no more Python calls than they did before."""
     counts = await measure(samples=_SAMPLES, port=free_port())
-    found = {count.way: len(count.calls) for count in counts}
-    longer = ["\n".join((count.way, *count.calls)) for count in counts if found[count.way] > _MOST[count.way]]
+    found = {count.way: [call for call in count.calls if "aio310.py" not in call] for count in counts}  # of 3.10 alone
+    longer = ["\n".join((way, *calls)) for way, calls in found.items() if len(calls) > _MOST[way]]
     assert found.keys() == _MOST.keys()
     assert not longer, "\n\n".join(longer)
