@@ -119,9 +119,20 @@ def test_hashes() -> None:
     """The hashes of a type are those that others show, and one of them stands for a type that we do not know."""
     table = Table()
     table.show(_PUBLISHER, replace(_PUBLISHER, id="9", type_hash=NO_HASH), replace(_PUBLISHER, session="cc"))
-    assert table.hashes("publisher", "/chatter", "std_msgs/msg/String") == {"RIHS01_1"}
+    assert table.hashes("publisher", "/chatter", "std_msgs/msg/String") == {"RIHS01_1", NO_HASH}
     assert table.hash_of("std_msgs/msg/String") == "RIHS01_1"
     assert table.hash_of("std_msgs/msg/Bool") == NO_HASH
+
+
+def test_copies() -> None:
+    """An endpoint of a Ropeway that shows itself under several hashes counts once, and is heard under the first."""
+    table = Table()
+    first, copy = (replace(_PUBLISHER, enclave=enclave_of("", copy=copy)) for copy in (False, True))
+    copy = replace(copy, type_hash="RIHS01_2")
+    table.show(first, copy)
+    assert table.others("publisher", "/chatter", "std_msgs/msg/String") == [first]
+    assert [table.identities[gid_of(str(token))].wanted for token in (first, copy)] == [True, False]
+    assert len(table.topics()["/chatter"].publishers) == 2
 
 
 def test_malformed() -> None:

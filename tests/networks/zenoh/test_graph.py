@@ -15,7 +15,7 @@ from ropeway.networks.zenoh import ZenohGraph
 from ropeway.networks.zenoh.address import ZenohAddress
 from ropeway.networks.zenoh.attachment import pack
 from ropeway.networks.zenoh.graph import TOKENS
-from ropeway.networks.zenoh.tokens import ZenohToken, data_key, enclave_of, gid_of
+from ropeway.networks.zenoh.tokens import NO_HASH, ZenohToken, data_key, enclave_of, gid_of
 from ropeway.qos import LATCHED, QoS
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, joined, sample, text
@@ -123,6 +123,25 @@ async def test_two_hashes() -> None:
         session.close()
 
 
+async def test_heard_once() -> None:
+    """Where an endpoint shows itself under two hashes, another Ropeway hears each message once."""
+    async with open_pair() as (near, far, where):
+        inbox = Inbox()
+        await far.create_subscription("/t", STRING, QoS(depth=100), inbox)
+        publisher = await near.create_publisher("/t", STRING)
+        session = foreign_session(where)
+        token = ZenohToken(0, str(session.info.zid()), "0", "1", "subscription", "/old", "/", "/t", STRING, NO_HASH)
+        shown = session.liveliness().declare_token(str(token))
+        await until(lambda: publisher.subscribers == 2 and len(far.topics()["/t"].publishers) == 2)
+        for number in range(20):
+            publisher.publish(sample(f"{number}"))
+        publisher.publish(sample("end"))
+        await until(lambda: inbox.texts[-1:] == ["end"])
+        assert inbox.texts == [*map(str, range(20)), "end"]
+        shown.undeclare()
+        session.close()
+
+
 async def test_own_gateway() -> None:
     """Processes of one gateway do not hear each other."""
     where = endpoint()
@@ -183,7 +202,7 @@ async def test_many_tokens() -> None:
         session = foreign_session(where)
         node = ZenohToken(0, str(session.info.zid()), "0", "0", "publisher", "/many", "/", "/t", STRING, _HASH)
         shown = [session.liveliness().declare_token(str(replace(node, id=str(number)))) for number in range(3000)]
-        await until(lambda: len(near.topics()["/t"].publishers) == len(shown))
+        await until(lambda: len(near.discovery.others("publisher", "/t", STRING)) == len(shown))
         session.close()
         await until(lambda: "/t" not in near.topics())
 

@@ -46,6 +46,16 @@ def test_other_distribution() -> None:
     assert layouts.write(_CHANGED, came, ours.hash(_CHANGED)) == came
 
 
+def test_without_hashes() -> None:
+    """A message of a node without type hashes has the layout of Humble."""
+    ours = TypeRegistry()
+    assert ours.others is not None
+    humble = ours.others.variant("humble").codec(_CHANGED)
+    value = humble.default() | {"range": 1.5}
+    came = HashedLayouts(Border(ours)).read(_CHANGED, humble.encode(value), NO_HASH)
+    assert ours.codec(_CHANGED).decode(came)["range"] == 1.5
+
+
 def test_big_endian() -> None:
     """A message of a big-endian machine comes in our byte order; one that cannot be read is refused."""
     layouts = HashedLayouts(Border(TypeRegistry()))

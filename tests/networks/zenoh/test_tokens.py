@@ -88,6 +88,9 @@ def test_gateway() -> None:
     assert replace(_TALKER, enclave=enclave_of("")).gateway == ""
     assert replace(_TALKER, enclave="/ropeway/~zz").gateway == "~zz"
     assert not replace(_TALKER, enclave="/ropeways").ours
+    copy = replace(_TALKER, enclave=enclave_of("robot1", copy=True))
+    assert (copy.ours, copy.copy, copy.gateway) == (True, True, "robot1")
+    assert not replace(_TALKER, enclave=enclave_of("robot1")).copy
 
 
 def test_keys() -> None:

@@ -38,7 +38,7 @@ def _installations(environ: Mapping[str, str], installed: Path) -> Iterator[Symp
         text = f"ROS is installed ({', '.join(found)}) and not sourced: dds graphs work, ros2 graphs do not"
         yield Symptom(None, "ros", text, f"for ros2 graphs: source {installed / found[-1]}/setup.bash")
     else:
-        yield Symptom(True, "ros", "no ROS is installed; dds, ws, overlay and iort graphs need none")
+        yield Symptom(True, "ros", "no ROS is installed; dds, zenoh, ws, overlay and iort graphs need none")
 
 
 def _domain(environ: Mapping[str, str]) -> Iterator[Symptom]:
@@ -58,6 +58,9 @@ def _middleware(environ: Mapping[str, str]) -> Iterator[Symptom]:
         return
     if middleware in _RMWS:
         yield Symptom(True, "rmw", f"RMW_IMPLEMENTATION is {middleware}: dds graphs reach its nodes")
+    elif middleware == "rmw_zenoh_cpp":
+        text = f"RMW_IMPLEMENTATION is {middleware}: zenoh graphs reach its nodes, dds graphs do not"
+        yield Symptom(None, "rmw", text, "use the graph zenoh, as in ropeway topic list -g zenoh")
     else:
         text = f"RMW_IMPLEMENTATION is {middleware}, which is not DDS: dds graphs do not reach its nodes"
         yield Symptom(None, "rmw", text, "use the graph ros2, which goes through the sourced ROS 2")

@@ -147,19 +147,19 @@ class ZenohDiscovery:
         }
 
     def others(self, kind: str, name: str, type: str) -> list[ZenohToken]:
-        """Return the endpoints of a kind that are not of our own gateway."""
+        """Return the endpoints of a kind that are not of our own gateway, each once."""
         named = (self._topics if kind in _TOPIC_KINDS else self._services).get(name)
         if named is None:
             return []
         return [
             endpoint.token
             for endpoint in named.of(kind).values()
-            if endpoint.token.type == type and not self._is_own(endpoint)
+            if endpoint.token.type == type and not endpoint.token.copy and not self._is_own(endpoint)
         ]
 
     def hashes(self, kind: str, name: str, type: str) -> set[str]:
         """Return the hashes under which others know the type of a topic or service."""
-        return {token.type_hash for token in self.others(kind, name, type)} - {NO_HASH}
+        return {token.type_hash for token in self.others(kind, name, type)}
 
     def hash_of(self, type: str) -> str:
         """Return a hash under which others know a type, ``NO_HASH`` where nobody does."""
@@ -186,7 +186,8 @@ class ZenohDiscovery:
             return
         endpoint = self._endpoints[key] = _Endpoint(token, gid_of(key), local)
         own = self._is_own(endpoint)
-        self.identities[endpoint.gid] = SenderIdentity(token.node, token.ours, bool(token.gateway) and not own, not own)
+        relayed, wanted = bool(token.gateway) and not own, not (own or token.copy)
+        self.identities[endpoint.gid] = SenderIdentity(token.node, token.ours, relayed, wanted)
         table, changed = self._table(token, topics, services)
         table.setdefault(token.name, Named()).of(token.kind)[key] = endpoint
         if not local:

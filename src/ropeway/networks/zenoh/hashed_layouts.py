@@ -5,6 +5,8 @@ On a network of rmw_zenoh the hash is a part of the key, so each message says wh
 
 from __future__ import annotations
 
+from typing import Final
+
 from ropeway.errors import TypesError
 from ropeway.graph.layout_border import Border
 from ropeway.networks.zenoh.tokens import NO_HASH
@@ -12,8 +14,10 @@ from ropeway.types import TypeRegistry
 
 __all__ = ["LITTLE_ENDIAN", "HashedLayouts"]
 
-LITTLE_ENDIAN = 1
+LITTLE_ENDIAN: Final = 1
 """The second byte of CDR in our byte order."""
+
+_WITHOUT_HASHES: Final = "humble"
 
 
 class HashedLayouts:
@@ -52,11 +56,13 @@ class HashedLayouts:
         return border.outgoing(of, payload, self._owner(type, type_hash)) if border.touches(of) else payload
 
     def _owner(self, type: str, type_hash: str) -> TypeRegistry | None:
-        """Return whose definition has the hash, ``None`` where nobody knows."""
+        """Return whose definition has the hash, ``None`` where nobody knows; nodes of Humble have none."""
         ours = self._border.ours
         others = ours.others if ours is not None else None
-        if others is None or type_hash == NO_HASH:
+        if others is None:
             return None
+        if type_hash == NO_HASH:
+            return others.variant(_WITHOUT_HASHES)
         try:
             return others.by_hash(type, type_hash)
         except TypesError:

@@ -6,14 +6,15 @@ import asyncio
 import itertools
 import logging
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any, Final, TypeVar
 
 import zenoh
 from ropeway import aio
 from ropeway.errors import GraphUnavailable
 from ropeway.limits import ZENOH_HASHES_PER_NAME
-from ropeway.networks.zenoh.tokens import NO_HASH, ZenohToken, data_key, enclave_of, gid_of
-from ropeway.qos import DEFAULT, QoS
+from ropeway.networks.zenoh.tokens import ZenohToken, data_key, enclave_of, gid_of
+from ropeway.qos import QoS
 
 __all__ = ["ZenohPresence", "ZenohSession"]
 
@@ -37,7 +38,7 @@ class ZenohSession:
         self.name, self.domain, self.node = name, domain, node
         self.id = ""
         self._on_token = on_token
-        self._enclave = enclave_of(gateway_id)
+        self._gateway_id = gateway_id
         self._ids = itertools.count()
         self._node_id = ""
         self._raw: zenoh.Session | None = None
@@ -84,13 +85,10 @@ class ZenohSession:
         """Return a number for another endpoint of the node."""
         return str(next(self._ids))
 
-    def token(
-        self, kind: str, id: str, name: str = "", type: str = "", type_hash: str = "", *, qos: QoS = DEFAULT
-    ) -> ZenohToken:
-        """Return the token of the node, or of one of its endpoints."""
-        return ZenohToken(
-            self.domain, self.id, self._node_id, id, kind, self.node, self._enclave, name, type, type_hash, qos
-        )
+    def token(self, kind: str, id: str, *, copy: bool = False) -> ZenohToken:
+        """Return the token of the node, or the beginning of that of one of its endpoints."""
+        enclave = enclave_of(self._gateway_id, copy=copy)
+        return ZenohToken(self.domain, self.id, self._node_id, id, kind, self.node, enclave)
 
     def key(self, name: str, type: str, type_hash: str) -> str:
         """Return the key of a topic or service; ``*`` stands for any hash."""
@@ -128,7 +126,7 @@ class ZenohPresence:
     """The tokens of one endpoint: one for each hash under which its type is known on the network.
 
     A node of ROS 2 sees only endpoints with its own hash, so where two distributions share a network, an endpoint of
-    ours shows itself to both.
+    ours shows itself to both. Other Ropeways, who read under any hash, know by a mark which are copies of the first.
     """
 
     def __init__(self, session: ZenohSession, kind: str, name: str, type: str, type_hash: str, qos: QoS) -> None:
@@ -149,7 +147,7 @@ class ZenohPresence:
 
     def follow(self, wanted: Iterable[str]) -> tuple[set[str], set[str]]:
         """Show itself under these hashes, too, and no others; return those that are new and those that are gone."""
-        keep = [self.type_hash, *sorted({*wanted} - {self.type_hash, NO_HASH})][:ZENOH_HASHES_PER_NAME]
+        keep = [self.type_hash, *sorted({*wanted} - {self.type_hash})][:ZENOH_HASHES_PER_NAME]
         gone, new = self._shown.keys() - set(keep), set(keep) - self._shown.keys()
         for type_hash in gone:
             self._session.hide(*self._shown.pop(type_hash))
@@ -164,5 +162,6 @@ class ZenohPresence:
             self._session.hide(token, handle)
 
     def _add(self, type_hash: str) -> None:
-        token = str(self._session.token(self._kind, self._id, self._name, self._type, type_hash, qos=self._qos))
+        begin = self._session.token(self._kind, self._id, copy=type_hash != self.type_hash)
+        token = str(replace(begin, name=self._name, type=self._type, type_hash=type_hash, qos=self._qos))
         self._shown[type_hash] = (token, self._session.show(token))

@@ -14,6 +14,7 @@ __all__ = ["make_config"]
 
 _LEASE_MS: Final = 10_000  # a node that is gone for so long is gone; rmw_zenoh waits a minute for its own
 _FOREVER_MS: Final = -1
+_CLIENT_LINK_MS: Final = 5000
 _RETRY: Final = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2.0}
 _WAIT_US: Final = 20_000  # a message waits so long for room in a batch; the loop does not, see ``sender``
 _WAIT_FRAGMENTS_US: Final = 200_000
@@ -67,6 +68,8 @@ def _asked(address: ZenohAddress) -> dict[str, Any]:
     found: dict[str, Any] = {}
     if address.mode:
         found["mode"] = address.mode
+    if address.mode == "client":  # which is nothing without a router, so opening it fails where there is none
+        found |= {"connect/timeout_ms": _CLIENT_LINK_MS, "connect/exit_on_failure": True}
     if address.connect is not None:
         found["connect/endpoints"] = list(address.connect)
     if address.scout:

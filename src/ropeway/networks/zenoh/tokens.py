@@ -35,7 +35,9 @@ _SESSION: Final = re.compile(r"[0-9a-f]{1,32}")
 _ID: Final = re.compile(r"[0-9]{1,20}")
 _HASH: Final = re.compile(r"[A-Za-z0-9_]{1,128}")
 _LARGEST_DOMAIN: Final = 2**32
-_ENCLAVE: Final = "/ropeway"  # marks our own nodes; nothing is done with enclaves while security is off
+# Enclaves mark our own nodes; nothing else is done with them while security is off.
+_OURS: Final = "ropeway"
+_COPY: Final = "ropeway_copy"
 _PLAIN_ID: Final = re.compile(r"[A-Za-z0-9_.-]+")
 _HEX: Final = "~"
 
@@ -63,19 +65,25 @@ class ZenohToken:
     @property
     def ours(self) -> bool:
         """Whether it is of Ropeway, of this process or another."""
-        return self.enclave == _ENCLAVE or self.enclave.startswith(_ENCLAVE + "/")
+        return self._mark in (_OURS, _COPY)
+
+    @property
+    def copy(self) -> bool:
+        """Whether it is an endpoint of Ropeway's once more, under a hash that others know its type by."""
+        return self._mark == _COPY
 
     @property
     def gateway(self) -> str:
         """The id of the gateway that it is of, ``""`` for others."""
-        prefix = f"{_ENCLAVE}/"
-        if not self.enclave.startswith(prefix):
-            return ""
-        mark = self.enclave.removeprefix(prefix)
+        id = self.enclave[1:].partition("/")[2] if self.ours else ""
         try:
-            return bytes.fromhex(mark.removeprefix(_HEX)).decode() if mark.startswith(_HEX) else mark
+            return bytes.fromhex(id.removeprefix(_HEX)).decode() if id.startswith(_HEX) else id
         except ValueError:
-            return mark
+            return id
+
+    @property
+    def _mark(self) -> str:
+        return self.enclave[1:].partition("/")[0]
 
     def __str__(self) -> str:
         namespace, _, short = self.node.rpartition("/")
@@ -86,11 +94,15 @@ class ZenohToken:
         return "/".join(parts)
 
 
-def enclave_of(gateway_id: str) -> str:
-    """Return the enclave by which others know the nodes of a gateway; that of our programs without an id."""
+def enclave_of(gateway_id: str, *, copy: bool = False) -> str:
+    """Return the enclave by which others know the nodes of a gateway, or of a program without an id.
+
+    ``copy`` is for endpoints that are shown once more.
+    """
+    mark = f"/{_COPY if copy else _OURS}"
     if not gateway_id:
-        return _ENCLAVE
-    return f"{_ENCLAVE}/{gateway_id if _PLAIN_ID.fullmatch(gateway_id) else _HEX + gateway_id.encode().hex()}"
+        return mark
+    return f"{mark}/{gateway_id if _PLAIN_ID.fullmatch(gateway_id) else _HEX + gateway_id.encode().hex()}"
 
 
 def parse_token(key: str) -> ZenohToken | None:
