@@ -30,6 +30,7 @@ from ropeway.gateway.config.route_model import OPERATIONS, BridgedName
 from ropeway.gateway.config.safety_check import safety_problems
 from ropeway.gateway.config.shape import inner_model, keys_of, shape_problems, spellings
 from ropeway.gateway.config.suggest import did_you_mean, nearest, one_of
+from ropeway.gateway.config.web_rules import with_web_rules
 
 __all__ = ["check", "route_key"]
 
@@ -48,10 +49,12 @@ def check(obj: object, directory: Path) -> tuple[Document | None, list[Problem]]
     """Check a configuration; return the document, ``None`` if its shape is wrong, and every problem, those of shape
     first.
     """
+    obj, faults = with_web_rules(obj)
     full, problem = _full_form(obj)
     if problem:
         return None, [problem]
     full, problems = with_policy_files(full, directory)
+    problems = [*faults, *problems]
     document: Document | None = None
     try:
         document = with_default_policy(Document.model_validate(full, context={"directory": directory}))
