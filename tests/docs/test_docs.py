@@ -13,6 +13,7 @@ import yaml
 
 import ropeway
 from ropeway.gateway.config import config
+from ropeway.gateway.config.fleet import is_fleet, read_fleet
 from ropeway.networks.rosbridge.protocol.codec import ENCODINGS
 
 ROOT = Path(__file__).parents[2]
@@ -30,7 +31,11 @@ def blocks() -> list[tuple[str, str, str]]:
 def test_configurations(name: str, kind: str, text: str, tmp_path: Path) -> None:
     """Every configuration in the documents is accepted, where the files are that it names."""
     (tmp_path / "robot1.ropeway").touch()
-    config.parse(json.loads(text) if kind == "json" else yaml.safe_load(text), name, directory=tmp_path)
+    document = json.loads(text) if kind == "json" else yaml.safe_load(text)
+    if is_fleet(document):
+        assert read_fleet(document, name, directory=tmp_path).findings() == []
+    else:
+        config.parse(document, name, directory=tmp_path)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)
