@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib.metadata
+import inspect
 import json
 import os
 import re
@@ -12,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +71,10 @@ def test_failures_say_what_to_do() -> None:
         raise AttributeError("connections")
 
 
+WHEEL = pytest.mark.skipif(find_spec("cyclonedds") is None, reason="the wheel cyclonedds is not for this machine")
+
+
+@WHEEL
 def test_cyclonedds_version() -> None:
     """The layouts of the pinned wheel are known."""
     version = importlib.metadata.version("cyclonedds")
@@ -84,6 +90,7 @@ async def test_cyclonedds_layouts() -> None:
         await graph.close()
 
 
+@WHEEL
 def test_cyclonedds_hook() -> None:
     """The hook for services of Fast DDS calls itself through the network."""
     program = (
@@ -132,7 +139,7 @@ async def test_picows_protocol(caplog: pytest.LogCaptureFixture) -> None:
 def test_aiofastnet() -> None:
     """The function that takes over an accepted socket is there."""
     with relied_on("aiofastnet", "picows and aiofastnet"):
-        assert asyncio.iscoroutinefunction(aiofastnet.connect_accepted_socket)
+        assert inspect.iscoroutinefunction(aiofastnet.connect_accepted_socket)
 
 
 def test_rosbags_reader(tmp_path: Path) -> None:
