@@ -31,6 +31,7 @@ _CROWDED: Final = 1.5  # targets: with us alone, the queue is one
 _CROWDED_S: Final = 0.005  # the target where it is not our own slowness that sets it
 _CROWDED_ROUNDS: Final = 4  # pairs of round trips
 _SLOW_ROUNDS: Final = 48  # likewise, at most, where we are so slow that the queue might be our target
+_FAR_S: Final = 0.01  # nearer, where commands are to be fast, we do not doubt at once whose a short queue is
 _NO_QUEUE_S: Final = 0.01  # others who fill a link leave more
 _LITTLE: Final = 2  # times the least window
 _LESS: Final = 0.9  # of the window is left once we have yielded to a queue in vain
@@ -191,7 +192,7 @@ class Competition:
     def _in_vain(self, now: Situation) -> Advice | None:
         """See whether a queue is as long as before though we send less and less: then it is part of the path."""
         yielded = self._yielded
-        if now.queue_s <= now.target_s or not self._precise:
+        if now.queue_s <= now.target_s or now.base_s < _FAR_S or not self._precise:
             self._yielded = None
             return None
         grown = yielded is not None and now.queue_s > yielded.queue_s + now.target_s / 2
@@ -279,7 +280,8 @@ class Competition:
     # ── queues that stay ───────────────────────────────────────────────────────────────────────────────────────
 
     def _crowd(self, now: Situation) -> Advice | None:
-        if self._crowded < (_CROWDED_ROUNDS if now.queue_s > _CROWDED * now.target_s else self._patience):
+        patience = self._patience if now.base_s >= _FAR_S else _SLOW_ROUNDS
+        if self._crowded < (_CROWDED_ROUNDS if now.queue_s > _CROWDED * now.target_s else patience):
             return None
         plain = _PLAIN * now.least_bytes / (now.bytes_per_s * (now.base_s + now.queue_s))
         return self._ask(now.window_bytes, now.queue_s, min(max(_FIRST_PROBE, plain), 1.0), None)
