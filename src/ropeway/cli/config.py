@@ -15,7 +15,7 @@ from ropeway.errors import ConfigError
 
 if TYPE_CHECKING:
     from ropeway.gateway.config.config import Config
-    from ropeway.gateway.config.fleet import Fleet
+    from ropeway.gateway.config.fleet import GatewayFleet
 
 __all__ = ["app"]
 
@@ -69,7 +69,7 @@ def _say_one(file: Path, config: Config, as_json: bool) -> None:
     answer(f"{file} is valid: {_counted(config)}.")
 
 
-def _say_fleet(file: Path, fleet: Fleet, as_json: bool) -> None:
+def _say_fleet(file: Path, fleet: GatewayFleet, as_json: bool) -> None:
     hints = [
         (f"gateways.{name}.{path}", hint) for name, config in fleet.members.items() for path, hint in _hints(config)
     ]

@@ -10,7 +10,7 @@ import pytest
 
 from ropeway.errors import ConfigError
 from ropeway.gateway.config.config import parse
-from ropeway.gateway.config.fleet import Fleet, load_one, read_fleet, select
+from ropeway.gateway.config.fleet import GatewayFleet, load_one, read_fleet, select
 
 TWIST = "geometry_msgs/msg/Twist"
 ODOM = "nav_msgs/msg/Odometry"
@@ -181,7 +181,7 @@ def test_what_is_read_is_sent(tmp_path: Path) -> None:
         "b": {"gateway": gateway, "remotes": [_overlay(*sent)]},
     }
     configs = {name: parse(select({"gateways": members}, name), part=name) for name in members}
-    findings = Fleet(configs, {}).findings()
+    findings = GatewayFleet(configs, {}).findings()
     assert [(found.path, found.fault) for found in findings] == [
         ("gateways.a.remotes[0].subscribe[1]", True),
         ("gateways.a.remotes[0].subscribe[2]", False),

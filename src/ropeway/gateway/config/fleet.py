@@ -1,4 +1,4 @@
-"""One document for many gateways: ``gateways`` with a configuration for each, checked one by one and across.
+"""Reads one document for many gateways: ``gateways`` with a configuration for each, checked one by one and across.
 
 ``{"gateways": {"robot": {"host": "10.0.0.7", "gateway": {...}, "remotes": [...]}, "cloud": {...}}}``. A gateway has the
 name under which it stands, unless it says another. ``host`` is where others reach it, for the checks across.
@@ -19,7 +19,7 @@ from ropeway.gateway.config.document import read_file
 from ropeway.gateway.config.overlay_model import OVERLAY
 from ropeway.gateway.config.suggest import one_of, show, unknown_key
 
-__all__ = ["KEY", "Finding", "Fleet", "is_fleet", "load_one", "read_fleet", "select"]
+__all__ = ["KEY", "FleetFinding", "GatewayFleet", "is_fleet", "load_one", "read_fleet", "select"]
 
 KEY: Final = "gateways"
 _HOST: Final = "host"
@@ -31,7 +31,7 @@ _OUTWARD: Final[Mapping[str, str]] = {"subscribe": "publish", "reserve-service":
 _ANYWHERE: Final = ("0.0.0.0", "::")  # noqa: S104 - compared, not bound
 
 
-class Finding(NamedTuple):
+class FleetFinding(NamedTuple):
     """A fault or, where it may be meant, a warning of what does not fit together."""
 
     path: str
@@ -40,28 +40,28 @@ class Finding(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Fleet:
+class GatewayFleet:
     """The gateways of a document, by their names in it; ``hosts`` has those that were given."""
 
     members: Mapping[str, Config]
     hosts: Mapping[str, str]
 
-    def findings(self) -> list[Finding]:
+    def findings(self) -> list[FleetFinding]:
         """Return what does not fit together."""
         return [*self._names(), *self._ports(), *self._dialled(), *self._unsent()]
 
     # ── who is called how, and listens where ───────────────────────────────────────────────────────────────────
 
-    def _names(self) -> Iterator[Finding]:
+    def _names(self) -> Iterator[FleetFinding]:
         seen: dict[str, str] = {}
         for name, config in self.members.items():
             called = config.gateway.name
             if called in seen:
                 text = f"{seen[called]} is called {called}, too; others could not tell them apart"
-                yield Finding(f"{KEY}.{name}.gateway.name", text, fault=True)
+                yield FleetFinding(f"{KEY}.{name}.gateway.name", text, fault=True)
             seen.setdefault(called, name)
 
-    def _ports(self) -> Iterator[Finding]:
+    def _ports(self) -> Iterator[FleetFinding]:
         seen: dict[tuple[str, int], tuple[str, str]] = {}
         for name, config in self.members.items():
             host = self.hosts.get(name, f"({name})")
@@ -72,17 +72,19 @@ class Fleet:
                 path = f"{KEY}.{name}.{path}"
                 other = seen.setdefault((host, port), (path, url))
                 if other[0] != path and _collide(url, other[1]):
-                    yield Finding(path, f"{url} and {other[1]} of {other[0]} are the same port of {host}", fault=True)
+                    yield FleetFinding(
+                        path, f"{url} and {other[1]} of {other[0]} are the same port of {host}", fault=True
+                    )
 
     # ── who dials whom ─────────────────────────────────────────────────────────────────────────────────────────
 
-    def _dialled(self) -> Iterator[Finding]:
+    def _dialled(self) -> Iterator[FleetFinding]:
         for name, config in self.members.items():
             for index, remote in enumerate(config.remotes):
                 for address in remote.addresses if remote.active else ():
                     yield from self._dials(name, f"{KEY}.{name}.remotes[{index}].address", address)
 
-    def _dials(self, name: str, path: str, address: str) -> Iterator[Finding]:
+    def _dials(self, name: str, path: str, address: str) -> Iterator[FleetFinding]:
         """Check that somebody listens where a gateway of the document is dialled."""
         if "://" not in address:
             return
@@ -98,17 +100,17 @@ class Fleet:
         if not fitting:
             said = ", ".join(f"{other} at {url}" for other, url in listeners) or "none of them listens anywhere"
             if there != [name]:
-                yield Finding(
+                yield FleetFinding(
                     path, f"nobody listens at {address}; on this host: {said}", fault=not is_loopback(address)
                 )
             return
         other, url = fitting[0]
         if not is_loopback(address) and is_loopback(url):
-            yield Finding(path, f"{other} listens at {url}, which only its own machine reaches", fault=True)
+            yield FleetFinding(path, f"{other} listens at {url}, which only its own machine reaches", fault=True)
         elif urlsplit(url).scheme != parts.scheme:
-            yield Finding(path, f"{other} listens at {url}; write {urlsplit(url).scheme}:// here", fault=True)
+            yield FleetFinding(path, f"{other} listens at {url}; write {urlsplit(url).scheme}:// here", fault=True)
         elif other == name:
-            yield Finding(path, "this is the gateway itself", fault=True)
+            yield FleetFinding(path, "this is the gateway itself", fault=True)
 
     def _together(self, name: str, other: str) -> bool:
         """Return whether two gateways are on one machine, as far as the document says."""
@@ -117,7 +119,7 @@ class Fleet:
 
     # ── who reads what nobody sends ────────────────────────────────────────────────────────────────────────────
 
-    def _unsent(self) -> Iterator[Finding]:
+    def _unsent(self) -> Iterator[FleetFinding]:
         """Compare what crosses the overlay: what one fetches, another has to send, with the same type."""
         routes = [(name, route) for name, config in self.members.items() for route in _overlay_routes(config)]
         for name, route in routes:
@@ -130,11 +132,13 @@ class Fleet:
                 continue
             senders = [(other, one) for other, one in others if one.operation.removeprefix("trans-") == wanted]
             if not senders:
-                yield Finding(path, f"no gateway of this document has {wanted} for {route.remote_name} in the overlay")
+                yield FleetFinding(
+                    path, f"no gateway of this document has {wanted} for {route.remote_name} in the overlay"
+                )
             elif all(one.type != route.type for _, one in senders):
                 other, one = senders[0]
                 text = f"{other} has {route.remote_name} with the type {one.type}, and this is {route.type}"
-                yield Finding(path, text, fault=True)
+                yield FleetFinding(path, text, fault=True)
 
 
 def _shares(config: Config) -> bool:
@@ -169,7 +173,7 @@ def select(document: Any, name: str) -> Any:
     return _own(name, members[name])
 
 
-def read_fleet(document: Any, source: str = "", *, directory: str | Path = ".") -> Fleet:
+def read_fleet(document: Any, source: str = "", *, directory: str | Path = ".") -> GatewayFleet:
     """Read all gateways of a document. Raises ``ConfigError`` with the faults of all of them, and those across."""
     members = _members(document)
     configs: dict[str, Config] = {}
@@ -185,7 +189,7 @@ def read_fleet(document: Any, source: str = "", *, directory: str | Path = ".") 
             configs[name] = parse(_own(name, member), source, directory=directory, part=name)
         except ConfigError as error:
             problems += [(f"{KEY}.{name}.{path}", text) for path, text in error.problems]
-    fleet = Fleet(configs, hosts)
+    fleet = GatewayFleet(configs, hosts)
     problems += [(found.path, found.text) for found in fleet.findings() if found.fault]
     if problems:
         raise ConfigError(problems, source)
