@@ -34,7 +34,7 @@ async def test_what_there_is(url: str) -> None:
     ("url", "text"),
     [
         ("dds:999", "write dds:0 to dds:232"),
-        ("zenoh:x", "is not a graph; write dds:0"),
+        ("kafka:x", "is not a graph; write dds:0"),
         ("overlay:nobody.ropeway", "nobody.ropeway"),
     ],
 )

@@ -87,7 +87,11 @@ async def place(stack: AsyncExitStack, tmp_path: Path) -> AsyncIterator[Place]:
 
 
 async def test_the_interface_in_use_is_cut(place: Place) -> None:
-    """Everything goes on by the other interface: nothing is lost, nothing comes twice, and nobody takes it for gone."""
+    """Everything goes on by the other interface, in order and once.
+
+    Nothing is lost, and nobody takes the member for gone, unless it was back before its router had let go of the old
+    link: then links are made anew once nobody is heard of.
+    """
     topics = {"publish": [{"name": "/up", "type": STRING}], "subscribe": [{"name": "/down", "type": STRING}]}
     back = {"publish": topics["subscribe"], "subscribe": topics["publish"]}
     cloud = await place.machine(
@@ -108,10 +112,13 @@ async def test_the_interface_in_use_is_cut(place: Place) -> None:
     ip(f"-n {place.far} link set wlan down")
     await cloud.until(lambda: len(cloud.heard("/up", cut + 5)) > 8)
     await robot.until(lambda: len(robot.heard("/down", cut + 5)) > 8)
+    too_soon = any("nobody is heard of" in line for line in (*robot.log, *cloud.log))
     for machine, topic in ((cloud, "/up"), (robot, "/down")):
         numbers = [number for _, number in machine.heard(topic)]
-        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+        assert numbers == sorted(set(numbers))
+        assert too_soon or numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     for machine in (cloud, robot):
         assert not machine.status["remotes"][0]["overlay"]["refused"]
         told = [e["status"]["remotes"][0]["overlay"] for e in machine.events if "status" in e and e["t"] > cut]
-        assert told and all(row["gateways"] for row in told)
+        assert told
+        assert too_soon or all(row["gateways"] for row in told)

@@ -10,12 +10,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+from bisect import bisect_left
 from collections import Counter
 from typing import Any, ClassVar, Final, Protocol
 
 from ropeway import aio
 from ropeway.bridge.upkeep import Upkeep
-from ropeway.delivery.histogram import Histogram
+from ropeway.delivery.histogram import BOUNDS_S, Histogram
 from ropeway.delivery.pipeline import Witness
 from ropeway.graph.base import NO_HINTS, Delivery, Graph
 from ropeway.graph.link_parts import Contended, Encoded
@@ -133,7 +134,9 @@ class Offer:
         self.counts[how] += 1
         if self._ended is not None:
             self._ended.set()
-        self.durations.add(round(took_s * 1e9))
+        durations = self.durations
+        (durations.counts or durations.begun())[bisect_left(BOUNDS_S, took_s)] += 1
+        durations.sum_ns += round(took_s * 1e9)
         self.took_s = took_s if self.took_s is None else self.took_s + 0.2 * (took_s - self.took_s)
 
     async def _set_right(self) -> None:

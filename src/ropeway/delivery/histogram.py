@@ -6,13 +6,14 @@ from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, TypedDict
 
-__all__ = ["BOUNDS_S", "Histogram", "HistogramJson", "added"]
+__all__ = ["BOUNDS_NS", "BOUNDS_S", "Histogram", "HistogramJson", "added"]
 
 BOUNDS_S: Final = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0)
 """The upper ends of the classes: from a cable between two machines to a satellite link that stalls. Few, since each
 is a line of metrics per route."""
 
-_BOUNDS_NS: Final = tuple(round(bound_s * 1e9) for bound_s in BOUNDS_S)
+BOUNDS_NS: Final = tuple(round(bound_s * 1e9) for bound_s in BOUNDS_S)
+"""The same, for what counts durations without a call for each; see ``Histogram.begun``."""
 
 
 class HistogramJson(TypedDict):
@@ -31,12 +32,15 @@ class Histogram:
         self.counts: list[int] = []  # made with the first: most routes never have one
         self.sum_ns = 0
 
+    def begun(self) -> list[int]:
+        """Return ``counts`` with a place for each of ``BOUNDS_NS``, and one for what is longer."""
+        if not self.counts:
+            self.counts += [0] * (len(BOUNDS_NS) + 1)
+        return self.counts
+
     def add(self, duration_ns: int) -> None:
         """Count a duration."""
-        counts = self.counts
-        if not counts:
-            counts += [0] * (len(_BOUNDS_NS) + 1)
-        counts[bisect_left(_BOUNDS_NS, duration_ns)] += 1
+        (self.counts or self.begun())[bisect_left(BOUNDS_NS, duration_ns)] += 1
         if duration_ns > 0:
             self.sum_ns += duration_ns
 

@@ -7,10 +7,12 @@ meters a topic.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
+from ropeway.delivery.histogram import BOUNDS_NS
 from ropeway.delivery.meter import Meter
 from ropeway.delivery.pipeline import Drop, Reason, Step
 from ropeway.graph.base import Sample
@@ -66,7 +68,10 @@ class Passage:
                 delay_ns = sample.stamp_ns - sample.sent_ns
                 meter.delayed += 1
                 meter.delay_ns += delay_ns
-                meter.delays.add(delay_ns)
+                delays = meter.delays
+                (delays.counts or delays.begun())[bisect_left(BOUNDS_NS, delay_ns)] += 1
+                if delay_ns > 0:
+                    delays.sum_ns += delay_ns
             if keep is not None:
                 keep.put(sample)
             sink(sample)

@@ -47,6 +47,35 @@ async def test_a_session_that_answers_nothing(site: Site, caplog: pytest.LogCapt
     await until(lambda: "/late" in graph.topics())
 
 
+async def test_a_link_that_brings_nobody_back(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+    """Where a link that was made again brings nobody back, links are made anew once; who never had company is left."""
+    graph, other = await site.join(), await site.join()
+    links = graph.node.links
+    links.in_company(0)
+    links.in_company(1)
+    before = links.fabric.session
+    for _ in range(3):
+        links.in_company(0)  # all have left
+        await links.mend(None)
+    links.fabric.connection += 1000  # as after a cut
+    links.in_company(1)
+    links.in_company(0)
+    await links.mend(None)
+    assert links.fabric.session is before
+    links.in_company(0)
+    await links.mend(None)
+    assert links.fabric.session is not before
+    assert sum("nobody is heard of" in message for message in caplog.messages) == 1
+    links.fabric.connection += 1000
+    now = links.fabric.session
+    for _ in range(3):
+        links.in_company(0)
+        await links.mend(None)
+    assert links.fabric.session is now
+    await other.create_publisher("/late", STRING)
+    await until(lambda: "/late" in graph.topics())
+
+
 async def test_asking_while_links_are_made_anew(site: Site) -> None:
     """While the session is made anew, nobody answers and there is no link, and neither is an error."""
     graph = await site.join()

@@ -29,6 +29,8 @@ _LOOK_S: Final = 5.0
 _LINK_S: Final = 5.0  # after which it is said that there is no link
 _FIRST_LINK_S: Final = 1.0  # without a router there is nobody to learn from, and the gateway starts all the same
 _MUTE: Final = 2  # requests in a row that not even we answered: Zenoh has failed
+_DESERTED: Final = 2  # looks in a row at which a link made anew has brought nobody back
+_SOON_S: Final = 30.0  # after a link was made again: who leaves later has left
 _MEND_S: Final = 15.0  # between two sessions that are made anew because Zenoh failed; doubles
 _MEND_LIMIT_S: Final = 3600.0
 
@@ -54,7 +56,9 @@ class Links:
         self._interfaces = tuple(interfaces)
         self._max_bytes = max_message_bytes + OVERLAY_ROUTED_BYTES - OVERLAY_MESSAGE_BYTES
         self._link_s = link_s
-        self._mute = 0
+        self._mute = self._looks_alone = 0
+        self._connection, self._made_again = 0, float("-inf")
+        self._company: float | None = None  # when others were known last
         self._mended, self._mend_again_s = float("-inf"), _MEND_S
         self._watching: Supervised | None = None
         self.denied = self._to_deny()
@@ -127,15 +131,37 @@ class Links:
         self._mute = 0 if answers else self._mute + 1
         return bool(answers)
 
+    def in_company(self, gateways: int) -> None:
+        """Take note of how many other gateways are known.
+
+        A router may take a member off its map that comes again before the old link is closed there: then the link is
+        up, and soon nobody is heard of over it.
+        """
+        now, connection = asyncio.get_running_loop().time(), self.fabric.connection
+        if connection not in (0, self._connection):
+            self._made_again = now if self._connection else float("-inf")
+            self._connection = connection
+        if gateways:
+            self._company, self._looks_alone = now, 0
+        elif connection and self._company is not None and self._company - self._made_again < _SOON_S:
+            self._looks_alone += 1
+
     async def mend(self, lost: bytes | None) -> None:
-        """Make links anew where Zenoh answers nothing any more, or has lost the way to a gateway.
+        """Make links anew where Zenoh answers nothing any more, or has lost the way to a gateway, or to all of them.
 
         Ever more rarely, lest a member that invents gateways keep us busy.
         """
         now = asyncio.get_running_loop().time()
-        if (self._mute < _MUTE and lost is None) or now - self._mended < self._mend_again_s:
+        deserted = self._looks_alone >= _DESERTED
+        if not (self._mute >= _MUTE or lost is not None or deserted) or now - self._mended < self._mend_again_s:
             return
-        what = "Zenoh has stopped answering" if lost is None else f"there is no way to gateway {lost.hex()[:8]}"
+        if lost is not None:
+            what = f"there is no way to gateway {lost.hex()[:8]}"
+        elif deserted:
+            what = "nobody is heard of any more since the link was made again"
+            self._company, self._looks_alone = None, 0  # perhaps all have left: once is enough
+        else:
+            what = "Zenoh has stopped answering"
         log.warning("overlay: %s; links are made anew", what)
         self._mended, self._mute = now, 0
         self._mend_again_s = min(2 * self._mend_again_s, _MEND_LIMIT_S)

@@ -207,6 +207,7 @@ class OverlayNode:
                 await self._ask_for_crl()
             self.recheck()
             await self.links.deny()
+            self.links.in_company(len(self.membership.gateways()))
             await self.links.mend(self.membership.unreachable())
             with contextlib.suppress(TimeoutError):
                 async with aio.timeout(_CHECK_S):

@@ -104,7 +104,8 @@ class ServiceOps:
             session.access.check("call_service", name)
             if is_own:
                 assert session.rosapi is not None
-                session.access.command("call_service", name, json.dumps(op.args, default=repr).encode())
+                if session.access.role.audited:
+                    session.access.command("call_service", name, json.dumps(op.args, default=repr).encode())
                 self._rosapi.add(op, session.rosapi.question(name, op.args))
                 return
         except (RopewayError, ValueError) as error:
@@ -150,7 +151,8 @@ class ServiceOps:
                 session.learn(type, extra)
             codec = codec_of(session, type + "_Response")
             payload = decode_args(session, op.args, op.compression, type + "_Request")
-            session.access.command("call_service", name, payload)
+            if session.access.role.audited:
+                session.access.command("call_service", name, payload)
             op.args = None  # in CDR it takes least
             asked_s = self.call_timeout_s if op.timeout is None else op.timeout
             timeout_s = min(asked_s, LONGEST_CALL_S) if asked_s > 0 else LONGEST_CALL_S
