@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 import signal
+import sys
 import time
 from collections.abc import Callable
 from contextlib import AsyncExitStack, suppress
@@ -128,7 +129,8 @@ def record(
             know=session.know,
         ).start()
         stack.push_async_callback(recorder.close)
-        asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, clips.trigger, "SIGUSR1")
+        with suppress(NotImplementedError, AttributeError):  # Windows has no such signal
+            asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, clips.trigger, "SIGUSR1")
         told = " or ".join([*(condition.text for condition in conditions), "SIGUSR1"])
         _say(as_json, f"keeping the last {ring_s:g} s; a clip is written when {told}; Ctrl-C ends it")
         await ended.wait()
@@ -196,8 +198,6 @@ async def _wait(ended: asyncio.Event, writer: RecordingWriter, tell: Callable[[]
 
 
 def _progress(recorder: GraphRecorder, writer: RecordingWriter) -> None:
-    import sys
-
     if sys.stderr.isatty():
         lost = sum(writer.dropped.values())
         sys.stderr.write(
