@@ -20,9 +20,9 @@ from typing import Any
 import aiofastnet
 import httpx
 import pytest
+import zenoh
 from rosbags.rosbag1 import Reader, Writer
 
-import zenoh
 from ropeway.control.app import PEER
 from ropeway.control.server import ControlServer
 from ropeway.listener.connection import Connection, Limits

@@ -8,6 +8,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
 import zenoh
+
 from ropeway.networks.zenoh import ZenohGraph
 from ropeway.networks.zenoh.address import ZenohAddress
 from tests.support.ports import free_port

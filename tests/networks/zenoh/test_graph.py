@@ -6,8 +6,8 @@ import asyncio
 from dataclasses import replace
 
 import pytest
-
 import zenoh
+
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Request

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 import zenoh
+
 from ropeway.errors import GraphUnavailable
 from ropeway.networks.zenoh import ZenohGraph
 from ropeway.networks.zenoh.address import ZenohAddress, parse_address

@@ -17,6 +17,7 @@ from functools import partial
 from typing import Any, Final, TypeVar
 
 import zenoh
+
 from ropeway import aio
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.inlet import Inlet, one_by_one

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol
 
 import zenoh
+
 from ropeway.errors import CallError, RopewayError, SealError
 from ropeway.graph.inlet import Inlet
 from ropeway.limits import (

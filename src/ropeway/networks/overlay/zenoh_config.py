@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 from typing import Any, Final
 
 import zenoh
+
 from ropeway.limits import OVERLAY_ROUTED_BYTES
 from ropeway.networks.overlay.crypto.identity import Identity
 

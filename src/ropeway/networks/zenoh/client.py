@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any, Final
 
 import zenoh
+
 from ropeway import aio
 from ropeway.errors import CallError, CallFailed, CallTimeout, NotServed, ProviderLost, TypesError
 from ropeway.graph.base import Undelivered

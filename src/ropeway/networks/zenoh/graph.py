@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import zenoh
+
 from ropeway.errors import GraphUnavailable, InvalidName
 from ropeway.graph.base import (
     NO_HINTS,

@@ -6,9 +6,9 @@ import time
 from functools import partial
 from typing import Any, Final, Protocol
 
+import zenoh
 import zenoh.ext
 
-import zenoh
 from ropeway.errors import TypesError
 from ropeway.graph.base import SEQ_NONE, Sample, Undelivered
 from ropeway.graph.history import History

@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import zenoh
 import zenoh.ext
 
-import zenoh
 from ropeway.errors import TypesError
 from ropeway.graph.base import Sample, Undelivered
 from ropeway.graph.inlet import Inlet

@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 import zenoh
+
 from ropeway.errors import CallError, TypesError
 from ropeway.graph.base import Undelivered
 from ropeway.graph.calls import Request, ServiceHandler

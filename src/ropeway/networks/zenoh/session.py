@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any, Final, TypeVar
 
 import zenoh
+
 from ropeway import aio
 from ropeway.errors import GraphUnavailable
 from ropeway.limits import ZENOH_HASHES_PER_NAME

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import zenoh
+
 from ropeway.limits import ZENOH_MESSAGE_BYTES
 from ropeway.networks.zenoh.address import ZenohAddress
 
