@@ -18,7 +18,7 @@ TYPE_NAME_CHARACTERS: Final = 256
 """The name of a type. The longest in the standard distributions has 57 characters."""
 
 FRAME_PREFIX_CHARACTERS: Final = 128
-"""What is put before the names of coordinate frames, or taken away: the name of a robot."""
+"""A prefix of coordinate frames, put before their names or taken away: the name of a robot."""
 
 ID_CHARACTERS: Final = 1_024
 """The id of an operation, which is kept until it is answered or taken back. Clients put the longest names in it."""
@@ -574,4 +574,4 @@ RECORDING_WAITING_BYTES: Final = 256 << 20
 """Messages that wait for the disk. Above, what comes is left out, and counted: robots need their memory elsewhere."""
 
 RECORDED_MESSAGE_BYTES: Final = 256
-"""What a message that waits counts beside its bytes, so that a flood of small ones is bounded, too."""
+"""Counted for each message that waits, beside its bytes, so that a flood of small ones is bounded, too."""

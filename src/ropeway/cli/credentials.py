@@ -83,39 +83,20 @@ def _keep(name: str) -> Any:
     return kept
 
 
+def _option(name: str, help: str, envvar: str | None = None) -> Any:
+    return typer.Option(
+        f"--{name}", envvar=envvar, help=help, show_default=False, expose_value=False, callback=_keep(name)
+    )
+
+
+_SHOWN_TO_OTHERS: Final = "The token to show; others of this machine see it unless it is in ROPEWAY_TOKEN."
+
+
 def _verb(
-    token: Annotated[
-        str,
-        typer.Option(
-            envvar="ROPEWAY_TOKEN",
-            help="The token to show; others of this machine see it unless it is in ROPEWAY_TOKEN.",
-            show_default=False,
-            expose_value=False,
-            callback=_keep("token"),
-        ),
-    ] = "",
-    ca: Annotated[
-        str,
-        typer.Option(
-            help="File of the authorities to trust, for wss and iorts.",
-            show_default=False,
-            expose_value=False,
-            callback=_keep("ca"),
-        ),
-    ] = "",
-    certificate: Annotated[
-        str,
-        typer.Option(
-            help="File of the certificate to show, for wss and iorts.",
-            show_default=False,
-            expose_value=False,
-            callback=_keep("certificate"),
-        ),
-    ] = "",
-    key: Annotated[
-        str,
-        typer.Option(help="File of its key.", show_default=False, expose_value=False, callback=_keep("key")),
-    ] = "",
+    token: Annotated[str, _option("token", _SHOWN_TO_OTHERS, "ROPEWAY_TOKEN")] = "",
+    ca: Annotated[str, _option("ca", "File of the authorities to trust, for wss and iorts.")] = "",
+    certificate: Annotated[str, _option("certificate", "File of the certificate to show, for wss and iorts.")] = "",
+    key: Annotated[str, _option("key", "File of its key.")] = "",
 ) -> None:
     """Have the options that ``add_credentials`` gives to others."""
 

@@ -25,6 +25,7 @@ from ropeway.cli.recorded_clock import RecordedClock
 from ropeway.errors import TypesError
 from ropeway.graph.base import SEQ_NONE, Graph, Publisher, Sample, new_origin
 from ropeway.qos import QoS
+from ropeway.recording.ring import MOST_LATCHED
 from ropeway.types.definition import HEADER, FieldType
 
 __all__ = ["MAX_GAP_S", "PlaybackSchedule", "Played", "play", "read_ahead", "restamped"]
@@ -33,7 +34,6 @@ MAX_GAP_S: Final = 60.0
 """The longest pause that is played as it was recorded. Longer ones are seldom meant: a recorder that was stopped, a
 clock that was set, a stamp of 1970 or 2262."""
 
-_MOST_LATCHED: Final = 100  # messages of a latched topic that are published first
 _JUMP_S: Final = 1.0  # how long a longer pause is played
 
 _BATCH_BYTES: Final = 8 << 20  # two of them at most are held: the one that plays and the one that is read
@@ -233,7 +233,7 @@ async def _from(records: AsyncIterator[Record], start_ns: int) -> AsyncIterator[
     async for record in records:
         if not begun and record.time_ns < start_ns:
             if record.topic.qos.transient_local:
-                kept = latched.setdefault(record.topic, deque(maxlen=min(record.topic.qos.depth or 1, _MOST_LATCHED)))
+                kept = latched.setdefault(record.topic, deque(maxlen=min(record.topic.qos.depth or 1, MOST_LATCHED)))
                 kept.append(record._replace(time_ns=start_ns))
             continue
         if not begun:

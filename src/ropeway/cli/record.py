@@ -193,8 +193,8 @@ async def _wait(ended: asyncio.Event, writer: RecordingWriter, tell: Callable[[]
             async with aio.timeout(_TOLD_S):
                 await ended.wait()
         tell()
-    if writer.error:
-        raise RecordingFailed(*writer.error.split(": ", 1))
+    if writer.failure is not None:
+        raise writer.failure
 
 
 def _progress(recorder: GraphRecorder, writer: RecordingWriter) -> None:

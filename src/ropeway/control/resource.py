@@ -58,7 +58,7 @@ class ControlRequest:
     headers: Mapping[str, str] = field(default_factory=dict)
     body: Any = None
     noted: dict[str, Any] = field(default_factory=dict)
-    """What the handler adds to the entry of the audit log: ``name``, and details."""
+    """Holds what the handler adds to the entry of the audit log: ``name``, and details."""
 
 
 @dataclass(frozen=True)

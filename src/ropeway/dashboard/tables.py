@@ -18,7 +18,7 @@ STATE_CELL: Final = """<q-td :props="props"><q-badge :style="'background:' + pro
 _CARD: Final = """<div class="q-pa-xs col-12"><q-card flat bordered class="q-pa-sm"><template v-for="col in props.cols"
 :key="col.name"><div v-if="col.value" class="wraps"><span class="text-caption text-grey">{{ col.label }}</span>
 {{ col.value }}</div></template></q-card></div>"""
-"""What a row becomes on a phone, where a page says nothing else."""
+"""Lays out a row on a phone, where a page says nothing else."""
 
 _TOO_MANY: Final = "… and {} more"
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import Final
 
 from ropeway.limits import RECORDED_MESSAGE_BYTES
 from ropeway.recording.channel import Recorded, RecordingChannel
 
-__all__ = ["Ring"]
+__all__ = ["MOST_LATCHED", "Ring"]
 
-_MOST_LATCHED = 100
+MOST_LATCHED: Final = 100
+"""Messages of a latched topic that are kept for a beginning in the middle, however deep its publishers are."""
 
 
 class Ring:
@@ -57,7 +59,7 @@ class Ring:
         if channel.latched:
             kept = self._latched.get(channel)
             if kept is None:
-                kept = self._latched[channel] = deque(maxlen=min(channel.latched, _MOST_LATCHED))
+                kept = self._latched[channel] = deque(maxlen=min(channel.latched, MOST_LATCHED))
             kept.append(message)
 
 

@@ -26,8 +26,8 @@ FAILED: Final = "the recording has failed"
 
 
 class RecordingWriter:
-    """Writes what ``put`` is given, in order. ``dropped`` counts what could not be, by reason; ``error`` says why it
-    has failed, ``""`` while it works; ``on_failure`` is told when it does.
+    """Writes what ``put`` is given, in order. ``dropped`` counts what could not be, by reason; ``failure`` says why it
+    has failed, ``None`` while it works; ``on_failure`` is told when it does.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class RecordingWriter:
     ) -> None:
         self.files = files
         self.dropped: Counter[str] = Counter()
-        self.error = ""
+        self.failure: RecordingFailed | None = None
         self._on_failure = on_failure
         self._waiting: list[Recorded] = []
         self._waiting_bytes = self._new_bytes = 0
@@ -52,7 +52,7 @@ class RecordingWriter:
     def put(self, message: Recorded) -> None:
         """Take a message; it is written soon. What comes too fast for the disk is dropped and counted."""
         size = len(message.payload) + RECORDED_MESSAGE_BYTES
-        if self.error:
+        if self.failure is not None:
             self.dropped[FAILED] += 1
         elif self._waiting_bytes + size > self._most:
             self.dropped[SLOW] += 1
@@ -74,18 +74,18 @@ class RecordingWriter:
         try:
             async with aio.timeout(_CLOSE_S):
                 await self._task.wait()
-            if not self.error:
+            if self.failure is None:
                 await self._in_thread(self.files.close)
         except TimeoutError:
-            self.error = f"{self.files.paths[-1]}: the disk does not answer"
+            self.failure = RecordingFailed(str(self.files.paths[-1]), "the disk does not answer")
         finally:
             await end(self._task)
             self._thread.shutdown(wait=False)
-        if self.error:
-            raise RecordingFailed(*self.error.split(": ", 1))
+        if self.failure is not None:
+            raise self.failure
 
     async def _run(self) -> None:
-        while not self.error and not (self._closing and not self._waiting):
+        while self.failure is None and not (self._closing and not self._waiting):
             await self._wake.wait()
             try:
                 async with aio.timeout(_TOGETHER_S):
@@ -102,7 +102,7 @@ class RecordingWriter:
             try:
                 await self._in_thread(self._write, batch)
             except RecordingFailed as error:
-                self.error = str(error)
+                self.failure = error
                 self.dropped[FAILED] += len(batch)
                 self._on_failure()
             self._waiting_bytes -= written

@@ -29,7 +29,7 @@ __all__ = ["EVENTS", "app"]
 app = typer.Typer(add_completion=False)
 
 EVENTS: Final = "/_service_event"
-"""What the topic of a service's events is called, after the name of the service."""
+"""Names the topic of a service's events, after the name of the service."""
 
 
 @app.command("echo")

@@ -23,7 +23,7 @@ KEYS: Final = (
     "password_file",
     "user",
 )
-"""What may stand behind the ``?`` of an address."""
+"""The keys that may stand behind the ``?`` of an address."""
 
 _MODES: Final = ("peer", "client")
 _LOCAL_ROUTER: Final = ("tcp/localhost:7447",)  # as rmw_zenoh has them
