@@ -9,10 +9,10 @@ import time
 from pathlib import Path
 from typing import Final
 
-from ropeway.cli.bagfile import Bag
 from ropeway.graph.base import Sample, new_origin
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.qos import QoS
+from ropeway.recording.bag import Bag
 from ropeway.recording.files import COMPRESSIONS, McapFiles
 from ropeway.recording.graph_recorder import GraphRecorder, TopicChoice
 from ropeway.recording.writer import RecordingWriter

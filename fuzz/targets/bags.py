@@ -15,8 +15,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 
 from fuzz.target import Target
-from ropeway.cli.bagfile import Bag
 from ropeway.errors import BagUnreadable
+from ropeway.recording.bag import Bag
 from ropeway.types import TypeRegistry
 
 __all__ = ["TARGETS"]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ropeway.cli.bagfile import Bag
+from ropeway.recording.bag import Bag
 from ropeway.recording.channel import Recorded
 from ropeway.recording.clips import ClipRecorder, stamped
 from ropeway.recording.files import McapFiles

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from ropeway.cli.bagfile import Bag
 from ropeway.errors import RecordingFailed
 from ropeway.qos import LATCHED, QoS
+from ropeway.recording.bag import Bag
 from ropeway.recording.channel import Recorded, RecordingChannel, cdr_channel, json_channel
 from ropeway.recording.files import COMPRESSIONS, McapFiles
 from ropeway.types import TypeRegistry

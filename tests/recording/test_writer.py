@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from ropeway.cli.bagfile import Bag
 from ropeway.errors import RecordingFailed
+from ropeway.recording.bag import Bag
 from ropeway.recording.channel import Recorded
 from ropeway.recording.files import McapFiles
 from ropeway.recording.writer import FAILED, SLOW, RecordingWriter

@@ -11,10 +11,9 @@ from typing import Annotated, Any
 
 import typer
 
-from ropeway.cli.bagfile import Bag
 from ropeway.cli.console import complain, fail, print_json
 from ropeway.cli.loop import run
-from ropeway.cli.player import MAX_GAP_S, Played, play
+from ropeway.cli.patience import patiently
 from ropeway.cli.session import (
     GraphOption,
     JsonOption,
@@ -28,6 +27,8 @@ from ropeway.cli.session import (
     open_session,
     qos_of,
 )
+from ropeway.recording.bag import Bag
+from ropeway.recording.player import MAX_GAP_S, Played, play
 
 __all__ = ["app"]
 
@@ -98,6 +99,7 @@ def play_command(
                         clock_hz=clock,
                         rename=lambda name: names.get(name, name),
                         told=told,
+                        patiently=patiently,
                     )
                 return played, dict(opened.dropped), _held(opened, wanted)
 

@@ -1,1 +1,1 @@
-"""Records what is published: MCAP files, and a ring of the last seconds that triggers turn into clips."""
+"""Writes and reads recordings: MCAP files, clips of the last seconds, and the recordings of others, played again."""

@@ -6,10 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import yaml
-
 from ropeway.errors import TypesError
 from ropeway.qos import QoS
+from ropeway.recording.offered_qos import PROFILES_KEY, profiles_text
 from ropeway.types import TypeRegistry
 
 __all__ = ["Recorded", "RecordingChannel", "cdr_channel", "json_channel"]
@@ -49,27 +48,10 @@ def cdr_channel(registry: TypeRegistry, topic: str, type: str, offered: Iterable
     except TypesError:
         schema = schema_encoding = ""
     latched = max((q.depth or 1 for q in profiles if q.transient_local), default=0)
-    stated = yaml.safe_dump([_profile(q) for q in profiles], sort_keys=False) if profiles else ""
-    metadata = {"offered_qos_profiles": stated}
+    metadata = {PROFILES_KEY: profiles_text(profiles)}
     return RecordingChannel(topic, type, schema, schema_encoding, latched=latched, metadata=metadata)
 
 
 def json_channel(topic: str, title: str) -> RecordingChannel:
     """Make a channel of JSON objects, for what is no message of ROS."""
     return RecordingChannel(topic, title, '{"type": "object"}', "jsonschema", "json")
-
-
-def _profile(qos: QoS) -> dict[str, object]:
-    """Return a profile as rosbag2 writes it."""
-    forever = {"sec": 9_223_372_036, "nsec": 854_775_807}
-    return {
-        "history": qos.history,
-        "depth": qos.depth,
-        "reliability": "reliable" if qos.reliable else "best_effort",
-        "durability": "transient_local" if qos.transient_local else "volatile",
-        "deadline": forever,
-        "lifespan": forever,
-        "liveliness": "automatic",
-        "liveliness_lease_duration": forever,
-        "avoid_ros_namespace_conventions": False,
-    }

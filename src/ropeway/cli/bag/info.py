@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from ropeway.cli.bagfile import Bag, BagTopic
 from ropeway.cli.console import answer, complain, print_json
 from ropeway.cli.session import JsonOption, TypesOption, known_types
+from ropeway.recording.bag import Bag, BagTopic
 
 __all__ = ["app"]
 

@@ -17,7 +17,7 @@ from ropeway.qos import DEFAULT, SENSOR_DATA, QoS
 from ropeway.types import TypeRegistry
 
 if TYPE_CHECKING:
-    from ropeway.cli.bagfile import BagTopic
+    from ropeway.recording.bag import BagTopic
 
 __all__ = ["DemoTopic", "recorded_parts", "synthetic_parts"]
 
@@ -88,7 +88,7 @@ def recorded_parts(registry: TypeRegistry, path: Path) -> list[DemoTopic]:
     What the recording lacks is made up. Raises ``BagUnreadable``.
     """
     require("bags", "ropeway demo --bag")
-    from ropeway.cli.bagfile import Bag
+    from ropeway.recording.bag import Bag
 
     with Bag(path, registry) as bag:
         topics = [topic for topic in bag.topics if not topic.problem and topic.count]
@@ -111,8 +111,8 @@ def recorded_parts(registry: TypeRegistry, path: Path) -> list[DemoTopic]:
 
 
 def _recorded(registry: TypeRegistry, path: Path, topic: BagTopic, side: str, prefix: str = "") -> DemoTopic:
-    from ropeway.cli.bagfile import Bag
-    from ropeway.cli.player import play
+    from ropeway.recording.bag import Bag
+    from ropeway.recording.player import play
 
     async def send(graph: Graph, told: Callable[[int], None]) -> None:
         with Bag(path, registry) as bag:

@@ -168,7 +168,7 @@ def _measure_bag(
     path: Path, names: list[str], seconds: float, told: PredictionInput, types: list[Path] | None
 ) -> dict[str, PlannedTopic]:
     require("bags", "ropeway predict --bag")
-    from ropeway.cli.bagfile import Bag
+    from ropeway.recording.bag import Bag
 
     registry = _registry(types)
     samplers: dict[str, TopicSampler] = {}

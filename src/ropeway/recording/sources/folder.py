@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import yaml
 import zstandard
 
-from ropeway.cli.recording.source import RecordedChannel, Recording
+from ropeway.recording.sources.source import RecordedChannel, Recording
 
 if TYPE_CHECKING:
     from typing_extensions import Self

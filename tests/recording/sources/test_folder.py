@@ -11,10 +11,10 @@ import yaml
 import zstandard
 from rosbags.rosbag2 import StoragePlugin
 
-from ropeway.cli.bagfile import Bag
 from ropeway.errors import BagUnreadable
+from ropeway.recording.bag import Bag
 from ropeway.types import TypeRegistry
-from tests.cli.test_bagfile import messages, write_mcap, write_one, write_rosbag2
+from tests.recording.test_bag import messages, write_mcap, write_one, write_rosbag2
 
 
 def read(path: Path) -> tuple[int, list[str], list[str]]:

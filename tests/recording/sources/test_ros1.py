@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag1 import Writer
 
-from ropeway.cli.bagfile import Bag
 from ropeway.errors import BagUnreadable
+from ropeway.recording.bag import Bag
 from ropeway.types import TypeRegistry
 
 COUNT = 60

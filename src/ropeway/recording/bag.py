@@ -15,10 +15,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, NamedTuple
 
-from ropeway.cli.recording import DAMAGED, RecordedChannel, Recording, open_recording, reason_of
 from ropeway.errors import BagUnreadable, InvalidName, TypeConflict, TypesError
 from ropeway.graph.base import resolve_name
 from ropeway.qos import DEFAULT, QoS, common_qos
+from ropeway.recording.sources import DAMAGED, RecordedChannel, Recording, open_recording, reason_of
 from ropeway.types import TypeRegistry
 from ropeway.types.told_types import check_text
 from ropeway.types.variant import Variant

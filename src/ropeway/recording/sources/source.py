@@ -6,7 +6,7 @@ import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import apsw
 import yaml
@@ -14,13 +14,13 @@ import zstandard
 from mcap.exceptions import McapError
 from rosbags.rosbag1 import ReaderError as Rosbag1Error
 
-from ropeway.qos import DEFAULT, LATCHED, QoS, common_qos
+from ropeway.qos import QoS
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
 
-__all__ = ["DAMAGED", "DEFINITIONS", "RecordedChannel", "Recording", "profiles_in", "reason_of", "recorded_qos"]
+__all__ = ["DAMAGED", "DEFINITIONS", "RecordedChannel", "Recording", "reason_of"]
 
 DAMAGED: Final = (
     McapError,
@@ -83,34 +83,3 @@ def reason_of(error: BaseException) -> str:
     if isinstance(error, UnicodeDecodeError):
         return "the file is damaged (a text in it is not valid)"
     return " ".join(str(error).split())
-
-
-def profiles_in(text: Any) -> list[dict[str, Any]]:
-    """Return the QoS profiles that a recording states, as YAML or already parsed; empty if they cannot be read."""
-    try:
-        found = yaml.safe_load(text) if isinstance(text, str) else text
-    except (yaml.YAMLError, ValueError):
-        return []
-    return [profile for profile in found if isinstance(profile, dict)] if isinstance(found, list) else []
-
-
-def recorded_qos(topic: str, profiles: list[dict[str, Any]], *, latched: bool = False) -> QoS:
-    """Return what the publishers of a recorded topic offered."""
-    if latched or topic.rpartition("/")[2] == "tf_static":
-        return LATCHED
-    return common_qos(
-        QoS(
-            reliability=_policy(profile.get("reliability"), ("reliable", "best_effort"), "reliable"),
-            durability=_policy(profile.get("durability"), ("transient_local", "volatile"), "volatile"),
-            history=_policy(profile.get("history"), ("keep_last", "keep_all"), "keep_last"),
-            depth=depth if isinstance(depth := profile.get("depth"), int) and 0 < depth < 10_000 else DEFAULT.depth,
-        )
-        for profile in profiles
-    )
-
-
-def _policy(value: Any, choices: tuple[str, ...], default: str) -> str:
-    """Return a policy from its number in ``rmw`` or its name."""
-    if isinstance(value, int):
-        return choices[value - 1] if 1 <= value <= len(choices) else default
-    return str(value).lower() if str(value).lower() in choices else default

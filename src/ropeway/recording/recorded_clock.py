@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 from typing import Final
 
-from ropeway.cli.bagfile import Bag
 from ropeway.graph.base import SEQ_NONE, Graph, Publisher, Sample, new_origin
 from ropeway.qos import QoS
+from ropeway.recording.bag import Bag
 
 __all__ = ["RecordedClock"]
 

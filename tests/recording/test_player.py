@@ -12,15 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import Writer as McapWriter
 
-from ropeway.cli.bagfile import Bag, BagTopic, Record
-from ropeway.cli.player import PlaybackSchedule, Played, play, read_ahead, restamped
 from ropeway.cli.session import OpenGraph
 from ropeway.graph.base import Sample
 from ropeway.qos import LATCHED, QoS
+from ropeway.recording.bag import Bag, BagTopic, Record
 from ropeway.recording.channel import Recorded, cdr_channel
 from ropeway.recording.files import McapFiles
+from ropeway.recording.player import PlaybackSchedule, Played, play, read_ahead, restamped
 from ropeway.types import TypeRegistry
-from tests.cli.conftest import Ropeway
 from tests.support.clock import Stopwatch
 from tests.support.messages import STRING, text
 from tests.support.until import until
@@ -219,50 +218,6 @@ def test_pauses_are_kept_up_to_a_limit() -> None:
     assert pace.longest_s > 7e9
 
 
-def played_by_cli(ropeway: Ropeway, path: Path, *more: str) -> tuple[int, str]:
-    """Status and words of ``ropeway play``."""
-    done = ropeway("play", str(path), "--wait", "0", *more)
-    return done.returncode, done.stderr
-
-
-def test_a_recording_that_plays_nothing_fails(ropeway: Ropeway, tmp_path: Path) -> None:
-    """A recording with messages none of which can be played fails and says why; one without messages does not."""
-    path = tmp_path / "a.mcap"
-    with path.open("wb") as file:
-        writer = McapWriter(file)
-        writer.start("ros1")
-        schema = writer.register_schema("std_msgs/String", "ros1msg", b"string data\n")
-        channel = writer.register_channel("/text", "ros1", schema)
-        writer.add_message(channel, 1, b"\xff", 1)
-        writer.finish()
-    status, words = played_by_cli(ropeway, path)
-    assert status == 1
-    assert "none of the 1 messages" in words
-    assert "not of their type: /text" in words
-    with path.open("wb") as file:
-        writer = McapWriter(file)
-        writer.start("ros2")
-        writer.finish()
-    assert played_by_cli(ropeway, path)[0] == 0
-
-
-def test_impossible_stamps_are_told(ropeway: Ropeway, tmp_path: Path) -> None:
-    """Stamps of 1970 and of the far future are played without waiting, and it is told."""
-    path = tmp_path / "a.mcap"
-    with path.open("wb") as file:
-        writer = McapWriter(file)
-        writer.start("ros2")
-        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
-        channel = writer.register_channel("/text", "cdr", schema)
-        for stamp in (0, 1_700_000_000 * SECOND, 2**63):
-            writer.add_message(channel, stamp, b"\0\1\0\0\1\0\0\0\0", stamp)
-        writer.finish()
-    status, words = played_by_cli(ropeway, path)
-    assert status == 0
-    assert "Played 3 messages" in words
-    assert "238 years were played as 1 s (2 of them)" in words
-
-
 @pytest.fixture
 def latched_recording(tmp_path: Path, registry: TypeRegistry) -> Path:
     """A map that is latched, and points for a second behind it."""
@@ -312,10 +267,3 @@ async def test_clock(pair: tuple[OpenGraph, OpenGraph], latched_recording: Path,
     assert ticks == sorted(ticks)
     assert 1.0 <= ticks[0] < 1.1
     assert 1.8 < ticks[-1] <= 1.91
-
-
-@pytest.mark.parametrize("text_", ["/a", "/a:=", "/a b:=/c"])
-def test_no_other_name(in_process: Ropeway, recording: Path, text_: str) -> None:
-    """A name that is none ends with how to write one."""
-    ended = in_process("play", str(recording), "-g", "memory:x", "--remap", text_)
-    assert ended.returncode == 2

@@ -7,11 +7,11 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Final
 
-from ropeway.cli.recording.folder import FolderSource
-from ropeway.cli.recording.mcap import McapSource
-from ropeway.cli.recording.ros1 import Ros1Scan, Ros1Source
-from ropeway.cli.recording.source import DAMAGED, Recording
-from ropeway.cli.recording.sqlite import SqliteSource
+from ropeway.recording.sources.folder import FolderSource
+from ropeway.recording.sources.mcap import McapSource
+from ropeway.recording.sources.ros1 import Ros1Scan, Ros1Source
+from ropeway.recording.sources.source import DAMAGED, Recording
+from ropeway.recording.sources.sqlite import SqliteSource
 
 __all__ = ["open_recording"]
 

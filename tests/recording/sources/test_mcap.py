@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import IndexType, Writer
 
-from ropeway.cli.bagfile import Bag
 from ropeway.errors import BagUnreadable
+from ropeway.recording.bag import Bag
 from ropeway.types import TypeRegistry
 
 COUNT = 60

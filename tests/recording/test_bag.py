@@ -16,9 +16,9 @@ from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 
-from ropeway.cli.bagfile import Bag
 from ropeway.errors import BagUnreadable
 from ropeway.qos import DEFAULT, LATCHED, QoS
+from ropeway.recording.bag import Bag
 from ropeway.types import TypeRegistry
 from tests.support.messages import STRING
 from tests.support.recordings import RECORDINGS

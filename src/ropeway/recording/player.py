@@ -1,4 +1,4 @@
-"""Publishes a recording at its own pace: what ``ropeway play`` and ``ropeway demo --bag`` share.
+"""Publishes a recording at its own pace, as ``ropeway play`` and ``ropeway demo --bag`` do.
 
 A thread reads ahead by a bounded number of bytes, so that decompression never delays a message; due times are
 absolute, so that nothing drifts.
@@ -14,21 +14,20 @@ import time
 from collections import Counter, deque
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import aclosing
+from contextlib import AbstractAsyncContextManager, aclosing, nullcontext
 from dataclasses import dataclass, field
 from typing import Final
 
 from ropeway import aio
-from ropeway.cli.bagfile import Bag, BagTopic, Record
-from ropeway.cli.patience import patiently
-from ropeway.cli.recorded_clock import RecordedClock
 from ropeway.errors import TypesError
 from ropeway.graph.base import SEQ_NONE, Graph, Publisher, Sample, new_origin
 from ropeway.qos import QoS
+from ropeway.recording.bag import Bag, BagTopic, Record
+from ropeway.recording.recorded_clock import RecordedClock
 from ropeway.recording.ring import MOST_LATCHED
 from ropeway.types.definition import HEADER, FieldType
 
-__all__ = ["MAX_GAP_S", "PlaybackSchedule", "Played", "play", "read_ahead", "restamped"]
+__all__ = ["MAX_GAP_S", "Patiently", "PlaybackSchedule", "Played", "play", "read_ahead", "restamped", "silently"]
 
 MAX_GAP_S: Final = 60.0
 """The longest pause that is played as it was recorded. Longer ones are seldom meant: a recorder that was stopped, a
@@ -42,6 +41,15 @@ _BREATHER: Final = 16  # messages after which others get the loop, where the pla
 
 _LITTLE: Final = struct.Struct("<iI")
 _BIG: Final = struct.Struct(">iI")
+
+
+Patiently = Callable[[Callable[[], str]], AbstractAsyncContextManager[object]]
+"""Makes a block that waits, and that may say what it waits for: the function gives the sentence as things stand."""
+
+
+def silently(waiting_for: Callable[[], str]) -> AbstractAsyncContextManager[object]:
+    """Say nothing of what is waited for."""
+    return nullcontext()
 
 
 @dataclass
@@ -127,7 +135,7 @@ def _starts_with_header(bag: Bag, topic: BagTopic) -> bool:
     return bool(first) and first[0].type == FieldType(HEADER)
 
 
-async def _readers(publishers: Collection[Publisher], wait_s: float) -> None:
+async def _readers(publishers: Collection[Publisher], wait_s: float, patiently: Patiently) -> None:
     """Wait until somebody reads each topic, at most ``wait_s``."""
     waiting = {id(p): p.topic for p in publishers if p.subscribers == 0}
     done = asyncio.Event()
@@ -169,6 +177,7 @@ async def play(
     clock_hz: float = 0.0,
     rename: Callable[[str], str] = str,
     told: Callable[[Played], None] = lambda played: None,
+    patiently: Patiently = silently,
 ) -> Played:
     """Publish the recording on ``graph``; returns what was played.
 
@@ -177,7 +186,7 @@ async def play(
     ``start_s`` leaves out what comes before that time of the recording, but for what is latched, which is published
     first; ``restamp`` puts the time of sending into headers; ``qos`` is offered in place of what was recorded;
     ``clock_hz`` publishes the time of the recording on ``/clock`` so often; ``rename`` gives topics other names;
-    ``told`` is called after each message.
+    ``told`` is called after each message; ``patiently`` wraps what is waited for once.
     """
     chosen = [topic for topic in bag.topics if not topic.problem and (not topics or topic.name in topics)]
     publishers = {t: await graph.create_publisher(rename(t.name), t.type, qos or t.qos) for t in chosen}
@@ -186,7 +195,7 @@ async def play(
     origin, played, before_s = new_origin(), Played(), 0.0
     clock = asyncio.get_running_loop()
     try:
-        await _readers(publishers.values(), wait_s)
+        await _readers(publishers.values(), wait_s, patiently)
         began = 0.0
         ends = math.inf
         while chosen:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from ropeway.cli.bagfile import Bag
 from ropeway.errors import BagUnreadable
+from ropeway.recording.bag import Bag
 from ropeway.types import TypeRegistry
 
 COUNT = 3000

@@ -13,7 +13,8 @@ from mcap.records import Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 
-from ropeway.cli.recording.source import DAMAGED, DEFINITIONS, RecordedChannel, profiles_in, recorded_qos
+from ropeway.recording.offered_qos import PROFILES_KEY, profiles_in, recorded_qos
+from ropeway.recording.sources.source import DAMAGED, DEFINITIONS, RecordedChannel
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -147,7 +148,7 @@ class McapSource:
                     count=counts.get(channel.id, 0),
                     qos=recorded_qos(
                         channel.topic,
-                        profiles_in(channel.metadata.get("offered_qos_profiles", "")),
+                        profiles_in(channel.metadata.get(PROFILES_KEY, "")),
                         latched=channel.metadata.get("latching") == "1",
                     ),
                 )

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import apsw
 
-from ropeway.cli.recording.source import DEFINITIONS, RecordedChannel, profiles_in, recorded_qos
+from ropeway.recording.offered_qos import PROFILES_KEY, profiles_in, recorded_qos
+from ropeway.recording.sources.source import DEFINITIONS, RecordedChannel
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -74,7 +75,7 @@ class SqliteSource:
             definitions = {type: text for type, encoding, text in rows if encoding in DEFINITIONS}
         counts = self._counts()
         names = ["id", "name", "type", "serialization_format"]
-        profiles = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
+        profiles = PROFILES_KEY if PROFILES_KEY in columns else "''"
         for id, topic, type, encoding, qos in self._db.execute(f"SELECT {', '.join(names)}, {profiles} FROM topics"):  # noqa: S608
             self.channels.append(
                 RecordedChannel(

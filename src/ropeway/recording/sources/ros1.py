@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 import lz4.frame
 from rosbags.rosbag1 import Reader
 
-from ropeway.cli.recording.source import DAMAGED, RecordedChannel, recorded_qos
+from ropeway.recording.offered_qos import recorded_qos
+from ropeway.recording.sources.source import DAMAGED, RecordedChannel
 
 if TYPE_CHECKING:
     from typing_extensions import Self
