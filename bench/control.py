@@ -90,14 +90,15 @@ async def apply_once(directory: Path) -> tuple[float, int, float, float]:
             while any(not publisher.subscribers for publisher in publishers):
                 await asyncio.sleep(0.01)
 
-            async def talk(publisher: Any) -> None:
+            async def talk(publisher: Any, place: int) -> None:
+                await asyncio.sleep(place / RUNNING / HZ)  # not all at once: they would wait for each other
                 while True:
                     now = time.time_ns()
                     publisher.publish(Sample(PAYLOAD, STRING, now, bytes(16), SEQ_NONE, sent_ns=now))
                     traffic.sent[publisher.topic] = traffic.sent.get(publisher.topic, 0) + 1
                     await asyncio.sleep(1 / HZ)
 
-            talking = [asyncio.create_task(talk(publisher)) for publisher in publishers]
+            talking = [asyncio.create_task(talk(publisher, i)) for i, publisher in enumerate(publishers)]
             await asyncio.sleep(BEFORE_S)
             quiet, traffic.delays = _p99(traffic.delays), []
             first = asyncio.Event()
@@ -111,6 +112,7 @@ async def apply_once(directory: Path) -> tuple[float, int, float, float]:
                 await asyncio.sleep(0.002)
             first_ms = 1e3 * (time.monotonic() - began)
             await applying
+            await asyncio.sleep(2 / HZ)  # until what was held up meanwhile has come
             busy = _p99(traffic.delays)
             for task in talking:
                 task.cancel()
@@ -123,7 +125,7 @@ async def apply_once(directory: Path) -> tuple[float, int, float, float]:
 
 
 def _p99(values: list[float]) -> float:
-    return sorted(values)[int(0.99 * (len(values) - 1))] if values else float("nan")
+    return sorted(values)[int(0.99 * (len(values) - 1))]
 
 
 def plan_once() -> float:

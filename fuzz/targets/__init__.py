@@ -32,6 +32,7 @@ MODULES: Final = {
     "yaml-configuration": "configuration",
     "parameter-files": "configuration",
     "http-heads": "http",
+    "control-requests": "control",
     "xml-rpc": "ros1",
     "tcpros-headers": "ros1",
     "tcpros-streams": "ros1",

@@ -8,7 +8,7 @@ import pytest
 
 from ropeway import aio
 from ropeway.errors import GraphUnavailable, InvalidName
-from ropeway.graph.base import Graph, Publisher, Subscription
+from ropeway.graph.base import Graph, Publisher, Subscription, look_up
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, joined, sample, text
@@ -40,6 +40,18 @@ async def test_delivers(pair: Pair) -> None:
     assert len({(s.origin, s.seq) for s in got}) == 50
     assert all(len(s.origin) == 16 for s in got)
     await subscription.close()
+
+
+async def test_publishers_are_counted(pair: Pair) -> None:
+    """The numbers of others' and of our own publishers are those of the description of the topic."""
+    subscription = await pair.far.create_subscription("/counted", STRING, QoS(), Inbox())
+    publisher = await pair.near.create_publisher("/counted", STRING)
+    await joined(publisher, read_by=[subscription])
+    for graph in (pair.near, pair.far):
+        known = look_up(graph, "topic", "/counted")
+        own = [end.local for end in known.publishers] if known is not None else []
+        assert graph.count_publishers("/counted") == (own.count(False), own.count(True))
+        assert graph.count_publishers("/nobody") == (0, 0)
 
 
 async def test_other_direction(pair: Pair) -> None:

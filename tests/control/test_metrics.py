@@ -29,6 +29,8 @@ STATUS: dict[str, Any] = {
     "routes": [
         {
             **ROUTE,
+            "key": "publish-odom",
+            "remote_name": "/odom",
             "state": "active",
             "messages": 7,
             "bytes": 700,
@@ -41,6 +43,8 @@ STATUS: dict[str, Any] = {
         {
             **ROUTE,
             "operation": "reserve-service",
+            "key": "reserve-odom",
+            "remote_name": "/odom",
             "state": "waiting",
             "requests": 2,
             "under_way": 1,
@@ -132,12 +136,20 @@ def test_what_changes_is_written_anew() -> None:
     metrics = Metrics(lambda: status)
     before = metrics.text()[0].decode()
     assert r'remote_name="/there \"quoted\"\n"' in before
-    route |= {"state": "failed", "delays": {"counts": [1] * 12, "sum_s": 1.0}}
+    status["routes"] = [route | {"state": "failed", "delays": {"counts": [1] * 12, "sum_s": 1.0}}]
     after = {sample.name: sample for family in read(*metrics.text()) for sample in family.samples if sample.value}
     assert after["ropeway_route_state"].labels["ropeway_route_state"] == "failed"
     assert after["ropeway_route_message_delay_seconds_count"].value == len(BOUNDS_S) + 1
     status["routes"] = []
     assert "ropeway_route_messages_total{" not in metrics.text()[0].decode()
+
+
+def test_routes_of_the_same_labels_are_one() -> None:
+    """Of two routes that differ in their type alone the first has the lines, since a series stands once."""
+    first = STATUS["routes"][0]
+    status = {**STATUS, "routes": [first, first | {"key": "another type", "messages": 8}]}
+    text = Metrics(lambda: status).text()[0].decode()
+    assert [line[-2:] for line in text.splitlines() if line.startswith("ropeway_route_messages_total{")] == [" 7"]
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from ropeway.bridge.upkeep import Upkeep
 from ropeway.delivery.histogram import BOUNDS_S, Histogram
 from ropeway.delivery.pipeline import Witness
 from ropeway.graph.base import NO_HINTS, Delivery, Graph
-from ropeway.graph.link_parts import Contended, Encoded
+from ropeway.graph.link_parts import Contended, is_encoded
 
 __all__ = ["Offer"]
 
@@ -127,7 +127,7 @@ class Offer:
         configured one.
         """
         parts = (self._server, self._client)
-        return next((part.encoding for part in parts if isinstance(part, Encoded)), self.delivery.encoding)
+        return next((part.encoding for part in parts if is_encoded(part)), self.delivery.encoding)
 
     def done(self, how: str, took_s: float) -> None:
         """Count a request that has ended."""

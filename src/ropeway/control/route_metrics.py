@@ -60,35 +60,83 @@ _IN_PLAIN_TEXT: Final = {"stateset": "gauge"}  # Prometheus' own format knows no
 
 
 class _Route:
-    """The labels of a route, and the lines that are written again only when something has changed."""
+    """The lines of a route, by the places of their families, as they were when ``row`` was what the status said of it.
 
-    __slots__ = ("_counts", "_histogram", "_open", "_state", "_states", "labels")
+    Labels are written once, and the lines of states and of the histogram, of which a route has one at most, when they
+    change.
+    """
 
-    def __init__(self, labels: tuple[str, ...]) -> None:
-        operation, name, remote_name, address = labels
+    __slots__ = ("_counts", "_histogram", "_open", "_state", "_states", "key", "labels", "lines", "row")
+
+    def __init__(self, key: tuple[str, ...]) -> None:
+        self.key = key
+        operation, name, remote_name, address = key
         told = [("operation", operation), ("name", name), ("address", address)]
         if remote_name != name:  # else one label less on every line
             told.append(("remote_name", remote_name))
         self._open = "{" + ",".join(f'{label}="{_escaped(value)}"' for label, value in told)
         self.labels = self._open + "}"
+        self.row: Mapping[str, Any] = {}
+        self.lines: list[str] = []
         self._state = self._states = ""
         self._counts: list[int] = []
         self._histogram = ""
 
-    def states(self, state: str) -> str:
-        """Return a line for each state that a route may have."""
+    def write(self, row: Mapping[str, Any]) -> None:
+        """Write the lines of a row."""
+        self.row = row
+        lines = {_STATE: self._told_states(row["state"])}
+        if "messages" in row:
+            lines |= self._topic(row)
+        elif "requests" in row:
+            lines |= self._calls(row)
+        self.lines = [lines.get(family.name, "") for family in _FAMILIES]
+
+    def _told_states(self, state: str) -> str:
         if state != self._state:
             self._state = state
             lines = [f'{_STATE}{self._open},{_STATE}="{known}"}} {int(known == state)}' for known in ROUTE_STATES]
             self._states = "\n".join(lines)
         return self._states
 
-    def reason(self, reason: str, label: str) -> str:
-        """Return the labels with one more."""
-        return f'{self._open},{label}="{_escaped(reason)}"}}'
+    def _topic(self, row: Mapping[str, Any]) -> dict[str, str]:
+        delay_ms = row["delay_ms"]
+        gauges = {
+            "ropeway_route_publishers": row["publishers"],
+            "ropeway_route_readers": row["readers"],
+            "ropeway_route_delay_seconds": None if delay_ms is None else delay_ms / 1e3,
+        }
+        return {
+            **self._values(gauges),
+            **self._values(
+                {"ropeway_route_messages": row["messages"], "ropeway_route_payload_bytes": row["bytes"]}, "_total"
+            ),
+            "ropeway_route_drops": self._by("ropeway_route_drops_total", "reason", row["drops"]),
+            _DELAYS: self._told_histogram(_DELAYS, row.get("delays")),
+        }
 
-    def histogram(self, name: str, told: HistogramJson) -> str:
-        """Return the lines of a histogram; a route has one at most."""
+    def _calls(self, row: Mapping[str, Any]) -> dict[str, str]:
+        took_ms = row["took_ms"]
+        gauges = {
+            "ropeway_route_requests_under_way": row["under_way"],
+            "ropeway_route_request_seconds": None if took_ms is None else took_ms / 1e3,
+        }
+        return {
+            **self._values(gauges),
+            "ropeway_route_requests": self._by("ropeway_route_requests_total", "end", row["ended"]),
+            _DURATIONS: self._told_histogram(_DURATIONS, row.get("durations")),
+        }
+
+    def _values(self, values: Mapping[str, float | None], ending: str = "") -> dict[str, str]:
+        return {name: f"{name}{ending}{self.labels} {value}" for name, value in values.items() if value is not None}
+
+    def _by(self, name: str, label: str, counts: Mapping[str, int]) -> str:
+        lines = [f'{name}{self._open},{label}="{_escaped(value)}"}} {count}' for value, count in counts.items()]
+        return "\n".join(lines)
+
+    def _told_histogram(self, name: str, told: HistogramJson | None) -> str:
+        if told is None:
+            return ""
         counts = list(told["counts"])
         if counts != self._counts:
             self._counts = counts
@@ -106,50 +154,26 @@ class RouteMetrics:
     """Writes what the rows of routes in a status say, again and again."""
 
     def __init__(self) -> None:
-        self._known: dict[tuple[str, ...], _Route] = {}
+        self._known: dict[str, _Route] = {}
 
     def text(self, rows: Iterable[Mapping[str, Any]], *, openmetrics: bool) -> str:
         """Return the metrics of all routes, in OpenMetrics or in Prometheus' own format."""
-        lines: dict[str, list[str]] = {family.name: [] for family in _FAMILIES}
+        shown: dict[tuple[str, ...], list[str]] = {}
         before, self._known = self._known, {}
         for row in rows:
-            key = tuple([str(row.get(label, row["name"])) for label in _LABELS])
-            if key in self._known:  # of another type or graph: two series of the same labels would be none
-                continue
-            route = self._known[key] = before.get(key) or _Route(key)
-            lines[_STATE].append(route.states(row["state"]))
-            if "messages" in row:
-                _topic(lines, route, row)
-            elif "requests" in row:
-                _calls(lines, route, row)
-        return "\n".join([part for family in _FAMILIES for part in (*_head(family, openmetrics), *lines[family.name])])
-
-
-def _topic(lines: Mapping[str, list[str]], route: _Route, row: Mapping[str, Any]) -> None:
-    labels, delay_ms, readers, delays = route.labels, row["delay_ms"], row["readers"], row.get("delays")
-    lines["ropeway_route_messages"].append(f"ropeway_route_messages_total{labels} {row['messages']}")
-    lines["ropeway_route_payload_bytes"].append(f"ropeway_route_payload_bytes_total{labels} {row['bytes']}")
-    lines["ropeway_route_publishers"].append(f"ropeway_route_publishers{labels} {row['publishers']}")
-    if readers is not None:
-        lines["ropeway_route_readers"].append(f"ropeway_route_readers{labels} {readers}")
-    if delay_ms is not None:
-        lines["ropeway_route_delay_seconds"].append(f"ropeway_route_delay_seconds{labels} {delay_ms / 1e3}")
-    if delays is not None:
-        lines[_DELAYS].append(route.histogram(_DELAYS, delays))
-    for reason, count in row["drops"].items():
-        lines["ropeway_route_drops"].append(f"ropeway_route_drops_total{route.reason(reason, 'reason')} {count}")
-
-
-def _calls(lines: Mapping[str, list[str]], route: _Route, row: Mapping[str, Any]) -> None:
-    labels, took_ms, durations = route.labels, row["took_ms"], row.get("durations")
-    under_way = f"ropeway_route_requests_under_way{labels} {row['under_way']}"
-    lines["ropeway_route_requests_under_way"].append(under_way)
-    if took_ms is not None:
-        lines["ropeway_route_request_seconds"].append(f"ropeway_route_request_seconds{labels} {took_ms / 1e3}")
-    if durations is not None:
-        lines[_DURATIONS].append(route.histogram(_DURATIONS, durations))
-    for end, count in row["ended"].items():
-        lines["ropeway_route_requests"].append(f"ropeway_route_requests_total{route.reason(end, 'end')} {count}")
+            key = row["key"]
+            route = before.get(key)
+            if route is None:
+                route = _Route(tuple([str(row[label]) for label in _LABELS]))
+            if row != route.row:
+                route.write(row)
+            self._known[key] = route
+            shown.setdefault(route.key, route.lines)  # of another type or graph: two series of the same labels are none
+        parts: list[str] = []
+        for place, family in enumerate(_FAMILIES):
+            parts += _head(family, openmetrics)
+            parts += [lines[place] for lines in shown.values() if lines[place]]
+        return "\n".join(parts)
 
 
 def _head(family: _Family, openmetrics: bool) -> list[str]:

@@ -56,9 +56,9 @@ class ControlServer:
         """Serve on a socket that listens."""
         loop = asyncio.get_running_loop()
         if bound.family == socket.AF_UNIX:
-            self._servers.append(await loop.create_unix_server(self._connection, sock=bound))
+            self._servers.append(await loop.create_unix_server(self.connection, sock=bound))
         else:
-            self._servers.append(await loop.create_server(self._connection, sock=bound, ssl=context))
+            self._servers.append(await loop.create_server(self.connection, sock=bound, ssl=context))
 
     async def close(self) -> None:
         """Take no more requests, and end those that are under way."""
@@ -79,7 +79,8 @@ class ControlServer:
         """The number of connections."""
         return len(self._state.connections)
 
-    def _connection(self) -> asyncio.Protocol:
+    def connection(self) -> asyncio.Protocol:
+        """Return the protocol of one more connection."""
         return _Connection(self._config, self._state, self)
 
     def full(self) -> bool:

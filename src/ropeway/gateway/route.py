@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from operator import attrgetter
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from ropeway.bridge.action import ActionBridge
 from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
-from ropeway.delivery.histogram import HistogramJson
+from ropeway.delivery.histogram import Histogram, HistogramJson
 from ropeway.gateway.config.config import Route
-from ropeway.graph.base import look_up
-from ropeway.graph.link_parts import LinkStatistics, is_encoded, is_linked, is_refusable
+from ropeway.graph.link_parts import NO_LOSSES, LinkStatistics, is_encoded, is_linked, is_refusable
 from ropeway.listener.http import without_token
 
 __all__ = ["Bridge", "CallFigures", "Doubt", "RouteStatus", "RunningRoute", "TopicFigures", "paused_status"]
@@ -22,6 +21,7 @@ __all__ = ["Bridge", "CallFigures", "Doubt", "RouteStatus", "RunningRoute", "Top
 Bridge = TopicBridge | ServiceBridge | ActionBridge
 
 _CONNECTED: Final = "connected"
+_NO_LINK: Final = LinkStatistics()
 PAUSED: Final = "paused"
 """The state of a route that the configuration has with ``"active": false``."""
 
@@ -72,7 +72,7 @@ _CALLS: Final = tuple(CallFigures.__dataclass_fields__)
 _call_figures: Final = attrgetter(*_CALLS)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class RouteStatus:
     """The state of a route. ``key`` stays the same while operation, address, names and type do.
 
@@ -96,6 +96,10 @@ class RouteStatus:
 
     def to_json(self) -> dict[str, Any]:
         """Return the row of the table of routes: all of it on one level."""
+        return self._row.copy()
+
+    @cached_property
+    def _row(self) -> dict[str, Any]:
         row = dict(zip(_PLAIN, _plain(self), strict=True))
         if self.figures is not None:
             row.update(self.figures.to_json())
@@ -117,28 +121,39 @@ class Doubt:
 class RunningRoute:
     """A route and its bridge. ``doubt`` is kept by whoever watches the route."""
 
-    __slots__ = ("bridge", "doubt", "route")
+    __slots__ = ("_seen", "_told", "bridge", "doubt", "route")
 
     def __init__(self, route: Route, bridge: Bridge) -> None:
         self.route, self.bridge = route, bridge
         self.doubt: Doubt | None = None
+        self._seen: tuple[object, ...] = ()
+        self._told: RouteStatus | None = None
 
     def status(self, link_state: str = _CONNECTED) -> RouteStatus:
-        """Return how the route is, while the link that it goes over is in ``link_state``."""
+        """Return how the route is, while the link that it goes over is in ``link_state``.
+
+        The same object comes back until something has changed: of a thousand routes that are asked for once a second
+        most are as they were.
+        """
         bridge = self.bridge
-        figures: TopicFigures | CallFigures
-        if isinstance(bridge, TopicBridge):
-            error, encoding, figures = _topic(self.route, bridge)
-        else:
-            error = bridge.error or (f"offered by {bridge.taken_by}" if bridge.taken_by else "")
-            encoding, figures = bridge.encoding, _calls(bridge)
+        facts = _TopicFacts.of(bridge) if isinstance(bridge, TopicBridge) else _CallFacts.of(bridge)
+        seen = (self.route, link_state, self.doubt, facts)
+        told = self._told
+        if told is None or seen != self._seen:
+            self._seen = seen
+            told = self._told = self._tell(link_state, facts)
+        return told
+
+    def _tell(self, link_state: str, facts: _TopicFacts | _CallFacts) -> RouteStatus:
+        route, doubt, error = self.route, self.doubt, facts.error
+        encoding = facts.encoding or route.delivery.encoding
+        figures = facts.figures()
         if link_state != _CONNECTED:
-            return _status(self.route, link_state, error, encoding, figures)
-        doubt = self.doubt
+            return _status(route, link_state, error, encoding, figures)
         if doubt is None:
-            return _status(self.route, bridge.state, error, encoding, figures)
+            return _status(route, facts.state, error, encoding, figures)
         error = error or (doubt.reason if doubt.certain else "")
-        return _status(self.route, bridge.state, error, encoding, figures, doubt.reason)
+        return _status(route, facts.state, error, encoding, figures, doubt.reason)
 
 
 def paused_status(route: Route) -> RouteStatus:
@@ -177,41 +192,96 @@ def _shown(addresses: tuple[str, ...]) -> str:
     return ",".join(map(without_token, addresses))
 
 
-def _calls(bridge: ServiceBridge | ActionBridge) -> CallFigures:
-    return CallFigures(
-        requests=sum(bridge.counts.values()),
-        under_way=bridge.under_way,
-        ended=dict(bridge.counts),
-        took_ms=None if bridge.took_s is None else round(1e3 * bridge.took_s, 3),
-        durations=bridge.durations.to_json(),
-    )
+class _TopicFacts(NamedTuple):
+    """Holds everything that the status of a topic is made of, as cheap to have as to compare."""
 
+    error: str
+    state: str
+    encoding: str
+    link: LinkStatistics
+    publishers: int
+    readers: int | None
+    messages: int
+    bytes: int
+    rate_hz: float
+    rate_bps: float
+    delay_s: float | None
+    dropped: Mapping[str, int]
+    delays: Histogram
+    delays_ns: int
 
-def _topic(route: Route, bridge: TopicBridge) -> tuple[str, str, TopicFigures]:
-    meter = bridge.meter
-    drops: dict[str, int] = {reason.value: n for reason, n in bridge.drops.items() if n}
-    delay, encoding = meter.delay_s, route.delivery.encoding
-    publisher: object = bridge.publisher
-    subscription: object = bridge.subscription
-    link = publisher.statistics() if is_linked(publisher) else LinkStatistics()
-    if link.encoding is not None:
+    @classmethod
+    def of(cls, bridge: TopicBridge) -> _TopicFacts:
+        """Return how a topic is now."""
+        meter, publisher, subscription = bridge.meter, bridge.publisher, bridge.subscription
+        link = publisher.statistics() if is_linked(publisher) else _NO_LINK
         encoding = link.encoding
-    elif is_encoded(subscription):
-        encoding = subscription.encoding
-    drops.update(link.lost)
-    if delay is None:
-        delay = link.delay_s
-    known = look_up(bridge.source, "topic", bridge.source_topic)
-    figures = TopicFigures(
-        publishers=0 if known is None else sum(not end.local for end in known.publishers),
-        readers=None if bridge.publisher is None else bridge.publisher.subscribers,
-        messages=meter.messages,
-        bytes=meter.bytes,
-        rate_hz=round(meter.rate_hz, 2),
-        bandwidth_bps=round(meter.rate_bps),
-        delay_ms=None if delay is None else round(1e3 * delay, 3),
-        drops=drops,
-        delays=meter.delays.to_json(),
-    )
-    refused = link.refused or (subscription.refused if is_refusable(subscription) else "")
-    return bridge.error or refused, encoding, figures
+        if encoding is None:
+            encoding = subscription.encoding if is_encoded(subscription) else ""
+        refused = link.refused or (subscription.refused if is_refusable(subscription) else "")
+        publishers, _ = bridge.source.count_publishers(bridge.source_topic)
+        return cls(
+            bridge.error or refused,
+            bridge.state,
+            encoding,
+            link,
+            publishers,
+            None if publisher is None else publisher.subscribers,
+            meter.messages,
+            meter.bytes,
+            meter.rate_hz,
+            meter.rate_bps,
+            link.delay_s if meter.delay_s is None else meter.delay_s,
+            {reason.value: n for reason, n in bridge.drops.items() if n} if bridge.drops else NO_LOSSES,
+            meter.delays,
+            meter.delays.sum_ns,
+        )
+
+    def figures(self) -> TopicFigures:
+        """Return the figures for people and programs."""
+        return TopicFigures(
+            publishers=self.publishers,
+            readers=self.readers,
+            messages=self.messages,
+            bytes=self.bytes,
+            rate_hz=round(self.rate_hz, 2),
+            bandwidth_bps=round(self.rate_bps),
+            delay_ms=None if self.delay_s is None else round(1e3 * self.delay_s, 3),
+            drops={**self.dropped, **self.link.lost},
+            delays=self.delays.to_json(),
+        )
+
+
+class _CallFacts(NamedTuple):
+    """Holds everything that the status of a service or an action is made of."""
+
+    error: str
+    state: str
+    encoding: str
+    under_way: int
+    ended: Mapping[str, int]
+    took_s: float | None
+    durations: Histogram
+
+    @classmethod
+    def of(cls, bridge: ServiceBridge | ActionBridge) -> _CallFacts:
+        """Return how a service or an action is now."""
+        return cls(
+            bridge.error or (f"offered by {bridge.taken_by}" if bridge.taken_by else ""),
+            bridge.state,
+            bridge.encoding,
+            bridge.under_way,
+            dict(bridge.counts),
+            bridge.took_s,
+            bridge.durations,
+        )
+
+    def figures(self) -> CallFigures:
+        """Return the figures for people and programs."""
+        return CallFigures(
+            requests=sum(self.ended.values()),
+            under_way=self.under_way,
+            ended=self.ended,
+            took_ms=None if self.took_s is None else round(1e3 * self.took_s, 3),
+            durations=self.durations.to_json(),
+        )

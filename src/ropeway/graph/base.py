@@ -349,6 +349,9 @@ class Graph(Protocol):
     def counts(self) -> tuple[int, int]:
         """Return the numbers of topics and of nodes discovered so far."""
 
+    def count_publishers(self, topic: str) -> tuple[int, int]:
+        """Return how many publishers of a topic are others' and how many are our own (``EndpointInfo.local``)."""
+
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
         """Return what is known of one ``topic``, ``service`` or ``action`` now, ``None`` if it is not there."""
 

@@ -17,6 +17,7 @@ from ropeway.graph.base import (
     GraphEvent,
     TopicInfo,
     Undelivered,
+    look_up,
 )
 from ropeway.graph.calls import ActionHandlers, ActionInfo, ServiceInfo
 from ropeway.graph.changes import Changes
@@ -55,6 +56,14 @@ class GraphBase(Graph):
     def counts(self) -> tuple[int, int]:
         """See ``Graph.counts``; a network that need not describe everything for it has its own."""
         return len(self.topics()), len(self.nodes())
+
+    def count_publishers(self, topic: str) -> tuple[int, int]:
+        """See ``Graph.count_publishers``; a network that need not describe the topic for it has its own."""
+        known = look_up(self, "topic", topic)
+        if known is None:
+            return 0, 0
+        own = sum([end.local for end in known.publishers])
+        return len(known.publishers) - own, own
 
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
         """See ``Graph.look_up``; a network that need not describe all the others for it has its own."""

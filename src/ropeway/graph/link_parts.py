@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Final, Generic, Protocol, TypeGuard, TypeVar, runtime_checkable
+from types import MappingProxyType
+from typing import Final, Generic, NamedTuple, Protocol, TypeGuard, TypeVar, runtime_checkable
 
 __all__ = [
+    "NO_LOSSES",
     "Contended",
     "Draining",
     "Encoded",
@@ -22,9 +24,11 @@ __all__ = [
 
 P = TypeVar("P")
 
+NO_LOSSES: Final[Mapping[str, int]] = MappingProxyType({})
+"""Where every message was sent."""
 
-@dataclass(frozen=True, slots=True)
-class LinkStatistics:
+
+class LinkStatistics(NamedTuple):
     """Tells how a topic goes over a link.
 
     ``encoding`` is that of the last message, ``None`` before the first. ``lost`` counts messages by why they were not
@@ -33,7 +37,7 @@ class LinkStatistics:
     """
 
     encoding: str | None = None
-    lost: Mapping[str, int] = field(default_factory=dict)
+    lost: Mapping[str, int] = NO_LOSSES
     delay_s: float | None = None
     refused: str = ""
 

@@ -267,6 +267,11 @@ class View(GraphBase):
             for name, info in self.hub.graph.topics().items()
         }
 
+    def count_publishers(self, topic: str) -> tuple[int, int]:
+        """See ``Graph.count_publishers``; what other views created does not count as our own."""
+        others, own = self.hub.graph.count_publishers(topic)
+        return (others, own) if not own or self._has(self.hub.publishers.get(topic, ())) else (others + own, 0)
+
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
         """See ``Graph.look_up``; what other views created does not count as local."""
         info = self.hub.graph.look_up(kind, name)

@@ -144,6 +144,14 @@ class DdsDiscovery:
         topics = sum([not is_of_action(name) for name in self._topics])
         return topics, len({node.name for record in self._nodes.values() for node in record.nodes})
 
+    def count_publishers(self, topic: str) -> tuple[int, int]:
+        """See ``Graph.count_publishers``."""
+        found = self._topics.get(topic)
+        if found is None or is_of_action(topic):
+            return 0, 0
+        own = sum([endpoint.record.local for endpoint in found.publishers.values()])
+        return len(found.publishers) - own, own
+
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
         """See ``Graph.look_up``."""
         if kind == "topic":

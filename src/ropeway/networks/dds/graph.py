@@ -237,6 +237,10 @@ class DdsGraph(ComposingGraph):
         """See ``Graph.counts``."""
         return self._discovery.counts() if self._discovery else (0, 0)
 
+    def count_publishers(self, topic: str) -> tuple[int, int]:
+        """See ``Graph.count_publishers``."""
+        return self._discovery.count_publishers(topic) if self._discovery else (0, 0)
+
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
         """See ``Graph.look_up``."""
         return self._discovery.look_up(kind, name) if self._discovery else None

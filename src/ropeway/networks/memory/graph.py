@@ -200,6 +200,14 @@ class MemoryGraph(ComposingGraph):
         types = tuple(dict.fromkeys(endpoint.type for endpoint in publishers + subscriptions))
         return TopicInfo(name, types, publishers, subscriptions)
 
+    def count_publishers(self, topic: str) -> tuple[int, int]:
+        """See ``Graph.count_publishers``."""
+        if _ACTION_PART in topic:
+            return 0, 0
+        found = self.network.publishers.of(topic)
+        own = sum([part.graph is self for part in found])
+        return len(found) - own, own
+
     def look_up(self, kind: str, name: str) -> TopicInfo | ServiceInfo | ActionInfo | None:
         """See ``Graph.look_up``."""
         if kind == "topic":

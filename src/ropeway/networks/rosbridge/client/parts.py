@@ -12,7 +12,7 @@ from ropeway.delivery.outbox import Lost
 from ropeway.errors import MessageTooBig, TypesError
 from ropeway.graph.base import SEQ_NONE, Delivery, Sample, SampleCallback, Undelivered, new_origin
 from ropeway.graph.history import History
-from ropeway.graph.link_parts import FarFigures, LinkStatistics
+from ropeway.graph.link_parts import NO_LOSSES, FarFigures, LinkStatistics
 from ropeway.graph.parts import PublisherBase, SubscriptionBase
 from ropeway.graph.peer_answer import Answers
 from ropeway.networks.rosbridge.client.host import LinkGraph
@@ -159,7 +159,7 @@ class RemotePublisher(PublisherBase[LinkGraph]):
     def statistics(self) -> LinkStatistics:
         """See ``LinkedPublisher.statistics``."""
         encoding = None if self.channel is None else self.channel.used
-        lost = {reason.value: n for reason, n in self.lost.items() if n}
+        lost = {reason.value: n for reason, n in self.lost.items() if n} if self.lost else NO_LOSSES
         return LinkStatistics(encoding, lost, self.remote_delay_s, self.refused)
 
     def traffic(self) -> tuple[int, int]:
