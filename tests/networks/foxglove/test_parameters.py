@@ -8,7 +8,6 @@ import pytest
 
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.graph.parameters import to_message
-from ropeway.limits import VIEWER_PARAMETERS_WATCHED, VIEWER_QUESTIONS
 from ropeway.listener.authentication import Door
 from ropeway.listener.authorization import Role
 from ropeway.networks.foxglove.settings import FoxgloveSettings, patterns
@@ -152,20 +151,3 @@ async def test_changes_are_told(sight: Sight) -> None:
     await until(lambda: events.subscribers == 0)
     await other.passed()
     assert not [told for told in other.told if told["op"] == "parameterValues"]
-
-
-async def test_too_many(sight: Sight) -> None:
-    """The questions of a viewer that are under way, and the parameters that it watches, are bounded."""
-    viewer = await sight.viewer()
-    await viewer.op("serverInfo")
-    session = sight.session
-    await session.questions._turn.acquire()  # as if a node took its time
-    for _ in range(VIEWER_QUESTIONS + 1):
-        viewer.send({"op": "getParameters", "parameterNames": []})
-    assert "are not answered yet" in await viewer.complaint()
-    session.questions._turn.release()
-    for first in range(0, VIEWER_PARAMETERS_WATCHED + 1000, 1000):
-        names = [f"/n.p{number}" for number in range(first, first + 1000)]
-        viewer.send({"op": "subscribeParameterUpdates", "parameterNames": names})
-    assert "at most" in await viewer.complaint()
-    assert len(session.questions.watched) <= VIEWER_PARAMETERS_WATCHED

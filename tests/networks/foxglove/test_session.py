@@ -11,7 +11,7 @@ import pytest
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.limits import VIEWER_STATUSES, WAITING_OPERATIONS
 from ropeway.networks.foxglove.settings import FoxgloveSettings, patterns
-from ropeway.qos import LATCHED, SENSOR_DATA, QoS
+from ropeway.qos import LATCHED, QoS
 from tests.networks.foxglove.viewer import SDK, WEBSOCKET, Sight, Viewer
 from tests.support.messages import STRING, joined, sample, text
 from tests.support.until import until
@@ -135,23 +135,6 @@ async def test_types_that_are_not_known(sight: Sight) -> None:
     await viewer.until(lambda: any(each["schema"] == "int32 x\n" for each in viewer.channels.values()))
     assert channel["id"] not in viewer.channels
     assert (await viewer.op("removeStatus"))["statusIds"] == [f"type {type}"]
-
-
-async def test_best_effort_where_it_is_asked_for(dark: Sight) -> None:
-    """Topics of ``best_effort_qos_topic_whitelist`` are read as best effort, others as their publishers offer."""
-    await dark.start(FoxgloveSettings(best_effort=patterns(("/fast",))))
-    for name in ("/fast", "/sure"):
-        await dark.robot.create_publisher(name, STRING, QoS())
-    await dark.robot.create_publisher("/sensor", STRING, SENSOR_DATA)
-    viewer = await dark.viewer()
-    for number, name in enumerate(("/fast", "/sure", "/sensor")):
-        await viewer.subscribe(name, number)
-    await viewer.passed()
-
-    def asked(name: str) -> str:
-        return dark.hub.subscriptions[name][0].qos.reliability
-
-    assert [asked(name) for name in ("/fast", "/sure", "/sensor")] == ["best_effort", "reliable", "best_effort"]
 
 
 async def test_a_stalled_viewer_slows_nobody(dark: Sight) -> None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import replace
 
 import pytest
-import zenoh
 
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Undelivered
@@ -15,7 +13,7 @@ from ropeway.networks.zenoh import ZenohGraph
 from ropeway.networks.zenoh.address import ZenohAddress
 from ropeway.networks.zenoh.attachment import pack
 from ropeway.networks.zenoh.graph import TOKENS
-from ropeway.networks.zenoh.tokens import NO_HASH, ZenohToken, data_key, enclave_of, gid_of
+from ropeway.networks.zenoh.tokens import ZenohToken, data_key, enclave_of, gid_of
 from ropeway.qos import LATCHED, QoS
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, joined, sample, text
@@ -37,21 +35,6 @@ async def test_shown() -> None:
         assert near.topics()["/map"].publishers[0].gid == publisher.gid
         assert far.settled
         assert far.nodes()["/near"].publishers == (("/map", STRING),)
-
-
-async def test_numbered() -> None:
-    """A message keeps its number as its source timestamp, and comes from the gid of its publisher."""
-    async with open_pair() as (near, far, _):
-        inbox = Inbox()
-        await far.create_subscription("/t", STRING, QoS(), inbox)
-        publisher = await near.create_publisher("/t", STRING)
-        await joined(publisher)
-        message = sample("hello")
-        message.seq = 1_234_567
-        publisher.publish(message)
-        (got,) = await inbox.wait(1)
-        assert (got.seq, got.relayed) == (1_234_567, False)
-        assert got.origin == near.topics()["/t"].publishers[0].gid
 
 
 async def test_domains_apart() -> None:
@@ -91,55 +74,6 @@ async def test_bad_configuration() -> None:
     with pytest.raises(GraphUnavailable, match="Zenoh cannot start"):
         await ZenohGraph(ZenohAddress(0, (), (taken,), "peer")).open()
     await first.close()
-
-
-async def test_two_hashes() -> None:
-    """Readers that know a type under another hash get the messages under theirs, latched ones too."""
-    async with open_pair() as (near, _, where):
-        publisher = await near.create_publisher("/t", STRING, LATCHED)
-        publisher.publish(sample("kept"))
-        session = foreign_session(where)
-        token = ZenohToken(
-            0, str(session.info.zid()), "0", "1", "subscription", "/other", "/", "/t", STRING, "RIHS01_other"
-        )
-        got: list[bytes] = []
-        key = data_key(0, "/t", STRING, "RIHS01_other")
-        history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
-
-        def take(taken: zenoh.Sample) -> None:
-            got.append(bytes(taken.payload))
-
-        handler = zenoh.handlers.Callback(take, indirect=False)
-        subscriber = zenoh.ext.declare_advanced_subscriber(session, key, handler, history=history)
-        shown = session.liveliness().declare_token(str(token))
-        await until(lambda: got == [text("kept")])
-        assert publisher.subscribers == 1
-        assert {end.type_hash for end in near.topics()["/t"].publishers} == {_HASH, "RIHS01_other"}
-        publisher.publish(sample("new"))
-        await until(lambda: got == [text("kept"), text("new")])
-        shown.undeclare()
-        await until(lambda: {end.type_hash for end in near.topics()["/t"].publishers} == {_HASH})
-        subscriber.undeclare()
-        session.close()
-
-
-async def test_heard_once() -> None:
-    """Where an endpoint shows itself under two hashes, another Ropeway hears each message once."""
-    async with open_pair() as (near, far, where):
-        inbox = Inbox()
-        await far.create_subscription("/t", STRING, QoS(depth=100), inbox)
-        publisher = await near.create_publisher("/t", STRING)
-        session = foreign_session(where)
-        token = ZenohToken(0, str(session.info.zid()), "0", "1", "subscription", "/old", "/", "/t", STRING, NO_HASH)
-        shown = session.liveliness().declare_token(str(token))
-        await until(lambda: publisher.subscribers == 2 and len(far.topics()["/t"].publishers) == 2)
-        for number in range(20):
-            publisher.publish(sample(f"{number}"))
-        publisher.publish(sample("end"))
-        await until(lambda: inbox.texts[-1:] == ["end"])
-        assert inbox.texts == [*map(str, range(20)), "end"]
-        shown.undeclare()
-        session.close()
 
 
 async def test_own_gateway() -> None:
@@ -205,44 +139,6 @@ async def test_many_tokens() -> None:
         await until(lambda: len(near.discovery.others("publisher", "/t", STRING)) == len(shown))
         session.close()
         await until(lambda: "/t" not in near.topics())
-
-
-async def test_node_gets_default() -> None:
-    """A node that asks for what fails gets the default response, since ROS 2 has no errors of services."""
-
-    async def fail(request: Request) -> bytes:
-        raise RuntimeError("broken")
-
-    async with open_pair() as (near, _, where):
-        await near.create_service("/add", ADD, fail)
-        session = foreign_session(where)
-        answers: list[bytes] = []
-        session.get(
-            data_key(0, "/add", ADD, near.layouts.own_hash(ADD)),
-            lambda reply: answers.append(bytes(reply.ok.payload)),
-            payload=addends(1),
-            attachment=pack(7, 8, bytes(16)),
-            target=zenoh.QueryTarget.ALL_COMPLETE,
-        )
-        await until(lambda: answers == [total(0)])
-        session.close()
-
-
-async def test_caller() -> None:
-    """A handler learns which node calls, and a call has the same id wherever it is served."""
-    seen: list[Request] = []
-
-    async def note(request: Request) -> bytes:
-        seen.append(request)
-        return await add(request)
-
-    async with open_pair() as (near, far, _):
-        await near.create_service("/add", ADD, note)
-        client = await far.create_client("/add", ADD)
-        assert await client.wait_available(60)
-        await asyncio.gather(*(client.call(Request(addends(number))) for number in range(3)))
-        assert {request.caller for request in seen} == {"/far"}
-        assert len({request.id for request in seen}) == 3
 
 
 def test_identity_of_ours() -> None:
