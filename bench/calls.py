@@ -1,8 +1,8 @@
-"""Python calls that one message and one service call cost two gateways, in order, by name.
+"""Python calls that one message, one service call and one goal cost two gateways, in order, by name.
 
 Counted with ``sys.setprofile`` in both gateways while one warm sample of 1 kB passes, or one service call and its
-answer. Several are counted one by one; the fewest calls are the figure, for whatever else a gateway does meanwhile
-only adds to them. Counts do not depend on how busy the machine is.
+answer, or one goal from its sending to its result. Several are counted one by one; the fewest calls are the figure, for
+whatever else a gateway does meanwhile only adds to them. Counts do not depend on how busy the machine is.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from ropeway.aio import timeout
 from ropeway.gateway.config.config import load
 from ropeway.gateway.gateway import Gateway
 from ropeway.graph.base import Sample
-from ropeway.graph.calls import Request
+from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
 from ropeway.networks.dds import DdsGraph
 from ropeway.types import TypeRegistry
 
-__all__ = ["OPERATIONS", "READ_CALLS", "SERVICE_CALLS", "WRITE_CALLS", "Count", "measure"]
+__all__ = ["ACTION_CALLS", "OPERATIONS", "READ_CALLS", "SERVICE_CALLS", "WRITE_CALLS", "Count", "measure"]
 
 READ_CALLS: Final = 20
 """Calls from the DDS reader to the socket."""
@@ -42,9 +42,12 @@ WRITE_CALLS: Final = 10
 """Calls from the socket to the DDS writer."""
 SERVICE_CALLS: Final = 150
 """Calls of both gateways for a service call, there and back."""
+ACTION_CALLS: Final = 500
+"""Calls of both gateways for a goal, from its sending to its result."""
 
 DOMAIN_A, DOMAIN_B = 68, 69
 TOPIC_TYPE, SERVICE_TYPE = "std_msgs/msg/UInt8MultiArray", "example_interfaces/srv/AddTwoInts"
+ACTION_TYPE = "example_interfaces/action/Fibonacci"
 _BEGIN: Final = b"+\n"
 _HEAD: Final = b"\0\1\0\0"
 _BODY_BYTES: Final = 1024
@@ -161,7 +164,7 @@ def _name(operation: str) -> str:
 
 
 def _type(operation: str) -> str:
-    return SERVICE_TYPE if operation in _CALLS else TOPIC_TYPE
+    return SERVICE_TYPE if operation in _CALLS else ACTION_TYPE if operation in _GOALS else TOPIC_TYPE
 
 
 async def _topic(pair: Pair, source: DdsGraph, sink: DdsGraph, name: str, samples: int) -> list[list[str]]:
@@ -208,9 +211,37 @@ async def _service(pair: Pair, caller: DdsGraph, server: DdsGraph, name: str, sa
     return counted
 
 
-_INWARD: Final = ("subscribe", "expose-service")  # messages and calls come from the gateway that listens
+async def _action(pair: Pair, sender: DdsGraph, server: DdsGraph, name: str, samples: int) -> list[list[str]]:
+    """Count one goal of ``sender`` that ``server`` carries out at once."""
+
+    async def succeed(goal: ServerGoal) -> Outcome:
+        return Outcome(GoalStatus.SUCCEEDED, _HEAD + struct.pack("<I", 0))
+
+    serving = await server.create_action_server(name, ACTION_TYPE, ActionHandlers(succeed))
+    client = await sender.create_action_client(name, ACTION_TYPE)
+    if not await client.wait_available(_WAIT_S):
+        raise SystemExit(f"nobody serves {name}")
+
+    async def one() -> None:
+        goal = await client.send_goal(Goal(_HEAD + struct.pack("<i", 3)), timeout_s=_WAIT_S)
+        await goal.result(_WAIT_S)
+
+    await one()  # the gateways make their clients
+    await asyncio.sleep(_WARM_S)
+    counted = await pair.count(one, samples)
+    await client.close()
+    await serving.close()
+    return counted
+
+
+_INWARD: Final = (
+    "subscribe",
+    "expose-service",
+    "expose-action",
+)  # messages and calls come from the gateway that listens
 _CALLS: Final = ("reserve-service", "expose-service")
-OPERATIONS: Final = ("publish", "subscribe", *_CALLS)
+_GOALS: Final = ("reserve-action", "expose-action")
+OPERATIONS: Final = ("publish", "subscribe", *_CALLS, *_GOALS)
 
 
 async def measure(operations: Sequence[str] = OPERATIONS, *, samples: int, port: int) -> list[Count]:
@@ -230,12 +261,13 @@ async def measure(operations: Sequence[str] = OPERATIONS, *, samples: int, port:
         for operation in operations:
             inward, name = operation in _INWARD, f"/{_name(operation)}"
             begins, ends = reversed(graphs) if inward else graphs
-            count = _service if operation in _CALLS else _topic
+            count = _service if operation in _CALLS else _action if operation in _GOALS else _topic
             near, far = await count(pair, begins, ends, name, samples)
             if inward:
                 near, far = far, near
-            if operation in _CALLS:
-                counts.append(Count(f"{operation}: there and back", near + far, SERVICE_CALLS))
+            if operation in (*_CALLS, *_GOALS):
+                asked = SERVICE_CALLS if operation in _CALLS else ACTION_CALLS
+                counts.append(Count(f"{operation}: there and back", near + far, asked))
             else:
                 counts.append(Count(f"{operation}: DDS reader to socket", near, READ_CALLS))
                 counts.append(Count(f"{operation}: socket to DDS writer", far, WRITE_CALLS))

@@ -115,7 +115,6 @@ ALLOWED_TASKS = {
     "hub/calls.py:either": AWAITED,
     "networks/overlay/graph/calls.py:_call": AWAITED,
     "networks/overlay/graph/calls.py:answer_remote": AWAITED,
-    "networks/rosbridge/client/actions.py:send_goal": AWAITED,
     "networks/ros1/xmlrpc.py:_accepted": ANSWERED,
     "iort.py:open": "the file stands alone; the task itself survives every failure, and tells it",
     "iort.py:_spawn": ANSWERED,

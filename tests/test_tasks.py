@@ -10,7 +10,7 @@ import pytest
 
 from ropeway.aio import ExceptionGroup
 from ropeway.errors import GraphUnavailable
-from ropeway.tasks import Chores, Supervised, background, describe, end, failing, keep_running
+from ropeway.tasks import Chores, Supervised, background, describe, end, failing, keep_running, settled
 from tests.support.until import until
 
 
@@ -167,3 +167,22 @@ def test_describe() -> None:
     assert describe(ExceptionGroup("many", [ValueError("a"), ValueError("a"), KeyError(1)])) == (
         "ValueError: a; KeyError: 1"
     )
+
+
+async def test_settled_leaves_a_future_alone() -> None:
+    """Waiting for a future ends with it, with the time, or with the waiter, whose end leaves the future alone."""
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[int] = loop.create_future()
+    assert not await settled(done, 0.0)
+    waiting = asyncio.create_task(settled(done))
+    given_up = asyncio.create_task(settled(done, 60.0))
+    await asyncio.sleep(0)
+    await end(given_up)
+    assert not done.done()
+    done.set_result(7)
+    assert await waiting
+    assert await settled(done, 0.0)
+    failed: asyncio.Future[int] = loop.create_future()
+    failed.set_exception(ValueError("no"))
+    assert await settled(failed)
+    assert isinstance(failed.exception(), ValueError)

@@ -24,6 +24,7 @@ __all__ = [
     "end",
     "failing",
     "keep_running",
+    "settled",
     "tell_failure",
 ]
 
@@ -244,6 +245,30 @@ class Chores:
         if not task.cancelled() and task.exception() is not None:
             self.failures += 1
             tell_failure(task)
+
+
+async def settled(future: asyncio.Future[Any], timeout_s: float | None = None) -> bool:
+    """Wait until a future is done, at most so long, and return whether it is. It goes on if its waiter is cancelled.
+
+    The same as ``asyncio.wait`` for one future, at a third of the calls. Like that it takes a turn of the event loop even
+    where the future is done, so that what was handed over before it comes first.
+    """
+    loop = asyncio.get_running_loop()
+    waiter: asyncio.Future[None] = loop.create_future()
+
+    def wake(_: object = None) -> None:
+        if not waiter.done():
+            waiter.set_result(None)
+
+    expiry = loop.call_later(max(timeout_s, 0.0), wake) if timeout_s is not None else None
+    future.add_done_callback(wake)
+    try:
+        await waiter
+    finally:
+        future.remove_done_callback(wake)
+        if expiry is not None:
+            expiry.cancel()
+    return future.done()
 
 
 async def end(*tasks: asyncio.Task[Any] | Supervised | None) -> None:

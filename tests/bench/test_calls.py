@@ -1,4 +1,4 @@
-"""bench.calls: what a message and a service call cost, counted."""
+"""bench.calls: what a message, a service call and a goal cost, counted."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ _MOST: Final = {
     "subscribe: socket to DDS writer": 10,
     "reserve-service: there and back": 149,
     "expose-service: there and back": 141,
+    "reserve-action: there and back": 500,
+    "expose-action: there and back": 500,
 }
 
 
-async def test_messages_and_service_calls_cost_no_more_python_calls_than_they_did() -> None:
-    """A warm message, and a service call with its answer, take no more Python calls than they did before."""
+async def test_messages_calls_and_goals_cost_no_more_python_calls_than_they_did() -> None:
+    """A warm message, a call with its answer and a goal with its result take no more Python calls than they did."""
     counts = await measure(samples=_SAMPLES, port=free_port())
     found = {count.way: [call for call in count.calls if "aio310.py" not in call] for count in counts}  # of 3.10 alone
     longer = ["\n".join((way, *calls)) for way, calls in found.items() if len(calls) > _MOST[way]]

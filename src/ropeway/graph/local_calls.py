@@ -11,7 +11,7 @@ from ropeway import aio
 from ropeway.errors import CallError, CallFailed, CallTimeout, GoalRejected, ProviderLost, RopewayError
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, ServerGoal
 from ropeway.logs import failed
-from ropeway.tasks import Interruptible, background, end
+from ropeway.tasks import Interruptible, background, end, settled
 
 __all__ = ["LEFT", "DirectGoal", "InFlight", "answer"]
 
@@ -146,8 +146,7 @@ class DirectGoal:
 
     async def result(self, timeout_s: float | None = None) -> Outcome:
         """See ``ClientGoal``."""
-        done, _ = await asyncio.wait({self._outcome}, timeout=timeout_s)
-        if not done:
+        if not await settled(self._outcome, timeout_s):
             assert timeout_s is not None
             raise CallTimeout(self._action, timeout_s, "action")
         return self._outcome.result()

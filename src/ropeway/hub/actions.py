@@ -23,7 +23,7 @@ from ropeway.graph.local_calls import DirectGoal
 from ropeway.hub.calls import NOBODY_S, SharedClients, either
 from ropeway.hub.ownership import Claim, Claimant, NameOwners
 from ropeway.logs import failed
-from ropeway.tasks import background, describe, end
+from ropeway.tasks import background, describe, end, settled
 
 __all__ = ["ViewActionClient", "ViewActionServer"]
 
@@ -181,8 +181,7 @@ class _ViewGoal:
             self.ended.set_result(outcome)
 
     async def result(self, timeout_s: float | None = None) -> Outcome:
-        done, _ = await asyncio.wait({self.ended}, timeout=timeout_s)
-        if not done:
+        if not await settled(self.ended, timeout_s):
             assert timeout_s is not None
             raise CallTimeout(self._action, timeout_s, "action")
         return self.ended.result()

@@ -16,7 +16,7 @@ from ropeway.graph.calls import (
 from ropeway.hub.actions import ViewActionServer
 from ropeway.hub.calls import PendingCall, ViewService
 from ropeway.hub.ownership import NameOwners
-from ropeway.tasks import Chores
+from ropeway.tasks import Chores, settled
 
 __all__ = ["HubCalls"]
 
@@ -70,7 +70,7 @@ class HubCalls:
         """Return the shared client of a service or an action. Raises ``CallFailed`` where there are too many."""
         key = (kind, name, type)
         while (making := self._making.get(key)) is not None:
-            await asyncio.wait({making})
+            await settled(making)
         shared = self._clients.get(key)
         if shared is None:
             shared = await self._make(key, delivery)
@@ -105,7 +105,7 @@ class HubCalls:
             return
         if shared.inner.available is False:
             if (closing := self._expire(key)) is not None:
-                await asyncio.wait({closing})
+                await settled(closing)
             return
         self._idle[key] = None
         shared.closing = asyncio.get_running_loop().call_later(_LINGER_S, self._expire, key)
@@ -162,7 +162,7 @@ class HubCalls:
         """Return the answer of a call that was made before."""
         self.repeated += 1
         pending = self._calls[request.id]
-        await asyncio.wait({pending})
+        await settled(pending)
         how = pending.result()
         if isinstance(how, Exception):
             raise _bare(how)

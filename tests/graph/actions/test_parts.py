@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from ropeway.errors import DecodeError, InvalidName, UnknownType
 from ropeway.graph.actions import ActionParts, action_of_service, actions_of
+from ropeway.graph.actions.parts import status_array, status_entry
 from ropeway.graph.calls import GoalStatus, ProviderInfo, ServiceInfo, new_id
 from tests.support.actions import FIBONACCI, order, sequence
 
@@ -111,14 +112,24 @@ def test_cancel_messages() -> None:
     assert PARTS.cancel_answer(PARTS.cancelling(2, [(id, 1)])) == (2, [id])
 
 
-def test_statuses() -> None:
-    """The array of statuses is the one of action_msgs."""
-    id = new_id()
-    listed = REGISTRY.codec("action_msgs/msg/GoalStatusArray").decode(
-        PARTS.statuses([(id, 1_000_000_002, GoalStatus.EXECUTING)])
-    )["status_list"]
-    info = listed[0]["goal_info"]
-    assert (bytes(info["goal_id"]["uuid"]), info["stamp"], listed[0]["status"]) == (id, {"sec": 1, "nanosec": 2}, 2)
+@pytest.mark.parametrize("count", [0, 1, 2, 300])
+def test_statuses(count: int) -> None:
+    """The array of statuses is the one of action_msgs, byte for byte, however many there are."""
+    codec = REGISTRY.codec("action_msgs/msg/GoalStatusArray")
+    goals = [(new_id(), 1_000_000_002 + 10**9 * i, GoalStatus(i % 7)) for i in range(count)]
+    array = status_array([status_entry(*goal) for goal in goals])
+    listed = codec.decode(array)["status_list"]
+    found = [(bytes(info["goal_id"]["uuid"]), info["stamp"]) for info in (entry["goal_info"] for entry in listed)]
+    assert found == [(id, {"sec": ns // 10**9, "nanosec": 2}) for id, ns, _ in goals]
+    assert [entry["status"] for entry in listed] == [status for _, _, status in goals]
+    assert codec.encode({"status_list": listed}) == array
+
+
+def test_accepted() -> None:
+    """The answer to a goal is the one of the action's own type, byte for byte."""
+    codec = REGISTRY.codec("example_interfaces/action/Fibonacci_SendGoal_Response")
+    expected = codec.encode({"accepted": True, "stamp": {"sec": 5, "nanosec": 7}})
+    assert PARTS.accepted(True, 5_000_000_007) == expected
 
 
 def test_action_of_service() -> None:

@@ -1,4 +1,4 @@
-"""An action client made of three services and two topics."""
+"""An action client made of three services and a topic: the status topic says nothing that the services do not."""
 
 from __future__ import annotations
 
@@ -24,13 +24,11 @@ from ropeway.graph.actions.parts import (
     CANCEL_TYPE,
     ERROR_NONE,
     FEEDBACK_QOS,
-    STATUS_QOS,
-    STATUS_TYPE,
     ActionParts,
 )
 from ropeway.graph.base import NO_HINTS, Delivery, Graph, GraphEvent, Sample, Subscription, Undelivered, look_up
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Client, Goal, GoalStatus, Outcome, Request
-from ropeway.tasks import Chores, Supervised, background, describe, end, tell_failure
+from ropeway.tasks import Chores, Supervised, background, describe, end, settled, tell_failure
 from ropeway.types import TypeRegistry
 
 __all__ = ["ComposedActionClient", "ComposedGoal"]
@@ -79,8 +77,7 @@ class ComposedGoal:
 
     async def result(self, timeout_s: float | None = None) -> Outcome:
         """See ``ClientGoal``."""
-        done, _ = await asyncio.wait({self.outcome}, timeout=timeout_s)
-        if not done:
+        if not await settled(self.outcome, timeout_s):
             raise CallTimeout(self._client.action, timeout_s or 0.0, "action")
         return self.outcome.result()
 
@@ -105,7 +102,7 @@ class ComposedActionClient:
         self._sending: set[asyncio.Task[None]] = set()
         self._late = Chores()  # the ends of goals whose sender has left
         self._watch: Supervised | None = None
-        self._subscriptions: list[Subscription] = []
+        self._feedback: Subscription | None = None
         self._clients: list[Client] = []
         self._send: Client
         self._cancel: Client
@@ -117,13 +114,9 @@ class ComposedActionClient:
         name = f"watch action {self.action}"
         self._watch = Supervised(lambda: self._follow_server(graph.changes()), name).start()
         try:
-            for topic, type, qos, callback in (
-                (parts.feedback, parts.feedback_type, FEEDBACK_QOS, self._take_feedback),
-                (parts.status, STATUS_TYPE, STATUS_QOS, _ignore),
-            ):
-                self._subscriptions.append(
-                    await graph.create_subscription(topic, type, qos, callback, delivery=self._delivery)
-                )
+            self._feedback = await graph.create_subscription(
+                parts.feedback, parts.feedback_type, FEEDBACK_QOS, self._take_feedback, delivery=self._delivery
+            )
             self._cancel = await self._client(parts.cancel_goal, CANCEL_TYPE)
             self._result = await self._client(parts.get_result, parts.get_result_type)
             self._send = await self._client(parts.send_goal, parts.send_goal_type)
@@ -148,8 +141,8 @@ class ComposedActionClient:
         self._goals.clear()
         for client in self._clients:
             await client.close()
-        for subscription in self._subscriptions:
-            await subscription.close()
+        if self._feedback is not None:
+            await self._feedback.close()
         if self.on_closed is not None:
             self.on_closed()
 
@@ -192,7 +185,7 @@ class ComposedActionClient:
             sending = asyncio.create_task(self._negotiate(goal, sent, left_s), name=f"goal for {self.action}")
             self._sending.add(sending)
             sending.add_done_callback(self._sending.discard)
-            await asyncio.wait({sending}, timeout=left_s)
+            await settled(sending, left_s)
         except asyncio.CancelledError:
             if sending is not None and sent.follower is not None:
                 self._late.start(self._give_up(sent), f"end of a goal of {self.action}")
@@ -334,7 +327,3 @@ class ComposedActionClient:
     def _check(self) -> None:
         if self.closed:
             raise GraphUnavailable(self._graph.name, f"the client of {self.action} is closed")
-
-
-def _ignore(batch: Sequence[Sample]) -> None:
-    """Ignore a status: the topic is subscribed to, as by every ROS client, but results carry the same information."""

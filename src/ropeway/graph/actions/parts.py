@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import struct
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from ropeway.errors import DecodeError, UnknownType, ValueMismatch
@@ -26,6 +27,8 @@ __all__ = [
     "actions_of",
     "parts_of_action",
     "service_of_action",
+    "status_array",
+    "status_entry",
 ]
 
 CANCEL_TYPE: Final = "action_msgs/srv/CancelGoal"
@@ -43,6 +46,11 @@ _HEADER_BYTES: Final = 4
 _ID_BYTES: Final = 16
 _SEND_GOAL: Final = "/_action/send_goal"
 _SECOND_NS: Final = 1_000_000_000
+_HEADER: Final = b"\0\1\0\0"
+_COUNT: Final = struct.Struct("<I")
+_ACCEPTED: Final = struct.Struct("<4s?3xiI")
+_STATUS: Final = struct.Struct("<16s3xiIb")  # begins one byte after a multiple of four, for a status is a byte
+_STATUS_PADDING: Final = slice(16, 19)  # which the first of a message has not
 
 
 def parts_of_action(action: str, type: str) -> list[tuple[str, str, str]]:
@@ -85,7 +93,6 @@ class ActionParts:
         self._accepted = registry.codec(f"{self.type}_SendGoal_Response")
         self._cancel_request = registry.codec(f"{CANCEL_TYPE}_Request")
         self._cancel_response = registry.codec(f"{CANCEL_TYPE}_Response")
-        self._statuses = registry.codec(STATUS_TYPE)
 
     def join(self, id: bytes, payload: bytes) -> bytes:
         """Return the CDR of ``…_SendGoal_Request`` or ``…_FeedbackMessage`` around a goal or a feedback."""
@@ -100,7 +107,7 @@ class ActionParts:
 
     def accepted(self, accepted: bool, stamp_ns: int) -> bytes:
         """Return the CDR of ``…_SendGoal_Response``."""
-        return self._accepted.encode({"accepted": accepted, "stamp": _time(stamp_ns)})
+        return _ACCEPTED.pack(_HEADER, accepted, *divmod(stamp_ns, _SECOND_NS))
 
     def is_accepted(self, response: bytes) -> bool:
         """Return whether a ``…_SendGoal_Response`` accepts the goal. Raises ``DecodeError``."""
@@ -108,7 +115,7 @@ class ActionParts:
 
     def result_request(self, id: bytes) -> bytes:
         """Return the CDR of ``…_GetResult_Request``."""
-        return b"\0\1\0\0" + id
+        return _HEADER + id
 
     def result(self, status: GoalStatus, payload: bytes | None) -> bytes:
         """Return the CDR of ``…_GetResult_Response``; without a payload it holds the default values.
@@ -146,10 +153,22 @@ class ActionParts:
         message = self._cancel_response.decode(response)
         return message["return_code"], [bytes(info["goal_id"]["uuid"]) for info in message["goals_canceling"]]
 
-    def statuses(self, goals: list[tuple[bytes, int, GoalStatus]]) -> bytes:
-        """Return the CDR of ``GoalStatusArray``: id, acceptance time (ns) and status of each goal."""
-        listed = [{"goal_info": _info(id, stamp_ns), "status": int(status)} for id, stamp_ns, status in goals]
-        return self._statuses.encode({"status_list": listed})
+
+def status_entry(id: bytes, stamp_ns: int, status: GoalStatus) -> bytes:
+    """Return id, acceptance time and status of one goal, for ``status_array``."""
+    return _STATUS.pack(id, *divmod(stamp_ns, _SECOND_NS), status)
+
+
+def status_array(entries: Sequence[bytes]) -> bytes:
+    """Return the CDR of ``GoalStatusArray``. Entries are joined as they are: a server tells of hundreds of goals at
+    each step of one.
+    """
+    message = bytearray(_HEADER + _COUNT.pack(len(entries)))
+    begins = len(message)
+    message += b"".join(entries)
+    if entries:
+        del message[begins + _STATUS_PADDING.start : begins + _STATUS_PADDING.stop]
+    return bytes(message)
 
 
 def _time(stamp_ns: int) -> dict[str, int]:

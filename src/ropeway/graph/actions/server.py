@@ -23,10 +23,12 @@ from ropeway.graph.actions.parts import (
     STATUS_QOS,
     STATUS_TYPE,
     ActionParts,
+    status_array,
+    status_entry,
 )
 from ropeway.graph.base import NO_HINTS, SEQ_NONE, Delivery, Graph, Publisher, Sample, Undelivered
 from ropeway.graph.calls import ActionHandlers, GoalStatus, Outcome, Request, ServerGoal, Service
-from ropeway.tasks import background, end
+from ropeway.tasks import background, end, settled
 from ropeway.types import TypeRegistry
 
 __all__ = ["ComposedActionServer"]
@@ -48,12 +50,17 @@ class _Tracked:
     def __init__(self, goal: ServerGoal, stamp_ns: int) -> None:
         self.goal = goal
         self.stamp_ns = stamp_ns
-        self.status = GoalStatus.ACCEPTED
         self.response: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         self.work: asyncio.Task[None] | None = None
         self.taken_s = asyncio.get_running_loop().time()
         self.asked = asyncio.Event()  # somebody asks for its result
         self.ended_s = 0.0
+        self.become(GoalStatus.ACCEPTED)
+
+    def become(self, status: GoalStatus) -> None:
+        """Change the status, and what is told of it."""
+        self.status = status
+        self.told = status_entry(self.goal.id, self.stamp_ns, status)
 
 
 class ComposedActionServer:
@@ -188,7 +195,7 @@ class ComposedActionServer:
 
     async def _carry_out(self, tracked: _Tracked) -> None:
         if tracked.status is GoalStatus.ACCEPTED:
-            tracked.status = GoalStatus.EXECUTING
+            tracked.become(GoalStatus.EXECUTING)
             self._publish_status()
         try:
             outcome = await self._handlers.execute(tracked.goal)
@@ -213,7 +220,7 @@ class ComposedActionServer:
             log.error("%s: the result of a goal cannot be sent: %s", self.action, error)
             status = GoalStatus.ABORTED
             response = self._parts.result(status, None)
-        tracked.status = status
+        tracked.become(status)
         tracked.response.set_result(response)
         self._goals.pop(tracked.goal.id, None)
         self._keep(tracked)
@@ -256,7 +263,7 @@ class ComposedActionServer:
         self._waiting += 1
         tracked.asked.set()
         try:
-            await asyncio.wait({tracked.response})
+            await settled(tracked.response)
         finally:
             self._waiting -= 1
             if not self._waiting:
@@ -299,7 +306,7 @@ class ComposedActionServer:
                 return False
         if tracked.status.final:
             return False
-        tracked.status = GoalStatus.CANCELING
+        tracked.become(GoalStatus.CANCELING)
         tracked.goal.cancelled.set()
         return True
 
@@ -315,8 +322,7 @@ class ComposedActionServer:
     def _publish_status(self) -> None:
         if self._status is None:
             return
-        listed = [(t.goal.id, t.stamp_ns, t.status) for table in (self._ended, self._goals) for t in table.values()]
-        message = self._parts.statuses(listed)
+        message = status_array([tracked.told for table in (self._ended, self._goals) for tracked in table.values()])
         self._status.publish(Sample(message, STATUS_TYPE, time.time_ns(), bytes(16), SEQ_NONE))
 
     def _blame(self, doing: str, error: Exception) -> None:

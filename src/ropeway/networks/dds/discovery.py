@@ -16,6 +16,7 @@ from ropeway.networks.dds.names import (
     NameKind,
     action_of,
     action_of_feedback,
+    action_type,
     demangle,
     feedback_of,
     goals_of,
@@ -169,8 +170,10 @@ class DdsDiscovery:
     def types_of(self, kind: str, name: str) -> tuple[str, ...]:
         """Return the types that one topic, service or action has now."""
         if kind == "action":
-            info = self.look_up(kind, name)
-            return info.types if info is not None else ()
+            goals, feedback = self._services.get(goals_of(name)), self._topics.get(feedback_of(name))
+            used = [*goals.subscriptions.values(), *goals.publishers.values()] if goals is not None else []
+            used += [*feedback.publishers.values(), *feedback.subscriptions.values()] if feedback is not None else []
+            return tuple(dict.fromkeys([action_type(endpoint.name.type) for endpoint in used]))
         if kind == "topic" and is_of_action(name):
             return ()
         found = (self._topics if kind == "topic" else self._services).get(name)

@@ -23,6 +23,7 @@ __all__ = [
     "NameKind",
     "action_of",
     "action_of_feedback",
+    "action_type",
     "dds_service_topics",
     "dds_topic",
     "dds_type",
@@ -39,6 +40,8 @@ DISCOVERY_TYPE_HASH: Final = "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea82
 
 _DDS_TYPE: Final = re.compile(r"([A-Za-z]\w*)::(msg|srv|action)::dds_::([A-Za-z]\w*)_", re.ASCII)
 _ACTION: Final = "/_action/"
+_GOALS_SUFFIX: Final = "_SendGoal"
+_FEEDBACK_SUFFIX: Final = "_FeedbackMessage"
 _KEPT_CHARACTERS: Final = 2 * NAME_CHARACTERS + TYPE_NAME_CHARACTERS  # longer names are no names of ROS; none is kept
 
 
@@ -121,7 +124,7 @@ def is_of_action(name: str) -> bool:
 
 def action_of(service: str, type: str = "") -> tuple[str, str] | None:
     """Return the action, and its type, that the service ``service`` sends goals to, or ``None`` for other services."""
-    return _action(service, "send_goal", type, "_SendGoal")
+    return _action(service, "send_goal", type, _GOALS_SUFFIX)
 
 
 def goals_of(action: str) -> str:
@@ -136,7 +139,12 @@ def feedback_of(action: str) -> str:
 
 def action_of_feedback(topic: str, type: str = "") -> tuple[str, str] | None:
     """Return the action, and its type, whose feedback the topic ``topic`` carries, or ``None`` for other topics."""
-    return _action(topic, "feedback", type, "_FeedbackMessage")
+    return _action(topic, "feedback", type, _FEEDBACK_SUFFIX)
+
+
+def action_type(type: str) -> str:
+    """Return the type of the action that a service of type ``type`` sends goals to, or whose feedback has that type."""
+    return type.removesuffix(_GOALS_SUFFIX).removesuffix(_FEEDBACK_SUFFIX)
 
 
 def _action(name: str, part: str, type: str, suffix: str) -> tuple[str, str] | None:

@@ -37,6 +37,7 @@ from ropeway.networks.ros1.action_wire import (
     read_statuses,
 )
 from ropeway.networks.ros1.writer import RawPublisher
+from ropeway.tasks import settled
 
 if TYPE_CHECKING:
     from ropeway.networks.ros1.master_registration import MasterRegistration
@@ -88,8 +89,7 @@ class Ros1Goal:
 
     async def result(self, timeout_s: float | None = None) -> Outcome:
         """See ``ClientGoal``."""
-        done, _ = await asyncio.wait({self.outcome}, timeout=timeout_s)
-        if not done:
+        if not await settled(self.outcome, timeout_s):
             assert timeout_s is not None
             raise CallTimeout(self._client.action, timeout_s, "action")
         return self.outcome.result()
@@ -229,7 +229,7 @@ class Ros1ActionClient:
         self._goals[sent.text] = sent
         self._publishers[1].publish_raw(goal_message(GoalId(sent.text, time.time_ns()), body))
         try:
-            await asyncio.wait({sent.accepted}, timeout=max(deadline - loop.time(), 0.001))
+            await settled(sent.accepted, max(deadline - loop.time(), 0.001))
             if not sent.accepted.done():
                 raise CallTimeout(self.action, timeout_s, "action")
             sent.accepted.result()

@@ -23,12 +23,13 @@ from ropeway.errors import (
 )
 from ropeway.graph.base import Delivery, Undelivered
 from ropeway.graph.calls import DEFAULT_TIMEOUT_S, Goal, GoalStatus, Outcome
+from ropeway.graph.local_calls import InFlight
 from ropeway.logs import failed
 from ropeway.networks.rosbridge.client.call_notes import call_note, received
 from ropeway.networks.rosbridge.client.calls import lane, travelling
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.protocol.dialect import ROPEWAY
-from ropeway.tasks import end
+from ropeway.tasks import settled
 
 if TYPE_CHECKING:
     from ropeway.networks.rosbridge.client.calls import Calls
@@ -146,8 +147,7 @@ class RemoteGoal:
 
     async def result(self, timeout_s: float | None = None) -> Outcome:
         """See ``ClientGoal``."""
-        done, _ = await asyncio.wait({self._outcome}, timeout=timeout_s)
-        if not done:
+        if not await settled(self._outcome, timeout_s):
             raise CallTimeout(self._client.action, timeout_s or 0.0, "action")
         return self._outcome.result()
 
@@ -161,8 +161,7 @@ class RemoteGoal:
             return True
         if self._cancelling is None or self._cancelling.done():
             self._cancelling = asyncio.get_running_loop().create_future()
-        done, _ = await asyncio.wait({self._cancelling}, timeout=timeout_s)
-        if not done:
+        if not await settled(self._cancelling, timeout_s):
             raise CallTimeout(self._client.action, timeout_s, "action")
         return self._cancelling.result()
 
@@ -181,7 +180,7 @@ class RemoteActionClient:
         self.calls = calls
         self.closed = False
         self._goals: set[RemoteGoal] = set()
-        self._sending: set[asyncio.Task[RemoteGoal]] = set()
+        self._sending = InFlight()
 
     @property
     def available(self) -> bool | None:
@@ -210,19 +209,8 @@ class RemoteActionClient:
         """
         if self.closed:
             raise GraphUnavailable(self.calls.graph.name, f"the client of {self.action} is closed")
-        task = asyncio.create_task(self._send(goal, on_feedback, timeout_s), name=f"goal of {self.action}")
-        self._sending.add(task)
-        try:
-            await asyncio.wait({task})
-        finally:
-            self._sending.discard(task)
-            if not task.done():
-                await end(task)
-            elif not task.cancelled():
-                task.exception()  # seen, even where its caller is being ended in this very turn
-        if task.cancelled():
-            raise GraphUnavailable(self.calls.graph.name, f"the client of {self.action} was closed")
-        return task.result()
+        with self._sending.call():
+            return await self._send(goal, on_feedback, timeout_s)
 
     async def _send(self, goal: Goal, on_feedback: Callable[[bytes], None] | None, timeout_s: float) -> RemoteGoal:
         began = asyncio.get_running_loop().time()
@@ -293,7 +281,8 @@ class RemoteActionClient:
             return
         self.closed = True
         self.calls.clients.pop(self, None)
-        await end(*self._sending)
+        text = f"the client of {self.action} was closed"
+        await self._sending.fail(GraphUnavailable(self.calls.graph.name, text))
         for goal in self._goals:
-            goal.finish(Outcome(GoalStatus.ABORTED, None, f"the client of {self.action} was closed"))
+            goal.finish(Outcome(GoalStatus.ABORTED, None, text))
         self._goals.clear()

@@ -13,7 +13,7 @@ from ropeway.networks.rosbridge.client.call_notes import call_note, received
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.server.bodies import codec_of, decode_body, text_of
 from ropeway.networks.rosbridge.server.service_offers import tell_state
-from ropeway.tasks import end
+from ropeway.tasks import end, settled
 
 if TYPE_CHECKING:
     from ropeway.hub.actions import ViewActionServer
@@ -163,14 +163,17 @@ class TakenGoal:
         return False
 
     async def run(self) -> Outcome:
-        """Wait for the end of the goal and return its outcome."""
+        """Wait for the end of the goal and return its outcome; a gateway is told by ``ask_cancel`` that it may end."""
+        if self._session.gateway:
+            await settled(self._outcome)
+            return self._outcome.result()
         asked = asyncio.ensure_future(self.goal.cancelled.wait())
         try:
             waited: set[asyncio.Future[Any]] = {asked, self._outcome}
             await asyncio.wait(waited, return_when=asyncio.FIRST_COMPLETED)
-            if not self._outcome.done() and not self._session.gateway:
+            if not self._outcome.done():
                 self._session.peer.send_op(ops.CancelActionGoal(id=self.id, action=self._action.action))
-            await asyncio.wait({self._outcome})
+            await settled(self._outcome)
         finally:
             await end(asked)
         return self._outcome.result()
