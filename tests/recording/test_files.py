@@ -12,7 +12,8 @@ from ropeway.errors import RecordingFailed
 from ropeway.qos import LATCHED, QoS
 from ropeway.recording.bag import Bag
 from ropeway.recording.channel import Recorded, RecordingChannel, cdr_channel, json_channel
-from ropeway.recording.files import COMPRESSIONS, McapFiles
+from ropeway.recording.files import McapFiles
+from ropeway.recording.mcap_writer import COMPRESSIONS
 from ropeway.types import TypeRegistry
 from tests.support.messages import STRING, text
 

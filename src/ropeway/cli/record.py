@@ -21,8 +21,9 @@ from ropeway.cli.session import GraphOption, JsonOption, TypesOption, full_name,
 from ropeway.errors import RecordingFailed
 from ropeway.recording.clips import ClipRecorder, stamped
 from ropeway.recording.condition import Condition
-from ropeway.recording.files import COMPRESSIONS, McapFiles
+from ropeway.recording.files import McapFiles
 from ropeway.recording.graph_recorder import GraphRecorder, TopicChoice
+from ropeway.recording.mcap_writer import COMPRESSIONS
 from ropeway.recording.ring import Ring
 from ropeway.recording.writer import RecordingWriter
 

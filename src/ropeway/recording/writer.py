@@ -12,7 +12,7 @@ from ropeway import aio
 from ropeway.errors import RecordingFailed
 from ropeway.limits import RECORDED_MESSAGE_BYTES, RECORDING_WAITING_BYTES
 from ropeway.recording.channel import Recorded
-from ropeway.recording.files import McapFiles
+from ropeway.recording.files import CHUNK_S, McapFiles
 from ropeway.tasks import Supervised, end
 
 __all__ = ["RecordingWriter"]
@@ -42,6 +42,7 @@ class RecordingWriter:
         self.failure: RecordingFailed | None = None
         self._on_failure = on_failure
         self._waiting: list[Recorded] = []
+        self._taken = 0
         self._waiting_bytes = self._new_bytes = 0
         self._most = most_waiting_bytes
         self._wake, self._soon = asyncio.Event(), asyncio.Event()
@@ -58,6 +59,7 @@ class RecordingWriter:
             self.dropped[SLOW] += 1
         else:
             self._waiting.append(message)
+            self._taken += 1
             self._waiting_bytes += size
             self._new_bytes += size
             self._wake.set()
@@ -74,10 +76,14 @@ class RecordingWriter:
         try:
             async with aio.timeout(_CLOSE_S):
                 await self._task.wait()
-            if self.failure is None:
-                await self._in_thread(self.files.close)
+                if self.failure is None:
+                    await self._in_thread(self.files.close)
+        except RecordingFailed as error:
+            self._fail(error)
         except TimeoutError:
-            self.failure = RecordingFailed(str(self.files.paths[-1]), "the disk does not answer")
+            self._fail(
+                RecordingFailed(str(self.files.paths[-1] if self.files.paths else ""), "the disk does not answer")
+            )
         finally:
             await end(self._task)
             self._thread.shutdown(wait=False)
@@ -86,12 +92,7 @@ class RecordingWriter:
 
     async def _run(self) -> None:
         while self.failure is None and not (self._closing and not self._waiting):
-            await self._wake.wait()
-            try:
-                async with aio.timeout(_TOGETHER_S):
-                    await self._soon.wait()
-            except TimeoutError:
-                pass
+            await self._woken()
             batch, self._waiting, written = self._waiting, [], self._new_bytes
             self._new_bytes = 0
             self._wake.clear()
@@ -102,14 +103,29 @@ class RecordingWriter:
             try:
                 await self._in_thread(self._write, batch)
             except RecordingFailed as error:
-                self.failure = error
-                self.dropped[FAILED] += len(batch)
-                self._on_failure()
+                self._fail(error)
             self._waiting_bytes -= written
+
+    async def _woken(self) -> None:
+        """Wait until there is something to write, and for what comes soon after it."""
+        try:
+            async with aio.timeout(CHUNK_S if self.files.pending else None):
+                await self._wake.wait()
+            async with aio.timeout(_TOGETHER_S):
+                await self._soon.wait()
+        except TimeoutError:
+            return
 
     def _write(self, batch: list[Recorded]) -> None:
         self.files.write(batch)
-        self.files.flush()
+        self.files.flush(everything=not batch)
+
+    def _fail(self, error: RecordingFailed) -> None:
+        """Take nothing more; what was taken and is in no file is lost, and counted."""
+        self.failure = error
+        self.dropped[FAILED] += self._taken - self.files.messages
+        self._waiting.clear()
+        self._on_failure()
 
     async def _in_thread(self, work: object, *args: object) -> None:
         await asyncio.get_running_loop().run_in_executor(self._thread, work, *args)  # type: ignore[arg-type]
