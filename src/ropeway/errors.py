@@ -186,7 +186,7 @@ class ValueMismatch(TypesError):
 
 
 class ConversionError(TypesError):
-    """A text of a robot, or a message, that its map cannot convert."""
+    """A text of a robot, an answer of a web server, or a message, that its map or rule cannot convert."""
 
 
 class WireError(RopewayError):

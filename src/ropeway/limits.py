@@ -568,6 +568,13 @@ REST_IDLE_S: Final = 30.0
 REST_WAIT_S: Final = 30.0
 """The longest that a request may wait for the first message of a topic."""
 
+FIELD_PATH_CHARACTERS: Final = 256
+"""A path to a field, as mappings of ``gateway.http`` have; names of fields are far shorter."""
+
+FIELD_PATH_STEPS: Final = 32
+"""Steps of such a path: deeper than messages are."""
+
+
 # ── Recordings ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
 RECORDING_WAITING_BYTES: Final = 256 << 20

@@ -31,6 +31,19 @@ async def test_forms(form: str, network: str, tmp_path: Path) -> None:
     await gateway.close()
 
 
+async def test_one_of_many(network: str, tmp_path: Path) -> None:
+    """One gateway of a document for many is chosen by its name; without one, the names are told."""
+    document = {"gateways": {"robot": {"gateway": {"graphs": [network], "listen": []}}, "cloud": {}}}
+    path = tmp_path / "fleet.json"
+    path.write_text(json.dumps(document))
+    async with ropeway.open_gateway(document, part="robot") as gateway:
+        assert gateway.name == "robot"
+    async with ropeway.open_gateway(path, part="robot") as gateway:
+        assert gateway.name == "robot"
+    with pytest.raises(ConfigError, match="robot, cloud"):
+        await ropeway.open_gateway(document)
+
+
 async def test_remotes() -> None:
     """The list of remotes that the paper has is a configuration, too."""
     far, near = new_network(), new_network()

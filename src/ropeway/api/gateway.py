@@ -48,29 +48,28 @@ class AsyncGateway(Closing):
             await self._inner.__aexit__(None, None, None)
 
 
-def open_gateway(config: Mapping[str, Any] | Sequence[Any] | str | Path | Config) -> Opening[AsyncGateway]:
+def open_gateway(
+    config: Mapping[str, Any] | Sequence[Any] | str | Path | Config, *, part: str = ""
+) -> Opening[AsyncGateway]:
     """Run the gateway that ``config`` describes, until it is closed.
 
     ``config`` is what ``ropeway run`` takes: the path of a JSON or YAML file, or what stands in one (see
     ``docs/configuration.md``), or a ``Config``. Relative paths in a file start at the file, others
-    at the working directory.
+    at the working directory. ``part`` names one of several gateways that stand in one document.
 
     Raises ``ConfigError`` with every fault, ``GraphUnavailable`` for a graph and ``ConnectFailed`` for a listener that
     cannot be had.
     """
-    return Opening(_open(config))
+    return Opening(_open(config, part))
 
 
-async def _open(config: Mapping[str, Any] | Sequence[Any] | str | Path | Config) -> AsyncGateway:
-    from ropeway.gateway.config.config import (  # programs without a gateway need not wait for it
-        Config,
-        load,
-        parse,
-    )
+async def _open(config: Mapping[str, Any] | Sequence[Any] | str | Path | Config, part: str) -> AsyncGateway:
+    from ropeway.gateway.config.config import Config, parse  # programs without a gateway need not wait for it
+    from ropeway.gateway.config.fleet import load_one, select
     from ropeway.gateway.factory import make_gateway
 
     if not isinstance(config, Config):
-        config = load(config) if isinstance(config, (str, Path)) else parse(config)
+        config = load_one(config, part) if isinstance(config, (str, Path)) else parse(select(config, part), part=part)
     inner = make_gateway(config)
     await inner.__aenter__()
     return AsyncGateway(inner)

@@ -41,11 +41,11 @@ def open_bridge(
     return BlockingBridge(opened(work, None))
 
 
-def open_gateway(config: Mapping[str, Any] | Sequence[Any] | str | Path | Config) -> BlockingGateway:
+def open_gateway(config: Mapping[str, Any] | Sequence[Any] | str | Path | Config, *, part: str = "") -> BlockingGateway:
     """Run the gateway that ``config`` describes, until it is closed; see ``ropeway.open_gateway``."""
 
     async def work() -> AsyncGateway:
-        return await asynchronous_gateway.open_gateway(config)
+        return await asynchronous_gateway.open_gateway(config, part=part)
 
     return BlockingGateway(opened(work, _START_S))
 

@@ -28,10 +28,11 @@ _GREY: Final = 0  # colour types of PNG
 _RGB: Final = 2
 
 
-def thumbnail(message: dict[str, Any]) -> tuple[str, bytes] | None:
+def thumbnail(message: dict[str, Any], *, reduced: bool = True) -> tuple[str, bytes] | None:
     """Return the media type and the bytes of a picture, ``None`` for an image that is none, or of another encoding.
 
-    Of a large image every second (third …) pixel is taken; depths are shown from black to the deepest one.
+    Of a large image every second (third …) pixel is taken, unless all of it is wanted; depths are shown from black to
+    the deepest one.
     """
     import numpy as np
 
@@ -44,7 +45,7 @@ def thumbnail(message: dict[str, Any]) -> tuple[str, bytes] | None:
     row = width * channels * dtype.itemsize
     if not width or not height or step < row or len(data) < height * step:
         return None
-    every = max(-(-width // _WIDTH), -(-height // _HEIGHT))
+    every = max(-(-width // _WIDTH), -(-height // _HEIGHT)) if reduced else 1
     rows = np.frombuffer(data, np.uint8, height * step).reshape(height, step)[::every, :row]
     pixels = np.ascontiguousarray(rows).view(dtype).reshape(len(rows), width, channels)[:, ::every, :3]
     if kind != "u1":

@@ -28,6 +28,8 @@ _ROOT: Final = "/store"
 class StorePages:
     """Answers requests below ``/store`` to clients with access."""
 
+    cross_origin_methods: tuple[str, ...] = ()
+
     def __init__(self, store: Store, registry: TypeRegistry) -> None:
         self.store, self.registry = store, registry
 

@@ -4,24 +4,54 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Final
 
 from ropeway.gateway.config.config import Config, Route
 from ropeway.gateway.config.expected_model import ExpectedTraffic
+from ropeway.gateway.config.fleet import KEY, GatewayFleet
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.route_model import TopicItem
 from ropeway.planning.plan import MBIT_BPS, PlannedLink, PlannedTopic, TrafficPlan
 from ropeway.planning.prediction import CONFIGURED, predict
 
-__all__ = ["plan_of", "unfitting"]
+__all__ = ["plan_of", "plan_of_fleet", "unfitting"]
+
+
+NO_HOSTS: Final[Mapping[str, str]] = {}
+
+
+def plan_of_fleet(
+    fleet: GatewayFleet, measured: Mapping[str, PlannedTopic] | None = None, fallback: PlannedLink | None = None
+) -> tuple[TrafficPlan, list[str]]:
+    """Return the plan of all gateways of a document, and the paths of the topics that are left out; see ``plan_of``."""
+    topics: list[PlannedTopic] = []
+    links: dict[frozenset[str], PlannedLink] = {}
+    unknown: list[str] = []
+    for name, config in fleet.members.items():
+        hosts = {
+            remote.address: fleet.members[there].gateway.name
+            for remote in config.remotes
+            if (there := fleet.member_at(name, remote.address))
+        }
+        plan, left_out = plan_of(config, measured, fallback, hosts)
+        topics += plan.topics
+        for link in plan.links:
+            links.setdefault(link.hosts, link)
+        unknown += [f"{KEY}.{name}.{path}" for path in left_out]
+    return TrafficPlan(tuple(topics), tuple(links.values())), unknown
 
 
 def plan_of(
-    config: Config, measured: Mapping[str, PlannedTopic] | None = None, fallback: PlannedLink | None = None
+    config: Config,
+    measured: Mapping[str, PlannedTopic] | None = None,
+    fallback: PlannedLink | None = None,
+    hosts: Mapping[str, str] = NO_HOSTS,
 ) -> tuple[TrafficPlan, list[str]]:
     """Return the plan of a configuration, and the paths of the topics that are left out.
 
     What is expected of a topic comes from its ``expected`` key, else from ``measured``, by local name; without either
-    it is left out, and so are the topics of remotes without ``link`` where there is no ``fallback``.
+    it is left out, and so are the topics of remotes without ``link`` where there is no ``fallback``. ``hosts`` has the
+    names of gateways by the addresses at which they are dialled.
     """
     topics: list[PlannedTopic] = []
     links: dict[str, PlannedLink] = {}
@@ -35,7 +65,8 @@ def plan_of(
         item = items[route.path]
         if not isinstance(item, TopicItem):
             continue
-        far, link = _host(route.remote), _link(config, route.remote) or fallback
+        far = hosts.get(route.remote.address) or _host(route.remote)
+        link = _link(route.remote) or fallback
         topic = _topic(route, item, (measured or {}).get(route.name), config.gateway.name, far)
         if topic is None or link is None:
             unknown.append(route.path)
@@ -62,11 +93,10 @@ def _host(remote: RemoteConfig) -> str:
     return remote.title or remote.address
 
 
-def _link(config: Config, remote: RemoteConfig) -> PlannedLink | None:
+def _link(remote: RemoteConfig) -> PlannedLink | None:
     if remote.link is None:
         return None
-    hosts = frozenset((config.gateway.name, _host(remote)))
-    return PlannedLink(MBIT_BPS * remote.link.mbit, remote.link.delay_ms / 1e3, hosts, remote.link.duplex)
+    return PlannedLink(MBIT_BPS * remote.link.mbit, remote.link.delay_ms / 1e3, duplex=remote.link.duplex)
 
 
 def _topic(route: Route, item: TopicItem, measured: PlannedTopic | None, here: str, far: str) -> PlannedTopic | None:

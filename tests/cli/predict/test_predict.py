@@ -44,6 +44,30 @@ def test_what_fits_is_success() -> None:
     assert "/depth" in result.stdout
 
 
+FLEET = """
+gateways:
+  cloud: {host: 10.0.0.1, gateway: {listen: ["ws://0.0.0.0:9090"], insecure: true}}
+  robot1: &robot
+    remotes:
+      - address: ws://10.0.0.1:9090
+        link: {mbit: 20}
+        publish: [{name: /color, type: sensor_msgs/Image, expected: {bytes: 100000, hz: 10}}]
+  robot2: *robot
+"""
+
+
+@pytest.mark.parametrize(("more", "ways"), [((), {"robot1", "robot2"}), (("--as", "robot2"), {"robot2"})])
+def test_a_document_for_many_gateways(tmp_path: Path, more: tuple[str, ...], ways: set[str]) -> None:
+    """All gateways of a document are predicted together, each link by the names of those that it joins, or one."""
+    file = tmp_path / "fleet.yaml"
+    file.write_text(FLEET)
+    result = predict(str(file), "--json", *more)
+    rows = json.loads(result.stdout)["predictions"]
+    assert {row["way"]["from"] for row in rows} == ways
+    assert {row["way"]["to"] for row in rows} == ({"cloud"} if not more else {"ws://10.0.0.1:9090"})
+    assert result.exit_code == 0
+
+
 def test_a_plan(tmp_path: Path) -> None:
     """A plan in a file says which hosts publish and read what over which links."""
     file = tmp_path / "plan.yaml"

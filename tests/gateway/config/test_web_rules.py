@@ -38,6 +38,36 @@ def test_a_rule_among_remotes() -> None:
     assert [remote.address for remote in config.remotes] == ["ws://a:9090", "ws://b:9090"]
 
 
+def test_fields_files_and_headers() -> None:
+    """The mappings of a rule become fields, files and headers, and whole messages no fields at all."""
+    image = "sensor_msgs/msg/CompressedImage"
+    mapping = [
+        {"in": "/image", "from": "header/frame_id", "out": "#body", "to": "camera"},
+        {"in": "#const", "from": "fast", "out": "#body", "to": "mode"},
+        {"in": "/image", "from": "#value", "out": "#files", "to": "picture"},
+    ]
+    answered = [
+        {"in": "#body", "from": "results[0].label", "out": "/found", "to": "data"},
+        {"in": "/image", "from": "header", "out": "/found", "to": "header"},
+    ]
+    request = {"content-type": "multipart/form-data", "headers": {"x-team": "${TEAM}"}, "topics": {"/image": image}}
+    response = {"content-type": "application/json", "topics": {"/found": STRING}, "mapping": answered}
+    [rule] = parse([_rule(request_rule={**request, "mapping": mapping}, response_rule=response)]).gateway.http
+    assert [(field.source, field.value, field.to) for field in rule.fields] == [
+        ("header/frame_id", None, "camera"),
+        (None, "fast", "mode"),
+    ]
+    assert [(file.source, file.name) for file in rule.files] == [("", "picture")]
+    assert rule.headers == {"x-team": "${TEAM}"}
+    assert rule.answer is not None
+    assert [(field.of, field.source, field.to) for field in rule.answer.fields] == [
+        ("answer", "results[0].label", "data"),
+        ("message", "header", "header"),
+    ]
+    [form] = parse([_rule(request_rule=request)]).gateway.http
+    assert [(file.source, file.name) for file in form.files] == [("", "file")]
+
+
 def test_a_rule_alone() -> None:
     """A file with one rule and nothing else is a configuration."""
     assert len(parse(_rule()).gateway.http) == 1
@@ -49,14 +79,40 @@ def test_a_rule_alone() -> None:
         ({"service_method": "GET"}, "[1].service_method"),
         ({"request_rule": {"topics": {}}}, "[1].request_rule.topics"),
         ({"request_rule": []}, "[1].request_rule"),
+        ({"request_rule": {"topics": {"/a": STRING, "/b": STRING}}}, "[1].request_rule.topics"),
         (
-            {"request_rule": {"topics": {"/a": STRING}, "content-type": "multipart/form-data"}},
+            {"request_rule": {"topics": {"/a": STRING}, "content-type": "text/plain"}},
             "[1].request_rule.content-type",
         ),
-        ({"request_rule": {"topics": {"/a": STRING}, "headers": {"a": "b"}}}, "[1].request_rule.headers"),
+        ({"request_rule": {"topics": {"/a": STRING}, "headers": ["a"]}}, "[1].request_rule.headers"),
+        ({"response_rule": {"topics": {}, "headers": {"a": "b"}}}, "[1].response_rule.headers"),
+        ({"request_rule": {"topics": {"/a": STRING}, "mapping": ["x"]}}, "[1].request_rule.mapping[0]"),
+        ({"request_rule": {"topics": {"/a": STRING}, "mapping": {"x": 1}}}, "[1].request_rule.mapping"),
         (
-            {"response_rule": {"topics": {"/a": STRING}, "mapping": [{"from": "x", "to": "data"}]}},
-            "[1].response_rule.mapping",
+            {"request_rule": {"topics": {"/a": STRING}, "mapping": [{"in": "/b", "from": "x", "to": "y"}]}},
+            "[1].request_rule.mapping[0].in",
+        ),
+        (
+            {"request_rule": {"topics": {"/a": STRING}, "mapping": [{"in": "#const", "out": "#files", "to": "y"}]}},
+            "[1].request_rule.mapping[0].in",
+        ),
+        (
+            {
+                "request_rule": {
+                    "topics": {"/a": STRING},
+                    "content-type": "multipart/form-data",
+                    "mapping": [{"from": "data", "to": "text"}],
+                }
+            },
+            "[1].request_rule.mapping",
+        ),
+        (
+            {"response_rule": {"topics": {"/a": STRING}, "mapping": [{"from": "x", "out": "#body", "to": "data"}]}},
+            "[1].response_rule.mapping[0].out",
+        ),
+        (
+            {"response_rule": {"topics": {"/a": STRING}, "mapping": [{"form": "x", "to": "data"}]}},
+            "[1].response_rule.mapping[0].form",
         ),
         ({"servce_name": "x"}, "[1].servce_name"),
     ],

@@ -205,6 +205,18 @@ async def test_status(stack: AsyncExitStack) -> None:
         await another.done()
 
 
+async def test_status_of_parts_that_one_worker_has() -> None:
+    """Rules for web servers and safety of any worker are told, and the store that all of them share once."""
+    supervisor = Supervisor(parsed(2))
+    access: dict[str, Any] = {"memory": {"held_bytes": 0, "limit_bytes": 1, "ended": {}}}
+    supervisor.workers[0].status = {**access, "http": [{"url": "http://a/"}], "store": {"values": 1}}
+    supervisor.workers[1].status = {**access, "safety": [{"topic": "/cmd_vel"}], "store": {"values": 1}}
+    status = supervisor.status()
+    assert (status["http"], status["safety"]) == ([{"url": "http://a/"}], [{"topic": "/cmd_vel"}])
+    assert status["store"] == {"values": 1}
+    assert "nodes" not in status
+
+
 async def test_start_failure(stack: AsyncExitStack) -> None:
     """Where nothing can start, as the port is taken, the reason is told, and no process is left."""
     taken = socket.socket()

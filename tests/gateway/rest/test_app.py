@@ -180,6 +180,22 @@ async def test_roles_count(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> Non
     assert (await client.post("/ros/topics/cmd", params=kind, json={"data": "x"}, headers=page)).status_code == 403
 
 
+async def test_a_page_asks_before(begin: Begin, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A browser that asks for a page of an origin that is let in needs no token for that, and others are refused."""
+    monkeypatch.setenv("REST_TOKEN", "right-and-long")
+    tokens = [{"token": {"env": "REST_TOKEN"}, "role": "all"}]
+    _, _, client = await begin(auth={"tokens": tokens, "origins": ["https://dash.example"]})
+    asked = {"access-control-request-method": "POST", "access-control-request-headers": "authorization"}
+    answer = await client.options("/ros/topics/cmd", headers={**asked, "origin": "https://dash.example"})
+    assert answer.status_code == 204
+    assert answer.headers["access-control-allow-origin"] == "https://dash.example"
+    assert "POST" in answer.headers["access-control-allow-methods"]
+    assert "authorization" in answer.headers["access-control-allow-headers"]
+    strange = await client.options("/ros/topics/cmd", headers={**asked, "origin": "https://strange.example"})
+    assert strange.status_code == 403
+    assert (await client.options("/ros/topics/cmd")).status_code == 401
+
+
 async def test_without_rest_there_is_nothing(world: World) -> None:
     """A gateway that was not asked to has no such resources."""
     gateway = await world.gateway("a", [])

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,6 +17,7 @@ from ropeway.graph.base import SEQ_NONE, Sample, new_origin
 from ropeway.graph.calls import Request
 from ropeway.limits import REST_BODY_BYTES
 from ropeway.types import TypeRegistry
+from tests.support.authority import Authority
 from tests.support.until import until
 from tests.support.world import World
 
@@ -30,6 +33,8 @@ class Web:
 
     def __init__(self) -> None:
         self.bodies: list[Any] = []
+        self.heads: list[bytes] = []
+        self.media_type = b"application/json"
         self.answers: list[tuple[int, bytes]] = []
         self.free = asyncio.Event()
         self.free.set()
@@ -38,10 +43,13 @@ class Web:
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         head = await reader.readuntil(b"\r\n\r\n")
         size = next(int(line.split(b":")[1]) for line in head.split(b"\r\n") if line.lower().startswith(b"content-len"))
-        self.bodies.append(json.loads(await reader.readexactly(size)))
+        self.heads.append(head.lower())
+        body = await reader.readexactly(size)
+        self.bodies.append(json.loads(body) if b"application/json" in head else body)
         await self.free.wait()
         status, body = self.answers.pop(0) if self.answers else (200, b"{}")
-        writer.write(b"HTTP/1.1 %d X\r\ncontent-length: %d\r\nconnection: close\r\n\r\n" % (status, len(body)) + body)
+        head = b"HTTP/1.1 %d X\r\ncontent-type: %b\r\ncontent-length: %d\r\nconnection: close\r\n\r\n"
+        writer.write(head % (status, self.media_type, len(body)) + body)
         writer.close()
 
 
@@ -116,6 +124,50 @@ async def test_a_bad_answer_fails_the_call(world: World, web: Web, answer: tuple
     response = await client.call(Request(request))
     assert REGISTRY.codec(f"{BOOL}_Response").decode(response)["message"] == "on"
     assert web.bodies == [{"data": True}] * 2
+
+
+@pytest.mark.parametrize("trusted", [True, False])
+async def test_an_authority_of_ones_own(world: World, web: Web, tmp_path: Path, trusted: bool) -> None:
+    """Over https the server's certificate has to be of an authority that is trusted: ``ca``, or those of the system."""
+    authority = Authority(tmp_path, "own")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    signed = authority.sign("server")
+    context.load_cert_chain(signed["certificate"], signed["key"])
+    server = await asyncio.start_server(web.serve, "127.0.0.1", 0, ssl=context)
+    url = f"https://127.0.0.1:{server.sockets[0].getsockname()[1]}/"
+    rule = {"url": url, "service": "/s", "type": BOOL, "headers": {"x-team": "ours"}}
+    await world.gateway("a", [], http=[{**rule, **({"ca": authority.file} if trusted else {})}])
+    robot = await world.robot("a")
+    client = await robot.create_client("/s", BOOL)
+    await until(lambda: client.available)
+    request = Request(REGISTRY.codec(f"{BOOL}_Request").encode({"data": True}))
+    web.answers = [(200, b'{"success": true}')]
+    if trusted:
+        await client.call(request)
+        assert b"x-team: ours" in web.heads[0]
+    else:
+        with pytest.raises(CallFailed, match="certificate"):
+            await client.call(request)
+        assert not web.bodies
+    server.close()
+
+
+async def test_a_form_is_posted(world: World, web: Web) -> None:
+    """A picture goes as a file, and a picture that is answered is published."""
+    image = "sensor_msgs/msg/CompressedImage"
+    answer = {"topic": "/b", "type": image}
+    await world.gateway("a", [], http=[{"url": web.url, "topic": "/a", "type": image, "files": [{}], "answer": answer}])
+    robot = await world.robot("a")
+    got: list[Sample] = []
+    await robot.create_subscription("/b", image, None, got.extend)
+    publisher = await robot.create_publisher("/a", image)
+    await until(lambda: publisher.subscribers)
+    web.answers, web.media_type = [(200, b"seen")], b"image/png"
+    payload = REGISTRY.codec(image).encode({"format": "jpeg", "data": b"picture"})
+    publisher.publish(Sample(payload, image, 0, new_origin(), SEQ_NONE))
+    await until(lambda: got)
+    assert b'name="file"; filename="file.jpg"\r\nContent-Type: image/jpeg\r\n\r\npicture' in web.bodies[0]
+    assert bytes(REGISTRY.codec(image).decode(got[0].payload)["data"]) == b"seen"
 
 
 async def test_a_server_that_never_answers(world: World, web: Web) -> None:

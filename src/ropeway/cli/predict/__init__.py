@@ -21,6 +21,9 @@ def predict_command(
         Path | None,
         typer.Argument(help="A gateway's configuration or a plan, JSON or YAML.", show_default=False),
     ] = None,
+    part: Annotated[
+        str, typer.Option("--as", help="One of several gateways in FILE; all of them without.", show_default=False)
+    ] = "",
     topic: Annotated[
         list[str] | None,
         typer.Option(
@@ -63,7 +66,7 @@ def predict_command(
     from ropeway.cli.predict.tables import print_tables
     from ropeway.planning.prediction import CONFIGURED, predict
 
-    told = PredictionInput(file, topic or [], hosts, mbit, delay_ms / 1e3, not shared, readers)
+    told = PredictionInput(file, topic or [], hosts, mbit, delay_ms / 1e3, not shared, readers, part)
     plan, left_out = gather(told, bag=bag, graph=graph, seconds=seconds, types=types)
     for path in left_out:
         complain(f"{path} is left out: nothing says how large and frequent its messages are, or what its link carries")

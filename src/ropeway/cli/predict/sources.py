@@ -6,18 +6,19 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from ropeway.cli.console import complain, fail
 from ropeway.cli.loop import run
 from ropeway.cli.session import OpenGraph, full_name, open_session, settle
 from ropeway.errors import TypesError
 from ropeway.extras import require
-from ropeway.gateway.config.config import parse
+from ropeway.gateway.config.config import Config, parse
 from ropeway.gateway.config.document import read_file
+from ropeway.gateway.config.fleet import GatewayFleet, is_fleet, read_fleet, select
 from ropeway.gateway.config.suggest import did_you_mean, one_of
 from ropeway.graph.base import Sample
-from ropeway.planning.configured import plan_of
+from ropeway.planning.configured import plan_of, plan_of_fleet
 from ropeway.planning.document import is_plan, parse_plan
 from ropeway.planning.measured import TopicSampler
 from ropeway.planning.plan import PlannedLink, PlannedTopic, TrafficPlan
@@ -41,6 +42,7 @@ class PredictionInput:
     delay_s: float
     duplex: bool
     readers: int
+    part: str = ""
 
     def ends(self) -> tuple[str, str]:
         """Return the host that sends and the one that receives, or exit with a sentence."""
@@ -74,20 +76,39 @@ def gather(
     document = read_file(told.file) if told.file is not None else None
     if is_plan(document):
         return parse_plan(document, told.file or ""), []
-    config = parse(document, str(told.file), directory=told.file.parent) if told.file is not None else None
+    configured = _configured(document, told)
     given = [parse_topic(text, told) for text in told.topics]
-    names = [topic.name for topic in given] or ([route.name for route in config.routes()] if config else [])
+    names = [topic.name for topic in given] or _names(configured)
     measured: dict[str, PlannedTopic] = {}
     if bag is not None:
         measured = _measure_bag(bag, names, seconds, told, types)
     elif graph:
         measured = run(_measure_graph(graph, names, seconds, told, types))
-    if config is not None:
-        return plan_of(config, measured, told.link())
+    if isinstance(configured, GatewayFleet):
+        return plan_of_fleet(configured, measured, told.link())
+    if configured is not None:
+        return plan_of(configured, measured, told.link())
     link = told.link()
     if link is None:
         fail("say what the link carries with --mbit", 2)
     return _plan_of_topics(given, measured, link)
+
+
+def _configured(document: Any, told: PredictionInput) -> Config | GatewayFleet | None:
+    """Return what the file describes: a gateway, or all of a document where none is chosen."""
+    if told.file is None:
+        return None
+    directory = told.file.parent
+    if is_fleet(document) and not told.part:
+        return read_fleet(document, str(told.file), directory=directory)
+    return parse(select(document, told.part), str(told.file), directory=directory, part=told.part)
+
+
+def _names(configured: Config | GatewayFleet | None) -> list[str]:
+    if configured is None:
+        return []
+    configs = configured.members.values() if isinstance(configured, GatewayFleet) else (configured,)
+    return [route.name for config in configs for route in config.routes()]
 
 
 def parse_topic(text: str, told: PredictionInput) -> PlannedTopic:

@@ -89,10 +89,7 @@ class GatewayFleet:
         if "://" not in address:
             return
         parts = urlsplit(address)
-        host = parts.hostname or ""
-        there = [other for other, known in self.hosts.items() if known == host]
-        if is_loopback(address):
-            there = [other for other in self.members if self._together(name, other)]
+        there = self._on_host(name, address)
         if not there:
             return
         listeners = [(other, url) for other in there for url in self.members[other].gateway.listen]
@@ -111,6 +108,22 @@ class GatewayFleet:
             yield FleetFinding(path, f"{other} listens at {url}; write {urlsplit(url).scheme}:// here", fault=True)
         elif other == name:
             yield FleetFinding(path, "this is the gateway itself", fault=True)
+
+    def member_at(self, name: str, address: str) -> str:
+        """Return the gateway that ``name`` reaches at an address, ``""`` where that is none of the document."""
+        if "://" not in address:
+            return ""
+        there = self._on_host(name, address)
+        port = urlsplit(address).port
+        found = (one for one in there if any(urlsplit(url).port == port for url in self.members[one].gateway.listen))
+        return next(found, "")
+
+    def _on_host(self, name: str, address: str) -> list[str]:
+        """Return the gateways on the host of an address that ``name`` dials, as far as the document says."""
+        if is_loopback(address):
+            return [other for other in self.members if self._together(name, other)]
+        host = urlsplit(address).hostname or ""
+        return [other for other, known in self.hosts.items() if known == host]
 
     def _together(self, name: str, other: str) -> bool:
         """Return whether two gateways are on one machine, as far as the document says."""

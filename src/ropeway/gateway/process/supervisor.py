@@ -33,6 +33,9 @@ __all__ = ["Supervisor", "places", "slices"]
 log = logging.getLogger("ropeway.gateway")
 
 NOWHERE: Final[Mapping[str, str]] = {}
+_LISTED: Final = ("http", "safety")
+_TOLD_ONCE: Final = ("store", "nodes")
+"""Parts of the status of a worker that is alone in having it, or that is the same in all."""
 _START_S: Final = 60.0  # for the next worker: 1 s, but many that start on a busy computer slow each other
 _ASK_S: Final = 30.0  # a worker that is busy with images answers within one
 _STEADY_S: Final = 5.0  # several times what a worker takes to start and to fail for a reason of its own
@@ -271,6 +274,8 @@ class Supervisor:
                 way: added(status.get("codecs", {}).get(way, {}) for status in told) for way in ("encode", "decode")
             },
             "failed": [*failing(), *joined("failed")],
+            **{key: rows for key in _LISTED if (rows := joined(key))},
+            **{key: told_once for key in _TOLD_ONCE if (told_once := next((s[key] for s in told if key in s), None))},
         }
 
 

@@ -7,7 +7,7 @@ import ssl
 import time
 from collections import Counter
 from contextlib import AsyncExitStack
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import httpx
 
@@ -15,6 +15,7 @@ from ropeway import aio
 from ropeway.errors import CallFailed, RopewayError
 from ropeway.fault_log import FaultLog
 from ropeway.gateway.auth import read_secret
+from ropeway.gateway.rest.mapping import AnswerMapping, Posted, RequestMapping, with_variables
 from ropeway.graph.base import SEQ_NONE, Sample, new_origin
 from ropeway.limits import REST_BODY_BYTES
 from ropeway.tasks import Supervised
@@ -43,6 +44,11 @@ class _NoAnswer(Exception):
         self.again = again
 
 
+class _Answer(NamedTuple):
+    body: bytes
+    media_type: str
+
+
 class WebRule:
     """A rule that is carried out."""
 
@@ -51,7 +57,7 @@ class WebRule:
         self.counts: Counter[str] = Counter()
         kind = "msg" if rule.topic is not None else "srv"
         self._type = registry.canonical(rule.type, kind)
-        headers = {"content-type": "application/json"}
+        headers = {name: with_variables(text, f"{path}.headers.{name}") for name, text in rule.headers.items()}
         if rule.token is not None:
             headers["authorization"] = f"Bearer {read_secret(rule.token, f'{path}.token')}"
         verify = ssl.create_default_context(cafile=rule.ca) if rule.ca is not None else True
@@ -60,6 +66,11 @@ class WebRule:
         self._newest: Sample | None = None
         self._came = asyncio.Event()
         self._answers: Publisher | None = None
+        self._answer: AnswerMapping | None = None
+        self._request = RequestMapping(rule, self._type, registry, path) if rule.topic is not None else None
+        if rule.answer is not None:
+            answered = registry.canonical(rule.answer.type)
+            self._answer = AnswerMapping(rule.answer, answered, registry, f"{path}.answer")
         self._origin = new_origin()
 
     async def open(self, stack: AsyncExitStack) -> None:
@@ -87,7 +98,8 @@ class WebRule:
         self._came.set()
 
     async def _post_all(self) -> None:
-        codec = self._registry.codec(self._type)
+        request = self._request
+        assert request is not None
         while True:
             await self._came.wait()
             self._came.clear()
@@ -95,18 +107,18 @@ class WebRule:
             if sample is None:
                 continue
             try:
-                answer = await self._with_attempts(codec.json(sample.payload))
-                self._publish(answer)
+                posted = request.make(sample.payload)
+                self._publish(await self._with_attempts(posted), posted)
             except (_NoAnswer, RopewayError) as error:
                 self.counts["failed"] += 1
                 self._fault_log.note("answer", self.rule.topic or "", error)
             else:
                 self.counts["posted"] += 1
 
-    async def _with_attempts(self, body: bytes) -> bytes:
+    async def _with_attempts(self, posted: Posted) -> _Answer:
         for number in range(1, self.rule.attempts + 1):
             try:
-                return await self._post(body, self.rule.timeout_s)
+                return await self._post(posted.arguments, self.rule.timeout_s)
             except _NoAnswer as error:
                 if not error.again or number == self.rule.attempts:
                     raise
@@ -114,11 +126,10 @@ class WebRule:
             await asyncio.sleep(self._pause_s * 2 ** (number - 1))
         raise AssertionError
 
-    def _publish(self, answer: bytes) -> None:
-        if self._answers is not None:
-            type = self._answers.type
-            payload = self._registry.codec(type).from_json(json_loads(answer))
-            self._answers.publish(Sample(payload, type, time.time_ns(), self._origin, SEQ_NONE))
+    def _publish(self, answer: _Answer, posted: Posted) -> None:
+        if self._answers is not None and self._answer is not None:
+            payload = self._answer.make(answer.body, answer.media_type, posted.message)
+            self._answers.publish(Sample(payload, self._answers.type, time.time_ns(), self._origin, SEQ_NONE))
 
     # ── services ───────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -126,18 +137,19 @@ class WebRule:
         body = self._registry.codec(f"{self._type}_Request").json(request.payload)
         timeout_s = min(self.rule.timeout_s, request.timeout_s or self.rule.timeout_s)
         try:
-            answer = await self._post(body, timeout_s)  # once: a call may not be done twice
-            response = self._registry.codec(f"{self._type}_Response").from_json(json_loads(answer))
+            arguments = {"content": body, "headers": {"content-type": "application/json"}}
+            answer = await self._post(arguments, timeout_s)  # once: a call may not be done twice
+            response = self._registry.codec(f"{self._type}_Response").from_json(json_loads(answer.body))
         except (_NoAnswer, RopewayError) as error:
             self.counts["failed"] += 1
             raise CallFailed(self.rule.service or "", f"{self.rule.url}: {error}") from None
         self.counts["answered"] += 1
         return response
 
-    async def _post(self, body: bytes, timeout_s: float) -> bytes:
-        """Return the body of a good answer. Raises ``_NoAnswer``."""
+    async def _post(self, arguments: dict[str, Any], timeout_s: float) -> _Answer:
+        """Return a good answer. Raises ``_NoAnswer``."""
         try:
-            async with aio.timeout(timeout_s), self._client.stream("POST", self.rule.url, content=body) as answer:
+            async with aio.timeout(timeout_s), self._client.stream("POST", self.rule.url, **arguments) as answer:
                 if not answer.is_success:
                     raise _NoAnswer(f"the server answered {answer.status_code}", again=answer.status_code in _AGAIN)
                 parts, size = [], 0
@@ -146,7 +158,7 @@ class WebRule:
                     if size > REST_BODY_BYTES:
                         raise _NoAnswer(f"the answer is longer than {REST_BODY_BYTES} bytes", again=False)
                     parts.append(part)
-                return b"".join(parts)
+                return _Answer(b"".join(parts), answer.headers.get("content-type", "").lower())
         except (TimeoutError, httpx.TimeoutException):
             raise _NoAnswer(f"no answer within {timeout_s:g} s", again=True) from None
         except httpx.HTTPError as error:

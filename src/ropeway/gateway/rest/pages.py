@@ -35,9 +35,23 @@ _END_S: Final = 1.0
 
 
 class RestPages:
-    """The resources of one graph. ``call_timeout_s`` is for calls that give no timeout, 0 for no limit."""
+    """The resources of one graph.
 
-    def __init__(self, hub: Hub, registry: TypeRegistry, *, unregister_timeout_s: float, call_timeout_s: float) -> None:
+    ``call_timeout_s`` is for calls that give no timeout, 0 for no limit; ``reader_s`` is for how long a client may take
+    nothing of its answer.
+    """
+
+    cross_origin_methods: tuple[str, ...] = ("GET", "POST")
+
+    def __init__(
+        self,
+        hub: Hub,
+        registry: TypeRegistry,
+        *,
+        unregister_timeout_s: float,
+        call_timeout_s: float,
+        reader_s: float = REST_READER_S,
+    ) -> None:
         self._app = RestApp(hub, registry, unregister_timeout_s=unregister_timeout_s, call_timeout_s=call_timeout_s)
         self._config = UvicornConfig(
             self._app,
@@ -53,7 +67,13 @@ class RestPages:
         )
         self._config.load()
         self._state = ServerState()
+        self._reader_s = reader_s
         self._connections: dict[_RestConnection, tuple[HttpRequest, Role]] = {}
+
+    @property
+    def connections(self) -> int:
+        """The number of requests that are under way."""
+        return len(self._connections)
 
     def knows(self, path: str) -> bool:
         """Return whether ``path`` is one of its paths."""
@@ -63,7 +83,7 @@ class RestPages:
         """Return the protocol that goes on with the connection, or the answer where there are too many."""
         if len(self._connections) >= REST_REQUESTS:
             return reply(503, {"error": f"{REST_REQUESTS} requests are under way; try again"}, Retry_After="1")
-        connection = _RestConnection(self._config, self._state, access, self._connections)
+        connection = _RestConnection(self._config, self._state, access, self._connections, self._reader_s)
         self._connections[connection] = (request, access.role)
         return connection
 
@@ -92,9 +112,10 @@ class _RestConnection(H11Protocol):
         state: ServerState,
         access: Access,
         connections: dict[_RestConnection, tuple[HttpRequest, Role]],
+        reader_s: float,
     ) -> None:
         super().__init__(config=config, server_state=state, app_state={})
-        self._access, self._connections = access, connections
+        self._access, self._connections, self._reader_s = access, connections, reader_s
         self._deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: Any) -> None:
@@ -102,11 +123,11 @@ class _RestConnection(H11Protocol):
         super().connection_made(transport)
         transport.set_write_buffer_limits(high=REST_UNREAD_BYTES)
         inner = self.app
-        access, end = self._access, self._end_deadline
+        access, end, reader_s = self._access, self._end_deadline, self._reader_s
 
         async def app(scope: Scope, receive: Receive, send: Send) -> None:
             scope[ACCESS] = access
-            await inner(scope, _until_read(receive, end), _timely(send, transport.abort))
+            await inner(scope, _until_read(receive, end), _timely(send, reader_s, transport.abort))
 
         self.app: Any = app
         self._deadline = asyncio.get_running_loop().call_later(REST_REQUEST_S, transport.abort)
@@ -135,12 +156,12 @@ def _until_read(receive: Receive, read: Callable[[], None]) -> Receive:
     return watched
 
 
-def _timely(send: Send, abort: Callable[[], None]) -> Send:
+def _timely(send: Send, reader_s: float, abort: Callable[[], None]) -> Send:
     """Return the same as ``send``, which ends the connection of a client that takes nothing for too long."""
 
     async def timely(message: Any) -> None:
         try:
-            async with aio.timeout(REST_READER_S):
+            async with aio.timeout(reader_s):
                 await send(message)
         except TimeoutError:
             abort()

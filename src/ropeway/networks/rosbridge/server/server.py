@@ -16,7 +16,7 @@ from ropeway.graph.calls import DEFAULT_TIMEOUT_S
 from ropeway.graph.ros1_spelling import ros1_spelling
 from ropeway.listener.authentication import Rejection, refusal, subprotocol, unserved
 from ropeway.listener.authorization import EVERYTHING, Access, Role
-from ropeway.listener.client_pages import ClientPages
+from ropeway.listener.client_pages import ClientPages, preflight
 from ropeway.listener.connection import Connection, Limits
 from ropeway.listener.entrance import Entrance, narrowed
 from ropeway.listener.globs import Globs
@@ -165,6 +165,9 @@ class RosbridgeServer:
         pages = next((pages for pages in self.pages if pages.knows(request.path)), None)
         if pages is None:
             return None
+        asked = preflight(request, pages.cross_origin_methods) if pages.cross_origin_methods else None
+        if asked is not None:
+            return self.entrance.admit_page(request) or asked
         role = self.entrance.admit(request)
         if not isinstance(role, Role):
             return role
