@@ -9,9 +9,10 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from ropeway.delivery.pacing.model import LinkModel, LinkReading
+from ropeway.delivery.pacing.model import LinkModel
+from ropeway.delivery.pacing.rounds import LinkReading
 
-__all__ = ["Crowd", "Path", "Tcp", "greedy", "images", "simulate"]
+__all__ = ["Clock", "Crowd", "Path", "Tcp", "greedy", "images", "simulate"]
 
 SEGMENT_BYTES = 1448
 HEADERS_BYTES = 52
@@ -50,6 +51,8 @@ class Path:
     seed: int = 1
     cross: float = 0.0
     """The share of the rate that others use."""
+    burst_bytes: int = 0
+    """So much passes at once after a pause, as a token bucket lets it."""
     random: random.Random = field(init=False)
     free_at: float = 0.0
     drops: int = 0
@@ -64,10 +67,10 @@ class Path:
         if waiting > self.buffer:
             self.drops += 1
             return None
-        self.free_at = max(self.free_at, now) + (size + HEADERS_BYTES) / rate
+        self.free_at = max(self.free_at, now - self.burst_bytes / rate) + (size + HEADERS_BYTES) / rate
         if self.random.random() < self.loss:
             return None
-        return self.free_at + self.delay_s + self.random.uniform(-self.jitter_s, self.jitter_s)
+        return max(self.free_at, now) + self.delay_s + self.random.uniform(-self.jitter_s, self.jitter_s)
 
     def queue_s(self, now: float) -> float:
         """How long a packet that is sent now would wait."""

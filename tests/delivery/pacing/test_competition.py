@@ -169,6 +169,16 @@ def test_a_queue_that_stays() -> None:
     assert advice.window_bytes == 20_000
 
 
+@pytest.mark.parametrize("taken", [False, True])
+def test_a_short_queue_next_to_us(taken: bool) -> None:
+    """On a near link a short queue that stays is doubted only where others seem to have taken some of our pace."""
+    others, advice = Competition(), []
+    for i in range(200):
+        pace = PACE / 2 if taken and i >= 50 else PACE
+        advice.append(others.advise(situation(4096, 0.004, base_s=1e-4)._replace(bytes_per_s=pace, target_s=0.002)))
+    assert any(a is not None for a in advice) is taken
+
+
 @pytest.mark.parametrize(("precise", "noticed"), [(True, True), (False, False)])
 def test_yielding_in_vain(precise: bool, noticed: bool) -> None:
     """A queue that is no shorter though less and less is sent is part of the path, where round trips are precise."""

@@ -7,8 +7,19 @@ from typing import Any, Final
 
 import pytest
 
-from ropeway.delivery.pacing.model import LinkModel, LinkReading
-from tests.delivery.pacing.simulated import HEADERS_BYTES, SEGMENT_BYTES, Crowd, Path, Shared, simulate
+from ropeway.delivery.pacing.model import LinkModel
+from ropeway.delivery.pacing.rounds import LinkReading
+from tests.delivery.pacing.simulated import (
+    HEADERS_BYTES,
+    SEGMENT_BYTES,
+    Clock,
+    Crowd,
+    Path,
+    Shared,
+    Tcp,
+    images,
+    simulate,
+)
 
 _GOODPUT: Final = SEGMENT_BYTES / (SEGMENT_BYTES + HEADERS_BYTES)
 _PART_BYTES: Final = SEGMENT_BYTES
@@ -201,6 +212,45 @@ def test_others_who_leave(congestion: str, count: int) -> None:
     got = ours.run(4.0)
     assert sum(got.ours) >= 0.9 * path.rate * _GOODPUT, got
     assert got.queue_s <= 0.25 * 2 * path.delay_s + 0.01, got
+
+
+@pytest.mark.parametrize("mbit", [5, 10, 20])
+def test_a_burst_next_to_us(mbit: float) -> None:
+    """A link next to us that lets a burst through at once before it is slow has no long queue, not even at first."""
+    path, burst_s = Path(mbit * _MBIT, 3e-5, burst_bytes=64_000), 64_000 / (mbit * _MBIT)
+    clock = Clock()
+    tcp, model = Tcp(clock, path), LinkModel()
+    tcp.rtt = 2 * path.delay_s  # the first packets pass at once
+    waits: list[float] = []
+
+    def sample() -> None:
+        waits.append(path.queue_s(clock.now))
+        clock.at(clock.now + 0.001, sample)
+
+    clock.at(0.0, lambda: images(clock, tcp, model, 305_000, 30))
+    clock.at(0.0, sample)
+    clock.run(4.0)
+    assert max(waits) <= 0.5 * burst_s, max(waits)
+    assert max(waits[1000:]) <= 2 * (4096 + SEGMENT_BYTES) / path.rate, max(waits[1000:])
+    assert tcp.delivered >= 0.9 * 4.0 * path.rate * _GOODPUT
+
+
+def test_a_round_trip_that_is_smoothed() -> None:
+    """A queue that has gone is no queue of others, though the smoothed round trip, as little arrives, still has it."""
+    model = LinkModel()
+    model.observe(LinkReading(0.0, 0, 0, 0, 5e-5, 0.0, 0, SEGMENT_BYTES))
+    now, delivered, rtt = 0.1, 0, 0.03
+    for _ in range(20):  # 64 KiB on a link of 1 MB/s
+        model.handed(1 << 20)
+        model.observe(LinkReading(now, delivered, 64_000, 10_000, rtt, 0.0, 0, SEGMENT_BYTES))
+        now, delivered = now + 0.002, delivered + 2_000
+    for i in range(60):  # and then a few segments at a time
+        in_flight = 3 * SEGMENT_BYTES if i % 4 else 0
+        model.handed(1 << 20)
+        model.observe(LinkReading(now, delivered, in_flight, 0, rtt, 0.0, 0, SEGMENT_BYTES))
+        now, delivered, rtt = now + 0.003, delivered + 2 * SEGMENT_BYTES, rtt * 63 / 64
+    assert model.base_rtt_s == 5e-5
+    assert model.window_bytes <= 8 * SEGMENT_BYTES
 
 
 def reading(now: float, delivered: int, *, rtt: float = 0.02, lost: int = 0, unsent: int = 0) -> LinkReading:

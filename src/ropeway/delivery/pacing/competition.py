@@ -32,6 +32,8 @@ _CROWDED_S: Final = 0.005  # the target where it is not our own slowness that se
 _CROWDED_ROUNDS: Final = 4  # pairs of round trips
 _SLOW_ROUNDS: Final = 48  # likewise, at most, where we are so slow that the queue might be our target
 _FAR_S: Final = 0.01  # nearer, where commands are to be fast, we do not doubt at once whose a short queue is
+_TAKEN: Final = 0.75  # of what we had before is left where others on a near link take from us
+_FORGOTTEN: Final = 0.9995  # of that is remembered per round trip of at least 10 ms
 _NO_QUEUE_S: Final = 0.01  # others who fill a link leave more
 _LITTLE: Final = 2  # times the least window
 _LESS: Final = 0.9  # of the window is left once we have yielded to a queue in vain
@@ -92,6 +94,7 @@ class Competition:
         self.squeezed = False
         """TCP leaves us less than our share, as it lost packets when others filled the link."""
         self._calm_bps = 0.0  # the pace before there was a long queue
+        self._most_bps = 0.0  # the fastest pace of the last seconds
 
     @property
     def tested(self) -> bool:
@@ -138,6 +141,7 @@ class Competition:
 
     def advise(self, now: Situation) -> Advice | None:
         """Return what to do, ``None`` where the usual law is right."""
+        self._most_bps = max(now.bytes_per_s, _FORGOTTEN * self._most_bps)
         if self._probe is not None and (self._test is None or not self._competing):
             return self._answered(self._probe, now)
         if self._competing:
@@ -280,7 +284,11 @@ class Competition:
     # ── queues that stay ───────────────────────────────────────────────────────────────────────────────────────
 
     def _crowd(self, now: Situation) -> Advice | None:
-        patience = self._patience if now.base_s >= _FAR_S else _SLOW_ROUNDS
+        patience = self._patience
+        if now.base_s < _FAR_S:
+            if now.bytes_per_s >= _TAKEN * self._most_bps:  # as little as we send makes such a queue
+                return None
+            patience = _SLOW_ROUNDS
         if self._crowded < (_CROWDED_ROUNDS if now.queue_s > _CROWDED * now.target_s else patience):
             return None
         plain = _PLAIN * now.least_bytes / (now.bytes_per_s * (now.base_s + now.queue_s))

@@ -24,8 +24,9 @@ from typing import Final, NamedTuple
 
 from ropeway.delivery.pacing.competition import Advice, Competition, Situation
 from ropeway.delivery.pacing.pace import Pace
+from ropeway.delivery.pacing.rounds import LinkReading, Round, RoundTripBounds
 
-__all__ = ["LinkModel", "LinkReading", "LinkTraits"]
+__all__ = ["LinkModel", "LinkTraits"]
 
 _FIRST_WINDOW_BYTES: Final = 16 * 1024  # what TCP itself begins with
 _LEAST_WINDOW_BYTES: Final = 4 * 1024
@@ -39,9 +40,6 @@ _LEAP: Final = 2.0  # where the pace says that there is room, and at most
 _LEAST_LEAP: Final = 1.25
 _LONG_ROUND_TRIP_S: Final = 0.005  # below, the window is what processors need
 _NEAR_S: Final = 0.001
-_SHORTEST_ROUND_S: Final = 0.01  # below, a round trip says more of the processor than of the link
-_SHORTEST_ROUND_SEGMENTS: Final = 16  # with fewer the smoothed round trip is still that of before
-_LONGEST_ROUND_TRIPS: Final = 4
 _BASE_MEMORY_S: Final = 5.0  # the shortest round trip is that of five to ten seconds
 _SMOOTHING_SEGMENTS: Final = 16  # after so many little is left of the first round trip in a smoothed one
 _LUCK: Final = 2.0  # deviations, by which it may have been shorter than the others
@@ -62,23 +60,6 @@ _SHORTEST_LOOK_S: Final = 0.001
 _LONGEST_LOOK_S: Final = 0.02
 _LOSSY_ROUNDS: Final = 3  # of the last sixteen: losses without a queue are no sign of a full link
 _LOSS_MEMORY: Final = 0xFFFF
-
-
-class LinkReading(NamedTuple):
-    """The state of a connection at one moment; counts are since its beginning.
-
-    ``delivered_bytes`` have arrived (acknowledged, also selectively), ``in_flight_bytes`` are on the way,
-    ``unsent_bytes`` were handed over and wait in the kernel. ``rtt_s`` is the smoothed round trip.
-    """
-
-    now_s: float
-    delivered_bytes: int
-    in_flight_bytes: int
-    unsent_bytes: int
-    rtt_s: float
-    rtt_deviation_s: float
-    retransmissions: int
-    segment_bytes: int
 
 
 class LinkTraits(NamedTuple):
@@ -131,7 +112,9 @@ class LinkModel:
         self._held_in_slot = False
         self._drain_rounds = 0
         self._settling = 0
-        self._round: _Round | None = None
+        self._slow_start = False  # the start has begun to make a queue
+        self._round: Round | None = None
+        self._bounds = RoundTripBounds()
         self._others = Competition(precise=not traits.slack_s)
         self._lossy_rounds = 0
         self._retransmissions = 0
@@ -273,18 +256,20 @@ class LinkModel:
     # ── rounds ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _note_round(self, reading: LinkReading, held: bool, kernel_holds: bool) -> None:
+        if not self._traits.slack_s:  # elsewhere round trips are not smoothed
+            self._bounds.observe(reading)
         current = self._round
         if current is None:
             if self.outstanding_bytes:
-                self._round = _Round(reading, self.outstanding_bytes)
+                self._round = Round(reading, self.outstanding_bytes)
             return
-        current.note(reading, held, kernel_holds)
+        current.note(reading, self._bounds, held=held, kernel_holds=kernel_holds)
         if not current.is_over(reading):
             return
         self._end_round(current, reading)
-        self._round = _Round(reading, self.outstanding_bytes)
+        self._round = Round(reading, self.outstanding_bytes)
 
-    def _end_round(self, ended: _Round, reading: LinkReading) -> None:
+    def _end_round(self, ended: Round, reading: LinkReading) -> None:
         lost = reading.retransmissions > self._retransmissions
         self._retransmissions = reading.retransmissions
         if lost:
@@ -292,8 +277,11 @@ class LinkModel:
         base = self.base_rtt_s
         if base is None:
             return
-        queue_s = self.queue_s = max(0.0, ended.shortest_s - base)
+        queue_s = self.queue_s = max(0.0, ended.shortest_s(reading) - base)
         target_s = self._tolerated_s(ended.deviation_s)
+        slow, self._slow_start = self._slow_start, self.starting and ended.least_s - base >= max(_MOST_QUEUE_S, base)
+        if slow and self._slow_start:  # the smoothed round trip, which was short, does not show it yet
+            queue_s = self.queue_s = max(queue_s, ended.least_s - base)
         shallow_s = max(target_s, _MOST_QUEUE_SHARE * base)
         full = queue_s >= shallow_s or self._others.competing
         self._lossy_rounds = (self._lossy_rounds << 1 | (lost and not full)) & _LOSS_MEMORY
@@ -308,7 +296,8 @@ class LinkModel:
             if self.outstanding_bytes > 1.1 * self.window_bytes + self._least_bytes + self._largest_bytes:
                 self._settling = 1  # what was sent before a cut is still on the way
             elif queue_s < self._no_queue_s(target_s):
-                self._grow(base + target_s)
+                if not self._slow_start:
+                    self._grow(base + target_s)
             elif self._settling:
                 self._settling -= 1  # what arrived was sent before the last change
             else:
@@ -394,46 +383,3 @@ class LinkModel:
             size_bytes = min(size_bytes, self._traits.most_windows * pace * (base_s + self.target_queue_s))
         self.window_bytes = int(min(max(size_bytes, self._least_bytes), _MOST_WINDOW_BYTES))
         self._settling = self._traits.echo_rounds if self.window_bytes > before else 1
-
-
-class _Round:
-    """A round trip: what was on the way at its beginning has arrived at its end."""
-
-    __slots__ = (
-        "began_s",
-        "deviation_s",
-        "from_bytes",
-        "held",
-        "kernel_held",
-        "most_bytes",
-        "shortest_s",
-        "until_bytes",
-    )
-
-    def __init__(self, reading: LinkReading, outstanding_bytes: int) -> None:
-        self.began_s = reading.now_s
-        self.from_bytes = reading.delivered_bytes
-        self.until_bytes = reading.delivered_bytes + outstanding_bytes
-        self.held = self.kernel_held = False
-        self.shortest_s = float("inf")
-        self.deviation_s = reading.rtt_deviation_s
-        self.most_bytes = reading.in_flight_bytes
-
-    def is_over(self, reading: LinkReading) -> bool:
-        """Return whether what was on the way has arrived, and enough of it to know the round trip."""
-        seconds, arrived = reading.now_s - self.began_s, reading.delivered_bytes - self.from_bytes
-        if reading.delivered_bytes < self.until_bytes or seconds < _SHORTEST_ROUND_S:
-            return False
-        return (
-            arrived >= _SHORTEST_ROUND_SEGMENTS * reading.segment_bytes
-            or seconds >= _LONGEST_ROUND_TRIPS * reading.rtt_s
-            or not reading.in_flight_bytes
-        )
-
-    def note(self, reading: LinkReading, held: bool, kernel_holds: bool) -> None:
-        """Take a reading within the round."""
-        self.held = self.held or held
-        self.kernel_held = self.kernel_held or kernel_holds
-        self.shortest_s = min(self.shortest_s, reading.rtt_s)
-        self.deviation_s = min(self.deviation_s, reading.rtt_deviation_s)
-        self.most_bytes = max(self.most_bytes, reading.in_flight_bytes)

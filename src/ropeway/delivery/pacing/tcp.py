@@ -12,7 +12,7 @@ import struct
 import time
 from typing import Any, Final, NamedTuple
 
-from ropeway.delivery.pacing.model import LinkReading
+from ropeway.delivery.pacing.rounds import LinkReading
 
 __all__ = ["LOSSES_BORNE_S", "Tcp", "TcpInfo", "tcp_info"]
 

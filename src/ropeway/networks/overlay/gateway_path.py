@@ -24,8 +24,9 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from ropeway.delivery.outbox import LANES
-from ropeway.delivery.pacing.model import LinkModel, LinkReading, LinkTraits
+from ropeway.delivery.pacing.model import LinkModel, LinkTraits
 from ropeway.delivery.pacing.pace import Pace
+from ropeway.delivery.pacing.rounds import LinkReading
 from ropeway.networks.overlay.copies import CopyBudget
 from ropeway.networks.overlay.shortest_round_trip import ShortestRoundTrip
 
