@@ -12,6 +12,7 @@ import pytest
 
 from ropeway import aio
 from ropeway.bridge.action import ActionBridge
+from ropeway.bridge.options import BridgeOptions
 from ropeway.bridge.service import ServiceBridge
 from ropeway.errors import CallFailed, CallTimeout, GoalRejected, NotServed
 from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Request, ServerGoal
@@ -54,13 +55,13 @@ class Sides:
         return info is not None and bool(info.servers)
 
     async def service(self, timeout_s: float | None = None) -> ServiceBridge:
-        bridge = ServiceBridge(self.source, self.target, "/s", "/t", TRIGGER, timeout_s=timeout_s)
+        bridge = ServiceBridge(self.source, self.target, "/s", "/t", TRIGGER, BridgeOptions(timeout_s=timeout_s))
         await bridge.start()
         self.stack.push_async_callback(bridge.close)
         return bridge
 
     async def action(self, timeout_s: float | None = None) -> ActionBridge:
-        bridge = ActionBridge(self.source, self.target, "/s", "/t", FIBONACCI, timeout_s=timeout_s)
+        bridge = ActionBridge(self.source, self.target, "/s", "/t", FIBONACCI, BridgeOptions(timeout_s=timeout_s))
         await bridge.start()
         self.stack.push_async_callback(bridge.close)
         return bridge

@@ -12,7 +12,9 @@ from typing import Any
 
 import pytest
 
+from ropeway.bridge.options import BridgeOptions
 from ropeway.bridge.topic import TopicBridge
+from ropeway.bridge.upkeep import RETRY_S
 from ropeway.delivery.pipeline import Drop
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import Delivery, Sample
@@ -44,8 +46,10 @@ class Place:
         self.stack.push_async_callback(graph.close)
         return graph
 
-    async def bridge(self, source: str = "/x", target: str = "/x", **options: Any) -> TopicBridge:
-        made = TopicBridge(self.near, self.far, source, target, STRING, **options)
+    async def bridge(
+        self, source: str = "/x", target: str = "/x", *, retry_s: float = RETRY_S, **options: Any
+    ) -> TopicBridge:
+        made = TopicBridge(self.near, self.far, source, target, STRING, BridgeOptions(**options), retry_s=retry_s)
         await made.start()
         self.stack.push_async_callback(made.close)
         return made
@@ -277,3 +281,25 @@ async def test_close(place: Place) -> None:
         assert known is None or not known.subscriptions
         bridge.passage.pass_on([sample("late")])
         assert bridge.drops == {Drop.INACTIVE: 1}
+
+
+async def test_a_tap_gets_what_crosses(place: Place) -> None:
+    """A tap gets what has passed, not what a limit dropped; it can be put in and taken out while messages pass."""
+    got: list[bytes] = []
+
+    def tap(sample: Sample) -> None:
+        got.append(sample.payload)
+
+    bridge = await place.bridge(delivery=Delivery(rate_hz=1), tap=tap)
+    inbox = Inbox()
+    await place.there.create_subscription("/x", STRING, None, inbox)
+    publisher = await place.here.create_publisher("/x", STRING)
+    await until(lambda: bridge.state == "active")
+    for number in range(3):
+        publisher.publish(sample(str(number)))
+    await until(lambda: len(inbox.samples) == 1)
+    assert got == [text("0")]
+    await bridge.change(BridgeOptions())
+    publisher.publish(sample("4"))
+    await until(lambda: len(inbox.samples) == 2)
+    assert len(got) == 1

@@ -208,14 +208,14 @@ async def test_a_swap_that_fails_is_undone(world: World, monkeypatch: pytest.Mon
     changed = running.change
 
     async def fails(route: Any) -> None:
-        if route.name == "/b" and route.delivery.rate_hz:
+        if route.name == "/b" and route.options.delivery.rate_hz:
             raise RopewayError("not this one")
         await changed(route)
 
     monkeypatch.setattr(running, "change", fails)
     with pytest.raises(RopewayError, match="not this one"):
         await world.apply({"publish": [item("/a", rate_hz=2.0), item("/b", rate_hz=2.0), item("/c")]})
-    routes = {row.route.name: row.route.delivery.rate_hz for row in world.robot.remotes[0].running.values()}
+    routes = {row.route.name: row.route.options.delivery.rate_hz for row in world.robot.remotes[0].running.values()}
     assert routes == {"/a": 1.0, "/b": None}
 
 

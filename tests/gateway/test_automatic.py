@@ -11,7 +11,9 @@ from typing import Any
 import pytest
 
 from ropeway.gateway.automatic import Automatic
+from ropeway.gateway.config.config import parse
 from ropeway.gateway.config.model import RemoteConfig
+from ropeway.gateway.gateway import Gateway
 from ropeway.graph.base import EndpointInfo, TopicInfo
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.qos import DEFAULT
@@ -52,7 +54,7 @@ class Place:
             await graph.open()
             self.stack.push_async_callback(graph.close)
         config = RemoteConfig.model_validate({"address": "overlay", "automatic": {"allow": ["*"]}})
-        made = Automatic(self.local, self.remote, config, "remotes[0].automatic", "memory")
+        made = Automatic(self.local, self.remote, config, "remotes[0].automatic", "memory", Gateway(parse([])))
         await made.start()
         self.stack.push_async_callback(made.close)
         return made

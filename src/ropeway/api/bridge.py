@@ -13,6 +13,7 @@ from ropeway.api.discovery import type_of
 from ropeway.api.graph import OPEN_TIMEOUT_S, new_name, open_network, profile_of, registry_of
 from ropeway.api.opening import Closing, Opening
 from ropeway.bridge.action import ActionBridge
+from ropeway.bridge.options import BridgeOptions
 from ropeway.bridge.service import ServiceBridge
 from ropeway.bridge.topic import TopicBridge
 from ropeway.errors import GraphUnavailable
@@ -92,7 +93,7 @@ class AsyncBridge(Closing):
         a link treats the topic. Without ``type`` a publisher is waited for, up to ``timeout_s``. Raises
         ``WaitTimeout``.
         """
-        make = partial(TopicBridge, qos=profile_of(qos), delivery=delivery)
+        make = partial(TopicBridge, options=BridgeOptions(qos=profile_of(qos), delivery=delivery))
         await self._join("topic", make, name, type, rename, reverse, timeout_s)
 
     async def service(
@@ -110,7 +111,7 @@ class AsyncBridge(Closing):
         A call may take ``call_timeout_s``, a minute unless given. Without ``type`` a server is waited for, up to
         ``timeout_s``. Raises ``WaitTimeout``.
         """
-        make = partial(ServiceBridge, timeout_s=call_timeout_s)
+        make = partial(ServiceBridge, options=BridgeOptions(timeout_s=call_timeout_s))
         await self._join("service", make, name, type, rename, reverse, timeout_s)
 
     async def action(
@@ -128,7 +129,7 @@ class AsyncBridge(Closing):
         A goal may take ``goal_timeout_s``, any time unless given. Without ``type`` a server is waited for, up to
         ``timeout_s``. Raises ``WaitTimeout``.
         """
-        make = partial(ActionBridge, timeout_s=goal_timeout_s)
+        make = partial(ActionBridge, options=BridgeOptions(timeout_s=goal_timeout_s))
         await self._join("action", make, name, type, rename, reverse, timeout_s)
 
     def status(self) -> list[dict[str, Any]]:

@@ -7,9 +7,9 @@ import contextlib
 import logging
 
 from ropeway.bridge.offer import Offer
-from ropeway.delivery.pipeline import Witness
+from ropeway.bridge.options import AS_IT_COMES, BridgeOptions
 from ropeway.errors import CallTimeout, GoalRejected, GraphError
-from ropeway.graph.base import NO_HINTS, Delivery, Graph
+from ropeway.graph.base import Graph
 from ropeway.graph.calls import (
     DEFAULT_TIMEOUT_S,
     ActionClient,
@@ -42,14 +42,9 @@ class ActionBridge(Offer):
         source_name: str,
         target_name: str,
         type: str,
-        *,
-        timeout_s: float | None = None,
-        delivery: Delivery = NO_HINTS,
-        witness: Witness | None = None,
+        options: BridgeOptions = AS_IT_COMES,
     ) -> None:
-        super().__init__(
-            source, target, source_name, target_name, type, timeout_s=timeout_s, delivery=delivery, witness=witness
-        )
+        super().__init__(source, target, source_name, target_name, type, options)
         self._goals: dict[bytes, ClientGoal] = {}
 
     async def make_client(self) -> ActionClient:

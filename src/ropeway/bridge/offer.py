@@ -15,10 +15,10 @@ from collections import Counter
 from typing import Any, ClassVar, Final, Protocol
 
 from ropeway import aio
+from ropeway.bridge.options import AS_IT_COMES, BridgeOptions
 from ropeway.bridge.upkeep import Upkeep
 from ropeway.delivery.histogram import BOUNDS_S, Histogram
-from ropeway.delivery.pipeline import Witness
-from ropeway.graph.base import NO_HINTS, Delivery, Graph
+from ropeway.graph.base import Graph
 from ropeway.graph.link_parts import Contended, is_encoded
 
 __all__ = ["Offer"]
@@ -42,8 +42,7 @@ class _Server(Protocol):
 class Offer:
     """A name served on ``source`` as ``source_name``, offered on ``target`` as ``target_name``.
 
-    ``counts``: requests by how they ended (``answered``, or the name of the error). ``timeout_s``: how long one may
-    take. ``witness`` is told what is asked for.
+    ``counts``: requests by how they ended (``answered``, or the name of the error).
     """
 
     kind: ClassVar[str] = ""
@@ -56,15 +55,12 @@ class Offer:
         source_name: str,
         target_name: str,
         type: str,
-        *,
-        timeout_s: float | None = None,
-        delivery: Delivery = NO_HINTS,
-        witness: Witness | None = None,
+        options: BridgeOptions = AS_IT_COMES,
     ) -> None:
         self.source, self.target = source, target
-        self.witness = witness
+        self.witness = options.witness
         self.source_name, self.target_name, self.type = source_name, target_name, type
-        self.timeout_s, self.delivery = timeout_s or self.default_timeout_s, delivery
+        self.timeout_s, self.delivery = options.timeout_s or self.default_timeout_s, options.delivery
         self.taken_by = ""
         self.counts: Counter[str] = Counter()
         self.under_way = 0

@@ -11,10 +11,12 @@ import asyncio
 from dataclasses import replace
 
 from ropeway.bridge.handover import Overlap, drained, matched
+from ropeway.bridge.options import AS_IT_COMES, BridgeOptions
 from ropeway.bridge.upkeep import RETRY_S, Upkeep
-from ropeway.delivery.passage import Keep, Passage
-from ropeway.delivery.pipeline import Step, Witness, build, witnessed
-from ropeway.graph.base import NO_HINTS, Delivery, Graph, Publisher, Subscription, look_up
+from ropeway.delivery.passage import Passage
+from ropeway.delivery.pipeline import Step, build, tapped, witnessed
+from ropeway.graph.base import Graph, Publisher, Subscription, look_up
+from ropeway.graph.link_parts import is_departing
 from ropeway.qos import DEFAULT, QoS, common_qos
 
 __all__ = ["TopicBridge"]
@@ -23,12 +25,7 @@ __all__ = ["TopicBridge"]
 class TopicBridge:
     """Passes a topic from ``source`` to ``target``.
 
-    ``qos=None`` adopts what the source's publishers offer and follows it. ``delivery`` says how the link between
-    the two treats the topic; it goes to whichever side is a link. The pipeline's limits are applied on the near
-    side of the link only (``limit``), so that nothing crosses that will be dropped. With ``keep`` the last message is
-    kept, and late joiners on the target get it, whether the source has it latched or not; ``frames`` renames the
-    coordinate frames of what passes, and ``witness`` is told of it. A side that refuses is asked again after
-    ``retry_s``.
+    ``options`` say how; a side that refuses is asked again after ``retry_s``.
     """
 
     def __init__(
@@ -38,25 +35,17 @@ class TopicBridge:
         source_topic: str,
         target_topic: str,
         type: str,
+        options: BridgeOptions = AS_IT_COMES,
         *,
-        qos: QoS | None = None,
-        delivery: Delivery = NO_HINTS,
-        limit: bool = True,
-        keep: Keep | None = None,
-        frames: Step | None = None,
-        witness: Witness | None = None,
         retry_s: float = RETRY_S,
     ) -> None:
         self.source, self.target = source, target
         self.source_topic, self.target_topic, self.type = source_topic, target_topic, type
-        self.delivery = delivery
-        self._frames, self._witness, self._limit = frames, witness, limit
-        self.passage = Passage(self._steps(), keep=keep)
-        self.meter, self.drops = self.passage.meter, self.passage.drops
+        self.options = options
         self.publisher: Publisher | None = None
         self.subscription: Subscription | None = None
-        self.keep = keep
-        self._asked = qos
+        self.passage = Passage(self._steps(), keep=options.keep)
+        self.meter, self.drops = self.passage.meter, self.passage.drops
         self._turn = asyncio.Lock()  # either side is changed by one at a time
         label = f"{source_topic} to {target.name}"
         self._upkeep = Upkeep(self._set_right, source, "publisher", source_topic, label=label, retry_s=retry_s)
@@ -66,34 +55,30 @@ class TopicBridge:
         self._upkeep.start()
 
     def _steps(self) -> list[Step]:
-        steps = build(self.delivery) if self._limit else []
-        if self._frames is not None:
-            steps.append(self._frames)
-        return [*steps, *witnessed(self._witness)]
+        options = self.options
+        steps = build(options.delivery) if options.limit else []
+        if options.frames is not None:
+            steps.append(options.frames)
+        steps += witnessed(options.witness)
+        if options.tap is not None and not is_departing(self.publisher):
+            steps.append(tapped(options.tap))
+        return steps
 
-    async def change(
-        self,
-        *,
-        qos: QoS | None,
-        delivery: Delivery,
-        keep: Keep | None,
-        frames: Step | None = None,
-        witness: Witness | None = None,
-    ) -> None:
+    async def change(self, options: BridgeOptions) -> None:
         """Treat the topic in another way from now on: what reads and publishes is replaced, and no message is lost.
 
         Both the old and the new are there for a moment; what comes over both is passed on once.
         """
         async with self._turn:
-            reads_anew = qos != self._asked or (delivery != self.delivery and not self._limit)
-            publishes_anew = delivery != self.delivery and self._limit
-            self._asked, self.delivery = qos, delivery
-            self.keep = self.passage.keep = keep
-            self._frames, self._witness = frames, witness
+            before, self.options = self.options, options
+            elsewhere = options.delivery != before.delivery
+            self.passage.keep = options.keep
             self.passage.steps = self._steps()
-            if publishes_anew and self.publisher is not None:
+            if is_departing(self.publisher):
+                self.publisher.on_gone(options.tap)
+            if elsewhere and options.limit and self.publisher is not None:
                 await self._publish_anew(self.publisher, self._wanted_qos())
-            if reads_anew and self.subscription is not None:
+            if (options.qos != before.qos or (elsewhere and not options.limit)) and self.subscription is not None:
                 await self._read_anew(self.subscription)
         self._upkeep.wake()
 
@@ -131,13 +116,13 @@ class TopicBridge:
 
     def _wanted_qos(self) -> QoS:
         qos = self._source_qos()
-        if self.keep is not None and not qos.transient_local:
+        if self.options.keep is not None and not qos.transient_local:
             qos = replace(qos, reliability="reliable", durability="transient_local", history="keep_last", depth=1)
         return qos
 
     def _source_qos(self) -> QoS:
-        if self._asked is not None:
-            return self._asked
+        if self.options.qos is not None:
+            return self.options.qos
         known = look_up(self.source, "topic", self.source_topic)
         offered = [p.qos for p in known.publishers if not p.local] if known is not None else []
         if offered:
@@ -158,7 +143,7 @@ class TopicBridge:
 
     async def _publish_anew(self, old: Publisher, qos: QoS) -> None:
         """Publish through a new publisher once it has the readers of the old one, which sends what waits."""
-        new = await self.target.create_publisher(self.target_topic, self.type, qos, delivery=self.delivery)
+        new = await self.target.create_publisher(self.target_topic, self.type, qos, delivery=self.options.delivery)
         await matched(new, old)
         self._use(new)
         await drained(old)
@@ -169,7 +154,7 @@ class TopicBridge:
         overlap = Overlap(self.passage)
         try:
             new = await self.source.create_subscription(
-                self.source_topic, self.type, self._asked, overlap.first, delivery=self.delivery
+                self.source_topic, self.type, self.options.qos, overlap.first, delivery=self.options.delivery
             )
             new.on_qos(lambda _: self._upkeep.wake())
             await overlap.wait()
@@ -181,6 +166,9 @@ class TopicBridge:
     def _use(self, publisher: Publisher) -> None:
         self.publisher = publisher
         self.passage.sink = publisher.publish
+        if self.options.tap is not None and is_departing(publisher):
+            publisher.on_gone(self.options.tap)
+            self.passage.steps = self._steps()
         publisher.on_demand(lambda _: self._upkeep.wake())
 
     async def _set_right(self) -> None:
@@ -191,11 +179,12 @@ class TopicBridge:
         qos = self._wanted_qos()
         if self.publisher is None or self.publisher.qos != qos:
             old = self.publisher
-            self._use(await self.target.create_publisher(self.target_topic, self.type, qos, delivery=self.delivery))
+            delivery = self.options.delivery
+            self._use(await self.target.create_publisher(self.target_topic, self.type, qos, delivery=delivery))
             assert self.publisher is not None
             if old is not None:
                 await old.close()
-            last = self.keep.last() if self.keep is not None else None
+            last = self.options.keep.last() if self.options.keep is not None else None
             if last is not None:
                 self.publisher.publish(last)
             if old is not None and (old.qos.transient_local or qos.transient_local):
@@ -204,7 +193,7 @@ class TopicBridge:
         wanted = readers is None or readers > 0 or qos.transient_local
         if wanted and self.subscription is None:
             self.subscription = await self.source.create_subscription(
-                self.source_topic, self.type, self._asked, self.passage.pass_on, delivery=self.delivery
+                self.source_topic, self.type, self.options.qos, self.passage.pass_on, delivery=self.options.delivery
             )
             self.subscription.on_qos(lambda _: self._upkeep.wake())
         elif not wanted:

@@ -116,7 +116,7 @@ def _shown(config: Config) -> dict[str, Any]:
             "type": route.type,
             "remote": route.remote.address,
             "graph": route.graph,
-            "encoding": route.delivery.encoding,
+            "encoding": route.options.delivery.encoding,
         }
         for route in config.routes()
     ]

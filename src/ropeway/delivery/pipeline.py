@@ -10,7 +10,7 @@ from typing import Final
 from ropeway.delivery.outbox import Lost
 from ropeway.graph.base import Delivery, Sample
 
-__all__ = ["Drop", "RateLimit", "Reason", "Step", "Witness", "build", "lifespan", "witnessed"]
+__all__ = ["Drop", "RateLimit", "Reason", "Step", "Tap", "Witness", "build", "lifespan", "tapped", "witnessed"]
 
 
 class Drop(enum.Enum):
@@ -30,6 +30,9 @@ Step = Callable[[Sample], Sample | Drop | Lost | None]
 
 Witness = Callable[[bytes, str], None]
 """Is told the payload of every message, call or goal that passes, and who sent it, where that is known."""
+
+Tap = Callable[[Sample], None]
+"""Gets every message of a topic that has crossed."""
 
 _EARLY: Final = 0.2  # of a period: a source with jitter still reaches the rate that was asked for
 _LATE: Final = 0.5  # of a period: so much of a late message is made up for by the next
@@ -77,6 +80,16 @@ def witnessed(witness: Witness | None) -> tuple[Step, ...]:
         return sample
 
     return (step,)
+
+
+def tapped(tap: Tap) -> Step:
+    """Return a step that passes everything, and gives it to ``tap``, too."""
+
+    def step(sample: Sample) -> Sample:
+        tap(sample)
+        return sample
+
+    return step
 
 
 def build(delivery: Delivery) -> list[Step]:

@@ -15,11 +15,11 @@ from typing import Any, Final
 
 from ropeway.bridge.topic import TopicBridge
 from ropeway.fault_log import FaultLog
-from ropeway.gateway.bridges import make_topic_bridge
+from ropeway.gateway.bridges import RouteHost, bridge_options, make_topic_bridge
 from ropeway.gateway.config.check import route_key
 from ropeway.gateway.config.config import Route
 from ropeway.gateway.config.model import RemoteConfig
-from ropeway.graph.base import NO_HINTS, EndpointInfo, Graph, GraphEvent, TopicInfo, resolve_name
+from ropeway.graph.base import EndpointInfo, Graph, GraphEvent, TopicInfo, resolve_name
 from ropeway.tasks import Supervised, describe, end
 
 __all__ = ["Automatic", "wanted"]
@@ -49,11 +49,13 @@ def wanted(topic: TopicInfo) -> str | None:
 class Automatic:
     """Keeps the right topics bridged between ``local`` and ``remote``."""
 
-    def __init__(self, local: Graph, remote: Graph, config: RemoteConfig, path: str, graph: str) -> None:
+    def __init__(
+        self, local: Graph, remote: Graph, config: RemoteConfig, path: str, graph: str, host: RouteHost
+    ) -> None:
         assert config.automatic is not None
         self._local, self._remote, self._config = local, remote, config
         self._allow, self._deny = config.automatic.allow, config.automatic.deny
-        self._path, self._graph = path, graph
+        self._path, self._graph, self._host = path, graph, host
         self._bridges: dict[str, tuple[Route, TopicBridge]] = {}
         self._left_out: dict[str, str] = {}
         self._fault_log = FaultLog(path)
@@ -144,13 +146,11 @@ class Automatic:
             name=name,
             remote_name=remote_name,
             type=type,
-            delivery=NO_HINTS,
-            qos=None,
             path=self._path,
             key=route_key(operation, config.address, self._graph, name, remote_name, type),
             graph=self._graph,
         )
-        bridge = make_topic_bridge(route, self._local, self._remote)
+        bridge = make_topic_bridge(route, self._local, self._remote, bridge_options(route, self._host))
         self._bridges[name] = (route, bridge)
         await bridge.start()
         log.info("%s: %s (%s) is %s", self._path, name, type, "offered" if operation == "publish" else "fetched")

@@ -41,7 +41,7 @@ from ropeway.tasks import Supervised, failing
 from ropeway.types import TypeRegistry
 
 if TYPE_CHECKING:
-    from ropeway.delivery.pipeline import Witness
+    from ropeway.delivery.pipeline import Tap, Witness
     from ropeway.gateway.last_value import LastValue
     from ropeway.gateway.nodes import Nodes
     from ropeway.gateway.rest.outgoing import WebRule
@@ -290,16 +290,20 @@ class Gateway:
 
     def keeper(self, route: Route) -> LastValue | None:
         """Return what keeps the last message of a route, if its configuration asks for it."""
-        if not route.store:
+        if not route.options.store:
             return None
         assert self.store is not None
         from ropeway.gateway.last_value import LastValue, key_of
 
         return LastValue(self.store, *key_of(route.name, self.config.gateway.name), route.type)
 
+    def tap(self, route: Route) -> Tap | None:
+        """Return what records what crosses a route, if a recorder wants it."""
+        return None
+
     def witness(self, route: Route) -> Witness | None:
         """Return what writes down what crosses a route, if its configuration asks for it."""
-        if not route.audit:
+        if not route.options.audit:
             return None
         from ropeway.gateway.audit import route_witness
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Any, Final
 
+from ropeway.bridge.options import BridgeOptions
 from ropeway.bridge.topic import TopicBridge
 from ropeway.errors import TypesError
 from ropeway.fault_log import FaultLog
@@ -143,7 +144,12 @@ class Nodes:
             return
         source, target = (self.graph, self._into) if direction == "in" else (self._out_of, self.graph)
         bridge = self.bridges[direction, name] = TopicBridge(
-            source, target, name, name, map.type, qos=LATCHED if map.latched and direction == "in" else None
+            source,
+            target,
+            name,
+            name,
+            map.type,
+            BridgeOptions(qos=LATCHED if map.latched and direction == "in" else None),
         )
         await bridge.start()
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 from ropeway.errors import ConfigError
@@ -225,7 +225,7 @@ def _paired_anew(remote: RemoteConfig, before: Mapping[str, Route], after: Mappi
 
 def _kept(index: int, place: int, before: Mapping[str, Route], after: Mapping[str, Route]) -> RemotePlan:
     both = [(before[key], route) for key, route in after.items() if key in before]
-    changed = tuple(pair for pair in both if _shape(pair[0]) != _shape(pair[1]))
+    changed = tuple(pair for pair in both if pair[0].options != pair[1].options)
     return RemotePlan(
         index,
         place,
@@ -235,10 +235,6 @@ def _kept(index: int, place: int, before: Mapping[str, Route], after: Mapping[st
         unchanged=len(both) - len(changed),
         routes=tuple(after.values()),
     )
-
-
-def _shape(route: Route) -> tuple[Any, ...]:
-    return route.delivery, route.qos, route.timeout_s, route.store, route.frames, route.audit
 
 
 def _remote_steps(
@@ -295,14 +291,7 @@ def _calls(routes: Iterable[Route]) -> bool:
 
 def _route_differences(was: Route, becomes: Route) -> list[str]:
     """Return the options of a route that differ, with both values."""
-
-    def options(route: Route) -> dict[str, Any]:
-        shape: dict[str, Any] = {name: getattr(route.delivery, name) for name in route.delivery.__slots__}
-        shape["frames"] = route.frames and asdict(route.frames)
-        more = {name: getattr(route, name) for name in ("timeout_s", "store", "audit")}
-        return shape | {"qos": route.qos and route.qos.to_json()} | more
-
-    return _compared(options(was), options(becomes))
+    return _compared(was.options.to_json(), becomes.options.to_json())
 
 
 def _differences(was: RemoteConfig, becomes: RemoteConfig) -> list[str]:

@@ -146,7 +146,7 @@ class RunningRoute:
 
     def _tell(self, link_state: str, facts: _TopicFacts | _CallFacts) -> RouteStatus:
         route, doubt, error = self.route, self.doubt, facts.error
-        encoding = facts.encoding or route.delivery.encoding
+        encoding = facts.encoding or route.options.delivery.encoding
         figures = facts.figures()
         if link_state != _CONNECTED:
             return _status(route, link_state, error, encoding, figures)
@@ -159,7 +159,7 @@ class RunningRoute:
 def paused_status(route: Route) -> RouteStatus:
     """Return how a route is that the configuration has, and that does not run."""
     figures = TopicFigures() if route.kind == "topic" else CallFigures()
-    return _status(route, PAUSED, "", route.delivery.encoding, figures)
+    return _status(route, PAUSED, "", route.options.delivery.encoding, figures)
 
 
 def _status(

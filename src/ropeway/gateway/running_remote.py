@@ -6,22 +6,16 @@ import asyncio
 import logging
 from collections.abc import Iterable
 from contextlib import AsyncExitStack
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 from ropeway.bridge.topic import TopicBridge
-from ropeway.delivery.frame_prefix import frame_step
-from ropeway.gateway.bridges import fetch, make_bridge
+from ropeway.gateway.bridges import RouteHost, bridge_options, fetch, make_bridge
 from ropeway.gateway.config.config import Config, Route
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.remote import OverlayRemote, Remote, shown_address
 from ropeway.gateway.route import RunningRoute
 from ropeway.hub.hub import Hub, View
 from ropeway.tasks import describe
-
-if TYPE_CHECKING:
-    from ropeway.delivery.passage import Keep
-    from ropeway.delivery.pipeline import Step, Witness
-    from ropeway.types import TypeRegistry
 
 __all__ = ["RemoteHost", "RunningRemote"]
 
@@ -31,20 +25,11 @@ _FINISH_S: Final = 2.0
 """How long what is under way may take to end, when its route is taken away."""
 
 
-class RemoteHost(Protocol):
+class RemoteHost(RouteHost, Protocol):
     """Has what the routes of a remote use; ``Gateway`` is one."""
 
     config: Config
     hubs: dict[str, Hub]
-    registry: TypeRegistry
-
-    def keeper(self, route: Route) -> Keep | None:
-        """Return what keeps the last message of a route, if its configuration asks for it."""
-        ...
-
-    def witness(self, route: Route) -> Witness | None:
-        """Return what writes down what crosses a route, if its configuration asks for it."""
-        ...
 
 
 class RunningRemote:
@@ -82,14 +67,9 @@ class RunningRemote:
             self.remote.begin_watch()
         view = self._view(route.graph)
         view.hub.advisers[self.remote.graph] = None
-        keep, frames, witness = self._host.keeper(route), self._frames(route), self._host.witness(route)
-        bridge = make_bridge(route, view, self.remote.graph, keep, frames, witness)
+        bridge = make_bridge(route, view, self.remote.graph, bridge_options(route, self._host))
         await bridge.start()
         self.remote.running[route.key] = RunningRoute(route, bridge)
-
-    def _frames(self, route: Route) -> Step | None:
-        """Return the step that renames the coordinate frames of a route's messages, where it is to."""
-        return None if route.frames is None else frame_step(self._host.registry, route.type, route.frames)
 
     async def remove(self, key: str) -> None:
         """End a route: what is under way has a moment to end."""
@@ -101,10 +81,7 @@ class RunningRemote:
         """Carry a route of the same key out in another way; messages go on, calls that take longer end."""
         running = self.remote.running.get(route.key)
         if running is not None and isinstance(running.bridge, TopicBridge):
-            keep, frames, witness = self._host.keeper(route), self._frames(route), self._host.witness(route)
-            await running.bridge.change(
-                qos=route.qos, delivery=route.delivery, keep=keep, frames=frames, witness=witness
-            )
+            await running.bridge.change(bridge_options(route, self._host))
             running.route = route
             return
         if running is not None:
@@ -155,6 +132,6 @@ class RunningRemote:
         from ropeway.gateway.automatic import Automatic
 
         view, path = self._view(self._graph), f"remotes[{self.index}].automatic"
-        remote.automatic = Automatic(view, remote.graph, self.config, path, self._graph)
+        remote.automatic = Automatic(view, remote.graph, self.config, path, self._graph, self._host)
         await remote.automatic.start()
         self._stack.push_async_callback(remote.automatic.close)

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Final, Generic, NamedTuple, Protocol, TypeGuard, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol, TypeGuard, TypeVar, runtime_checkable
+
+if TYPE_CHECKING:
+    from ropeway.graph.base import Sample
 
 __all__ = [
     "NO_LOSSES",
     "Contended",
+    "Departing",
     "Draining",
     "Encoded",
     "FarFigures",
@@ -17,6 +21,7 @@ __all__ = [
     "LinkedPublisher",
     "Refusable",
     "ToldByPeer",
+    "is_departing",
     "is_encoded",
     "is_linked",
     "is_refusable",
@@ -79,6 +84,14 @@ class Draining(Protocol):
 
 
 @runtime_checkable
+class Departing(Protocol):
+    """Publishes over a link on which messages may wait, or be replaced by fresher ones."""
+
+    def on_gone(self, callback: Callable[[Sample], None] | None) -> None:
+        """Give each message that has gone out on the link to a callback from now on."""
+
+
+@runtime_checkable
 class Encoded(Protocol):
     """Encodes what goes over a link."""
 
@@ -123,5 +136,6 @@ class _Ability(Generic[P]):
 
 
 is_linked: Final = _Ability[LinkedPublisher](lambda part: isinstance(part, LinkedPublisher))
+is_departing: Final = _Ability[Departing](lambda part: isinstance(part, Departing))
 is_encoded: Final = _Ability[Encoded](lambda part: isinstance(part, Encoded))
 is_refusable: Final = _Ability[Refusable](lambda part: isinstance(part, Refusable))

@@ -106,14 +106,14 @@ def _topic(route: Route, item: TopicItem, measured: PlannedTopic | None, here: s
         topic = measured
     else:
         return None
-    rate_hz = min(topic.published_hz, route.delivery.rate_hz or topic.published_hz)
+    rate_hz = min(topic.published_hz, route.options.delivery.rate_hz or topic.published_hz)
     source, sink = (far, here) if route.operation == "subscribe" else (here, far)
     return replace(
         topic,
         published_hz=rate_hz,
         publishers={source: sum(topic.publishers.values())},
         readers={sink: sum(topic.readers.values())},
-        encoding=route.delivery.encoding,
+        encoding=route.options.delivery.encoding,
     )
 
 
@@ -125,5 +125,5 @@ def _expected(route: Route, expected: ExpectedTraffic) -> PlannedTopic:
         publishers={"": expected.publishers},
         readers={"": expected.readers},
         type=route.type,
-        ratios={} if expected.ratio is None else {route.delivery.encoding: expected.ratio},
+        ratios={} if expected.ratio is None else {route.options.delivery.encoding: expected.ratio},
     )

@@ -63,7 +63,7 @@ def test_configurations_are_valid(registry: TypeRegistry) -> None:
     robot, cloud = parse(configs["robot"]), parse(configs["cloud"])
     assert cloud.gateway.listen == ("ws://127.0.0.1:9099",)
     assert robot.gateway.listen == ()
-    assert [(r.operation, r.name, r.delivery.priority) for r in robot.routes()] == [
+    assert [(r.operation, r.name, r.options.delivery.priority) for r in robot.routes()] == [
         ("publish", "/camera/image", 4),
         ("publish", "/odom", 4),
         ("subscribe", "/annotated/image", 4),

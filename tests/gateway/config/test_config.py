@@ -109,9 +109,9 @@ def test_listing_1_of_the_paper_is_accepted() -> None:
         ("subscribe", "topic", "/object_detect_result", "std_msgs/msg/String", "ws://alice:9090"),
         ("subscribe", "topic", "/human_act_recog_result", "std_msgs/msg/String", "ws://alice:9090"),
     ]
-    assert routes[3].delivery == Delivery(encoding="cbor-raw")
-    assert routes[4].delivery == Delivery(encoding="auto")
-    assert routes[3].qos is None
+    assert routes[3].options.delivery == Delivery(encoding="cbor-raw")
+    assert routes[4].options.delivery == Delivery(encoding="auto")
+    assert routes[3].options.qos is None
 
 
 def test_graph_of_ros_domain_id(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,11 +207,13 @@ def test_full_form_in_yaml(tmp_path: Path) -> None:
     image, tf, cmd, odom = config.routes()[0], config.routes()[1], config.routes()[2], config.routes()[3]
     assert (image.name, image.remote_name) == ("/camera/image", "/robot1/camera/image")
     assert image.type == "sensor_msgs/msg/Image"
-    assert image.delivery == Delivery(encoding="auto", priority=7, rate_hz=15.0, lifespan_s=0.5, depth=2, weight=3.0)
+    assert image.options.delivery == Delivery(
+        encoding="auto", priority=7, rate_hz=15.0, lifespan_s=0.5, depth=2, weight=3.0
+    )
     assert image.remote.address == "wss://cloud.example.org:9090/robots"
     assert (image.graph, image.remote.tls and image.remote.tls.verify) == ("dds:7", False)
-    assert (tf.remote_name, tf.qos) == ("/tf", QoS(reliability="best_effort", depth=100))
-    assert (cmd.operation, cmd.type, cmd.delivery) == (
+    assert (tf.remote_name, tf.options.qos) == ("/tf", QoS(reliability="best_effort", depth=100))
+    assert (cmd.operation, cmd.type, cmd.options.delivery) == (
         "subscribe",
         "geometry_msgs/msg/Twist",
         Delivery(encoding="none", priority=0),
@@ -287,7 +289,7 @@ def test_what_is_no_address(bad: str) -> None:
 def test_israw(israw: object, encoding: str) -> None:
     """A true ``israw`` stands for cbor-raw; false and the text "False" leave the compression as it is."""
     routes = parse(remote(publish=[topic(israw=israw, compression="zip")])).routes()
-    assert routes[0].delivery.encoding == encoding
+    assert routes[0].options.delivery.encoding == encoding
 
 
 @pytest.mark.parametrize(("active", "count"), [(True, 1), (False, 0), ("false", 0), ("False", 0), ("true", 1)])
@@ -559,7 +561,7 @@ def test_yaml_follows_its_newer_rules(tmp_path: Path) -> None:
     file.write_text("address: ws://h\ntitle: on\npublish: [{name: /a, type: a/B, lifespan_s: 1e-1}]\n")
     config = load(file)
     assert config.remotes[0].title == "on"
-    assert config.routes()[0].delivery.lifespan_s == 0.1
+    assert config.routes()[0].options.delivery.lifespan_s == 0.1
 
 
 def test_round_trip_and_slices(tmp_path: Path) -> None:

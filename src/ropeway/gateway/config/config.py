@@ -23,11 +23,9 @@ from ropeway.gateway.config.address import is_iort
 from ropeway.gateway.config.check import check, route_key
 from ropeway.gateway.config.document import read_file
 from ropeway.gateway.config.model import GatewayConfig, RemoteConfig
-from ropeway.gateway.config.route_model import OPERATIONS, ActionItem, BridgedName, ServiceItem, TopicItem
+from ropeway.gateway.config.route_model import OPERATIONS, BridgedName, TopicItem
+from ropeway.gateway.config.route_options import AS_IT_COMES, RouteOptions
 from ropeway.gateway.config.safety_model import SafetyItem
-from ropeway.graph.base import Delivery
-from ropeway.qos import QoS
-from ropeway.types.frame_names import FrameNames
 
 __all__ = ["Config", "GatewayConfig", "RemoteConfig", "Route", "load", "parse"]
 
@@ -45,15 +43,10 @@ class Route:
     name: str
     remote_name: str
     type: str
-    delivery: Delivery
-    qos: QoS | None
     path: str
     key: str
     graph: str
-    timeout_s: float | None = None  # of a call or a goal
-    store: bool = False  # the last message is kept
-    frames: FrameNames | None = None  # how coordinate frames are called on the other side
-    audit: bool = False  # what crosses is written down
+    options: RouteOptions = AS_IT_COMES
 
 
 @dataclass(frozen=True)
@@ -86,15 +79,10 @@ class Config:
             name=name,
             remote_name=remote_name,
             type=item.type,
-            delivery=item.delivery(),
-            qos=item.qos if isinstance(item, TopicItem) else None,
             path=f"remotes[{index}].{operation}[{number}]",
             key=route_key(operation, remote.address, graph, name, remote_name, item.type),
             graph=graph,
-            timeout_s=item.timeout_s if isinstance(item, (ServiceItem, ActionItem)) else None,
-            store=isinstance(item, TopicItem) and item.store,
-            frames=item.frames() if isinstance(item, TopicItem) else None,
-            audit=item.audit,
+            options=item.options(),
         )
 
     def safeties(self) -> list[tuple[str, SafetyItem]]:
@@ -114,7 +102,7 @@ class Config:
         return (
             self.gateway.store is not None
             or any(map(is_iort, self.gateway.listen))
-            or any(route.store for route in self.routes())
+            or any(route.options.store for route in self.routes())
         )
 
     def slice(self, remotes: Iterable[int], *, listen: bool = True) -> Config:

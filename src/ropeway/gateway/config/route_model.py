@@ -22,6 +22,7 @@ from ropeway.gateway.config.route_fields import (
     TopicTypeName,
     type_of,
 )
+from ropeway.gateway.config.route_options import RouteOptions
 from ropeway.gateway.config.safety_model import CommandSafety
 from ropeway.graph.base import Delivery
 from ropeway.types.frame_names import FrameNames
@@ -74,6 +75,10 @@ class BridgedName(Model):
             metadata=tuple((key, text) for key, text in given if text is not None),
         )
 
+    def options(self) -> RouteOptions:
+        """Return how the route treats what crosses it."""
+        return RouteOptions(delivery=self.delivery(), audit=self.audit)
+
 
 class TopicItem(BridgedName):
     """A topic to ``publish`` or to ``subscribe``."""
@@ -117,6 +122,10 @@ class TopicItem(BridgedName):
             weight=self.weight,
         )
 
+    def options(self) -> RouteOptions:
+        """Return how the route treats what crosses it."""
+        return replace(super().options(), qos=self.qos, store=self.store, frames=self.frames())
+
     def frames(self) -> FrameNames | None:
         """Return how coordinate frames are called on the other side, ``None`` where they have the same names."""
         if not (self.frame_prefix or self.frame_prefix_removed):
@@ -144,6 +153,10 @@ class ServiceItem(BridgedName):
         description="its type: pkg/srv/Name, pkg/Name or pkg.srv.Name",
     )
 
+    def options(self) -> RouteOptions:
+        """Return how the route treats what crosses it."""
+        return replace(super().options(), timeout_s=self.timeout_s)
+
 
 class ActionItem(BridgedName):
     """An action to expose or to reserve."""
@@ -160,3 +173,7 @@ class ActionItem(BridgedName):
         validation_alias=AliasChoices("type", "actionType"),
         description="its type: pkg/action/Name, pkg/Name or pkg.action.Name",
     )
+
+    def options(self) -> RouteOptions:
+        """Return how the route treats what crosses it."""
+        return replace(super().options(), timeout_s=self.timeout_s)

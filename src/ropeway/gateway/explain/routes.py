@@ -47,7 +47,7 @@ def explain_route(remote: Remote, running: RunningRoute, far: Graph | None = Non
     source_name, target_name = (route.remote_name, route.name) if inward else (route.name, route.remote_name)
     link = [*_link(remote), *_rights(remote, running)]
     if isinstance(bridge, TopicBridge):
-        begin = publishers(source, source_name, route.type, route.qos)
+        begin = publishers(source, source_name, route.type, route.options.qos)
         end = _read(bridge, target, target_name, route)
     else:
         begin, end = servers(source, "service" if route.kind == "service" else "action", source_name, route.type), []

@@ -46,6 +46,7 @@ class RemotePublisher(PublisherBase[LinkGraph]):
         self.far: FarFigures | None = None
         self.remote_delay_s: float | None = None  # from this gateway's reception to the far one's
         self._gid = new_origin()
+        self._gone: Callable[[Any], None] | None = None
         self._history = History(qos)
         self._latched = qos.transient_local
         self._translated = graph.border.touches(type)
@@ -76,6 +77,12 @@ class RemotePublisher(PublisherBase[LinkGraph]):
         if echo is not None:
             echo.sent(sample.payload)
         self.channel.put(sample)
+
+    def on_gone(self, callback: Callable[[Any], None] | None) -> None:
+        """See ``Departing.on_gone``."""
+        self._gone = callback
+        if self.channel is not None:
+            self.channel.gone = callback
 
     @property
     def waiting(self) -> int:
@@ -125,6 +132,7 @@ class RemotePublisher(PublisherBase[LinkGraph]):
         self.channel.queue.lost = self.lost
         self.channel.queue.weight = delivery.weight
         self.channel.queue.latched = self.qos.latched
+        self.channel.gone = self._gone
         rosgw = peer.dialect is ROSGW
         peer.send(
             ops.Advertise(
