@@ -201,6 +201,14 @@ OVERLAY_BATCH_BYTES: Final = 1 << 20
 OVERLAY_MESSAGES_PER_PACKET: Final = 4_096
 """Messages in one packet. Senders put 256 in one."""
 
+OVERLAY_WAYS: Final = 8
+"""Links by which a gateway may send the same packet."""
+
+OVERLAY_LINK_WAITING_BYTES: Final = 4 << 20
+"""Packets that wait for one of several links of the overlay. Above, copies of the next are left out there: another link
+carries them.
+"""
+
 OVERLAY_COPY_BYTES: Final = 4 << 10
 """A packet that comes by a second session, too: commands and the like, sealed."""
 

@@ -70,6 +70,16 @@ class Place:
         write_private(path, member(name, **options).to_text())
         return str(path)
 
+    def cut(self, name: str, *, back: bool = False) -> None:
+        """Lose every packet of a cable without a sign, both ways: the next hop has an address that nobody has."""
+        number = ("wlan", "wwan").index(name) + 1
+        for namespace, other in ((self.robot, 2), (self.far, 1)):
+            if back:
+                ip(f"-n {namespace} neigh del 10.99.{number}.{other} dev {name}")
+            else:
+                neighbour = f"10.99.{number}.{other} lladdr 02:00:00:00:00:01 nud permanent dev {name}"
+                ip(f"-n {namespace} neigh replace {neighbour}")
+
     async def machine(self, namespace: str, name: str, router: str, **order: Any) -> Machine:
         overlay = {"identity": self.bundle(name), "routers": [f"tls/{router}:7447"], "listen": []}
         overlay |= order.pop("overlay", {})
@@ -122,3 +132,67 @@ async def test_the_interface_in_use_is_cut(place: Place) -> None:
         told = [e["status"]["remotes"][0]["overlay"] for e in machine.events if "status" in e and e["t"] > cut]
         assert told
         assert too_soon or all(row["gateways"] for row in told)
+
+
+def using(machine: Machine) -> str:
+    """Return the link that a machine says it uses."""
+    return str(machine.status["remotes"][0]["overlay"]["links"]["current"])
+
+
+def overlay(machine: Machine) -> dict[str, Any]:
+    """Return what a machine tells of the overlay."""
+    found: dict[str, Any] = machine.status["remotes"][0]["overlay"]
+    return found
+
+
+async def joined(place: Place, links: str) -> tuple[Machine, Machine]:
+    """Return a cloud, and a robot that uses both of its interfaces at once; each hears the other."""
+    topics = {"publish": [{"name": "/up", "type": STRING}], "subscribe": [{"name": "/down", "type": STRING}]}
+    back = {"publish": topics["subscribe"], "subscribe": topics["publish"]}
+    cloud = await place.machine(
+        place.far, "cloud", "127.0.0.1", remotes=[{"address": "overlay", **back}], publish={"/down": 50}, read=["/up"]
+    )
+    robot = await place.machine(
+        place.robot,
+        "robot",
+        ROUTER,
+        overlay={"interfaces": ["wlan", "wwan"], "links": links},
+        remotes=[{"address": "overlay", **topics}],
+        publish={"/up": 50},
+        read=["/down"],
+    )
+    for machine, topic in ((cloud, "/up"), (robot, "/down")):
+        await machine.until(lambda: len(machine.heard(topic)) > 100)  # noqa: B023
+    members = overlay(robot)["links"]["members"]
+    await robot.until(lambda: all(link["rtt_ms"] for link in overlay(robot)["links"]["members"].values()))
+    assert set(members) == {"wlan", "wwan"}
+    return robot, cloud
+
+
+@pytest.mark.parametrize("links", ["best", "duplicate"])
+async def test_two_links_of_which_one_is_cut(place: Place, links: str) -> None:
+    """Everything goes on by the other link, in order and once; nobody is taken for gone, and no copy for an attack.
+
+    With duplicates nothing is lost.
+    """
+    robot, cloud = await joined(place, links)
+    began = time.monotonic()
+    for _ in range(2):
+        name, cut = using(robot), time.monotonic()
+        place.cut(name)
+        for machine, topic in ((cloud, "/up"), (robot, "/down")):
+            await machine.until(lambda: len(machine.heard(topic, cut + 1)) > 50)  # noqa: B023
+        await robot.until(lambda: using(robot) != name)  # noqa: B023
+        place.cut(name, back=True)
+        await robot.until(lambda: all(link["up"] for link in overlay(robot)["links"]["members"].values()))
+        await robot.until(lambda: not any(link["silent"] for link in overlay(robot)["links"]["members"].values()))
+    for machine, topic in ((cloud, "/up"), (robot, "/down")):
+        numbers = [number for _, number in machine.heard(topic)]
+        assert numbers == sorted(set(numbers))
+        if links == "duplicate":
+            assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+            assert overlay(machine)["copies"]
+    for machine in (cloud, robot):
+        assert not overlay(machine)["refused"]
+        told = [e["status"]["remotes"][0]["overlay"] for e in machine.events if "status" in e and e["t"] > began]
+        assert all(row["gateways"] for row in told)

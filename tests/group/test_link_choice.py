@@ -24,7 +24,7 @@ class Weather:
             for name, took_s in round_trips_s.items():
                 self.choice.sent(name, self.now_s)
                 if took_s is not None:
-                    self.choice.came(name, took_s)
+                    self.choice.came(name, took_s, self.now_s + took_s)
             self.now_s += PROBE_S
             self.changes += self.choice.step(self.now_s) != before
         return self.choice.best

@@ -17,7 +17,7 @@ from ropeway.networks.overlay.advert import Advertisement, advert_key, make_adve
 from ropeway.networks.overlay.announcement import NoteKey
 from ropeway.networks.overlay.crypto.channel import Initiator
 from ropeway.networks.overlay.crypto.identity import Identity, write_private
-from ropeway.networks.overlay.fabric import CRL_KEY, Fabric, Handle
+from ropeway.networks.overlay.data_plane import CRL_KEY, DataPlane, Handle
 from ropeway.networks.overlay.fleet import Fleet
 from ropeway.networks.overlay.graph import OverlayGraph
 from ropeway.networks.overlay.graph.publisher import OverlayPublisher
@@ -63,7 +63,7 @@ class Hostile:
         self.graph, self.publisher, self.target = graph, publisher, target
         self.ends: list[Handle] = []  # of what was declared
         self.identity: Identity = graph.node.identity
-        self.fabric: Fabric = graph.node.fabric
+        self.fabric: DataPlane = graph.node.fabric
         self.me = graph.node.gateway
         assert self.identity.name_secret is not None
         self.secret = self.identity.name_secret

@@ -109,6 +109,7 @@ class RemoteFactory:
                 routers=settings.routers,
                 listen=settings.listen,
                 interfaces=settings.interfaces,
+                links=settings.links,
                 max_message_bytes=self._settings.max_message_bytes,
             )
         about = Metadata(settings.author, settings.maintainer, settings.description, config.unique or "", settings.node)

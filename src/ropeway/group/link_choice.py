@@ -25,6 +25,7 @@ _MARGIN: Final = 0.8  # another link must be better by a fifth
 _MARGIN_S: Final = 0.002
 _DWELL_S: Final = 0.5  # no second change sooner, unless the link in use is silent
 _MOST_UNDER_WAY: Final = 1024
+_SAME_S: Final = PROBE_S / 4  # a probe is noted about when it is sent
 
 
 @dataclass(slots=True, eq=False)
@@ -67,16 +68,20 @@ class LinkChoice:
         if len(under_way) < _MOST_UNDER_WAY:
             under_way.append(now_s)
 
-    def came(self, name: str, round_trip_s: float) -> None:
-        """Note the answer to a probe; those before it are answered as well: links keep the order."""
+    def came(self, name: str, round_trip_s: float, now_s: float) -> None:
+        """Note the answer to a probe; those before it are over as well, as links keep the order."""
         link = self._links[name]
-        if link.under_way:
+        while link.under_way and link.under_way[0] <= now_s - round_trip_s + _SAME_S:
             link.under_way.popleft()
         if link.mean_s is None:
             link.mean_s, link.deviation_s = round_trip_s, round_trip_s / 2
             return
         link.deviation_s += _DEVIATION * (abs(round_trip_s - link.mean_s) - link.deviation_s)
         link.mean_s += _MEAN * (round_trip_s - link.mean_s)
+
+    def silent(self, name: str, now_s: float) -> bool:
+        """Return whether a link is down, or most likely cut."""
+        return self._links[name].silent(now_s)
 
     def step(self, now_s: float) -> str:
         """Return the link to use from now on, ``""`` while there is none."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, Protocol
 
 from ropeway.graph.base import Graph, Sample, Undelivered
@@ -65,8 +66,11 @@ class LinkGroup(Group):
         """See ``Group``; the links are probed from now on."""
         await super().open()
         for name, link in self.links.items():
-            link.on_probe(lambda round_trip_s, name=name: self.choice.came(name, round_trip_s))  # type: ignore[misc]
+            link.on_probe(partial(self._probed, name))
         self._watchers.append(Supervised(self._keep_probing, f"probes of {self.name}").start())
+
+    def _probed(self, name: str, round_trip_s: float) -> None:
+        self.choice.came(name, round_trip_s, self.now())
 
     async def _keep_probing(self) -> None:
         while True:

@@ -37,7 +37,7 @@ def held_up(graph: OverlayGraph, monkeypatch: pytest.MonkeyPatch) -> tuple[list[
     held: list[Packet] = []
     put = graph.node.fabric.put
 
-    def hold(lane: int, key: Any, payload: bytes, mark: bytes | None = None) -> None:
+    def hold(lane: int, key: Any, payload: bytes, mark: bytes | None = None, *, copies: bool = False) -> None:
         held.append((lane, key, payload, mark))
 
     monkeypatch.setattr(graph.node.fabric, "put", hold)

@@ -34,14 +34,14 @@ async def test_a_session_that_answers_nothing(site: Site, caplog: pytest.LogCapt
     links = graph.node.links
     for _ in range(2):
         assert not links.heard(0)
-    before = links.fabric.session
+    before = links.main.session
     await links.mend(None)
-    assert links.fabric.session is not before
+    assert links.main.session is not before
     for _ in range(2):
         links.heard(0)
-    now = links.fabric.session
+    now = links.main.session
     await links.mend(None)
-    assert links.fabric.session is now
+    assert links.main.session is now
     assert sum("Zenoh has stopped answering" in message for message in caplog.messages) == 1
     await other.create_publisher("/late", STRING)
     await until(lambda: "/late" in graph.topics())
@@ -53,25 +53,25 @@ async def test_a_link_that_brings_nobody_back(site: Site, caplog: pytest.LogCapt
     links = graph.node.links
     links.in_company(0)
     links.in_company(1)
-    before = links.fabric.session
+    before = links.main.session
     for _ in range(3):
         links.in_company(0)  # all have left
         await links.mend(None)
-    links.fabric.connection += 1000  # as after a cut
+    links.main.connection += 1000  # as after a cut
     links.in_company(1)
     links.in_company(0)
     await links.mend(None)
-    assert links.fabric.session is before
+    assert links.main.session is before
     links.in_company(0)
     await links.mend(None)
-    assert links.fabric.session is not before
+    assert links.main.session is not before
     assert sum("nobody is heard of" in message for message in caplog.messages) == 1
-    links.fabric.connection += 1000
-    now = links.fabric.session
+    links.main.connection += 1000
+    now = links.main.session
     for _ in range(3):
         links.in_company(0)
         await links.mend(None)
-    assert links.fabric.session is now
+    assert links.main.session is now
     await other.create_publisher("/late", STRING)
     await until(lambda: "/late" in graph.topics())
 
@@ -79,7 +79,7 @@ async def test_a_link_that_brings_nobody_back(site: Site, caplog: pytest.LogCapt
 async def test_asking_while_links_are_made_anew(site: Site) -> None:
     """While the session is made anew, nobody answers and there is no link, and neither is an error."""
     graph = await site.join()
-    fabric = graph.node.links.fabric
+    fabric = graph.node.links.main
     async with fabric._changing:
         await fabric._stop()
         assert await fabric.ask("rw/crl", b"", 0.05) == []
@@ -96,7 +96,7 @@ class PanicException(BaseException):
 async def test_zenoh_panics(site: Site) -> None:
     """A panic of Zenoh is an error like others, and the session in which it happened is made anew."""
     graph = await site.join()
-    node, fabric = graph.node, graph.node.links.fabric
+    node, fabric = graph.node, graph.node.links.main
     failed = fabric.session
 
     class Failed:

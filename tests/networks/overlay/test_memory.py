@@ -14,12 +14,13 @@ from ropeway import aio
 from ropeway.networks.overlay import rpc
 from ropeway.networks.overlay.crypto.channel import Initiator
 from ropeway.networks.overlay.fabric import Fabric
-from ropeway.networks.overlay.feed import Feed, PublisherStream
+from ropeway.networks.overlay.feed import Feed
 from ropeway.networks.overlay.follower import Follower
 from ropeway.networks.overlay.graph import OverlayGraph
 from ropeway.networks.overlay.held_bytes import HeldBytes
 from ropeway.networks.overlay.node import OverlayNode
 from ropeway.networks.overlay.packet_item import RAW, ZSTD, PacketItem
+from ropeway.networks.overlay.publisher_stream import PublisherStream
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.qos import QoS
 from tests.networks.overlay.conftest import Site

@@ -31,6 +31,7 @@ from ropeway.gateway.config.safety_check import safety_problems
 from ropeway.gateway.config.shape import inner_model, keys_of, shape_problems, spellings
 from ropeway.gateway.config.suggest import did_you_mean, nearest, one_of
 from ropeway.gateway.config.web_rules import with_web_rules
+from ropeway.limits import OVERLAY_WAYS
 
 __all__ = ["check", "route_key"]
 
@@ -119,6 +120,7 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
     gateway = full.get("gateway")
     gateway = gateway if isinstance(gateway, Mapping) else {}
     problems = [*_listeners(gateway), *_auth(gateway), *_control(gateway), *_store(gateway, full.get("remotes"))]
+    problems += _overlay_links(gateway.get("overlay"))
     graphs = gateway.get("graphs")
     if graphs is None:
         try:
@@ -271,6 +273,19 @@ def _interfaces(remote: Mapping[str, Any], path: str, address: str | None) -> It
         yield f"{path}.interfaces", "several links lead to one address; name one interface, or one address"
     if remote.get("links") is not None and count < 2:
         yield f"{path}.links", "needs several interfaces"
+
+
+def _overlay_links(overlay: object) -> Iterable[Problem]:
+    """Check that links used at once have an interface each."""
+    if not isinstance(overlay, Mapping):
+        return
+    named, path = _list(overlay.get("interfaces")), "gateway.overlay"
+    if len(set(map(str, named))) < len(named):
+        yield f"{path}.interfaces", "the same interface twice; keep one"
+    if overlay.get("links") is not None and len(named) < 2:
+        yield f"{path}.links", "needs several interfaces; name them in gateway.overlay.interfaces"
+    elif overlay.get("links") is not None and len(named) > OVERLAY_WAYS:
+        yield f"{path}.interfaces", f"at most {OVERLAY_WAYS} are used at once"
 
 
 def _anycast(remote: Mapping[str, Any], path: str) -> Iterable[Problem]:

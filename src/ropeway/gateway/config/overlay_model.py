@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -63,7 +63,12 @@ class OverlayConfig(Model):
     interfaces: Many[Interface] = Field(
         (),
         description="network interfaces (wlan0, wwan0) to dial routers by, the best first; the next one is used once a "
-        "link is lost",
+        "link is lost, unless links says that they are used at once",
+    )
+    links: Literal["best", "duplicate"] | None = Field(
+        None,
+        description="of several interfaces, all linked at once: best, the one that is quick and steady; duplicate: "
+        "data by all, and the first copy counts",
     )
     author: str = Field("", description="metadata that goes into every global name: all who share a name agree on it")
     maintainer: str = Field("", description="likewise")

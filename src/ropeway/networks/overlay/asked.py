@@ -12,22 +12,30 @@ __all__ = ["Asked"]
 class Asked:
     """A query that somebody asks us; answered at most once, and given up when it is let go."""
 
-    __slots__ = ("_query", "payload")
+    __slots__ = ("_queries", "payload")
 
     def __init__(self, query: zenoh.Query) -> None:
-        self._query: zenoh.Query | None = query
+        self._queries = [query]
         self.payload = bytes(query.payload) if query.payload is not None else b""
+
+    def join(self, other: Asked) -> None:
+        """Answer the same query, which came by another link as well, together with this one."""
+        if self._queries:
+            self._queries += other._queries
+            other._queries = []
+        else:
+            other.done()
 
     def part(self, payload: bytes) -> None:
         """Send one answer of several."""
-        if self._query is not None:
+        for query in self._queries:
             with contextlib.suppress(zenoh.ZError):  # who asked has left
-                self._query.reply(self._query.key_expr, payload)
+                query.reply(query.key_expr, payload)
 
     def done(self) -> None:
         """End the answers."""
-        query, self._query = self._query, None
-        if query is not None:
+        queries, self._queries = self._queries, []
+        for query in queries:
             query.drop()  # type: ignore[no-untyped-call]
 
     def answer(self, payload: bytes) -> None:

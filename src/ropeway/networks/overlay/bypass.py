@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Final
 from ropeway import aio
 from ropeway.errors import GraphUnavailable
 from ropeway.limits import OVERLAY_COPY_BYTES
-from ropeway.networks.overlay.fabric import Fabric, Handle
+from ropeway.networks.overlay.data_plane import DataPlane, Handle
+from ropeway.networks.overlay.fabric import Fabric
 from ropeway.networks.overlay.zenoh_config import gateway_id
 from ropeway.tasks import Supervised, end
 
@@ -53,7 +54,7 @@ class Bypass:
 
     def __init__(
         self,
-        links: Fabric,
+        links: DataPlane,
         config: Callable[[bytes], zenoh.Config],
         routers: Collection[str],
         take: Callable[[bytes, bytes, bytes], None],
@@ -77,7 +78,7 @@ class Bypass:
             self._end = None
         await end(self._keeping)
 
-    def _came(self, _: str, payload: zenoh.ZBytes, about: zenoh.ZBytes | None) -> None:
+    def _came(self, _: str, payload: zenoh.ZBytes, about: zenoh.ZBytes | None, __: int) -> None:
         """Take a copy; runs in Zenoh's thread."""
         raw = b"" if about is None else bytes(about)
         if len(raw) == _NAME_BYTES + _PUBLISHER_BYTES and len(payload) <= OVERLAY_COPY_BYTES:

@@ -11,9 +11,8 @@ import contextlib
 import itertools
 import logging
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any, Final, TypeVar
 
 import zenoh
@@ -23,50 +22,25 @@ from ropeway.errors import GraphUnavailable
 from ropeway.graph.inlet import Inlet, one_by_one
 from ropeway.limits import OVERLAY_NOTE_BYTES, OVERLAY_ROUTED_BYTES, OVERLAY_WAITING_NOTES_BYTES
 from ropeway.networks.overlay.asked import Asked
+from ropeway.networks.overlay.data_plane import Handle, Take
 from ropeway.networks.overlay.link_sockets import Losses, set_options
-from ropeway.networks.overlay.zenoh_config import MEMBER_DEAD_MS, ROUTER_DEAD_MS
+from ropeway.networks.overlay.zenoh_config import MEMBER_DEAD_MS, PRIORITIES, ROUTER_DEAD_MS
+from ropeway.networks.overlay.zenoh_failures import zenoh_failures
+from ropeway.networks.overlay.zenoh_queries import answer_probes, ask, probe
 from ropeway.tasks import Supervised, end
 
-__all__ = ["CRL_KEY", "Fabric", "Handle"]
+__all__ = ["Fabric"]
 
 log = logging.getLogger("ropeway.overlay")
-
-CRL_KEY: Final = "rw/crl"
-"""Where the fleet's revocation list is told and asked for."""
 
 _CLOSE_S: Final = 5.0
 _LET_GO_S: Final = 0.3  # routers compute their maps within 0.1 s; who comes back earlier may be left off them
 _REOPEN_S: Final = 10.0  # what is sent waits so long for a new session
 _LOOK_S: Final = 2.0  # at what links lose
-_OVERDUE_S: Final = 1.0  # after which a request is over though Zenoh, which keeps its time, does not say so
-_ANSWER_BYTES: Final = 100  # what an answer costs beside its payload
-_PRIORITIES: Final = (
-    zenoh.Priority.REAL_TIME,
-    zenoh.Priority.INTERACTIVE_HIGH,
-    zenoh.Priority.INTERACTIVE_LOW,
-    zenoh.Priority.DATA_HIGH,
-    zenoh.Priority.DATA,
-    zenoh.Priority.DATA_LOW,
-    zenoh.Priority.DATA_LOW,
-    zenoh.Priority.BACKGROUND,
-)
 
 _connections = itertools.count(1)
 
 T = TypeVar("T")
-Handle = Callable[[], None]
-"""Called to end what was declared; may be called again."""
-
-
-@contextlib.contextmanager
-def _failures() -> Iterator[None]:
-    """Raise ``GraphUnavailable`` where Zenoh has failed within: its panics are no ``Exception``."""
-    try:
-        yield
-    except BaseException as error:
-        if type(error).__name__ == "PanicException":  # of a module that cannot be imported
-            raise GraphUnavailable("overlay", "Zenoh has failed; links are made anew") from error
-        raise
 
 
 class _Declared:
@@ -78,13 +52,14 @@ class _Declared:
 
 
 class Fabric:
-    """A Zenoh session. ``gateway`` is its id, 16 bytes, which is also ours in the overlay.
+    """A Zenoh session. ``gateway`` is our id in the overlay, 16 bytes; ``way`` is its number among those that we have.
 
     A link whose far end acknowledges nothing is given up, one to a router later than one to another gateway:
     ``routers`` are their endpoints.
     """
 
-    def __init__(self, config: zenoh.Config, gateway: bytes, *, routers: Collection[str] = ()) -> None:
+    def __init__(self, config: zenoh.Config, gateway: bytes, *, routers: Collection[str] = (), way: int = 0) -> None:
+        self.way = way
         self._router_ports = {endpoint.rpartition(":")[2] for endpoint in routers}
         self.gateway = gateway
         self._config = config
@@ -94,6 +69,8 @@ class Fabric:
         self._linked: set[tuple[str, str]] = set()
         self.connection = 0
         """A number that is another with each link that is made, 0 while there is none."""
+        self.router = ""
+        """The id of the router that was linked last."""
         self._watching: Supervised | None = None
         self._declared: dict[_Declared, None] = {}
         self._open = asyncio.Event()
@@ -128,13 +105,13 @@ class Fabric:
             if self._session is not None:
                 losses.look({(str(link.src), str(link.dst)) for link in self._session.info.links()})
 
-    async def reopen(self, config: zenoh.Config) -> None:
-        """Open the session again with another configuration: links and declarations are made anew.
+    async def reopen(self, config: zenoh.Config | None = None) -> None:
+        """Open the session again, with another configuration if there is one: links and declarations are made anew.
 
         What is sent meanwhile waits. Raises ``GraphUnavailable`` where the session cannot start; may be called again.
         """
         async with self._changing:
-            self._config = config
+            self._config = config or self._config
             await self._stop()
             await asyncio.sleep(_LET_GO_S)
             await self._start()
@@ -161,7 +138,7 @@ class Fabric:
         self._linked.clear()
         if session is not None:
             try:
-                with _failures():
+                with zenoh_failures():
                     async with aio.timeout(_CLOSE_S):
                         await asyncio.to_thread(session.close)
             except TimeoutError:
@@ -177,6 +154,8 @@ class Fabric:
         if event.kind == zenoh.SampleKind.PUT:
             to_router = target.rpartition(":")[2] in self._router_ports
             set_options(source, target, MEMBER_DEAD_MS if to_router else ROUTER_DEAD_MS)
+            if to_router:
+                self.router = str(event.link.zid)
             self._linked.add((source, target))
             self.connection = next(_connections)
         else:
@@ -198,11 +177,11 @@ class Fabric:
 
     # ── hearing ────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def subscribe(self, key: str, callback: Callable[[str, zenoh.ZBytes, zenoh.ZBytes | None], None]) -> Handle:
-        """Call ``callback(key, payload, attachment)`` in Zenoh's thread for what is put under ``key``."""
+    def subscribe(self, key: str, callback: Take) -> Handle:
+        """See ``DataPlane``."""
 
         def take(sample: zenoh.Sample) -> None:
-            callback(str(sample.key_expr), sample.payload, sample.attachment)
+            callback(str(sample.key_expr), sample.payload, sample.attachment, self.way)
 
         handler = zenoh.handlers.Callback(take, indirect=False)
         return self._declare(lambda session: session.declare_subscriber(key, handler))
@@ -213,7 +192,7 @@ class Fabric:
         """Subscribe with a callback on the loop, for payloads of ``limit_bytes`` at most."""
         inlet: Inlet[tuple[str, bytes]] = Inlet(self._loop, one_by_one(lambda item: callback(*item)))
 
-        def take(key: str, payload: zenoh.ZBytes, _: object) -> None:
+        def take(key: str, payload: zenoh.ZBytes, _: object, __: int) -> None:
             if len(payload) <= limit_bytes:
                 inlet.put((key, bytes(payload)), len(payload))
             else:
@@ -270,7 +249,7 @@ class Fabric:
         """Declare something now, and again with every new session until it is ended."""
         declared = _Declared(declare)
         if not self._changing.locked():  # else it is declared with the rest
-            with _failures():
+            with zenoh_failures():
                 declared.made = declare(self.session)
         self._declared[declared] = None
 
@@ -285,11 +264,11 @@ class Fabric:
 
     # ── telling ────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def tell(self, key: str, payload: bytes) -> None:
-        """Put a small note; lost where the link is congested, and while the session is made anew."""
+    def tell(self, key: str, payload: bytes, *, copies: bool = False) -> None:
+        """See ``DataPlane``; there is one way, so there are no copies."""
         if self._session is None:
             return
-        with _failures():
+        with zenoh_failures():
             self._session.put(
                 key,
                 payload,
@@ -309,15 +288,23 @@ class Fabric:
             with contextlib.suppress(zenoh.ZError):
                 self._session.undeclare(key)
 
-    def put(self, lane: int, key: str | zenoh.KeyExpr, payload: bytes, mark: bytes | None = None) -> None:
-        """Put data, with a mark beside it; waits while the link is congested, so call it in the lane's thread."""
+    def put(
+        self,
+        lane: int,
+        key: str | zenoh.KeyExpr,
+        payload: bytes,
+        mark: bytes | None = None,
+        *,
+        copies: bool = False,
+    ) -> None:
+        """See ``DataPlane``; there is one way, so there are no copies."""
         self._ready.wait(_REOPEN_S)
         self.session.put(
             key,
             payload,
             attachment=mark,
             congestion_control=zenoh.CongestionControl.BLOCK,
-            priority=_PRIORITIES[lane],
+            priority=PRIORITIES[lane],
             express=True,
         )
 
@@ -325,13 +312,13 @@ class Fabric:
         """Put data that may be lost where the link is congested or has gone; from any thread."""
         session = self._session
         if session is not None:
-            with contextlib.suppress(zenoh.ZError), _failures():  # it has closed this moment
+            with contextlib.suppress(zenoh.ZError), zenoh_failures():  # it has closed this moment
                 session.put(
                     key,
                     payload,
                     attachment=mark,
                     congestion_control=zenoh.CongestionControl.DROP,
-                    priority=_PRIORITIES[lane],
+                    priority=PRIORITIES[lane],
                     express=True,
                 )
 
@@ -350,64 +337,25 @@ class Fabric:
         *,
         lane: int = 1,
         limit_bytes: int = OVERLAY_ROUTED_BYTES,
+        first: bool = False,
     ) -> list[bytes]:
-        """Return every answer to a query, once all who can answer have; fewer, or none, after ``timeout_s``.
-
-        Answers beyond ``limit_bytes`` in all are not taken. Where links are made anew all that time, nobody answers.
-        """
+        """See ``DataPlane``. Where links are made anew all that time, nobody answers."""
         with contextlib.suppress(TimeoutError):
             async with aio.timeout(min(timeout_s, _REOPEN_S)):
                 await self._open.wait()
         session = self._session
         if session is None:
             return []
-        answers: list[bytes] = []
-        left = limit_bytes
-        done: asyncio.Future[None] = self._loop.create_future()
+        return await ask(session, key, payload, timeout_s, lane=lane, limit_bytes=limit_bytes, first=first)
 
-        def finish() -> None:
-            if not done.done():
-                done.set_result(None)
+    def answer_probes(self) -> Handle:
+        """Answer probes of the links with us."""
+        return self._declare(answer_probes)
 
-        def take(reply: zenoh.Reply) -> None:
-            nonlocal left
-            if reply.ok is None:
-                return
-            left -= len(reply.ok.payload) + _ANSWER_BYTES
-            if left >= 0:
-                answers.append(bytes(reply.ok.payload))
-
-        def dropped() -> None:
-            with contextlib.suppress(RuntimeError):  # the loop has closed
-                self._loop.call_soon_threadsafe(finish)
-
-        cancel: Any = zenoh.CancellationToken()
-        get = partial(
-            session.get,
-            key,
-            zenoh.handlers.Callback(take, dropped, indirect=False),
-            payload=payload,
-            timeout=timeout_s,
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            priority=_PRIORITIES[lane],
-            express=True,
-            cancellation_token=cancel,
-        )
-        try:
-            with _failures():
-                if len(payload) > 1 << 16:
-                    await asyncio.to_thread(get)
-                else:
-                    get()
-            with contextlib.suppress(TimeoutError):
-                async with aio.timeout(timeout_s + _OVERDUE_S):
-                    await done
-        finally:
-            if not done.done():
-                cancel.cancel()
-        return answers
+    def probe(self, timeout_s: float, answered: Callable[[float], None]) -> None:
+        """Ask our router for a sign of life; call ``answered`` on the loop with the round trip in seconds."""
+        if self._session is not None and self.router:
+            probe(self._session, self.router, timeout_s, answered, self._loop)
 
     async def linked(self, timeout_s: float) -> bool:
         """Wait until a router or another gateway is linked with us; false when the time is over."""
@@ -418,7 +366,7 @@ class Fabric:
         try:
             async with aio.timeout(timeout_s):
                 await self._open.wait()
-                with _failures():
+                with zenoh_failures():
                     listener = self.session.info.declare_transport_events_listener(lambda _: inlet.put(None))
                 while not self.links():
                     await changed.wait()
@@ -438,5 +386,14 @@ class Fabric:
     # ── where ──────────────────────────────────────────────────────────────────────────────────────────────────
 
     def links(self) -> set[str]:
-        """Return the routers and gateways that we are linked with now, by Zenoh id."""
+        """See ``DataPlane``."""
         return {str(zid) for zid in self._session.info.routers_zid()} if self._session is not None else set()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a session."""
+        return self._session is not None
+
+    def status(self) -> dict[str, Any]:
+        """See ``DataPlane``."""
+        return {}

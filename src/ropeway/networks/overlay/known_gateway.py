@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from ropeway.errors import SealError
+from ropeway.limits import OVERLAY_WAYS
 from ropeway.networks.overlay.announcement import NoteKey
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.refusal import Refusal
@@ -43,7 +44,19 @@ class KnownGateway:
     synced: float = float("-inf")
     unanswered: float = 0.0  # since when it does not answer
     aims: bool = False  # it knows advertisements that are for one gateway alone
+    ways: int = 0  # by which it may send the same packet; 0 if it tells no copies from replays
     clock_ahead_s: float = 0.0  # its clock, beside ours
+
+    def introduced(
+        self, certificate: Certificate, notes: NoteKey, hello: Mapping[str, Any], ahead_s: float, now_s: float
+    ) -> None:
+        """Take what its list begins with, and by how much its clock is ahead."""
+        self.certificate, self.name, self.notes = certificate, certificate.name, notes
+        self.told_ns = max(self.told_ns, hello["t"])
+        self.clock_ahead_s, self.heard = ahead_s, now_s
+        self.aims = hello.get("aims") is True
+        ways = hello.get("ways")
+        self.ways = ways if type(ways) is int and 0 < ways <= OVERLAY_WAYS else 0
 
     def silent(self, now_s: float) -> bool:
         """Return whether it has not told who it is for so long that there must be no way to it."""

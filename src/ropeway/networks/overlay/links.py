@@ -5,6 +5,7 @@ none.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
@@ -13,9 +14,11 @@ from ropeway.errors import GraphUnavailable
 from ropeway.limits import OVERLAY_MESSAGE_BYTES, OVERLAY_ROUTED_BYTES
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
+from ropeway.networks.overlay.data_plane import DataPlane, Handle
 from ropeway.networks.overlay.fabric import Fabric
+from ropeway.networks.overlay.linked_sessions import LinkedSessions
 from ropeway.networks.overlay.router_probe import unreachable
-from ropeway.networks.overlay.zenoh_config import by_interface, client_config, gateway_config
+from ropeway.networks.overlay.zenoh_config import by_interface, client_config, gateway_config, gateway_id
 from ropeway.tasks import Supervised, end
 
 if TYPE_CHECKING:
@@ -36,7 +39,11 @@ _MEND_LIMIT_S: Final = 3600.0
 
 
 class Links:
-    """The session of a gateway, as ``trust`` has it. ``unlinked`` says why there is no link, if there is none."""
+    """The sessions of a gateway, as ``trust`` has it. ``unlinked`` says why there is no link, if there is none.
+
+    There is one for each of ``interfaces`` if ``links`` says how they are used at once, ``best`` or ``duplicate``;
+    otherwise there is one for all, and each interface comes into use when the one before has failed.
+    """
 
     def __init__(
         self,
@@ -48,12 +55,15 @@ class Links:
         max_message_bytes: int,
         *,
         interfaces: Sequence[str] = (),
+        links: str | None = None,
         link_s: float = _LINK_S,
     ) -> None:
         self.unlinked = ""
         self._identity, self._trust, self._gateway = identity, trust, gateway
         self._routers, self._listen = routers, listen
         self._interfaces = tuple(interfaces)
+        self.at_once = tuple(interfaces) if links else ()
+        """The interfaces that have a session each."""
         self._max_bytes = max_message_bytes + OVERLAY_ROUTED_BYTES - OVERLAY_MESSAGE_BYTES
         self._link_s = link_s
         self._mute = self._looks_alone = 0
@@ -62,7 +72,19 @@ class Links:
         self._mended, self._mend_again_s = float("-inf"), _MEND_S
         self._watching: Supervised | None = None
         self.denied = self._to_deny()
-        self.fabric = Fabric(self._config(self.denied), gateway, routers=routers)
+        self.main = Fabric(self._config(self.denied), gateway, routers=routers)
+        self._others: dict[str, Fabric] = {}
+        self.fabric: DataPlane = self.main
+        if self.at_once:
+            for way, name in enumerate(self.at_once[1:], 1):
+                config = self._other_config(name, gateway_id())
+                self._others[name] = Fabric(config, gateway, routers=routers, way=way)
+            sessions = {self.at_once[0]: self.main, **self._others}
+            self.fabric = LinkedSessions(sessions, duplicate=links == "duplicate")
+
+    def answer_probes(self) -> Handle:
+        """Answer the probes of gateways that are linked with us."""
+        return self.main.answer_probes()
 
     def watch(self) -> None:
         """Report from now on why there is no link, whenever there is none."""
@@ -105,7 +127,7 @@ class Links:
         return gateway_config(
             self._identity,
             gateway=self._gateway,
-            connect=by_interface(self._routers, self._interfaces),
+            connect=by_interface(self._routers, self.at_once[:1] or self._interfaces),
             listen=self._listen,
             max_message_bytes=self._max_bytes,
             denied=denied,
@@ -116,12 +138,24 @@ class Links:
         connect = by_interface(self._routers, self._interfaces[::-1])
         return client_config(self._identity, id=id, connect=connect, denied=self._to_deny())
 
+    def _other_config(self, interface: str, id: bytes) -> zenoh.Config:
+        """Build the configuration of the session that goes by one of several interfaces beside the first."""
+        connect = by_interface(self._routers, [interface])
+        return client_config(self._identity, id=id, connect=connect, denied=self._to_deny())
+
+    async def _make_anew(self, denied: frozenset[str]) -> None:
+        """Make all links anew; those by other interfaces that cannot be made now are made later."""
+        await self.main.reopen(self._config(denied))
+        for name, fabric in self._others.items():
+            with contextlib.suppress(GraphUnavailable):
+                await fabric.reopen(self._other_config(name, gateway_id()))
+
     async def deny(self) -> None:
         """Make links anew where they could carry something for who was revoked."""
         denied = self._to_deny()
         if denied != self.denied and (self._listen or self.fabric.linked_with(denied)):
             log.info("overlay: links are made anew, to carry nothing for %s", ", ".join(sorted(denied)) or "nobody")
-            await self.fabric.reopen(self._config(denied))
+            await self._make_anew(denied)
             self.denied = denied
 
     # ── where Zenoh fails ──────────────────────────────────────────────────────────────────────────────────────
@@ -165,4 +199,4 @@ class Links:
         log.warning("overlay: %s; links are made anew", what)
         self._mended, self._mute = now, 0
         self._mend_again_s = min(2 * self._mend_again_s, _MEND_LIMIT_S)
-        await self.fabric.reopen(self._config(self.denied))
+        await self._make_anew(self.denied)

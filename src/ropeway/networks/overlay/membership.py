@@ -26,7 +26,7 @@ from ropeway.networks.overlay.asked import Asked
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
-from ropeway.networks.overlay.fabric import Fabric, Handle
+from ropeway.networks.overlay.data_plane import DataPlane, Handle
 from ropeway.networks.overlay.known_gateway import (
     CHALLENGE_BYTES,
     KnownGateway,
@@ -64,12 +64,12 @@ class Membership:
     channel. ``tails()`` gives the newest number of each reliable publisher of ours that was active lately; ``on_tails``
     gets those of others, so that readers know what they miss. ``on_newer_crl`` is called where somebody has a newer
     revocation list than we, ``on_gone`` with the id of each gateway that has left. ``refused`` is told of everything
-    that is not believed.
+    that is not believed. ``ways``: by so many ways we may send the same packet.
     """
 
     def __init__(
         self,
-        fabric: Fabric,
+        fabric: DataPlane,
         identity: Identity,
         trust: Trust,
         rib: Rib,
@@ -80,9 +80,10 @@ class Membership:
         on_newer_crl: Callable[[], None],
         on_gone: Callable[[bytes], None],
         refused: Callable[[str, SealError], None],
+        ways: int = 1,
         clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        self._clock_ns = clock_ns
+        self._clock_ns, self._ways = clock_ns, ways
         self._fabric, self._identity, self._trust = fabric, identity, trust
         self._rib, self._ask_list = rib, ask_list
         assert identity.name_secret is not None
@@ -143,8 +144,11 @@ class Membership:
 
     def aims(self, gateway: bytes) -> bool:
         """Return whether a gateway knows advertisements that are for it alone, and data that goes to it alone."""
-        known = self._known.get(gateway)
-        return known is not None and known.aims
+        return (known := self._known.get(gateway)) is not None and known.aims
+
+    def ways(self, gateway: bytes) -> int:
+        """Return by how many ways a gateway may send the same packet, 0 where it does not know of copies."""
+        return 0 if (known := self._known.get(gateway)) is None else known.ways
 
     def _schedule(self) -> None:
         if not self._scheduled:
@@ -201,6 +205,7 @@ class Membership:
             "n": self._identity.name,
             "t": self._clock_ns(),
             "aims": True,
+            "ways": self._ways,
             "q": challenge,  # of who asks: by it this is known to be no older list
             **self._own.head(),
         }
@@ -402,11 +407,7 @@ class Membership:
         if self._known.get(gateway) is not known:
             return None
         first = known.certificate is None
-        known.certificate, known.name, known.notes = certificate, certificate.name, notes
-        known.told_ns = max(known.told_ns, hello["t"])
-        known.clock_ahead_s = ahead_s
-        known.aims = hello.get("aims") is True
-        known.heard = self._loop.time()
+        known.introduced(certificate, notes, hello, ahead_s, self._loop.time())
         self._rib.replace(gateway, certificate, adverts)
         self._news.set()
         if first:

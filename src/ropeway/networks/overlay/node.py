@@ -26,7 +26,7 @@ from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.data_key import data_key, name_of
-from ropeway.networks.overlay.fabric import CRL_KEY, Handle
+from ropeway.networks.overlay.data_plane import CRL_KEY, Handle
 from ropeway.networks.overlay.feed import Feed
 from ropeway.networks.overlay.held_bytes import HeldBytes
 from ropeway.networks.overlay.links import Links
@@ -78,9 +78,10 @@ class OverlayNode:
 
     ``routers`` and ``listen`` are Zenoh endpoints (``tls/host:7447``); left out, the routers are those of the bundle,
     and direct links are taken on every interface at a free port, with mutual authentication as everywhere. Routers are
-    dialled by the first of ``interfaces`` (names of network interfaces), and by the others once that fails. ``policy``
-    is asked beyond certificates. ``rotate_s``: content keys serve so long. ``max_message_bytes``: what a message that
-    is read may have, unpacked. ``clock_ns`` is the clock of this machine, which others are told.
+    dialled by the first of ``interfaces`` (names of network interfaces), and by the others once that fails; with
+    ``links`` (``best`` or ``duplicate``) by all of them at once. ``policy`` is asked beyond certificates. ``rotate_s``:
+    content keys serve so long. ``max_message_bytes``: what a message that is read may have, unpacked. ``clock_ns`` is
+    the clock of this machine, which others are told.
     """
 
     def __init__(
@@ -90,6 +91,7 @@ class OverlayNode:
         routers: Sequence[str] | None = None,
         listen: Sequence[str] = ("tls/0.0.0.0:0",),
         interfaces: Sequence[str] = (),
+        links: str | None = None,
         policy: Policy | None = None,
         rotate_s: float = 600.0,
         max_message_bytes: int = OVERLAY_MESSAGE_BYTES,
@@ -112,7 +114,14 @@ class OverlayNode:
         self.trouble = ""  # why others refuse us
         self.policy = policy or (lambda verb, name, certificate: True)
         self.links = Links(
-            identity, self.trust, self.gateway, self.routers, self.listen, max_message_bytes, interfaces=interfaces
+            identity,
+            self.trust,
+            self.gateway,
+            self.routers,
+            self.listen,
+            max_message_bytes,
+            interfaces=interfaces,
+            links=links,
         )
         self.fabric = self.links.fabric
         self.rib = Rib(self.secret, refused=self.refused)
@@ -128,11 +137,13 @@ class OverlayNode:
             on_newer_crl=lambda: self._ask_crl.set(),
             on_gone=self._gone,
             refused=self.refused,
+            ways=max(len(self.links.at_once), 1),
             clock_ns=clock_ns,
         )
         self.receipts = Receipts(self.fabric, self.rpc, self.membership.certificate, self.refused)
         self.states = States(self.rpc)
-        self.bypass = Bypass(self.fabric, self.links.client_config, self.routers, self._copy_came)
+        copied_by = () if self.links.at_once else self.routers  # several links carry small messages well enough
+        self.bypass = Bypass(self.fabric, self.links.client_config, copied_by, self._copy_came)
         self.sources: dict[bytes, PublisherSource] = {}
         self.askers: dict[str, Askers] = {}
         self.on_granted: dict[bytes, Callable[[Sequence[bytes]], None]] = {}
@@ -158,6 +169,7 @@ class OverlayNode:
                 self.rpc.answers("call", self._answer_call)
                 self.rpc.answers("ping", self._answer_ping)
                 self.rpc.answers("list", self._answer_list)
+                self._ends.append(self.links.answer_probes())
                 self.states.open()
                 self.rpc.open()
                 self.receipts.open()
@@ -330,6 +342,7 @@ class OverlayNode:
                 self.denied,
                 limit_bytes=self.max_message_bytes,
                 held=self.held,
+                ways=self.membership.ways,
             )
             feed.open(asyncio.get_running_loop())
         return feed
@@ -340,10 +353,10 @@ class OverlayNode:
             del self.feeds[feed.name]
             await feed.close()
 
-    def _aimed_came(self, key: str, payload: zenoh.ZBytes, mark: zenoh.ZBytes | None) -> None:
+    def _aimed_came(self, key: str, payload: zenoh.ZBytes, mark: zenoh.ZBytes | None, session: int) -> None:
         """Take a packet that is for us alone; runs in Zenoh's thread."""
         if (feed := self.feeds.get(name_of(key))) is not None:
-            feed.came(key, payload, mark)
+            feed.came(key, payload, mark, session)
 
     def _copy_came(self, name: bytes, publisher: bytes, packet: bytes) -> None:
         """Take a packet that came by the bypass; runs in Zenoh's thread."""

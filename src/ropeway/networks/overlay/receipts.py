@@ -27,7 +27,7 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from ropeway.delivery.outbox import LANES
 from ropeway.errors import RopewayError, SealError
 from ropeway.networks.overlay.crypto.certificate import Certificate
-from ropeway.networks.overlay.fabric import Fabric, Handle
+from ropeway.networks.overlay.data_plane import DataPlane, Handle
 from ropeway.networks.overlay.gateway_path import Path
 from ropeway.networks.overlay.packet_mark import Mark
 from ropeway.networks.overlay.refusal import Refusal
@@ -87,7 +87,7 @@ class Receipts:
 
     def __init__(
         self,
-        fabric: Fabric,
+        fabric: DataPlane,
         rpc: Rpc,
         owner: Callable[[bytes], Certificate | None],
         refused: Callable[[str, SealError], None],
@@ -243,7 +243,8 @@ class Receipts:
         origin.counter += 1
         head = _HEAD.pack(origin.id, origin.counter)
         body = b"".join(_NEWEST.pack(lane, newest[lane]) for lane in lanes)
-        self._fabric.tell(receipt_key(origin.gateway), head + origin.cipher.encrypt(_nonce(origin.counter), body, head))
+        receipt = head + origin.cipher.encrypt(_nonce(origin.counter), body, head)
+        self._fabric.tell(receipt_key(origin.gateway), receipt, copies=True)
 
 
 def _nonce(counter: int) -> bytes:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from ropeway.networks.overlay.bypass import Bypass
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
-from ropeway.networks.overlay.fabric import Fabric
+from ropeway.networks.overlay.data_plane import DataPlane
 from ropeway.networks.overlay.feed import Feed
 from ropeway.networks.overlay.links import Links
 from ropeway.networks.overlay.membership import Membership
@@ -27,7 +27,7 @@ class Reported(Protocol):
     gateway: bytes
     trouble: str
     links: Links
-    fabric: Fabric
+    fabric: DataPlane
     rib: Rib
     membership: Membership
     bypass: Bypass
@@ -50,6 +50,8 @@ def member_report(node: Reported) -> dict[str, Any]:
         "trouble": node.trouble or node.links.unlinked,
         "routers": sorted(links - {gateway.hex() for gateway in known}),
         "bypass": node.bypass.connection > 0,
+        "links": node.fabric.status(),
+        "copies": sum(feed.copies for feed in node.feeds.values()),
         "revocations": node.trust.crl_number,
         "gateways": [
             {

@@ -19,7 +19,8 @@ from ropeway.limits import OVERLAY_CRL_BYTES
 from ropeway.networks.overlay.asked import Asked
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
-from ropeway.networks.overlay.fabric import CRL_KEY, Fabric, Handle
+from ropeway.networks.overlay.data_plane import CRL_KEY, Handle
+from ropeway.networks.overlay.fabric import Fabric
 from ropeway.networks.overlay.zenoh_config import gateway_config, gateway_id, router_config
 from ropeway.tasks import Supervised, end
 
@@ -110,7 +111,7 @@ class Router:
         await fabric.open()
         self._fabric = fabric
         take = fabric.hear(CRL_KEY, lambda _, raw: self._take(raw), limit_bytes=OVERLAY_CRL_BYTES)
-        self._ends = [fabric.serve(CRL_KEY, self._tell), take]
+        self._ends = [fabric.serve(CRL_KEY, self._tell), take, fabric.answer_probes()]
 
     def _config(self, denied: frozenset[str]) -> zenoh.Config:
         return router_config(self.identity, connect=self.connect, listen=self.listen, denied=denied)

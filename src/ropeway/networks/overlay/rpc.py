@@ -32,7 +32,7 @@ from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.channel import Initiator, SecureChannel, peek_channel, respond
 from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
-from ropeway.networks.overlay.fabric import Fabric, Handle
+from ropeway.networks.overlay.data_plane import DataPlane, Handle
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.tasks import Chores, describe, end
 
@@ -71,7 +71,7 @@ class Rpc:
 
     def __init__(
         self,
-        fabric: Fabric,
+        fabric: DataPlane,
         identity: Identity,
         trust: Trust,
         refused: Callable[[str, SealError], None],
@@ -137,7 +137,7 @@ class Rpc:
             channel = await self._channel(gateway, max(deadline - time.monotonic(), 0.001))
             packet = channel.seal(text)
             left_s = max(deadline - time.monotonic(), 0.001)
-            replies = await self._fabric.ask(key_of(gateway), _SEALED + packet, left_s, lane=lane)
+            replies = await self._fabric.ask(key_of(gateway), _SEALED + packet, left_s, lane=lane, first=True)
             self.counts[name] += 1
             if not replies:
                 if time.monotonic() >= deadline - 0.001:
@@ -183,7 +183,7 @@ class Rpc:
 
     async def _open_channel(self, gateway: bytes) -> SecureChannel:
         began = Initiator(self._identity, gateway)
-        replies = await self._fabric.ask(key_of(gateway), _HELLO + began.hello, _HELLO_S)
+        replies = await self._fabric.ask(key_of(gateway), _HELLO + began.hello, _HELLO_S, first=True)
         if not replies:
             raise ProviderLost("hello", "the gateway is not there")
         if replies[0][:1] != _HELLO:

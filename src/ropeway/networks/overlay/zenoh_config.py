@@ -15,6 +15,7 @@ from ropeway.networks.overlay.crypto.identity import Identity
 __all__ = [
     "KEYS",
     "MEMBER_DEAD_MS",
+    "PRIORITIES",
     "ROUTER_DEAD_MS",
     "by_interface",
     "client_config",
@@ -26,7 +27,7 @@ __all__ = [
 KEYS: Final = "rw/**"
 """All that travels in an overlay lies under this key expression."""
 
-_DENIED: Final = ("rw/a/**", "rw/d/**", "rw/g/**", "rw/h/**", "rw/k/**", "rw/l/**", "rw/m/**", "rw/x/**")
+_DENIED: Final = ("rw/a/**", "rw/d/**", "rw/g/**", "rw/h/**", "rw/k/**", "rw/l/**", "rw/m/**", "rw/p/**", "rw/x/**")
 """All of it but the revocation list."""
 
 # A dead link is known within these times. A router knows it first: a member that comes again before its router has let
@@ -34,6 +35,18 @@ _DENIED: Final = ("rw/a/**", "rw/d/**", "rw/g/**", "rw/h/**", "rw/k/**", "rw/l/*
 ROUTER_DEAD_MS: Final = 1000
 MEMBER_DEAD_MS: Final = 1600
 _CLIENT_LINK_MS: Final = 5000  # after which there is no router for a client, for now
+PRIORITIES: Final = (
+    zenoh.Priority.REAL_TIME,
+    zenoh.Priority.INTERACTIVE_HIGH,
+    zenoh.Priority.INTERACTIVE_LOW,
+    zenoh.Priority.DATA_HIGH,
+    zenoh.Priority.DATA,
+    zenoh.Priority.DATA_LOW,
+    zenoh.Priority.DATA_LOW,
+    zenoh.Priority.BACKGROUND,
+)
+"""Of the lanes, as Zenoh calls them."""
+
 _MESSAGES: Final = (
     "put",
     "delete",

@@ -140,7 +140,7 @@ async def test_nothing_is_fetched_by_others(team: Team) -> None:
     """What is sent to one member reaches no other, whatever that reads, and no other asks for a key."""
     first, second = await team.machine(), await team.machine()
     packets: list[str] = []
-    end = second.graph.node.fabric.subscribe("rw/d/*/*", lambda key, payload, mark: packets.append(key))
+    end = second.graph.node.fabric.subscribe("rw/d/*/*", lambda key, *_: packets.append(key))
     group = await team.robot(members=[first.name])
     input = await group.create_publisher("/input", STRING, DEEP)
     await until(lambda: input.subscribers == 1)

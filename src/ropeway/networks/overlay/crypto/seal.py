@@ -229,6 +229,11 @@ class Opener:
         while len(self._keys) > _KEYS:
             del self._keys[next(iter(self._keys))]
 
+    @property
+    def floor(self) -> int:
+        """Return the smallest number that is not too old for ever; 1 while there is no key."""
+        return 1 if self._window is None else self._window.floor
+
     def knows(self, packet: bytes) -> bool:
         """Return whether the key of a packet is here. Raises ``SealError`` for what is no packet."""
         return peek(packet).epoch in self._keys

@@ -57,10 +57,10 @@ class _Cursor:
 
 
 class _Group:
-    """The publishers that the same gateways read."""
+    """The publishers that the same gateways read; with ``copies`` all of these tell copies from replays."""
 
-    def __init__(self, lot: Lot) -> None:
-        self.lot = lot
+    def __init__(self, lot: Lot, *, copies: bool) -> None:
+        self.lot, self.copies = lot, copies
         self.outbox: Outbox[Sample] = Outbox()
         self.queues: set[Queue[Sample]] = set()
         self.cursors: list[deque[_Cursor]] = [deque() for _ in range(LANES)]  # the first is being sent
@@ -122,7 +122,7 @@ class OverlaySender:
     def _join(self, queue: Queue[Sample], lot: Lot) -> _Group:
         group = self._groups.get(lot)
         if group is None:
-            group = self._groups[lot] = _Group(lot)
+            group = self._groups[lot] = _Group(lot, copies=all(map(self._graph.node.membership.ways, lot)))
         group.queues.add(queue)
         group.outbox.open(queue)
         self._group_of[queue] = group
@@ -252,7 +252,7 @@ class OverlaySender:
         jobs, size = self._gather(lane, group, small=small)
         if jobs:
             ways = self._bypasses(group, jobs)
-            self._hand(lane, group, partial(self._send, lane, jobs, self._paths(group), ways), size, jobs)
+            self._hand(lane, group, partial(self._send, lane, group, jobs, self._paths(group), ways), size, jobs)
         return bool(jobs)
 
     def _bypasses(self, group: _Group, jobs: Sequence[Job]) -> list[list[bytes] | None]:
@@ -342,7 +342,12 @@ class OverlaySender:
             self._graph.drops[publisher.topic, Undelivered.CLOSED if closed else Undelivered.WRITE] += len(items)
 
     def _send(
-        self, lane: int, jobs: Sequence[Job], paths: Sequence[Path], ways: Sequence[Sequence[bytes] | None]
+        self,
+        lane: int,
+        group: _Group,
+        jobs: Sequence[Job],
+        paths: Sequence[Path],
+        ways: Sequence[Sequence[bytes] | None],
     ) -> None:
         """Seal and put a batch; runs in the lane's thread."""
         connection = self._graph.node.bypass.connection
@@ -351,11 +356,18 @@ class OverlaySender:
             if gateways is not None:
                 publisher.copies.send(packet, gateways, connection, time.monotonic())
             began = time.perf_counter()
-            self._put(lane, publisher, packet, paths)
+            self._put(lane, group, publisher, packet, paths)
             publisher.packing.taken(len(packet), time.perf_counter() - began)
 
     def _put(
-        self, lane: int, publisher: OverlayPublisher, raw: bytes, paths: Sequence[Path], at: int = 0, size: int = 0
+        self,
+        lane: int,
+        group: _Group,
+        publisher: OverlayPublisher,
+        raw: bytes,
+        paths: Sequence[Path],
+        at: int = 0,
+        size: int = 0,
     ) -> None:
         """Put one packet; runs in the lane's thread."""
         number = self._receipts.next_number(lane)
@@ -363,7 +375,7 @@ class OverlaySender:
         for path in paths:
             path.sent(lane, number, len(raw), now_s)
         mark = Mark(lane, number, at, size).to_bytes()
-        self._graph.node.fabric.put(lane, publisher.wire_key(), raw, mark)
+        self._graph.node.fabric.put(lane, publisher.wire_key(), raw, mark, copies=group.copies)
 
     # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -398,7 +410,7 @@ class OverlaySender:
             path.laden(now_s)
         raw = packet[at : at + min(self._part_bytes(group), size)]
         whole = len(raw) == size
-        work = partial(self._put, lane, publisher, raw, self._paths(group), at, 0 if whole else size)
+        work = partial(self._put, lane, group, publisher, raw, self._paths(group), at, 0 if whole else size)
         self._hand(lane, group, work, len(raw), ())
         cursor.at += len(raw)
         group.outbox.served(publisher.queue, len(raw))

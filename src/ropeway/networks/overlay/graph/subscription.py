@@ -10,9 +10,10 @@ from ropeway.graph.base import Sample, SampleCallback, Undelivered
 from ropeway.graph.parts import SubscriptionBase
 from ropeway.group.stamp import StampReader, stamp_reader
 from ropeway.networks.overlay.advert import Advertisement
-from ropeway.networks.overlay.feed import Feed, PublisherStream
+from ropeway.networks.overlay.feed import Feed
 from ropeway.networks.overlay.graph.host import OverlayHost
 from ropeway.networks.overlay.packet_item import RELAYED, PacketItem
+from ropeway.networks.overlay.publisher_stream import PublisherStream
 from ropeway.qos import DEFAULT, QoS
 from ropeway.types import TypeRegistry
 
