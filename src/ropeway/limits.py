@@ -576,6 +576,9 @@ REST_IDLE_S: Final = 30.0
 REST_WAIT_S: Final = 30.0
 """The longest that a request may wait for the first message of a topic."""
 
+CLIENT_DELAY_TOPICS: Final = 512
+"""Topics of clients whose delays are counted apart; a histogram is 14 lines of metrics. What is beyond shares one."""
+
 FIELD_PATH_CHARACTERS: Final = 256
 """A path to a field, as mappings of ``gateway.http`` have; names of fields are far shorter."""
 

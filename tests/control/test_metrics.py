@@ -66,7 +66,14 @@ STATUS: dict[str, Any] = {
         {"address": "ws://a,ws://b", "state": "connected", "members": [{"address": "ws://a", "state": "closed"}]},
     ],
     "graphs": [
-        {"graph": "dds:0", "topics": 4, "nodes": 2, "duplicates": 1, "drops": {"/a: the network refused it": 5}}
+        {
+            "graph": "dds:0",
+            "topics": 4,
+            "nodes": 2,
+            "duplicates": 1,
+            "drops": {"/a: the network refused it": 5},
+            "client_delays": {"published": {"/odom": {"counts": [2, *[0] * 11], "sum_s": 0.001}}, "read": {}},
+        }
     ],
     "sessions": [{"dialect": "rosbridge", "role": "all"}] * 2,
     "access": {"refused": {"wrong token": 4}, "denied": {"publish": 6}},
@@ -110,6 +117,8 @@ def test_every_figure_is_there(accept: str) -> None:
     assert found["ropeway_link_round_trip_seconds[('address', 'ws://cloud:9090')]"] == 0.07
     assert found["ropeway_sessions[('dialect', 'rosbridge'), ('role', 'all')]"] == 2
     assert found["ropeway_failed_tasks[]"] == 1
+    client = sorted({"graph": "dds:0", "direction": "published", "topic": "/odom"}.items())
+    assert found[f"ropeway_client_message_delay_seconds_count{client}"] == 2
     delay = "ropeway_route_message_delay_seconds"
     assert found[f"{delay}_count{route}"] == 7
     assert found[f"{delay}_sum{route}"] == 9.5
@@ -195,6 +204,9 @@ async def test_with_workers() -> None:
     body, _ = Metrics(supervisor.status).text()
     found = body.decode()
     assert "ropeway_connections_held_bytes 200.0" in found
+    assert 'ropeway_graph_topics{graph="dds:0"} 4.0' in found
+    assert 'ropeway_graph_duplicates_total{graph="dds:0"} 2.0' in found
+    assert 'ropeway_client_message_delay_seconds_count{direction="published",graph="dds:0",topic="/odom"} 4.0' in found
     assert 'ropeway_encode_seconds_count{encoding="zstd"} 6.0' in found
     assert supervisor.status()["memory"]["ended"] == {"too much": 2}
 

@@ -334,3 +334,18 @@ async def test_big_messages(world: World) -> None:
     publisher.publish(sample("small"))
     await inbox.wait(3)
     assert inbox.payloads[-1] == text("small")
+
+
+async def test_delays_of_what_clients_publish(world: World) -> None:
+    """A gateway that is dialled counts the delays of what the others publish on it, by topic."""
+    cloud = await world.gateway("cloud", [])
+    await world.gateway("robot", [{"address": url(cloud), "publish": [item("/odom")]}])
+    here, there = await world.robot("robot"), await world.robot("cloud")
+    inbox = Inbox()
+    await there.create_subscription("/odom", STRING, QoS(), inbox)
+    publisher = await here.create_publisher("/odom", STRING)
+    await until(lambda: publisher.subscribers == 1)
+    publisher.publish(Sample(text("here"), STRING, 2, bytes(16), 1, sent_ns=1))
+    await inbox.wait(1)
+    told = cloud.status()["graphs"][0]["client_delays"]["published"]
+    assert sum(told["/odom"]["counts"]) == 1

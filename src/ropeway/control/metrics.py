@@ -21,7 +21,7 @@ from prometheus_client.exposition import choose_encoder
 from ropeway import __version__
 from ropeway.control.links import each_link
 from ropeway.control.route_metrics import RouteMetrics
-from ropeway.delivery.histogram import BOUNDS_S
+from ropeway.delivery.histogram import BOUNDS_S, HistogramJson, added
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,6 +33,7 @@ _OPENMETRICS: Final = "application/openmetrics-text"
 _END_OF_OPENMETRICS: Final = b"# EOF\n"
 _LINK: Final = ("address",)
 _GRAPH: Final = ("graph",)
+_ENDS: Final = (*map(repr, BOUNDS_S), "+Inf")
 
 
 class Metrics:
@@ -122,7 +123,7 @@ def _links(remotes: Iterable[Mapping[str, Any]]) -> Iterator[Metric]:
     yield from (state, connections, round_trip, pace, received, sent)
 
 
-def _graphs(graphs: Iterable[Mapping[str, Any]]) -> Iterator[Metric]:
+def _graphs(graphs: Sequence[Mapping[str, Any]]) -> Iterator[Metric]:
     topics = _gauge("ropeway_graph_topics", "Topics on a local network.", _GRAPH)
     nodes = _gauge("ropeway_graph_nodes", "Nodes on a local network.", _GRAPH)
     duplicates = _counter("ropeway_graph_duplicates", "Messages that had come another way already.", _GRAPH)
@@ -131,14 +132,23 @@ def _graphs(graphs: Iterable[Mapping[str, Any]]) -> Iterator[Metric]:
         "Messages that the network did not take or give, by topic and reason.",
         labels=(*_GRAPH, "reason"),
     )
-    for graph in graphs:
-        labels = [str(graph["graph"])]
-        topics.add_metric(labels, graph["topics"])
-        nodes.add_metric(labels, graph["nodes"])
-        duplicates.add_metric(labels, graph["duplicates"])
-        for reason, count in graph["drops"].items():
-            drops.add_metric([*labels, reason], count)
-    yield from (topics, nodes, duplicates, drops)
+    delays = HistogramMetricFamily(
+        "ropeway_client_message_delay_seconds",
+        "Time of messages that clients publish or read from the first gateway to this one.",
+        labels=(*_GRAPH, "direction", "topic"),
+    )
+    for name in dict.fromkeys(str(graph["graph"]) for graph in graphs):
+        mine = [graph for graph in graphs if graph["graph"] == name]  # of all workers that have joined it
+        topics.add_metric([name], max(graph["topics"] for graph in mine))
+        nodes.add_metric([name], max(graph["nodes"] for graph in mine))
+        duplicates.add_metric([name], sum(graph["duplicates"] for graph in mine))
+        for reason, count in sum((Counter(graph["drops"]) for graph in mine), Counter[str]()).items():
+            drops.add_metric([name, reason], count)
+        for direction in ("published", "read"):
+            told = added(graph.get("client_delays", {}).get(direction, {}) for graph in mine)
+            for topic, histogram in told.items():
+                delays.add_metric([name, direction, topic], _buckets(histogram), histogram["sum_s"])
+    yield from (topics, nodes, duplicates, drops, delays)
 
 
 def _clients(status: Mapping[str, Any]) -> Iterator[Metric]:
@@ -161,7 +171,9 @@ def _codecs(codecs: Mapping[str, Any]) -> Iterator[Metric]:
             f"ropeway_{way}_seconds", f"How long messages took to be {text}, by encoding.", labels=("encoding",)
         )
         for encoding, told in codecs[way].items():
-            ends = [repr(bound_s) for bound_s in BOUNDS_S] + ["+Inf"]
-            buckets = [(end, count) for end, count in zip(ends, accumulate(told["counts"]), strict=True)]
-            family.add_metric([encoding], buckets, told["sum_s"])
+            family.add_metric([encoding], _buckets(told), told["sum_s"])
         yield family
+
+
+def _buckets(told: HistogramJson) -> list[tuple[str, float]]:
+    return list(zip(_ENDS, accumulate(told["counts"]), strict=True))

@@ -12,7 +12,9 @@ __all__ = ["Meter"]
 class Meter:
     """Measures rate, bandwidth and delay over the last seconds; a passage counts.
 
-    ``delay_ns`` adds up how long ``delayed`` messages were on their way since the last update, ``delays`` has them all.
+    ``delay_ns`` adds up how long ``delayed`` messages were on their way since the last update, ``delays`` has them all,
+    and those of other meters that share it. ``passed_s`` is when an update found a message last, ``None`` before the
+    first.
     """
 
     __slots__ = (
@@ -25,18 +27,20 @@ class Meter:
         "delayed",
         "delays",
         "messages",
+        "passed_s",
         "rate_bps",
         "rate_hz",
     )
 
-    def __init__(self) -> None:
+    def __init__(self, delays: Histogram | None = None) -> None:
         self.messages = self.bytes = 0
         self.rate_hz = self.rate_bps = 0.0
         self.delay_s: float | None = None
+        self.passed_s: float | None = None
         self._at = time.monotonic()
         self._messages = self._bytes = 0
         self.delay_ns = self.delayed = 0
-        self.delays = Histogram()
+        self.delays = Histogram() if delays is None else delays
 
     def update(self) -> None:
         """Bring the rates up to date; call it about once a second."""
@@ -50,5 +54,7 @@ class Meter:
             self.delay_s = self.delay_ns / self.delayed / 1e9
         elif self.messages == self._messages:
             self.delay_s = None
+        if self.messages != self._messages:
+            self.passed_s = now
         self._at, self._messages, self._bytes = now, self.messages, self.bytes
         self.delay_ns = self.delayed = 0

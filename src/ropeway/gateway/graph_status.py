@@ -21,4 +21,5 @@ def graph_status(url: str, hub: Hub) -> dict[str, Any]:
         "duplicates": sum(hub.duplicates.values()),
         **({"distro": graph.distro} if isinstance(graph, Distributed) and graph.distro else {}),
         "drops": {f"{topic}: {why.value}": n for (topic, why), n in graph.drops.items() if n},
+        "client_delays": hub.client_delays.to_json(),
     }

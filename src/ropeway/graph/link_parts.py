@@ -49,10 +49,14 @@ class LinkStatistics(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FarFigures:
-    """Tells what the far gateway says of a topic: messages that it passed on, and those that it dropped, by reason."""
+    """Tells what the far gateway says of a topic: messages that it passed on, and those that it dropped, by reason.
+
+    ``passed_s`` is when so many messages were reported first, ``None`` where reports do not come regularly.
+    """
 
     messages: int = 0
     drops: Mapping[str, int] = field(default_factory=dict)
+    passed_s: float | None = None
 
 
 @runtime_checkable

@@ -15,6 +15,7 @@ from collections.abc import AsyncIterator, Iterable
 from dataclasses import replace
 from typing import TypeVar
 
+from ropeway.delivery.client_delays import ClientDelays
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.base import (
     NO_HINTS,
@@ -62,6 +63,7 @@ class Hub:
         self.gates: dict[str, Gate] = {}
         """Gates by topic: messages pass them before they are published."""
         self.duplicates: Counter[str] = Counter()
+        self.client_delays = ClientDelays()
         self.retired: dict[str, Seen] = {}  # what publishers gave that were transient local and have closed
         self._seen: dict[str, tuple[Seen, Seen]] = {}
         self.calls = HubCalls(graph, gateway_id)

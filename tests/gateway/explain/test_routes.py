@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import re
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from ropeway.bridge.topic import TopicBridge
 from ropeway.gateway.explain import Explanation, Subject
 from ropeway.gateway.gateway import Gateway
+from ropeway.graph.link_parts import ToldByPeer
 from ropeway.qos import DEFAULT, QoS
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample
@@ -133,6 +137,27 @@ async def test_what_the_far_end_passes_and_drops(world: World) -> None:
 
     assert await told("/odom") == f"1 messages have passed {url(cloud)}"
     assert "which dropped 4 more often than the rate limit" in await told("/fast")
+
+
+async def test_when_the_last_message_came(world: World) -> None:
+    """A topic that has been silent for some seconds is told with the time since its last message, on both ends."""
+    cloud = await world.gateway("cloud", [])
+    robot = await world.gateway("robot", [{"address": url(cloud), "publish": [item("/odom")]}])
+    here, there = await world.robot("robot"), await world.robot("cloud")
+    await there.create_subscription("/odom", STRING, QoS(), Inbox())
+    odom = await here.create_publisher("/odom", STRING)
+    await until(lambda: odom.subscribers)
+    bridge = robot.remotes[0].joined()[0].bridge
+    assert isinstance(bridge, TopicBridge)
+    odom.publish(sample("a"))
+    await until(lambda: bridge.meter.passed_s and isinstance(bridge.publisher, ToldByPeer) and bridge.publisher.far)
+    assert isinstance(bridge.publisher, ToldByPeer)
+    assert bridge.publisher.far is not None
+    assert bridge.meter.passed_s is not None
+    bridge.meter.passed_s -= 60
+    bridge.publisher.far = replace(bridge.publisher.far, passed_s=bridge.meter.passed_s)
+    texts = [found.text for found in (await only(robot, "/odom")).findings if found.subject is Subject.TRAFFIC]
+    assert len([text for text in texts if re.search(r", the last one 6\d s ago", text)]) == 2, texts
 
 
 async def test_a_link_that_is_down(world: World) -> None:

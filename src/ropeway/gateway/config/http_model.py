@@ -17,7 +17,9 @@ from ropeway.gateway.config.suggest import show
 __all__ = ["AnswerTopic", "AnsweredField", "HttpRule", "PostedField", "PostedFile"]
 
 _HEADER: Final = re.compile(r"[A-Za-z0-9!#$%&'*+.^_`|~-]+")
-_OURS: Final = frozenset(("connection", "content-length", "content-type", "host", "trailer", "transfer-encoding", "upgrade"))
+_OURS: Final = frozenset(
+    ("connection", "content-length", "content-type", "host", "trailer", "transfer-encoding", "upgrade")
+)
 _SECRETS: Final = frozenset(("authorization", "cookie", "proxy-authorization", "x-api-key"))
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Final
 
 from ropeway.bridge.topic import TopicBridge
 from ropeway.gateway.bridges import INWARD
@@ -17,6 +19,9 @@ from ropeway.graph.base import Graph
 from ropeway.graph.link_parts import ToldByPeer
 
 __all__ = ["explain", "explain_route", "reason_of", "without_route"]
+
+
+_MOMENT_S: Final = 2.0  # counts come once a second
 
 
 async def explain(remotes: Sequence[Remote], name: str, to: str = "") -> list[Explanation]:
@@ -132,7 +137,9 @@ def _traffic(bridge: Bridge) -> Iterable[Finding]:
     if isinstance(bridge, TopicBridge):
         meter = bridge.meter
         drops = _counts({reason.value: n for reason, n in bridge.drops.items()})
-        text = f"{meter.messages} messages, {meter.rate_hz:.1f} Hz now" if meter.messages else "no message has come yet"
+        text = "no message has come yet"
+        if meter.messages:
+            text = f"{meter.messages} messages, {meter.rate_hz:.1f} Hz now{_since(meter.passed_s)}"
         yield Finding(
             Subject.TRAFFIC, True if meter.messages else None, text + (f"; dropped: {drops}" if drops else "")
         )
@@ -150,8 +157,15 @@ def _far_traffic(bridge: Bridge, address: str) -> Iterable[Finding]:
     if far is None:
         return
     drops = _counts(far.drops)
-    text = f"{far.messages} messages have passed {address}{f', which dropped {drops}' if drops else ''}"
+    text = f"{far.messages} messages have passed {address}{_since(far.passed_s)}"
+    text += f", which dropped {drops}" if drops else ""
     yield Finding(Subject.TRAFFIC, True if far.messages else False if drops else None, text, address)
+
+
+def _since(passed_s: float | None) -> str:
+    """Return when the last message passed, where that is more than a moment ago."""
+    ago_s = 0.0 if passed_s is None else time.monotonic() - passed_s
+    return f", the last one {ago_s:.0f} s ago" if ago_s >= _MOMENT_S else ""
 
 
 def _counts(counts: Mapping[str, int]) -> str:

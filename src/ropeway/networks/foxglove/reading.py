@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from ropeway.delivery.meter import Meter
 from ropeway.delivery.outbox import SMALL_BYTES, Queue
 from ropeway.delivery.passage import Passage
 from ropeway.networks.foxglove.wire import message_prefix
@@ -31,7 +32,8 @@ class ChannelReader:
         self._codec = viewer.writer.codec(channel.type) if viewer.writer.encoding == _ROS1 else None
         self._queue: Queue[Sample] = viewer.sender.outbox.open(Queue(self))
         self._queue.ready_bytes = SMALL_BYTES
-        self.passage = Passage(sink=self._put)
+        meter = Meter(viewer.view.hub.client_delays.read(channel.topic))
+        self.passage = Passage(meter=meter, sink=self._put)
         self._subscription: ViewSubscription | None = None
 
     async def open(self) -> None:

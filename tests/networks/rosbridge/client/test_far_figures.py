@@ -8,7 +8,7 @@ import pytest
 
 from ropeway.graph.link_parts import FarFigures
 from ropeway.limits import REPORTED_REASON_CHARACTERS, REPORTED_REASONS
-from ropeway.networks.rosbridge.client.far_figures import read_figures
+from ropeway.networks.rosbridge.client.far_figures import read_figures, since
 
 
 def test_figures() -> None:
@@ -37,3 +37,14 @@ def test_reports_are_bounded() -> None:
     assert figures is not None
     assert len(figures.drops) == REPORTED_REASONS
     assert max(map(len, figures.drops)) == REPORTED_REASON_CHARACTERS
+
+
+def test_since_when_nothing_has_passed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time of the first report of so many messages stays until a report has more."""
+    clock = iter((10.0, 20.0))
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    first = since(FarFigures(1), None)
+    assert first == FarFigures(1, passed_s=10.0)
+    assert since(FarFigures(1, {"x": 1}), first) == FarFigures(1, {"x": 1}, passed_s=10.0)
+    assert since(FarFigures(2), first) == FarFigures(2, passed_s=20.0)
+    assert since(None, first) is None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ropeway.errors import RopewayError
 from ropeway.networks.rosbridge.client.echoes import EchoFilter
-from ropeway.networks.rosbridge.client.far_figures import read_figures
+from ropeway.networks.rosbridge.client.far_figures import read_figures, since
 from ropeway.networks.rosbridge.link.calls import OP_CHANNELS
 from ropeway.qos import QoS
 
@@ -138,7 +138,7 @@ class TopicTable:
         elif op == "stats" and publisher is not None:
             delay = message.get("delay_ms")
             publisher.remote_delay_s = delay / 1e3 if isinstance(delay, (int, float)) else None
-            publisher.far = read_figures(message)
+            publisher.far = since(read_figures(message), publisher.far)
         elif op == "stats" and subscription is not None:
             subscription.far = read_figures(message)
         elif op == "adopted" and subscription is not None:
