@@ -250,8 +250,8 @@ class Chores:
 async def settled(future: asyncio.Future[Any], timeout_s: float | None = None) -> bool:
     """Wait until a future is done, at most so long, and return whether it is. It goes on if its waiter is cancelled.
 
-    The same as ``asyncio.wait`` for one future, at a third of the calls. Like that it takes a turn of the event loop even
-    where the future is done, so that what was handed over before it comes first.
+    The same as ``asyncio.wait`` for one future, at a third of the calls. Like that it takes a turn of the event loop
+    even where the future is done, so that what was handed over before it comes first.
     """
     loop = asyncio.get_running_loop()
     waiter: asyncio.Future[None] = loop.create_future()
