@@ -80,9 +80,9 @@ def _quotas(root: Path) -> Iterator[float]:
     for line in lines:
         _, controllers, path = line.split(":", 2)
         if not controllers:
-            top, files = mounted, ("cpu.max",)
+            top, files = mounted, ["cpu.max"]
         elif "cpu" in controllers.split(","):
-            top, files = mounted / controllers, ("cpu.cfs_quota_us", "cpu.cfs_period_us")
+            top, files = mounted / controllers, ["cpu.cfs_quota_us", "cpu.cfs_period_us"]
         else:
             continue
         own = top / path.strip("/")
