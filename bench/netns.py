@@ -9,6 +9,8 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from bench.shares import Share, asked
+
 __all__ = ["Network", "Process", "delayed", "network"]
 
 
@@ -33,6 +35,8 @@ class Process:
             text=True,
         )
         self.pid = self._popen.pid
+        processors = asked() if args[:3] == ("-m", "ropeway", "run") else None
+        self._share = Share(self.pid, processors) if processors is not None else None
 
     def line(self) -> str:
         """The next line it prints."""
@@ -63,6 +67,8 @@ class Process:
             if self._popen.poll() is None:
                 self._popen.kill()
         self._popen.communicate()
+        if self._share is not None:
+            self._share.remove()
 
     def cpu_s(self) -> float:
         """Processor seconds used so far."""
