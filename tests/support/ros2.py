@@ -19,9 +19,9 @@ import pytest
 from ropeway import aio
 from tests.support.until import PATIENCE_S, until
 
-__all__ = ["CYCLONE", "FAST", "Peer", "has_rmw", "need_rclpy", "need_rmw", "need_suite", "start_peer"]
+__all__ = ["CYCLONE", "FAST", "ZENOH", "Peer", "has_rmw", "need_rclpy", "need_rmw", "need_suite", "start_peer"]
 
-CYCLONE, FAST = "rmw_cyclonedds_cpp", "rmw_fastrtps_cpp"
+CYCLONE, FAST, ZENOH = "rmw_cyclonedds_cpp", "rmw_fastrtps_cpp", "rmw_zenoh_cpp"
 
 
 def need_rclpy() -> None:

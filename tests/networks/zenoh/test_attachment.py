@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import struct
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ropeway.networks.zenoh.attachment import Attachment, pack, parse
+
+from .genuine import ANSWERS, MESSAGES, REQUESTS
 
 _GID = bytes(range(16))
 
@@ -41,3 +44,20 @@ def test_negative() -> None:
     """A negative number or time, and a gid of another size, is refused."""
     for number, stamp_ns, size in ((-1, 0, 16), (0, -1, 16), (0, 0, 15)):
         assert parse(struct.pack("<qqB16s", number, stamp_ns, size, _GID)) is None
+
+
+@pytest.mark.parametrize("message", [*MESSAGES, *REQUESTS], ids=lambda message: message["key"].partition("/RIHS")[0])
+def test_genuine(message: dict[str, str]) -> None:
+    """What a genuine node attaches is read, and written again as it came."""
+    data = bytes.fromhex(message["attachment"])
+    found = parse(data)
+    assert found is not None
+    assert pack(*found) == data
+    assert (found.number >= 1, found.stamp_ns > 10**18) == (True, True)
+
+
+def test_genuine_answer() -> None:
+    """The answer of a genuine node has the number and the gid of the request that it was asked with."""
+    found = parse(bytes.fromhex(ANSWERS[0]["attachment"]))
+    assert found is not None
+    assert (found.number, found.gid) == (5, _GID)

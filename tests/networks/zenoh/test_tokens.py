@@ -9,8 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ropeway.limits import ZENOH_TOKEN_CHARACTERS
-from ropeway.networks.zenoh.tokens import ZenohToken, data_key, enclave_of, parse_token, tokens_of
+from ropeway.networks.zenoh.attachment import parse
+from ropeway.networks.zenoh.tokens import ZenohToken, data_key, enclave_of, gid_of, parse_token, tokens_of
 from ropeway.qos import QoS
+
+from .genuine import MESSAGES, REQUESTS, TOKENS
 
 _HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 _TALKER = ZenohToken(
@@ -99,3 +102,36 @@ def test_keys() -> None:
         f"3/ns/chatter/std_msgs::msg::dds_::String_/{_HASH}"
     )
     assert tokens_of(3) == "@ros2_lv/3/**"
+
+
+@pytest.mark.parametrize("text", TOKENS, ids=lambda text: text.split("/", 4)[4].partition("/RIHS")[0])
+def test_genuine(text: str) -> None:
+    """A token of a genuine node is read, and written again as it came, but for its liveliness."""
+    token = parse_token(text)
+    assert token is not None
+    assert (token.domain, token.node, token.ours) == (9, "/robot/genuine", False)
+    if token.name != "/alive":
+        assert str(token) == text
+
+
+def test_genuine_profiles() -> None:
+    """The profiles that a genuine node was given are those that its tokens tell."""
+    tokens = [token for text in TOKENS if (token := parse_token(text)) is not None]
+    profiles = {token.name: token.qos for token in tokens if token.kind in ("publisher", "subscription")}
+    assert profiles["/robot/plain"] == QoS(depth=10)
+    assert profiles["/latched"] == QoS(durability="transient_local", depth=2)
+    assert profiles["/fast"] == QoS(reliability="best_effort", depth=5)
+    assert profiles["/timed"] == QoS(depth=1, deadline_s=1.000000005, lifespan_s=2.0)
+    assert profiles["/all"].history == "keep_all"
+    assert profiles["/heard"] == QoS(reliability="best_effort", depth=3)
+
+
+@pytest.mark.parametrize("message", [*MESSAGES, *REQUESTS], ids=lambda message: message["key"].partition("/RIHS")[0])
+def test_genuine_keys_and_gids(message: dict[str, str]) -> None:
+    """A genuine node sends under the key of its token's name, type and hash, with the gid that follows from it."""
+    found = parse(bytes.fromhex(message["attachment"]))
+    assert found is not None
+    (text,) = (text for text in TOKENS if gid_of(text) == found.gid)
+    token = parse_token(text)
+    assert token is not None
+    assert data_key(9, token.name, token.type, token.type_hash) == message["key"]
