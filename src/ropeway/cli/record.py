@@ -17,6 +17,7 @@ import typer
 from ropeway import aio
 from ropeway.cli.console import answer, complain, fail, print_json
 from ropeway.cli.loop import run
+from ropeway.cli.recorder_orders import RecorderOrder, carry_out
 from ropeway.cli.session import GraphOption, JsonOption, TypesOption, full_name, open_session
 from ropeway.errors import RecordingFailed
 from ropeway.recording.clips import ClipRecorder, stamped
@@ -74,9 +75,26 @@ def record(
         typer.Option("--when", help="With --ring: '/battery.percentage < 0.2'; may be repeated. So does SIGUSR1."),
     ] = None,
     types: TypesOption = None,
+    gateway: Annotated[
+        str | None,
+        typer.Option(
+            "--gateway", "-G", metavar="GATEWAY", help="Show the recorders of a running gateway.", show_default=False
+        ),
+    ] = None,
+    recorder: Annotated[str, typer.Option("--recorder", help="This one of a gateway; default: all.")] = "",
+    trigger: Annotated[bool, typer.Option("--trigger", help="Have recorders of a gateway write a clip.")] = False,
+    why: Annotated[str, typer.Option("--why", help="With --trigger: what has happened.")] = "",
+    start: Annotated[bool, typer.Option("--start", help="Start recorders of a gateway.")] = False,
+    stop: Annotated[bool, typer.Option("--stop", help="Stop recorders of a gateway.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Record TOPICS into MCAP files until Ctrl-C, with definitions and QoS."""
+    """Record TOPICS into MCAP files until Ctrl-C, with definitions and QoS; or give orders to a gateway's recorders."""
+    order = RecorderOrder(gateway, recorder, trigger, why, start, stop)
+    if order.given:
+        if topics or everything or regex:
+            fail("a gateway records what its configuration says; leave the topics out", 2)
+        carry_out(order, as_json=as_json)
+        return
     choice = _choice(topics or [], everything=everything, regex=regex, exclude=exclude or [], hidden=include_hidden)
     conditions = _conditions(when or [], ring_s)
     if compression not in COMPRESSIONS:

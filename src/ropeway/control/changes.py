@@ -1,9 +1,9 @@
-"""Notices changes of state: of links, routes and clients; each becomes an event."""
+"""Notices changes of state: of links, routes, clients and recorders; each becomes an event."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 if TYPE_CHECKING:
@@ -16,7 +16,10 @@ LOOK_S: Final = 1.0
 
 
 class ObjectState(NamedTuple):
-    """The state of an object of a gateway: ``kind`` is ``link``, ``route`` or ``client``; ``why`` is for people."""
+    """The state of an object of a gateway: ``kind`` is ``link``, ``route``, ``client`` or ``recording``.
+
+    ``why`` is for people.
+    """
 
     kind: str
     name: str
@@ -72,6 +75,7 @@ def states_of(running: Gateway | Supervisor) -> Iterator[ObjectState]:
         )
     for session in status["sessions"]:
         yield ObjectState("client", session["peer"], "connected", session["gateway"])
+    yield from _recorders(status.get("recordings", ()))
 
 
 def _states_here(gateway: Gateway) -> Iterator[ObjectState]:
@@ -86,6 +90,13 @@ def _states_here(gateway: Gateway) -> Iterator[ObjectState]:
             yield ObjectState("route", name, bridge.state if state == "connected" else state, bridge.error)
     for session in gateway.sessions:
         yield ObjectState("client", session.connection.peer, "connected", session.remote.get("name", ""))
+    yield from _recorders(gateway.recorders.status())
+
+
+def _recorders(rows: Iterable[Mapping[str, Any]]) -> Iterator[ObjectState]:
+    for row in rows:
+        name = f"{row['name']} ({row['part']})" if "part" in row else row["name"]
+        yield ObjectState("recording", name, row["state"], row["error"] or row["last"])
 
 
 def _route(operation: str, name: str, address: str) -> str:

@@ -19,9 +19,9 @@ from prometheus_client.core import (
 from prometheus_client.exposition import choose_encoder
 
 from ropeway import __version__
-from ropeway.control.links import each_link
 from ropeway.control.route_metrics import RouteMetrics
 from ropeway.delivery.histogram import BOUNDS_S, HistogramJson, added
+from ropeway.gateway.link_rows import each_link
 
 if TYPE_CHECKING:
     from collections.abc import Callable

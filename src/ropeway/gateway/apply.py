@@ -17,6 +17,7 @@ from ropeway.gateway.config.config import Config, Route
 from ropeway.gateway.config.type_hints import known_types, learn_types
 from ropeway.gateway.credentials import read_credentials
 from ropeway.gateway.plan import ConfigPlan, RemotePlan
+from ropeway.gateway.recording.recorders import Recorders, check_directories
 from ropeway.gateway.running_remote import RunningRemote
 from ropeway.tasks import describe
 from ropeway.types import TypeRegistry
@@ -35,6 +36,7 @@ class Changing(Protocol):
     config: Config
     registry: TypeRegistry
     running: list[RunningRemote]
+    recorders: Recorders
 
     async def open_remote(self, config: Config, index: int, routes: Sequence[Route]) -> RunningRemote:
         """Bring a remote of a configuration up, with its routes."""
@@ -72,6 +74,8 @@ class ConfigChange:
             return
         if "types" in plan.live:
             learn_types(new, self.gateway.registry)
+        if "record" in plan.live:
+            check_directories(new)
         try:
             for remote in plan.remotes:
                 await self._start(remote)
@@ -94,6 +98,7 @@ class ConfigChange:
         old = [self._before[index] for index in plan.stopped if index in self._before]
         self.gateway.running[:] = running
         self.gateway.config = plan.new
+        await self.gateway.recorders.change(plan.new.gateway.record)
         if self._renew is not None:
             self._renew()
         removals = [

@@ -27,6 +27,7 @@ from ropeway.gateway.process.allocator import FreedMemory, keep_freed_memory
 from ropeway.gateway.process.counts import summed
 from ropeway.gateway.process.open_files import make_room
 from ropeway.gateway.process.questions import Question
+from ropeway.gateway.recording.recorders import Recorders
 from ropeway.gateway.remote import Remote
 from ropeway.gateway.remote_factory import RemoteFactory
 from ropeway.gateway.route import RouteStatus, paused_status
@@ -107,6 +108,7 @@ class Gateway:
         self._entrance = Entrance(audit=self.audit)
         self._watch = RouteWatch(lambda: self.remotes)
         self.looks = TopicLooks(self.hubs, self.registry)
+        self.recorders = Recorders(self, config.gateway.name, self._node)
 
     async def __aenter__(self) -> Gateway:
         """Bring everything up. Raises ``RopewayError`` if a graph or a listener cannot be had; nothing stays up."""
@@ -156,6 +158,8 @@ class Gateway:
         self._factory = RemoteFactory(
             settings, self.registry, gateway_id=self.gateway_id, node_name=self._node or settings.name, limits=limits
         )
+        stack.push_async_callback(self.recorders.close)
+        await self.recorders.open(self.config)
         stack.push_async_callback(self._close_remotes)
         await self._bring_up_remotes()
         if settings.http:
@@ -186,25 +190,17 @@ class Gateway:
                 warn_of_tokens(settings, url)
         if not links:
             return
-        from ropeway.networks.rosbridge.server import RosbridgeServer  # a gateway that only dials does not need it
+        from ropeway.gateway.client_server import make_client_server  # a gateway that only dials does not need it
 
-        server = RosbridgeServer(
+        server = make_client_server(
+            settings,
             self.hubs[settings.graphs[0]],
             self.registry,
             gateway_id=self.gateway_id,
-            name=settings.name,
             node=self._node or settings.name,
             limits=limits,
             entrance=self._entrance,
             reasons=self.missing,
-            unregister_timeout_s=settings.clients.unregister_timeout_s,
-            call_timeout_s=settings.clients.call_timeout_s,
-            params_timeout_s=settings.clients.params_timeout_s,
-            silence_s=settings.clients.silence_s,
-            ping_interval_s=settings.clients.ping_interval_s,
-            cancel_goals=settings.clients.cancel_goals,
-            publish_clients=settings.clients.publish_clients,
-            publish_rosout=settings.clients.publish_rosout,
             pages=await self._pages(stack),
             guests=self.viewers if settings.foxglove.enabled else None,
         )
@@ -299,7 +295,7 @@ class Gateway:
 
     def tap(self, route: Route) -> Tap | None:
         """Return what records what crosses a route, if a recorder wants it."""
-        return None
+        return self.recorders.tap(route)
 
     def witness(self, route: Route) -> Witness | None:
         """Return what writes down what crosses a route, if its configuration asks for it."""
@@ -432,6 +428,7 @@ class Gateway:
             "sessions": [session.status() for session in self.sessions],
             **({} if self.store is None else {"store": self.store.status()}),
             **({} if self.nodes is None else {"nodes": self.nodes.status()}),
+            **({"recordings": self.recorders.status()} if self.config.gateway.record else {}),
             **({"safety": [topic.status() for topic in self.guarded]} if self.guarded else {}),
             "codecs": codec_status(),
             **({"http": [rule.status() for rule in self.web]} if self.web else {}),

@@ -25,7 +25,7 @@ from typing import Any, Final
 from ropeway.errors import JournalError
 from ropeway.limits import JOURNAL_BYTES, JOURNAL_ENTRIES
 
-__all__ = ["Journal", "JournalEntry", "default_journal"]
+__all__ = ["Journal", "JournalEntry", "default_journal", "state_directory"]
 
 _VERSION: Final = 1
 _SCHEMA: Final = f"""
@@ -90,9 +90,13 @@ class JournalEntry:
 
 def default_journal(name: str, source: str) -> Path:
     """Return where the journal of a gateway is that runs a file: below ``XDG_STATE_HOME``, or ``~/.local/state``."""
-    state = Path(os.environ.get("STATE_DIRECTORY", "").partition(":")[0] or _user_state())
     digest = hashlib.sha256(os.fsencode(Path(source).resolve())).hexdigest()[:12]
-    return state / f"{name}-{digest}.journal"
+    return state_directory() / f"{name}-{digest}.journal"
+
+
+def state_directory() -> Path:
+    """Return where a gateway keeps what outlives it: the directory of its service, or one of its user."""
+    return Path(os.environ.get("STATE_DIRECTORY", "").partition(":")[0] or _user_state())
 
 
 def _user_state() -> Path:

@@ -20,7 +20,7 @@ from ropeway.listener.http import without_token
 
 __all__ = ["ConfigPlan", "PlanStep", "RemotePlan", "make_plan", "remote_keys"]
 
-_LIVE: Final = frozenset(("audit", "auth", "globs", "tls", "types", "insecure"))
+_LIVE: Final = frozenset(("audit", "auth", "globs", "record", "tls", "types", "insecure"))
 """The keys of the gateway that are changed while everything goes on."""
 
 _NEXT_START: Final = frozenset(("control",))
@@ -177,6 +177,7 @@ _EVERYTHING: Final = "all links, clients and routes, for about a second"
 _LIVE_INTERRUPTS: Final[Mapping[str, str]] = {
     "audit": "clients whose commands are written down from now on, or no more",
     "auth": "clients whose credentials are no longer good",
+    "record": "recordings of recorders that differ, which end and begin anew",
     "tls": "clients whose certificates are no longer good",
 }
 

@@ -61,6 +61,9 @@ class Remote:
         """Return the state of the remote, for people and programs."""
         raise NotImplementedError
 
+    def on_state(self, callback: Callable[[], None]) -> None:
+        """Call ``callback`` whenever the state may have changed, where the link tells."""
+
     def begin_watch(self) -> None:
         """See that what the far side offers is known from now on."""
 
@@ -110,6 +113,10 @@ class LinkRemote(Remote):
         super().__init__(config, credentials)
         self.graph: RosbridgeGraph = graph
         self._make_onlooker = make_onlooker
+
+    def on_state(self, callback: Callable[[], None]) -> None:
+        """See ``Remote.on_state``."""
+        self.graph.on_state(lambda _: callback())
 
     def begin_watch(self) -> None:
         """See ``Remote.begin_watch``."""

@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import orjson
+
 from ropeway.errors import TypesError
 from ropeway.qos import QoS
 from ropeway.recording.offered_qos import PROFILES_KEY, profiles_text
@@ -52,6 +54,8 @@ def cdr_channel(registry: TypeRegistry, topic: str, type: str, offered: Iterable
     return RecordingChannel(topic, type, schema, schema_encoding, latched=latched, metadata=metadata)
 
 
-def json_channel(topic: str, title: str) -> RecordingChannel:
-    """Make a channel of JSON objects, for what is no message of ROS."""
-    return RecordingChannel(topic, title, '{"type": "object"}', "jsonschema", "json")
+def json_channel(topic: str, type: str, /, **fields: str) -> RecordingChannel:
+    """Make a channel of JSON objects, for what is no message of ROS: ``fields`` are the types of their keys."""
+    properties = {name: {"type": kind} for name, kind in fields.items()}
+    schema = orjson.dumps({"title": type, "type": "object", "properties": properties}).decode()
+    return RecordingChannel(topic, type, schema, "jsonschema", "json")

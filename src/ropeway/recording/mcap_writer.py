@@ -15,8 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from io import FileIO
 from typing import Final, NamedTuple
 
-import lz4.frame
-import zstandard
+from ropeway.extras import needing
 
 __all__ = ["COMPRESSIONS", "LostMessages", "McapWriter"]
 
@@ -238,10 +237,16 @@ class McapWriter:
 
 
 def _compressor(compression: str) -> Callable[[bytes], bytes] | None:
-    if compression == "zstd":
-        return zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress
-    if compression == "lz4":
-        return lz4.frame.compress  # type: ignore[no-any-return]
+    """Return what compresses a chunk, ``None`` for nothing. Only who compresses needs the libraries."""
+    with needing(f"{compression} in a recording"):
+        if compression == "zstd":
+            import zstandard
+
+            return zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress
+        if compression == "lz4":
+            import lz4.frame
+
+            return lz4.frame.compress  # type: ignore[no-any-return]
     return None
 
 

@@ -18,7 +18,7 @@ class Ring:
     """Keeps the messages of the last ``seconds``, as far as ``most_bytes`` go; the oldest go first.
 
     Of a latched topic the last messages stay, however old they are, so that a clip is complete: the transforms of what
-    is mounted, the description of the robot, the map.
+    is mounted, the description of the robot, the map. They may take as many bytes again.
     """
 
     def __init__(self, seconds: float, most_bytes: int) -> None:
@@ -29,6 +29,7 @@ class Ring:
         self._span_ns, self._most = int(seconds * 1e9), most_bytes
         self._messages: deque[Recorded] = deque()
         self._latched: dict[RecordingChannel, deque[Recorded]] = {}
+        self.latched_bytes = 0
 
     def __len__(self) -> int:
         return len(self._messages)
@@ -57,10 +58,14 @@ class Ring:
         self.bytes -= _weight(message)
         channel = message.channel
         if channel.latched:
-            kept = self._latched.get(channel)
-            if kept is None:
-                kept = self._latched[channel] = deque(maxlen=min(channel.latched, MOST_LATCHED))
-            kept.append(message)
+            self._keep(message, self._latched.setdefault(channel, deque()))
+
+    def _keep(self, message: Recorded, kept: deque[Recorded]) -> None:
+        """Keep a message of a latched topic in the place of older ones, as far as there is room."""
+        kept.append(message)
+        self.latched_bytes += _weight(message)
+        while kept and (len(kept) > min(message.channel.latched, MOST_LATCHED) or self.latched_bytes > self._most):
+            self.latched_bytes -= _weight(kept.popleft())
 
 
 def _weight(message: Recorded) -> int:

@@ -10,22 +10,24 @@ from rich.markup import escape
 
 from ropeway.cli.fitting_table import FittingTable
 from ropeway.control.figures import duration, shown_number
-from ropeway.control.links import each_link
+from ropeway.gateway.link_rows import each_link
 
-__all__ = ["session_table", "tables"]
+__all__ = ["recording_table", "session_table", "tables"]
 
-_GOOD: Final = ("active", "connected")
+_GOOD: Final = ("active", "connected", "recording")
 _BAD: Final = ("failed", "waiting to retry", "closed")
 
 
 def tables(status: Mapping[str, Any]) -> Iterator[FittingTable]:
-    """Yield the tables: links, routes, and clients where there are any."""
+    """Yield the tables: links, routes, and clients and recorders where there are any."""
     remotes, routes, sessions = status["remotes"], status["routes"], status["sessions"]
     yield _links(status["name"], remotes)
     if routes:
         yield _routes(routes)
     if sessions:
         yield session_table(sessions)
+    if status.get("recordings"):
+        yield recording_table(status["recordings"])
 
 
 def _links(name: str, remotes: Iterable[Mapping[str, Any]]) -> FittingTable:
@@ -95,6 +97,33 @@ def session_table(sessions: Iterable[Mapping[str, Any]]) -> FittingTable:
             escape(session["agent"]),
         )
     return table
+
+
+def recording_table(recordings: Iterable[Mapping[str, Any]]) -> FittingTable:
+    """Make the table of recorders."""
+    table = FittingTable(
+        "recorders",
+        *("recorder", "state", "messages", "MB", "clips", "lost", "last", "error"),
+        dispensable=("last", "lost", "clips"),
+        text=("recorder", "state", "last", "error"),
+    )
+    for row in recordings:
+        held = row.get("ring", row)
+        table.add_row(
+            escape(f"{row['name']} ({row['part']})" if "part" in row else row["name"]),
+            _state(row["state"]),
+            _figure(held.get("messages")),
+            shown_number(held.get("bytes"), 1e-6),
+            _figure(row.get("clips")),
+            str(sum(row["dropped"].values())),
+            escape(row["last"]),
+            escape(row["error"]),
+        )
+    return table
+
+
+def _figure(value: int | None) -> str:
+    return "-" if value is None else str(value)
 
 
 def _state(state: str) -> str:

@@ -129,6 +129,7 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
             problems.append(("gateway.graphs", str(error)))
     graphs = [graph.get("address") if isinstance(graph, Mapping) else graph for graph in _list(graphs)]
     problems += _graphs(gateway, graphs)
+    problems += _recorders(gateway, graphs)
     problems += safety_problems(full, graphs) if graphs else []
     first_seen: dict[str, str] = {}
     for index, remote in _objects(full.get("remotes")):
@@ -178,6 +179,17 @@ def _graphs(gateway: Mapping[str, Any], addresses: list[Any]) -> Iterable[Proble
         first = addresses.index(address)
         if first != number:
             yield f"gateway.graphs[{number}]", f"the same network as gateway.graphs[{first}]; keep one"
+
+
+def _recorders(gateway: Mapping[str, Any], addresses: list[Any]) -> Iterable[Problem]:
+    """Check that what recorders read is there."""
+    record = gateway.get("record")
+    several = isinstance(record, list)
+    for number, one in _objects(record if several else [record]):
+        graph = _attempt(parse_graph, one.get("graph"))
+        if graph is not None and graph not in addresses:
+            where = f"gateway.record[{number}].graph" if several else "gateway.record.graph"
+            yield where, one_of(graph, [str(address) for address in addresses])
 
 
 def _list(value: object) -> list[Any]:

@@ -119,9 +119,13 @@ class Config:
         gateway = self.gateway if listen else self.gateway.model_copy(update={"listen": ()})
         return replace(self, gateway=gateway, remotes=kept)
 
-    def without_http(self) -> Config:
-        """Return the same without what goes to web servers, for all workers but one."""
-        return replace(self, gateway=self.gateway.model_copy(update={"http": ()})) if self.gateway.http else self
+    def beside_another(self) -> Config:
+        """Return the same without what one worker does for all: posts to web servers, and records graphs."""
+        gateway = self.gateway
+        if not (gateway.http or gateway.record):
+            return self
+        record = tuple(one.model_copy(update={"topics": ()}) for one in gateway.record if one.routes or one.link_state)
+        return replace(self, gateway=gateway.model_copy(update={"http": (), "record": record}))
 
     def to_json(self) -> dict[str, Any]:
         """Return the full form, for ``parse`` in another process: paths are absolute and all defaults are

@@ -29,6 +29,7 @@ from ropeway.gateway.config.overlay_model import (
     AutomaticConfig,
     OverlayConfig,
 )
+from ropeway.gateway.config.record_model import RecordItems
 from ropeway.gateway.config.route_fields import Namespace, Seconds
 from ropeway.gateway.config.route_model import (
     OPERATIONS,
@@ -272,6 +273,10 @@ class GatewayConfig(Model):
     audit: AuditItem = Field(
         default_factory=lambda: AuditConfig.model_validate({}),
         description="the log of who changed, commanded, was denied or disconnected; false: none",
+    )
+    record: RecordItems = Field(
+        (),
+        description="recorders of what crosses, of links and networks, all the time or around what happens",
     )
     workers: Annotated[
         Annotated[int, Field(ge=0, le=_MAX_WORKERS)] | Literal["per-remote"], BeforeValidator(_workers)

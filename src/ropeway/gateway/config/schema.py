@@ -12,6 +12,7 @@ from ropeway.gateway.config.auth_model import GlobsConfig, Patterns, RoleConfig
 from ropeway.gateway.config.control_model import ControlConfig
 from ropeway.gateway.config.graph_model import GraphConfig
 from ropeway.gateway.config.model import Document
+from ropeway.gateway.config.record_model import RecordConfig
 from ropeway.gateway.config.route_model import ActionItem, RenamedTopicItem, ServiceItem, TopicItem
 
 __all__ = ["build"]
@@ -47,7 +48,7 @@ class _Plain(GenerateJsonSchema):
 
 def build() -> dict[str, Any]:
     """Build the schema of all three forms: the full object, a list of remotes, one remote."""
-    models: tuple[type[BaseModel], ...] = (Document, GraphConfig, ControlConfig, AuditConfig, *_ITEMS)
+    models: tuple[type[BaseModel], ...] = (Document, GraphConfig, ControlConfig, AuditConfig, RecordConfig, *_ITEMS)
     _, made = models_json_schema([(model, "validation") for model in models], schema_generator=_Plain)
     definitions: dict[str, Any] = made["$defs"]
     for model in _ITEMS:

@@ -48,7 +48,7 @@ def slices(config: Config, before: Mapping[str, str] = NOWHERE) -> list[tuple[st
     before it. New ones go to whoever has the fewest.
     """
     parts = _parts(config, before)
-    return [parts[0], *((name, part.without_http()) for name, part in parts[1:])]  # each message is posted once
+    return [parts[0], *((name, part.beside_another()) for name, part in parts[1:])]  # each message is posted once
 
 
 def _parts(config: Config, before: Mapping[str, str]) -> list[tuple[str, Config]]:
@@ -273,6 +273,7 @@ class Supervisor:
             "codecs": {
                 way: added(status.get("codecs", {}).get(way, {}) for status in told) for way in ("encode", "decode")
             },
+            **({"recordings": joined("recordings")} if self.config.gateway.record else {}),
             "failed": [*failing(), *joined("failed")],
             **{key: rows for key in _LISTED if (rows := joined(key))},
             **{key: told_once for key in _TOLD_ONCE if (told_once := next((s[key] for s in told if key in s), None))},

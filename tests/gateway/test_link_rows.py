@@ -1,10 +1,10 @@
-"""Links are found in the status of a gateway."""
+"""ropeway.gateway.link_rows: every link in the status of a gateway."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from ropeway.control.links import each_link
+from ropeway.gateway.link_rows import each_link
 
 
 def test_each_link_has_a_name() -> None:
