@@ -594,8 +594,5 @@ RECORDING_WAITING_BYTES: Final = 256 << 20
 RECORDED_CLIP_S: Final = 600.0
 """The longest clip: a condition that flickers, or somebody who triggers all the time, begins another then."""
 
-RECORDED_CLIP_TRIGGERS: Final = 1000
-"""Triggers that are written into a clip; more are counted alone."""
-
 RECORDED_MESSAGE_BYTES: Final = 256
 """Counted for each message that waits, beside its bytes, so that a flood of small ones is bounded, too."""

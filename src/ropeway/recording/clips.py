@@ -13,19 +13,23 @@ from typing import Final
 import orjson
 
 from ropeway.errors import RecordingFailed
-from ropeway.limits import RECORDED_CLIP_S, RECORDED_CLIP_TRIGGERS, RECORDING_WAITING_BYTES
+from ropeway.limits import RECORDED_CLIP_S, RECORDING_WAITING_BYTES
 from ropeway.recording.channel import Recorded, json_channel
 from ropeway.recording.files import McapFiles
 from ropeway.recording.ring import Ring
 from ropeway.recording.writer import RecordingWriter
 from ropeway.tasks import Supervised, end
 
-__all__ = ["TRIGGERS", "ClipRecorder", "stamped"]
+__all__ = ["NOTED_TRIGGERS", "TRIGGERS", "ClipRecorder", "stamped"]
 
 log = logging.getLogger("ropeway.record")
 
 TRIGGERS: Final = json_channel("/ropeway/triggers", "ropeway.Trigger", why="string")
 """The channel that says why a clip was begun and went on."""
+
+
+NOTED_TRIGGERS: Final = 1000
+"""Triggers that are written into a clip; all are counted."""
 
 
 def stamped(path: Path, at_s: float | None = None) -> Path:
@@ -83,7 +87,7 @@ class ClipRecorder:
             self._begin(why)
         loop = asyncio.get_running_loop()
         self._until_s = min(loop.time() + self.after_s, self._latest_s)
-        if self._writer is not None and self._noted < RECORDED_CLIP_TRIGGERS:
+        if self._writer is not None and self._noted < NOTED_TRIGGERS:
             self._noted += 1
             self._writer.put(Recorded(TRIGGERS, time.time_ns(), orjson.dumps({"why": why})))
         if self._ends is None:
