@@ -168,6 +168,7 @@ ALLOWED_BROAD = {
         "logs.py:emit",
         "networks/dds/fastdds/rpc.py:_serve_at",
         "networks/dds/service.py:answer",
+        "networks/mqtt/connection.py:_attempt",
         "networks/zenoh/service.py:_serve",
         "networks/overlay/rpc.py:_answer",
         "networks/ros1/action_client.py:_take_feedback",
@@ -293,7 +294,7 @@ def test_everything_is_caught_at_boundaries_only() -> None:
 LONGEST_LINES = 450
 LONGER = {
     "iort.py": 2200,  # one file by design: nodes copy it
-    "limits.py": 600,  # one table by design: whoever looks for a limit finds it here
+    "limits.py": 650,  # one table by design: whoever looks for a limit finds it here
 }
 """The modules that are longer than others may be, and how long at most."""
 

@@ -12,12 +12,12 @@ from ropeway.gateway.config.address import parse_graph, parse_link, parse_listen
 from ropeway.gateway.config.auth_model import parse_glob
 from ropeway.graph.base import resolve_name
 from ropeway.graph.parameters import ParameterType, to_message
-from ropeway.networks.iort.forms import FORMS, Form, make_form
 from ropeway.networks.rosbridge.client.call_notes import read_note
 from ropeway.networks.rosbridge.rosapi.params import _fitted, from_json, to_json
 from ropeway.qos import QoS
 from ropeway.types import TypeRegistry
 from ropeway.types.definition import canonical_name
+from ropeway.types.forms import FORMS, Form, make_form
 from ropeway.types.untrusted import cbor_loads, json_loads
 
 __all__ = ["TARGETS"]
@@ -45,7 +45,7 @@ def _qos(data: bytes) -> None:
 def _forms() -> list[Form]:
     registry, twist = TypeRegistry(), "geometry_msgs/msg/Twist"
     codes = {"codes": {"F": {"linear.x": 1.0}, "S": {}}}
-    made = [make_form(form, twist, registry, codes, clock=lambda: 0.0) for form in FORMS if form != "text"]
+    made = [make_form(form, twist, registry, codes, clock=lambda: 0.0) for form in FORMS if form not in ("text", "raw")]
     plain = (
         "std_msgs/msg/String",
         "std_msgs/msg/Int8",
@@ -54,6 +54,7 @@ def _forms() -> list[Form]:
         "std_msgs/msg/Float32",
     )
     made += [make_form("text", type, registry, {}, clock=lambda: 0.0) for type in plain]
+    made.append(make_form("raw", "std_msgs/msg/UInt8MultiArray", registry, {}, clock=lambda: 0.0))
     fields = {"fields": {"linear.x": "a.0.b", "angular.z": "c"}}
     return [*made, make_form("json", twist, registry, fields, clock=lambda: 0.0)]
 

@@ -16,6 +16,7 @@ EXTRAS: Final = {
     "dashboard": ("nicegui",),
     "demo": ("matplotlib",),
     "mongo": ("pymongo",),
+    "mqtt": ("paho",),
     "overlay": ("zenoh",),
     "zenoh": ("xxhash", "zenoh"),
 }

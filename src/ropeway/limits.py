@@ -314,6 +314,47 @@ ZENOH_REQUESTS: Final = 1_024
 ZENOH_MESSAGE_BYTES: Final = 256 << 20
 """One message of the network, which Zenoh puts together."""
 
+# ── MQTT ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+MQTT_TOPIC_BYTES: Final = 65_535
+"""The name of a topic, or a filter: as long as MQTT can say. One whose ROS name is too long is not listed."""
+
+MQTT_TOPICS: Final = 10_000
+"""Topics of a broker that are listed because a message was seen. Of more, those seen longest ago are forgotten."""
+
+MQTT_TOPIC_AGE_S: Final = 3_600.0
+"""Time after its last message for which a topic is listed."""
+
+MQTT_PRESENCES: Final = 1_000
+"""Other gateways whose announcements at a broker are read."""
+
+MQTT_PRESENCE_BYTES: Final = 256 << 10
+"""The announcement of one gateway: 2,000 topics."""
+
+MQTT_PRESENCE_ENDPOINTS: Final = 2_000
+"""Topics in one announcement."""
+
+MQTT_KEPT_TOPICS: Final = 1_024
+"""Topics of one filter whose last values are kept for late joiners. Of more, the oldest goes."""
+
+MQTT_KEPT_BYTES: Final = 64 << 20
+"""The same in bytes, but for one value."""
+
+MQTT_PEEKS: Final = 1_024
+"""Topics of which it is found out whether a broker keeps a value. Of more, that is learnt once they are read."""
+
+MQTT_UNSENT_BYTES: Final = 64 << 20
+"""Messages of all topics that wait for a broker. Above, further ones are dropped until it has taken some."""
+
+MQTT_IN_FLIGHT: Final = 64
+"""Messages that a broker has not acknowledged, at most; fewer where the broker says so."""
+
+MQTT_IN_FLIGHT_BYTES: Final = 16 << 20
+"""The same in bytes, but for one message."""
+
+MQTT_UNREAD_BYTES: Final = 64 << 20
+"""Messages that were received in one turn of the event loop. Above, the rest waits with the broker."""
+
 # ── The log ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 LOG_BURST_LINES: Final = 60

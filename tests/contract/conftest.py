@@ -22,6 +22,8 @@ from ropeway.networks.iort.links import LocalLink, RemoteLink
 from ropeway.networks.iort.server import IortServer
 from ropeway.networks.iort.space import Space
 from ropeway.networks.memory.graph import MemoryGraph
+from ropeway.networks.mqtt.address import parse_address
+from ropeway.networks.mqtt.graph import MqttGraph
 from ropeway.networks.overlay.graph import OverlayGraph
 from ropeway.networks.overlay.node import OverlayNode
 from ropeway.networks.ros1 import Ros1Graph
@@ -32,6 +34,7 @@ from ropeway.networks.zenoh import ZenohGraph
 from ropeway.networks.zenoh.address import ZenohAddress
 from ropeway.store import Store, StoreLimits, make_backend
 from ropeway.types import TypeRegistry
+from tests.networks.mqtt.broker import HAS_BROKER, Broker
 from tests.networks.overlay.fleet import member
 from tests.networks.ros1.network import HAS_MASTER, RosMaster
 from tests.networks.ros2.network import isolated_ros2
@@ -82,6 +85,7 @@ class Abilities:
 ABILITIES = {
     "dds": Abilities(errors=False),
     "iort": Abilities(pad_alike=False, calls=False, demand=False),
+    "mqtt": Abilities(pad_alike=False, calls=False, demand=False),
     "iort-local": Abilities(pad_alike=False, calls=False, demand=False),
     "ros1": Abilities(shows_qos=False),
     "ros2": Abilities(errors=False, pad_alike=False),
@@ -230,6 +234,16 @@ async def open_zenoh(stack: AsyncExitStack) -> Pair:
     return Pair(ends[0], ends[1], stack)
 
 
+async def open_mqtt(stack: AsyncExitStack) -> Pair:
+    """Two gateways at one broker."""
+    broker = stack.enter_context(Broker())
+    ends = [MqttGraph(parse_address(broker.url), node=name) for name in ("near", "far")]
+    for end in ends:
+        await end.open()
+        stack.push_async_callback(end.close)
+    return Pair(ends[0], ends[1], stack)
+
+
 KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
     "memory": open_memory,
     "hub": open_hub,
@@ -243,6 +257,8 @@ KINDS: dict[str, Callable[[AsyncExitStack], Any]] = {
 }
 if HAS_MASTER:
     KINDS["ros1"] = open_ros1
+if HAS_BROKER:
+    KINDS["mqtt"] = open_mqtt
 if importlib.util.find_spec("rclpy") is not None:
     KINDS["ros2"] = open_ros2
 

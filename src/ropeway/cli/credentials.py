@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["GraphCredentials", "add_credentials", "graph_credentials"]
 
-_TLS: Final = ("wss://", "iorts://")
+_TLS: Final = ("wss://", "iorts://", "mqtts://")
 _TOKENS: Final = ("ws://", "wss://", "iort://", "iorts://")
 
 
@@ -42,7 +42,7 @@ class GraphCredentials:
         out: dict[str, Any] = {}
         if self.ca or self.certificate or self.key:
             if not encrypted:
-                fail("--ca, --certificate and --key are for wss:// and iorts:// graphs; -g names none", 2)
+                fail("--ca, --certificate and --key are for wss://, iorts:// and mqtts:// graphs; -g names none", 2)
             out["ssl_context"] = self._context()
         if self.token and any(address.startswith(_TOKENS) for address in addresses):
             if url.startswith("iort"):
@@ -94,8 +94,10 @@ _SHOWN_TO_OTHERS: Final = "The token to show; others of this machine see it unle
 
 def _verb(
     token: Annotated[str, _option("token", _SHOWN_TO_OTHERS, "ROPEWAY_TOKEN")] = "",
-    ca: Annotated[str, _option("ca", "File of the authorities to trust, for wss and iorts.")] = "",
-    certificate: Annotated[str, _option("certificate", "File of the certificate to show, for wss and iorts.")] = "",
+    ca: Annotated[str, _option("ca", "File of the authorities to trust, for wss, iorts and mqtts.")] = "",
+    certificate: Annotated[
+        str, _option("certificate", "File of the certificate to show, for wss, iorts and mqtts.")
+    ] = "",
     key: Annotated[str, _option("key", "File of its key.")] = "",
 ) -> None:
     """Have the options that ``add_credentials`` gives to others."""

@@ -63,7 +63,8 @@ GraphOption = Annotated[
         "--graph",
         "-g",
         envvar="ROPEWAY_GRAPH",
-        help="The network: dds:0, ros2, auto, ros1, zenoh, ws://host:9090, iort://host:7410, overlay:NAME.ropeway. "
+        help="The network: dds:0, ros2, auto, ros1, zenoh, ws://host:9090, iort://host:7410, mqtt://host:1883, "
+        "overlay:NAME.ropeway. "
         "Without it, DDS on ROS_DOMAIN_ID.",
         show_default=False,
     ),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import ssl
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ropeway.gateway.auth import read_secret
 from ropeway.gateway.config.address import is_loopback, is_secure
@@ -19,11 +19,15 @@ log = logging.getLogger("ropeway.gateway")
 
 @dataclass(frozen=True)
 class Credentials:
-    """The credentials for one remote. ``trusted`` is a digest of the authorities whose certificates it may show."""
+    """The credentials for one remote. ``trusted`` is a digest of the authorities whose certificates it may show.
+
+    ``password`` is that of the user of a broker.
+    """
 
     context: ssl.SSLContext | None = None
-    token: str | None = None
+    token: str | None = field(default=None, repr=False)
     trusted: bytes = b""
+    password: str | None = field(default=None, repr=False)
 
     @property
     def headers(self) -> dict[str, str]:
@@ -38,5 +42,8 @@ def read_credentials(remote: RemoteConfig, index: int) -> Credentials:
     if token is not None and not secure and not all(map(is_loopback, remote.addresses)):
         shown = without_token(remote.address)
         log.warning("%s: the token is sent unencrypted; %s:// would encrypt it", shown, f"{shown.partition(':')[0]}s")
+    password = None if remote.password is None else read_secret(remote.password, f"{path}.password")
+    if password is not None and not secure and not is_loopback(remote.address):
+        log.warning("%s: the password is sent unencrypted; mqtts:// would encrypt it", remote.address.partition("?")[0])
     context = client_context(remote.tls, f"{path}.tls") if secure else None
-    return Credentials(context, token, trusted_files(remote.tls))
+    return Credentials(context, token, trusted_files(remote.tls), password)

@@ -10,7 +10,6 @@ from ropeway.bridge.topic import TopicBridge
 from ropeway.errors import TypesError
 from ropeway.fault_log import FaultLog
 from ropeway.graph.base import Graph, GraphEvent
-from ropeway.networks.iort.forms import default_form
 from ropeway.networks.iort.graph import IortGraph
 from ropeway.networks.iort.links import LocalLink
 from ropeway.networks.iort.maps import Maps, TopicMap
@@ -18,6 +17,7 @@ from ropeway.networks.iort.server import IortServer
 from ropeway.networks.iort.space import Space
 from ropeway.qos import LATCHED
 from ropeway.tasks import Supervised, describe
+from ropeway.types.forms import default_form
 
 if TYPE_CHECKING:
     import ssl

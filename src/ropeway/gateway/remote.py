@@ -20,12 +20,14 @@ if TYPE_CHECKING:
     from ropeway.gateway.automatic import Automatic
     from ropeway.networks.iort.graph import IortGraph
     from ropeway.networks.iort.links import RemoteLink
+    from ropeway.networks.mqtt.graph import MqttGraph
     from ropeway.networks.overlay.graph import OverlayGraph
 
 __all__ = [
     "NO_CREDENTIALS",
     "IortRemote",
     "LinkRemote",
+    "MqttRemote",
     "OverlayRemote",
     "Remote",
     "SeveralLinks",
@@ -180,6 +182,31 @@ class IortRemote(Remote):
             "refused": dict(self.link.node.refused),
             "faults": self.link.node.faults,
             "drops": {f"{topic}: {why.value}": n for (topic, why), n in self.graph.drops.items() if n},
+        }
+
+
+class MqttRemote(Remote):
+    """An MQTT broker at an address."""
+
+    def __init__(self, config: RemoteConfig, graph: MqttGraph, credentials: Credentials) -> None:
+        super().__init__(config, credentials)
+        self.graph: MqttGraph = graph
+
+    def _renew(self, credentials: Credentials, anew: bool) -> None:
+        self.graph.renew(credentials.password, credentials.context, anew=anew)
+
+    @property
+    def state(self) -> str:
+        """The state in one word; ``connected`` while data can flow."""
+        return "connected" if self.graph.connected else "connecting"
+
+    def status(self) -> dict[str, Any]:
+        """Return the state of the link, for people and programs."""
+        return {
+            "address": shown_address(self.config),
+            "title": self.config.title,
+            "state": self.state,
+            **self.graph.status(),
         }
 
 

@@ -1,4 +1,4 @@
-"""Makes the remotes of a gateway: a link, a group, a server of nodes, or the overlay."""
+"""Makes the remotes of a gateway: a link, a group, a server of nodes, a broker, or the overlay."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 from ropeway.extras import require
 from ropeway.gateway.bridges import fetch
-from ropeway.gateway.config.address import is_iort
+from ropeway.gateway.config.address import is_iort, is_mqtt
 from ropeway.gateway.config.config import Route
 from ropeway.gateway.config.model import GatewayConfig, RemoteConfig
 from ropeway.gateway.config.overlay_model import OVERLAY
 from ropeway.gateway.credentials import read_credentials
 from ropeway.gateway.dialler import Dialler
-from ropeway.gateway.remote import IortRemote, LinkRemote, OverlayRemote, Remote
+from ropeway.gateway.remote import IortRemote, LinkRemote, MqttRemote, OverlayRemote, Remote
 from ropeway.listener.connection import Limits
 from ropeway.networks.rosbridge.client.by_interface import InterfaceGraph
 from ropeway.types import TypeRegistry
@@ -44,6 +44,8 @@ class RemoteFactory:
             return OverlayRemote(config, self._overlay_graph(config))
         if is_iort(config.address):
             return self._iort_remote(config, index)
+        if is_mqtt(config.address):
+            return self._mqtt_remote(config, index)
         if len(config.addresses) > 1:
             return self._group(config, index, routes)
         if len(config.interfaces) > 1:
@@ -60,6 +62,27 @@ class RemoteFactory:
         link = RemoteLink(config.address, name, token=shown.token, ssl_context=shown.context, wait_s=0.0)
         maps = Maps([item.as_map() for item in config.maps])
         return IortRemote(config, IortGraph(link, name=config.address, maps=maps, registry=self._registry), link, shown)
+
+    def _mqtt_remote(self, config: RemoteConfig, index: int) -> MqttRemote:
+        require("mqtt", "an MQTT broker")
+        from ropeway.networks.mqtt.address import parse_address
+        from ropeway.networks.mqtt.graph import MqttGraph  # loads paho
+        from ropeway.networks.mqtt.maps import MqttMaps
+
+        shown, address = read_credentials(config, index), parse_address(config.address)
+        graph = MqttGraph(
+            address,
+            node=self._settings.name,
+            user=config.user or "",
+            password=shown.password,
+            ssl_context=shown.context,
+            maps=MqttMaps(item.as_map() for item in config.topics),
+            discover=address.discover or (),
+            registry=self._registry,
+            wait_s=0.0,
+            max_message_bytes=self._settings.max_message_bytes,
+        )
+        return MqttRemote(config, graph, shown)
 
     def _link(self, config: RemoteConfig, index: int, routes: Sequence[Route]) -> LinkRemote:
         shown = read_credentials(config, index)

@@ -1,7 +1,6 @@
 """Graphs by URL: ``dds:0``, ``dds:5?interface=lo``, ``ros2``, ``ros2:5``, ``auto``, ``ros1``, ``ros1:http://host:11311``,
-``zenoh``, ``zenoh:tcp/host:7447``, ``ws://host:9090``, ``memory:x``, ``overlay:robot1.ropeway``, ``iort://host:7410``.
-Several ``ws://`` addresses with
-commas between are a group.
+``zenoh``, ``zenoh:tcp/host:7447``, ``ws://host:9090``, ``memory:x``, ``overlay:robot1.ropeway``, ``iort://host:7410``,
+``mqtt://host:1883``. Several ``ws://`` addresses with commas between are a group.
 
 ``ros2`` goes through the installed rclpy, in the domain of ``ROS_DOMAIN_ID`` unless it names one. ``auto`` is ``ros2``
 where rclpy can be imported, because ROS 2 is sourced, and else ``dds`` in the same domain. ``ros1`` is the master of
@@ -39,8 +38,8 @@ def make_graph(
     """Make a graph that is not open yet. Raises ``GraphUnavailable`` for a URL of no known kind.
 
     ``distro`` and ``types`` are for DDS: whose layouts of types the network has, and files with its own definitions.
-    ``options`` go to graphs of the ``ws`` kind (``ssl_context``, ``limits``, ``wait``, ``watch``, ``headers``), and of
-    the ``iort`` kind (``ssl_context``, ``token``).
+    ``options`` go to graphs of the ``ws`` kind (``ssl_context``, ``limits``, ``wait``, ``watch``, ``headers``), of the
+    ``iort`` kind (``ssl_context``, ``token``), and of the ``mqtt`` kind (``ssl_context``, ``wait_s``, ``maps``).
     """
     if url == "auto":
         url = _auto()
@@ -89,12 +88,14 @@ def make_graph(
         return MemoryGraph(parts.path or "default", node=f"/{name}", registry=registry)
     if scheme in ("iort", "iorts"):
         return _iort(url, query, name, registry, **options)
+    if scheme in ("mqtt", "mqtts"):
+        return _mqtt(url, name, registry, **options)
     if scheme == "overlay":
         return _overlay(url, parts.path or parts.netloc, query, registry)
     raise GraphUnavailable(
         url,
         "is not a graph; write dds:0, dds:5?interface=lo, ros2, ros2:5, auto, zenoh, zenoh:tcp/host:7447, ros1, "
-        "ros1:http://host:11311, ws://host:9090, wss://host, iort://host:7410 or overlay:NAME.ropeway",
+        "ros1:http://host:11311, ws://host:9090, wss://host, iort://host:7410, mqtt://host or overlay:NAME.ropeway",
     )
 
 
@@ -153,6 +154,22 @@ def _iort(url: str, query: dict[str, str], name: str, registry: TypeRegistry | N
     token = options.get("token") or os.environ.get("ROPEWAY_TOKEN") or None
     link = RemoteLink(address, name, token=token, ssl_context=options.get("ssl_context"))
     return IortGraph(link, name=address, registry=registry)
+
+
+def _mqtt(url: str, name: str, registry: TypeRegistry | None, **options: Any) -> Graph:
+    """Make the graph of the topics of a broker; all are looked at to list them, unless the address says which."""
+    require("mqtt", "an MQTT broker")
+    from ropeway.networks.mqtt.address import parse_address, read_password
+    from ropeway.networks.mqtt.graph import MqttGraph  # loads paho
+
+    try:
+        address = parse_address(url)
+        password = read_password(address, os.environ)
+    except ValueError as error:
+        raise GraphUnavailable(url.partition("?")[0].rpartition("@")[2], str(error)) from None
+    known = {key: options[key] for key in ("ssl_context", "wait_s", "maps", "max_message_bytes") if key in options}
+    discover = address.discover if address.discover is not None else ("#",)
+    return MqttGraph(address, node=name, password=password, discover=discover, registry=registry, **known)
 
 
 def _overlay(url: str, bundle: str, query: dict[str, str], registry: TypeRegistry | None) -> Graph:

@@ -38,7 +38,7 @@ def _installations(environ: Mapping[str, str], installed: Path) -> Iterator[Symp
         text = f"ROS is installed ({', '.join(found)}) and not sourced: dds graphs work, ros2 graphs do not"
         yield Symptom(None, "ros", text, f"for ros2 graphs: source {installed / found[-1]}/setup.bash")
     else:
-        yield Symptom(True, "ros", "no ROS is installed; dds, zenoh, ws, overlay and iort graphs need none")
+        yield Symptom(True, "ros", "no ROS is installed; dds, zenoh, ws, overlay, iort and mqtt graphs need none")
 
 
 def _domain(environ: Mapping[str, str]) -> Iterator[Symptom]:

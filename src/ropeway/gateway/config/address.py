@@ -13,6 +13,8 @@ from typing import Final
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from ropeway.gateway.config.suggest import did_you_mean, one_of, show
+from ropeway.networks.mqtt.address import PORTS as MQTT_PORTS
+from ropeway.networks.mqtt.address import parse_address as parse_mqtt
 from ropeway.networks.zenoh.address import parse_address
 from ropeway.types.distros import ROS2_DISTROS
 
@@ -24,6 +26,7 @@ __all__ = [
     "is_foxglove",
     "is_iort",
     "is_loopback",
+    "is_mqtt",
     "is_secure",
     "parse_graph",
     "parse_link",
@@ -36,10 +39,12 @@ IORT_PORT: Final = 7410
 
 FOXGLOVE_PORT: Final = 8765
 
-LINKS: Final[Mapping[str, int]] = {"ws": DEFAULT_PORT, "wss": DEFAULT_PORT, "iort": IORT_PORT, "iorts": IORT_PORT}
+_SERVED: Final[Mapping[str, int]] = {"ws": DEFAULT_PORT, "wss": DEFAULT_PORT, "iort": IORT_PORT, "iorts": IORT_PORT}
+
+LINKS: Final[Mapping[str, int]] = {**_SERVED, **MQTT_PORTS}
 """The schemes a remote may have, and the port where the address names none."""
 
-LISTENERS: Final[Mapping[str, int]] = {**LINKS, "foxglove": FOXGLOVE_PORT, "foxgloves": FOXGLOVE_PORT}
+LISTENERS: Final[Mapping[str, int]] = {**_SERVED, "foxglove": FOXGLOVE_PORT, "foxgloves": FOXGLOVE_PORT}
 """The same of a listener."""
 
 GRAPHS: Final[Mapping[str, str]] = {
@@ -48,6 +53,8 @@ GRAPHS: Final[Mapping[str, str]] = {
     "auto": r"auto",
     "zenoh": r"zenoh(:(peer|[a-z]+/[\w.:\[\]%,/-]+)?)?(\?[\w.%,:/=&+~-]+)?",
     "ros1": r"ros1(:(http:)?//[\w.:\[\]-]+/?)?",
+    "mqtt": r"mqtt://.+",
+    "mqtts": r"mqtts://.+",
     "memory": r"memory:[A-Za-z0-9_.-]+",
 }
 """The kinds of graph a gateway may stand on, and how each is written."""
@@ -58,6 +65,8 @@ _WRITTEN: Final = {
     "auto": "auto",
     "zenoh": "zenoh, zenoh:tcp/host:7447 or zenoh:peer",
     "ros1": "ros1 or ros1:http://host:11311",
+    "mqtt": "mqtt://host:1883",
+    "mqtts": "mqtts://host:8883",
     "memory": "memory:name",
 }
 _DOMAINS: Final = {"dds": "DDS", "ros2": "ROS"}
@@ -75,6 +84,8 @@ def parse_link(text: str) -> str:
     if not 1 <= port <= 65535:
         raise ValueError(f"expected a port from 1 to 65535, got {show(text)}")
     path = "" if parts.path == "/" else parts.path
+    if parts.scheme in MQTT_PORTS:
+        parse_mqtt(text)
     if parts.scheme in ("iort", "iorts") and (path or parts.query):
         raise ValueError(f"the address of a server of nodes has no path, got {show(text)}")
     return f"{parts.scheme}://{_bracketed(host)}:{port}{path}{'?' + parts.query if parts.query else ''}"
@@ -103,6 +114,8 @@ def parse_graph(text: str) -> str:
         raise ValueError(f"expected a {_DOMAINS[kind]} domain from 0 to {_MAX_DOMAIN}, got {show(text)}")
     if kind == "zenoh":
         parse_address(text, {})
+    if kind in MQTT_PORTS:
+        parse_mqtt(text)
     distro = dict(parse_qsl(text.partition("?")[2])).get("distro")
     if distro is not None and distro not in ROS2_DISTROS:
         raise ValueError(f"distro: {one_of(distro, ROS2_DISTROS)}")
@@ -131,12 +144,17 @@ def is_loopback(address: str) -> bool:
 
 def is_secure(address: str) -> bool:
     """Return whether the (parsed) address uses TLS."""
-    return address.startswith(("wss:", "iorts:", "foxgloves:"))
+    return address.startswith(("wss:", "iorts:", "foxgloves:", "mqtts:"))
 
 
 def is_iort(address: str) -> bool:
     """Return whether the (parsed) address is that of a server of IoRT nodes."""
     return address.startswith(("iort:", "iorts:"))
+
+
+def is_mqtt(address: str) -> bool:
+    """Return whether the (parsed) address is that of an MQTT broker."""
+    return address.startswith(("mqtt:", "mqtts:"))
 
 
 def is_foxglove(address: str) -> bool:

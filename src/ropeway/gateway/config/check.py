@@ -17,6 +17,7 @@ from ropeway.gateway.config.address import (
     default_graph,
     is_iort,
     is_loopback,
+    is_mqtt,
     is_secure,
     parse_graph,
     parse_link,
@@ -42,6 +43,8 @@ _WHY_NOT: Final = {
     "ros2": "ros2 has the types of the ROS 2 that is sourced",
     "auto": "write dds:0 instead of auto, which may be ros2",
     "ros1": "ROS 1 has its own types",
+    "mqtt": "a broker knows no types; topics says which its topics have",
+    "mqtts": "a broker knows no types; topics says which its topics have",
     "memory": "a network in memory has the types of the gateway",
 }
 
@@ -137,6 +140,7 @@ def _sense(full: Mapping[str, Any]) -> list[Problem]:
         problems += _remote(remote, path, graphs)
         problems += _overlay(remote, path, gateway)
         problems += _iort(remote, path)
+        problems += _mqtt(remote, path)
         if _inactive(remote):
             continue
         for key, where, said in _tasks(remote, path, graphs):
@@ -173,6 +177,8 @@ def _graphs(gateway: Mapping[str, Any], addresses: list[Any]) -> Iterable[Proble
             if address is not None and graph.get(key) is not None and not address.startswith(("dds:", "zenoh")):
                 why = _WHY_NOT[address.partition(":")[0]]
                 yield f"{where}.{key}", f"only dds and zenoh graphs have this key; {why}"
+        if graph.get("topics") and address is not None and not is_mqtt(address):
+            yield f"{where}.topics", "only mqtt and mqtts graphs have this key"
         if graph.get("distro") is not None and address is not None and "distro=" in address:
             yield f"{where}.distro", f"{address} says it, too; keep one"
     for number, address in enumerate(addresses):
@@ -249,7 +255,8 @@ def _remote(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable
     tls = remote.get("tls")
     if isinstance(tls, Mapping):
         if address is not None and not is_secure(address):
-            yield f"{path}.tls", f"needs a wss:// address, and {path}.address is {address}"
+            secure = "mqtts" if is_mqtt(address) else "wss"
+            yield f"{path}.tls", f"needs a {secure}:// address, and {path}.address is {address}"
         for one, other in (("certificate", "key"), ("key", "certificate")):
             if tls.get(one) is not None and tls.get(other) is None:
                 yield f"{path}.tls.{other}", f"this key is missing; {one} is of no use without it"
@@ -347,6 +354,23 @@ def _iort(remote: Mapping[str, Any], path: str) -> Iterable[Problem]:
     for operation, kind in OPERATIONS.items():
         if kind != "topic" and remote.get(operation):
             yield f"{path}.{operation}", "IoRT nodes know neither services nor actions"
+
+
+def _mqtt(remote: Mapping[str, Any], path: str) -> Iterable[Problem]:
+    """Check the keys that only a broker has, and those that it does not have."""
+    address = _attempt(parse_link, _first_address(remote))
+    if address is None or not is_mqtt(address):
+        for key in ("topics", "user", "password"):
+            if remote.get(key):
+                yield f"{path}.{key}", "needs an mqtt:// or mqtts:// address"
+        return
+    if remote.get("password") is not None and remote.get("user") is None:
+        yield f"{path}.user", "this key is missing; a password is that of a user"
+    if remote.get("token") is not None:
+        yield f"{path}.token", 'a broker asks for a user and a password; write "user" and "password"'
+    for operation, kind in OPERATIONS.items():
+        if kind != "topic" and remote.get(operation):
+            yield f"{path}.{operation}", "MQTT knows neither services nor actions"
 
 
 def _store(gateway: Mapping[str, Any], remotes: object) -> Iterable[Problem]:

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, mod
 
 from ropeway.gateway.config.address import parse_graph
 from ropeway.gateway.config.fields import ExistingPath, Many, Model
+from ropeway.gateway.config.mqtt_model import MqttTopicItem
 from ropeway.gateway.config.suggest import one_of, show
 from ropeway.types.distros import ROS2_DISTROS
 
@@ -44,12 +45,16 @@ class GraphConfig(Model):
         (), description="dds, zenoh: files and directories with definitions that count on this network alone"
     )
 
+    topics: Many[MqttTopicItem] = Field(
+        (), description="mqtt: types, forms and names of topics of the broker; the first that matches counts"
+    )
+
     @model_serializer
     def _shortest(self) -> str | Mapping[str, Any]:
-        parts = {"address": self.address, "distro": self.distro, "types": list(self.types)}
-        return (
-            self.address if not self.distro and not self.types else {key: part for key, part in parts.items() if part}
-        )
+        topics = [item.model_dump(exclude_defaults=True) for item in self.topics]
+        parts = {"address": self.address, "distro": self.distro, "types": list(self.types), "topics": topics}
+        found = {key: part for key, part in parts.items() if part}
+        return found if len(found) > 1 else self.address
 
 
 GraphItem = Annotated[

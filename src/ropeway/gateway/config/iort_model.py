@@ -23,14 +23,14 @@ from ropeway.gateway.config.document import read_file
 from ropeway.gateway.config.fields import Many, Model
 from ropeway.gateway.config.suggest import did_you_mean, one_of, show
 from ropeway.graph.base import resolve_name
-from ropeway.networks.iort.forms import FORMS
 from ropeway.types.definition import canonical_name
+from ropeway.types.forms import FORMS, RAW_TYPES
 
 if TYPE_CHECKING:
     from ropeway.networks.iort.maps import TopicMap
     from ropeway.store import StoreLimits
 
-__all__ = ["DIRECTIONS", "IortConfig", "MapItem", "MapList", "StoreConfig", "robots"]
+__all__ = ["DIRECTIONS", "FormItem", "IortConfig", "MapItem", "MapList", "StoreConfig", "robots"]
 
 DIRECTIONS: Final = ("both", "in", "out")
 _MIB: Final = 1 << 20
@@ -124,20 +124,18 @@ def _send(value: object) -> object:
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class MapItem(Model):
-    """Maps a topic of IoRT nodes to a ROS topic."""
+class FormItem(Model):
+    """Says how values of others become messages of a ROS topic: what maps of nodes and of brokers share."""
 
-    system: str = Field(min_length=1, description="the system, or a pattern such as *")
-    topic: str = Field(min_length=1, description="the topic, or a pattern")
     type: Annotated[str, AfterValidator(_type)] = Field("std_msgs/msg/String", description="the type in ROS")
     form: Annotated[str, _one_of(("", *FORMS)), WithJsonSchema({"enum": ["", *FORMS]})] = Field(
         "", description=f"how it is written: {', '.join(FORMS)}; default: text for a String, else json"
     )
     name: Annotated[str, AfterValidator(_name)] | None = Field(
-        None, description="the name in ROS; default: /SYSTEM/TOPIC"
+        None, description="the name in ROS; default: that of the topic"
     )
     direction: Annotated[str, _one_of(DIRECTIONS), WithJsonSchema({"enum": list(DIRECTIONS)})] = Field(
-        "both", description="in: nodes publish; out: ROS does"
+        "both", description="in: others publish; out: ROS does"
     )
     latched: bool = Field(False, description="true: late joiners in ROS get the last value, too")
     fields: Many[str] | dict[str, str] | None = Field(
@@ -156,13 +154,31 @@ class MapItem(Model):
     step_deg: Positive | None = Field(None, description="angle: the smallest angle sent (degrees); default: 5")
 
     @model_validator(mode="after")
-    def _fits(self) -> MapItem:
+    def _fits(self) -> FormItem:
         if self.form == "codes" and not self.codes:
             raise ValueError('the form codes needs "codes", such as {"0": {"linear.x": 0.2}, "4": {}}')
         if self.form == "floats" and isinstance(self.fields, dict):
             raise ValueError("the form floats has a list of fields")
         if self.form == "json" and isinstance(self.fields, tuple):
             raise ValueError('the form json has fields such as {"linear.x": "speed"}')
+        if self.form == "raw" and self.type not in RAW_TYPES:
+            raise ValueError(f"the form raw is for {' and '.join(RAW_TYPES)}")
+        return self
+
+    def _options(self) -> dict[str, Any]:
+        """Return what is said of the form."""
+        keys = ("fields", "codes", "send", "deadband", "field", "rate_rad_s", "hold_s", "step_deg")
+        return {key: value for key in keys if (value := getattr(self, key)) is not None}
+
+
+class MapItem(FormItem):
+    """Maps a topic of IoRT nodes to a ROS topic."""
+
+    system: str = Field(min_length=1, description="the system, or a pattern such as *")
+    topic: str = Field(min_length=1, description="the topic, or a pattern")
+
+    @model_validator(mode="after")
+    def _one_topic(self) -> MapItem:
         if self.name and any(c in self.system + self.topic for c in "*?["):
             raise ValueError("a map of several topics cannot have one name")
         return self
@@ -171,11 +187,8 @@ class MapItem(Model):
         """Return the map in the form that the graph uses."""
         from ropeway.networks.iort.maps import TopicMap
 
-        keys = ("fields", "codes", "send", "deadband", "field", "rate_rad_s", "hold_s", "step_deg")
-        options = {key: value for key in keys if (value := getattr(self, key)) is not None}
-        return TopicMap(
-            self.system, self.topic, self.type, self.form, self.name or "", self.direction, self.latched, options
-        )
+        name, options = self.name or "", self._options()
+        return TopicMap(self.system, self.topic, self.type, self.form, name, self.direction, self.latched, options)
 
 
 def _expanded(value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> tuple[MapItem, ...]:

@@ -25,6 +25,7 @@ from ropeway.gateway.config.graph_model import Distro, GraphConfig, GraphItem
 from ropeway.gateway.config.group_model import Addresses, AnycastConfig
 from ropeway.gateway.config.http_model import HttpRule
 from ropeway.gateway.config.iort_model import IortConfig, MapList, StoreConfig
+from ropeway.gateway.config.mqtt_model import MqttTopicItem
 from ropeway.gateway.config.overlay_model import (
     AutomaticConfig,
     OverlayConfig,
@@ -111,8 +112,9 @@ class RemoteConfig(Model):
 
     addresses: Addresses = Field(
         alias="address",
-        description="ws://host:port or wss://host:port, overlay: everybody in the overlay, or iort://host:port: a "
-        "server of IoRT nodes; a list of ws:// or wss:// addresses that offer the same is a group",
+        description="ws://host:port or wss://host:port, overlay: everybody in the overlay, iort://host:port: a server "
+        "of IoRT nodes, or mqtt://host:port or mqtts://host:port: an MQTT broker; a list of ws:// or wss:// addresses "
+        "that offer the same is a group",
     )
     title: str = Field("", description="for people")
     active: Switch = Field(True, description="false: parsed and checked, but not started")
@@ -143,6 +145,11 @@ class RemoteConfig(Model):
         None, description="overlay: patterns of the members that may call what is exposed; default: all"
     )
     maps: MapList = Field((), description="iort: how topics of nodes map to ROS topics, as in gateway.iort.maps")
+    topics: Many[MqttTopicItem] = Field(
+        (), description="mqtt: types, forms and names of topics of the broker; the first that matches counts"
+    )
+    user: str | None = Field(None, min_length=1, description="mqtt: the user, as the broker knows it")
+    password: Secret | None = Field(None, description='mqtt: of the user: {"env": "NAME"} or {"file": "PATH"}')
     automatic: AutomaticConfig | None = Field(
         None, description="overlay: topics are offered and fetched as the local graph needs"
     )
@@ -225,8 +232,9 @@ class GatewayConfig(Model):
         alias="graphs",
         description="the local networks: dds:<domain> (without ROS), ros2 or ros2:<domain> (through the sourced ROS 2, "
         "any RMW), auto (ros2 where ROS 2 is sourced, else dds), ros1 or ros1:http://host:11311 (a ROS 1 master), "
-        "zenoh or zenoh:tcp/host:7447 (nodes on rmw_zenoh, without ROS); left out: dds with ROS_DOMAIN_ID. An object "
-        "with address, distro and types says more of a network",
+        "zenoh or zenoh:tcp/host:7447 (nodes on rmw_zenoh, without ROS), mqtt://host:port or mqtts://host:port (the "
+        "topics of a broker); left out: dds with ROS_DOMAIN_ID. An object with address, distro, types and topics says "
+        "more of a network",
     )
     listen: Many[Annotated[str, AfterValidator(parse_listen)]] = Field(
         ("ws://127.0.0.1:9090",),

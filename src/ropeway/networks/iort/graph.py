@@ -13,7 +13,7 @@ import logging
 import re
 from typing import Final
 
-from ropeway.errors import GraphUnavailable, InvalidTypeName, TypeConflict
+from ropeway.errors import InvalidTypeName, TypeConflict
 from ropeway.fault_log import FaultLog
 from ropeway.graph.base import (
     NO_HINTS,
@@ -26,18 +26,8 @@ from ropeway.graph.base import (
     new_origin,
     resolve_name,
 )
-from ropeway.graph.calls import (
-    ActionClient,
-    ActionHandlers,
-    ActionInfo,
-    ActionServer,
-    Client,
-    Service,
-    ServiceHandler,
-    ServiceInfo,
-)
 from ropeway.graph.deduplication import Seen
-from ropeway.graph.graph_base import NetworkGraph
+from ropeway.graph.topics_only import TopicsOnlyGraph
 from ropeway.networks.iort.links import Link
 from ropeway.networks.iort.maps import Maps, TopicMap, ros_name
 from ropeway.networks.iort.parts import IortPublisher, IortSubscription, NodeTopic
@@ -55,13 +45,13 @@ log = logging.getLogger("ropeway.iort")
 STRING: Final = "std_msgs/msg/String"
 _ODD: Final = re.compile(r"[^A-Za-z0-9_]")
 _HAD_LIMIT: Final = 4096
-_NO_CALLS: Final = "has topics only: IoRT nodes know neither services nor actions"
 
 
-class IortGraph(NetworkGraph):
+class IortGraph(TopicsOnlyGraph):
     """Topics of the robots at one server, which ``link`` reaches."""
 
     kind = "iort"
+    no_calls = "has topics only: IoRT nodes know neither services nor actions"
 
     def __init__(
         self, link: Link, *, name: str, maps: Maps | None = None, registry: TypeRegistry | None = None
@@ -137,26 +127,6 @@ class IortGraph(NetworkGraph):
                 subscription.join(feed, form)
         return subscription
 
-    async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> Client:
-        """Refuse: nodes have no services. Raises ``GraphUnavailable``."""
-        raise GraphUnavailable(self.name, _NO_CALLS)
-
-    async def create_service(
-        self, service: str, type: str, handler: ServiceHandler, *, delivery: Delivery = NO_HINTS
-    ) -> Service:
-        """Refuse: nodes have no services. Raises ``GraphUnavailable``."""
-        raise GraphUnavailable(self.name, _NO_CALLS)
-
-    async def create_action_client(self, action: str, type: str, *, delivery: Delivery = NO_HINTS) -> ActionClient:
-        """Refuse: nodes have no actions. Raises ``GraphUnavailable``."""
-        raise GraphUnavailable(self.name, _NO_CALLS)
-
-    async def create_action_server(
-        self, action: str, type: str, handlers: ActionHandlers, *, delivery: Delivery = NO_HINTS
-    ) -> ActionServer:
-        """Refuse: nodes have no actions. Raises ``GraphUnavailable``."""
-        raise GraphUnavailable(self.name, _NO_CALLS)
-
     # ── what is there ──────────────────────────────────────────────────────────────────────────────────────────
 
     def topics(self) -> dict[str, TopicInfo]:
@@ -179,14 +149,6 @@ class IortGraph(NetworkGraph):
             name: TopicInfo(name, tuple(dict.fromkeys(e.type for e in pubs + subs)), tuple(pubs), tuple(subs))
             for name, (pubs, subs) in sorted(found.items())
         }
-
-    def services(self) -> dict[str, ServiceInfo]:
-        """Return nothing: nodes have no services."""
-        return {}
-
-    def actions(self) -> dict[str, ActionInfo]:
-        """Return nothing: nodes have no actions."""
-        return {}
 
     def nodes(self) -> dict[str, NodeInfo]:
         """Return the nodes that publish or read something."""

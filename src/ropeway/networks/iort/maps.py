@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
-from ropeway.networks.iort.forms import Form, default_form, make_form
 from ropeway.types import TypeRegistry
+from ropeway.types.forms import Form, default_form, make_form
 
 __all__ = ["NO_SYSTEM", "Maps", "TopicMap", "names_of", "ros_name"]
 

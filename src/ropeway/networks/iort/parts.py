@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final, Protocol
 from ropeway.graph.base import Sample, SampleCallback, Undelivered
 from ropeway.graph.host import Host
 from ropeway.graph.parts import PublisherBase, SubscriptionBase
-from ropeway.networks.iort.forms import FAILURES, Form, Timed, default_form
 from ropeway.qos import QoS
 from ropeway.store import CDR, Entry
 from ropeway.tasks import describe
+from ropeway.types.forms import FAILURES, Form, Timed, default_form
 
 if TYPE_CHECKING:
     from ropeway.fault_log import FaultLog

@@ -1,7 +1,7 @@
-"""Converts between the text of robots and ROS messages: the forms that a map may name.
+"""Converts between what robots and devices say and ROS messages: the forms that a map may name.
 
 A form turns a text into the messages to publish (several if a command ends by itself, each with a delay), and a message
-into the text to publish, or into nothing if it says nothing new.
+into the text to publish, or into nothing if it says nothing new. The forms ``raw`` and ``cdr`` do the same with bytes.
 """
 
 from __future__ import annotations
@@ -21,12 +21,15 @@ from ropeway.types.untrusted import json_loads
 __all__ = [
     "FAILURES",
     "FORMS",
+    "RAW_TYPES",
     "TWIST",
     "AngleForm",
+    "CdrForm",
     "CodesForm",
     "FloatsForm",
     "Form",
     "JsonForm",
+    "RawForm",
     "TextForm",
     "Timed",
     "default_form",
@@ -36,7 +39,10 @@ __all__ = [
 TWIST: Final = ("linear.x", "linear.y", "linear.z", "angular.x", "angular.y", "angular.z")
 """The six numbers of ``cmd_vel``: linear x, y, z, angular a, b, c (IoRT paper, section 5.2)."""
 
-FORMS: Final = ("text", "floats", "json", "codes", "angle")
+FORMS: Final = ("text", "floats", "json", "codes", "angle", "raw", "cdr")
+
+RAW_TYPES: Final = ("std_msgs/msg/UInt8MultiArray", "std_msgs/msg/ByteMultiArray")
+"""The types whose ``data`` is the bytes of the form ``raw``."""
 
 Timed = tuple[float, bytes]
 """Seconds from now, and the CDR to publish then."""
@@ -263,6 +269,40 @@ class AngleForm:
         return None
 
 
+class RawForm:
+    """Bytes as they are, in the field ``data`` of a ``std_msgs/msg/UInt8MultiArray`` or ``ByteMultiArray``."""
+
+    def __init__(self, codec: MessageCodec) -> None:
+        self._codec = codec
+        if codec.type not in RAW_TYPES:
+            raise ConversionError(f"the form raw is for {' and '.join(RAW_TYPES)}, not for {codec.type}")
+
+    def messages(self, data: bytes) -> list[Timed]:
+        """Return one message."""
+        return [(0.0, self._codec.encode({"data": bytes(data)}))]
+
+    def text(self, cdr: bytes) -> bytes:
+        """Return the bytes."""
+        return bytes(self._codec.decode(cdr)["data"])
+
+
+class CdrForm:
+    """The message as ROS 2 sends it: CDR behind its header of 4 bytes."""
+
+    def __init__(self, codec: MessageCodec) -> None:
+        self._codec = codec
+
+    def messages(self, data: bytes) -> list[Timed]:
+        """Return the message; what is none of the type is refused."""
+        data = bytes(data)
+        self._codec.decode(data)
+        return [(0.0, data)]
+
+    def text(self, cdr: bytes) -> bytes:
+        """Return the message as it is."""
+        return bytes(cdr)
+
+
 def make_form(
     form: str, type: str, registry: TypeRegistry, options: Mapping[str, Any], *, clock: Callable[[], float]
 ) -> Form:
@@ -274,6 +314,10 @@ def make_form(
         return FloatsForm(codec, options.get("fields") or TWIST)
     if form == "json":
         return JsonForm(codec, options.get("fields"))
+    if form == "raw":
+        return RawForm(codec)
+    if form == "cdr":
+        return CdrForm(codec)
     if form == "codes":
         return CodesForm(codec, options["codes"], send=options.get("send"), deadband=options.get("deadband", 1e-3))
     extra = {key: options[key] for key in ("rate_rad_s", "hold_s", "step_deg") if key in options}

@@ -8,19 +8,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ropeway.errors import TypesError
-from ropeway.networks.iort.forms import (
+from ropeway.types import TypeRegistry
+from ropeway.types.forms import (
     FAILURES,
+    RAW_TYPES,
     TWIST,
     AngleForm,
+    CdrForm,
     CodesForm,
     FloatsForm,
     Form,
     JsonForm,
+    RawForm,
     TextForm,
     default_form,
     make_form,
 )
-from ropeway.types import TypeRegistry
 
 registry = TypeRegistry()
 twists = registry.codec("geometry_msgs/msg/Twist")
@@ -193,3 +196,27 @@ def test_made_by_name() -> None:
     assert make_form("floats", "geometry_msgs/msg/Twist", registry, {}, clock=lambda: 0.0).text(twist(1.0)) is not None
     assert isinstance(default_form("std_msgs/msg/String", registry), TextForm)
     assert isinstance(default_form("geometry_msgs/msg/Twist", registry), JsonForm)
+
+
+@given(st.binary(max_size=2000), st.sampled_from(RAW_TYPES))
+def test_raw(data: bytes, type: str) -> None:
+    """Any bytes become a message of bytes, and the same bytes again."""
+    form = make_form("raw", type, registry, {}, clock=lambda: 0.0)
+    ((delay_s, cdr),) = form.messages(data)
+    assert (delay_s, registry.codec(type).decode(cdr)["data"], form.text(cdr)) == (0.0, data, data)
+
+
+def test_raw_types() -> None:
+    """The form raw is refused for a type that is no array of bytes."""
+    with pytest.raises(TypesError, match="the form raw is for"):
+        RawForm(twists)
+
+
+def test_cdr() -> None:
+    """The form cdr takes and gives a message as it is, and refuses what is none of its type."""
+    form = CdrForm(twists)
+    assert form.messages(twist(1.0)) == [(0.0, twist(1.0))]
+    assert form.text(twist(1.0)) == twist(1.0)
+    for bad in (b"", b"\0\1\0", twist()[:-1], b"\0\1\0\0"):
+        with pytest.raises(TypesError):
+            form.messages(bad)
