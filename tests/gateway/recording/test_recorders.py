@@ -141,7 +141,7 @@ async def test_links_and_drops(pair: Pair) -> None:
     await until(lambda: sum(route.drops.values()) == 4)
     await until(lambda: pair.robot.status()["remotes"][0].get("rtt_ms"))
     before = pair.state()["messages"]
-    await until(lambda: pair.state()["messages"] > before + 1)
+    await until(lambda: pair.state()["messages"] > before + 3)  # more than one look at the figures has left to write
     await pair.cloud.__aexit__(None, None, None)
     await until(lambda: pair.robot.remotes[0].state != "connected")
     before = pair.state()["messages"]
