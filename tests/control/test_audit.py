@@ -69,6 +69,7 @@ async def test_changes_are_written_down(begin: Begin, trail: AuditTrail, tmp_pat
         ("rollback", "refused"),
     ]
     assert found[0]["name"] == "publish /cmd_vel ws://127.0.0.1:1?token=..."
+    assert found[1]["name"] == found[0]["name"]
     assert found[0]["details"]["steps"][0] == "start remote ws://127.0.0.1:1?token=..."
     assert found[4]["why"] == "faults at gateway.nme"
     assert found[0]["details"].keys() == {"number", "etag", "steps", "step_count"}

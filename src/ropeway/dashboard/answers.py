@@ -85,6 +85,16 @@ class FleetMemberRow(_Row):
     names: int = 0
 
 
+class OverlayRow(_Row):
+    """The overlay that a remote stands for: its fleet, its other members and the routers that are linked."""
+
+    fleet: Text = ""
+    expires: Text = ""
+    trouble: Text | None = None
+    routers: list[Text] = Field(default_factory=list)
+    gateways: list[FleetMemberRow] = Field(default_factory=list)
+
+
 class LinkRow(_Row):
     """A remote of a gateway. ``gateway`` is the name by which the other end calls itself."""
 
@@ -97,11 +107,7 @@ class LinkRow(_Row):
     pace_bps: float | None = None
     bytes_in: float | None = None
     bytes_out: float | None = None
-    fleet: Text = ""
-    expires: Text = ""
-    trouble: Text | None = None
-    routers: list[Text] = Field(default_factory=list)
-    gateways: list[FleetMemberRow] = Field(default_factory=list)
+    overlay: OverlayRow | None = None
 
 
 class RouteRow(_Row):

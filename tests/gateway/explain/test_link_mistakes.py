@@ -13,7 +13,10 @@ from ropeway.gateway.explain import Subject
 from ropeway.gateway.gateway import Gateway
 from ropeway.networks.overlay.crypto.identity import Identity, write_private
 from ropeway.networks.overlay.fleet import Fleet
+from ropeway.networks.overlay.rights import Rights
 from ropeway.networks.overlay.router import Router
+from tests.networks.overlay.conftest import Site
+from tests.networks.overlay.conftest import site as site
 from tests.networks.overlay.fleet import member
 from tests.support.authority import Authority
 from tests.support.messages import STRING
@@ -58,6 +61,30 @@ async def test_a_wrong_token(world: World, monkeypatch: pytest.MonkeyPatch) -> N
     assert "token" in text
 
 
+async def test_nobody_there(world: World) -> None:
+    """A port at which nobody listens is told as such."""
+    assert "refused" in await told(world, f"ws://127.0.0.1:{free_port()}")
+
+
+async def test_a_token_that_is_missing(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A remote that wants a token is told as such to who shows none."""
+    monkeypatch.setenv("ROPEWAY_TEST_TOKEN", "for-tests-only")
+    auth = {"tokens": [{"token": {"env": "ROPEWAY_TEST_TOKEN"}, "role": "all"}]}
+    cloud = await world.gateway("cloud", [], auth=auth)
+    text = await told(world, f"ws://127.0.0.1:{port(cloud)}")
+    assert "401" in text
+    assert "token" in text
+
+
+async def test_a_certificate_of_another_host(world: World, tmp_path: Path) -> None:
+    """A certificate that was made out to another name is told with the name that was dialled."""
+    ours = Authority(tmp_path, "ours")
+    tls = ours.sign("cloud", host="other.example")
+    cloud = await world.gateway("cloud", [], listen=["wss://127.0.0.1:0"], tls=tls)
+    text = await told(world, f"wss://127.0.0.1:{port(cloud)}", tls={"ca": ours.file})
+    assert "not valid for" in text or "mismatch" in text, text
+
+
 async def test_an_authority_that_is_not_trusted(world: World, tmp_path: Path) -> None:
     """A certificate of another authority is told, with the key that names the right one."""
     tls = Authority(tmp_path, "ours").sign("cloud")
@@ -73,6 +100,12 @@ async def test_ws_and_wss_mixed_up(world: World, tmp_path: Path) -> None:
     tls = Authority(tmp_path, "ours").sign("cloud")
     cloud = await world.gateway("cloud", [], listen=["wss://127.0.0.1:0"], tls=tls)
     assert "wss://" in await told(world, f"ws://127.0.0.1:{port(cloud)}")
+
+
+async def test_wss_where_ws_is_spoken(world: World) -> None:
+    """A remote that speaks no TLS is told with what it speaks."""
+    cloud = await world.gateway("cloud", [])
+    assert "ws://" in (await told(world, f"wss://127.0.0.1:{port(cloud)}")).partition(": ")[2]
 
 
 @pytest.mark.parametrize("shown", ["nothing", "a stranger's"])
@@ -127,3 +160,29 @@ async def test_a_router_of_another_fleet(world: World, tmp_path: Path) -> None:
     await world.stack.enter_async_context(router)
     stranger = Fleet.create("other", tmp_path / "other").issue("robot")
     assert "another fleet" in await in_the_overlay(world, tmp_path, endpoint, stranger)
+
+
+async def test_a_certificate_without_the_right(world: World, site: Site, tmp_path: Path) -> None:
+    """A member whose certificate does not let it publish a name is told which right it lacks."""
+    bundle = tmp_path / "robot.ropeway"
+    write_private(bundle, member("robot", rights=Rights(publish=("/camera/*",))).to_text())
+    overlay = {"identity": str(bundle), "routers": [site.endpoint], "listen": []}
+    remote = {"address": "overlay", "publish": [ROUTE]}
+    robot = await world.gateway("robot", [remote], overlay=overlay, listen=[], insecure=True)
+    here = await world.robot("robot")
+    await here.create_publisher("/odom", STRING)
+    await until(lambda: bool(robot.routes()[0].error))
+    (explanation,) = await robot.explain("/odom")
+    (said,) = [finding.text for finding in explanation.findings if finding.subject is Subject.RIGHTS]
+    assert "publish" in said
+    assert "/odom" in said
+
+
+async def test_a_member_that_was_revoked(world: World, tmp_path: Path) -> None:
+    """A member whose certificate was revoked is told so."""
+    fleet = Fleet.create("revoking", tmp_path / "revoking")
+    identity = fleet.issue("robot")
+    fleet.revoke("robot")
+    endpoint = free_endpoint()
+    await world.stack.enter_async_context(Router(fleet.issue("router", role="router"), listen=[endpoint]))
+    assert "revoked" in await in_the_overlay(world, tmp_path, endpoint, identity)

@@ -60,5 +60,10 @@ async def resume(asked: ControlRequest) -> Any:
 
 
 async def _edited(asked: ControlRequest, edit: Edit, action: str) -> Any:
+    key = asked.path.get("key")
+    routes = (*asked.manager.config.routes(), *asked.manager.config.routes(active=False))
+    named = next((route for route in routes if route.key == key), None)
+    if named is not None:  # a key says nothing to people
+        asked.noted["name"] = f"{named.operation} {named.name} {named.remote.address}"
     done = await asked.manager.edit(edit, asked.caller, action=action, if_match=asked.headers.get("if-match"))
     return note_applied(asked, done)

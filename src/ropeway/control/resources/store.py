@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.control.resource import ControlRequest, Resources
+from ropeway.errors import TypesError
 from ropeway.limits import CONTROL_STORE_VALUES
+from ropeway.store import CDR
 
 if TYPE_CHECKING:
     from ropeway.gateway.gateway import Gateway
+    from ropeway.store import Entry
 
 __all__ = ["list_values", "resources"]
 
 resources = Resources()
 
-_SHOWN_CHARACTERS = 200
+_SHOWN_CHARACTERS: Final = 200
+_DECODED_BYTES: Final = 4096  # whoever watches asks for all of them once a second
 
 
 @resources.get("/v1/store", gives=list[dict[str, Any]])
 async def read_store(asked: ControlRequest) -> Any:
     """Return what the store keeps and the caller may read, the newest first; ``?system=`` and ``&topic=`` are patterns.
 
-    Of a text there is the beginning, of a message of ROS its length.
+    Of a text there is the beginning, and of a message of ROS that is not large, as JSON.
     """
     params = {"system": asked.query.get("system") or "*", "topic": asked.query.get("topic") or "*"}
     role = asked.caller.role
@@ -42,7 +46,18 @@ async def list_values(gateway: Gateway, params: Mapping[str, Any]) -> list[dict[
             "origin": entry.origin,
             "age_s": round(entry.age_s(), 3),
             "bytes": len(entry.data),
-            "text": (entry.text or "")[:_SHOWN_CHARACTERS],
+            "text": _shown(gateway, entry)[:_SHOWN_CHARACTERS],
         }
         for entry in (store.entries(params["system"], params["topic"]) if store is not None else ())
     ]
+
+
+def _shown(gateway: Gateway, entry: Entry) -> str:
+    if entry.form != CDR:
+        return entry.text or ""
+    if len(entry.data) > _DECODED_BYTES:
+        return ""
+    try:
+        return gateway.registry.codec(entry.type).json(entry.data).decode(errors="replace")
+    except TypesError:  # of a store that somebody else has written to, or of a type that is not known here
+        return ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from textwrap import wrap
 from typing import Final
 
 from nicegui import ui
@@ -16,8 +17,12 @@ from ropeway.dashboard.texts import fitted
 __all__ = ["draw_windows", "make"]
 
 _WIDTH: Final = 560.0
-_LEFT: Final = 170.0
-_ROW: Final = 46.0
+_NARROW: Final = 340.0
+"""The width of drawings for phones, so that their letters are as large as elsewhere."""
+_LEFT: Final = 0.32  # of the width
+_ROW: Final = 32.0
+_LINE: Final = 14.0
+_LETTER: Final = 5.6  # the width of one of size 10, with room to spare
 _IN_USE: Final = "#1d4ed8"
 
 
@@ -55,9 +60,8 @@ class _GroupView:
         with ui.card().classes("full-width"):
             ui.label(group.group).classes("text-h6 wraps")
             self._about = ui.label().classes("text-caption wraps")
-            self._drawing = (
-                ui.html("", sanitize=False).classes("full-width").style("max-width: 760px")
-            )  # made by svg.Drawing
+            self._drawing = ui.html("", sanitize=False).classes("full-width gt-sm").style("max-width: 760px")
+            self._narrow = ui.html("", sanitize=False).classes("full-width lt-md")  # both are made by svg.Drawing
             with ui.row():
                 page.button("Profile", "operate", self._press("profile"), icon="speed")
                 page.button("Pause or go on", "operate", self._press("pause"), icon="pause")
@@ -71,6 +75,7 @@ class _GroupView:
         held = ", paused" if group.held else ""
         self._about.set_text(f"policy {group.policy}, {group.phase}{held}, in use: {group.current or 'none'}")
         self._drawing.set_content(draw_windows(group, _WIDTH))
+        self._narrow.set_content(draw_windows(group, _NARROW))
         self._decisions.set_text("\n".join(group.decisions))
         if list(group.members) != self._member.options:
             self._member.set_options(list(group.members))
@@ -96,19 +101,22 @@ def draw_windows(group: GroupRow, width: float) -> str:
     """Return the latency windows of the members as SVG: from the least to the 99th percentile, a mark at the median."""
     drawing = Drawing(width)
     most = max((m.latency_s.p99 for m in group.members.values() if m.latency_s is not None), default=0.0) or 1.0
-    for number, (name, member) in enumerate(group.members.items()):
-        y = 16.0 + number * _ROW
+    left, y = _LEFT * width, 16.0
+    for name, member in group.members.items():
         colour = _IN_USE if name == group.current else colour_of("idle" if member.here else "gone")
-        drawing.text(0, y, fitted(name, 26), size=12, colour=colour, bold=name == group.current)
-        drawing.text(0, y + 14, fitted(_words(member), 90), size=10)
+        drawing.text(0, y, fitted(name, int(left / 6.5)), size=12, colour=colour, bold=name == group.current)
         latency = member.latency_s
         if latency is not None:
-            scale = (width - _LEFT - 10) / most
+            scale = (width - left - 10) / most
             drawing.box(
-                _LEFT + latency.min * scale, y - 10, max((latency.p99 - latency.min) * scale, 2), 12, colour=colour
+                left + latency.min * scale, y - 10, max((latency.p99 - latency.min) * scale, 2), 12, colour=colour
             )
-            middle = _LEFT + latency.median * scale
+            middle = left + latency.median * scale
             drawing.curve([(middle, y - 12), (middle, y + 4)], colour=colour)
+        for line in wrap(_words(member), int(width / _LETTER)):
+            y += _LINE
+            drawing.text(0, y, line, size=10)
+        y += _ROW
     return drawing.written()
 
 

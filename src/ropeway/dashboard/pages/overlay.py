@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import starmap
 from typing import Any, Final
 
 from nicegui import ui
 
-from ropeway.dashboard.answers import LinkRow
+from ropeway.dashboard.answers import LinkRow, OverlayRow
 from ropeway.dashboard.frame import Page
 from ropeway.dashboard.svg import colour_of
 from ropeway.dashboard.tables import STATE_CELL, fill, make_table
@@ -33,29 +35,35 @@ def make(page: Page) -> None:
     )
 
     def update() -> None:
-        overlays = [link for link in (watch.status.remotes if watch.status is not None else ()) if link.fleet]
-        about.set_text("\n".join(map(_about, overlays)) or "This gateway is a member of no overlay.")
-        fill(table, [row for link in overlays for row in _rows(link)])
+        links = watch.status.remotes if watch.status is not None else ()
+        overlays = [(link, link.overlay) for link in links if link.overlay is not None]
+        about.set_text("\n".join(starmap(_about, overlays)) or "This gateway is a member of no overlay.")
+        fill(table, [row for link, overlay in overlays for row in _rows(link.address, overlay)])
 
     page.every(update)
 
 
-def _about(link: LinkRow) -> str:
-    text = f"{link.fleet}: {link.state}, {len(link.gateways)} members, {len(link.routers)} routers"
-    text += f"; the certificate expires {link.expires[:10]}" if link.expires else ""
-    return f"{text}: {link.trouble or link.error}" if link.trouble or link.error else text
+def _about(link: LinkRow, overlay: OverlayRow) -> str:
+    others, routers = _count(overlay.gateways, "other member"), _count(overlay.routers, "router")
+    text = f"{overlay.fleet}: {link.state}, {others}, {routers}"
+    text += f"; the certificate expires {overlay.expires[:10]}" if overlay.expires else ""
+    return f"{text}: {overlay.trouble or link.error}" if overlay.trouble or link.error else text
 
 
-def _rows(link: LinkRow) -> list[dict[str, Any]]:
-    members = [(member.name, member.gateway, member.path, str(member.names)) for member in link.gateways]
-    routers = [("router", router, "linked", "") for router in link.routers]
+def _count(listed: Sequence[object], word: str) -> str:
+    return f"{len(listed)} {word}{'' if len(listed) == 1 else 's'}"
+
+
+def _rows(address: str, overlay: OverlayRow) -> list[dict[str, Any]]:
+    members = [(member.name, member.gateway, member.path, str(member.names)) for member in overlay.gateways]
+    routers = [("router", router, "linked", "") for router in overlay.routers]
     return [
         {
-            "id": f"{link.address} {gateway}",
-            "fleet": link.fleet,
+            "id": f"{address} {gateway}",
+            "fleet": overlay.fleet,
             "name": name,
             "state": state,
-            "colour": colour_of("active" if state in ("direct", "linked") else "idle"),
+            "colour": colour_of("active" if state in ("direct", "linked", "routed") else "idle"),
             "names": names,
             "gateway": gateway,
         }

@@ -38,7 +38,7 @@ def make(page: Page) -> None:
             about.set_text("This gateway has no store." if watch.status is not None else "")
         else:
             fault = f"; {store['fault']}" if store.get("fault") else ""
-            about.set_text(f"{store.get('url', '')}: {store.get('values', '?')} values{fault}")
+            about.set_text(f"{store.get('url', '')}, values: {store.get('values', '?')}{fault}")
         found = await page.fetch(list[StoreRow], "/v1/store")
         if found is not None:
             fill(table, [_row(value) for value in found])

@@ -261,7 +261,7 @@ def _remote(remote: Mapping[str, Any], path: str, graphs: list[Any]) -> Iterable
             if tls.get(one) is not None and tls.get(other) is None:
                 yield f"{path}.tls.{other}", f"this key is missing; {one} is of no use without it"
     for key in ("distro", "types"):
-        if remote.get(key) is None:
+        if not remote.get(key):
             continue
         if not isinstance(address, str) or not address.startswith("ws"):
             if address is not None or _first_address(remote) == OVERLAY:
