@@ -50,7 +50,7 @@ def test_readers(qos: QoS) -> None:
         got = read_qos(handle)
         kind, history = ct.c_int(), ct.c_int32()
         assert raw.lib.qget_history(handle, ct.byref(kind), ct.byref(history))
-        assert history.value >= max(qos.depth, 256)
+        assert history.value >= max(qos.depth, 1024)
     if qos.history == "keep_last":
         assert got.depth == qos.depth
     assert (got.reliability, got.durability, got.deadline_s) == (qos.reliability, qos.durability, qos.deadline_s)

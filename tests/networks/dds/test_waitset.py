@@ -9,6 +9,8 @@ import time
 import pytest
 
 from ropeway.errors import GraphUnavailable
+from ropeway.graph.moderation import Moderation
+from ropeway.networks.dds import waitset
 from ropeway.networks.dds.waitset import run_in_thread
 from ropeway.qos import QoS
 from ropeway.tasks import failing
@@ -138,3 +140,25 @@ async def test_a_failed_thread_can_be_closed(join: Join, monkeypatch: pytest.Mon
     assert not failing()
     await graph.open()
     await graph.create_publisher("/t", STRING)
+
+
+async def test_what_comes_during_a_rest_is_taken_together(join: Join, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the thread rests after each batch, what comes meanwhile is in the next one, and nothing is lost."""
+
+    class Restful(Moderation):
+        def look(self, samples: int) -> None:
+            super().look(samples)
+            self.rests = True
+
+    monkeypatch.setattr(waitset, "Moderation", Restful)
+    monkeypatch.setattr(waitset, "REST_S", 0.1)
+    near, far = await join("near"), await join("far")
+    inbox = Inbox()
+    await far.create_subscription("/t", STRING, QoS(depth=500), inbox)
+    publisher = await near.create_publisher("/t", STRING, QoS(depth=500))
+    await until(lambda: publisher.subscribers == 1)
+    for _ in range(300):
+        publisher.publish(sample("x"))
+        await asyncio.sleep(0)
+    await inbox.wait(300)
+    assert inbox.batches < 100

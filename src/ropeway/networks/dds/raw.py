@@ -33,6 +33,7 @@ __all__ = [
     "INFO",
     "PRECONDITION_NOT_MET",
     "PUBLICATION_MATCHED",
+    "SAMPLES_PER_TAKE",
     "SERDATA_DATA",
     "SUBSCRIPTION_MATCHED",
     "TIMEOUT",
@@ -67,6 +68,7 @@ PUBLICATION_MATCHED: Final = 1 << 11
 SUBSCRIPTION_MATCHED: Final = 1 << 12
 
 SERDATA_DATA: Final = 2  # a sample, not only its key
+SAMPLES_PER_TAKE: Final = 64
 
 _i32, _u32, _i64, _u64, _vp, _size = ct.c_int32, ct.c_uint32, ct.c_int64, ct.c_uint64, ct.c_void_p, ct.c_size_t
 _out = ct.POINTER

@@ -13,6 +13,7 @@ from ropeway.graph.base import SEQ_NONE, Sample, Undelivered
 from ropeway.networks.dds.raw import (
     ANY_STATE,
     INFO,
+    SAMPLES_PER_TAKE,
     SERDATA_DATA,
     IoVec,
     SampleInfo,
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = ["RawReader", "RawWriter", "Taken", "WriterIdentity", "tell_padding", "without_padding"]
 
-_BATCH: Final = 64  # samples per take
 _HEADER_BYTES: Final = 4
 _OPTIONS_AT: Final = 3  # in the header; the two lowest bits count the padding (DDSI-RTPS 2.5, 10.2)
 _NO_OPTIONS: Final = b"\0\0"
@@ -60,8 +60,8 @@ class Taken:
     """Holds what one call takes from a reader; the readers of a participant share it, in the pump's thread."""
 
     def __init__(self) -> None:
-        self.refs = (ct.c_uint64 * _BATCH)()
-        self.infos = (SampleInfo * _BATCH)()
+        self.refs = (ct.c_uint64 * SAMPLES_PER_TAKE)()
+        self.infos = (SampleInfo * SAMPLES_PER_TAKE)()
         self.raw = memoryview(self.infos).cast("B")
 
 
@@ -122,7 +122,7 @@ class RawReader:
         if self.closed:
             return
         taken, unref = self._taken, lib.serdata_unref
-        count = lib.takecdr(self.entity, taken.refs, _BATCH, taken.infos, ANY_STATE)
+        count = lib.takecdr(self.entity, taken.refs, SAMPLES_PER_TAKE, taken.infos, ANY_STATE)
         if count < 0:
             check(count, "takecdr")
         pending = self._pending
@@ -251,9 +251,8 @@ class RawWriter:
             serdata = lib.serdata_from_ser_iov_nogil(self._sertype, SERDATA_DATA, 1, _byref(vector), length)
             vector.base = None  # what was big is not kept until the next write
         if serdata:
-            padding = -length & 3  # as ``tell_padding`` tells it
-            _u8_at(serdata + lib.header_at + _OPTIONS_AT).value = padding
-            ct.memset(serdata + lib.header_at + length, 0, padding)
+            if length & 3 or payload[_OPTIONS_AT]:
+                tell_padding(serdata, length)
             if 0 < source_stamp_ns <= _MAX_STAMP:
                 _i64_at(serdata + lib.timestamp_at).value = source_stamp_ns
                 code = lib.forwardcdr(self.entity, serdata)  # either takes the reference over

@@ -1,7 +1,8 @@
 """The one thread of a participant: it waits for DDS, takes, and hands over to the event loop.
 
 The thread sleeps in a WaitSet. What triggers runs its handler there; handlers ``push`` batches for functions of the
-loop. Where there is no ``room`` they leave their data with DDS, and are run again when the loop has caught up.
+loop. Where there is no ``room`` they leave their data with DDS, and are run again when the loop has caught up. Where
+very many samples come it rests before it waits for more (``Moderation``).
 """
 
 from __future__ import annotations
@@ -11,13 +12,15 @@ import contextlib
 import ctypes as ct
 import logging
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Final, TypeVar
 
 from ropeway.errors import GraphUnavailable
 from ropeway.graph.hand_over import HandOver
-from ropeway.networks.dds.raw import INFINITY, check, lib
+from ropeway.graph.moderation import REST_S, Moderation
+from ropeway.networks.dds.raw import INFINITY, SAMPLES_PER_TAKE, check, lib
 from ropeway.tasks import keep_running
 
 __all__ = ["Pump", "run_in_thread"]
@@ -131,11 +134,13 @@ class Pump(HandOver):
     def _run(self) -> None:
         triggers = (ct.c_ssize_t * _MAX_TRIGGERS)()
         handlers, waitset, wait = self._handlers, self._waitset, lib.waitset_wait
+        moderation = Moderation(self._pushed_samples)
         self._run_calls()  # after a failure: what was asked for meanwhile
         while not self._stopping:
             count = wait(waitset, triggers, _MAX_TRIGGERS, INFINITY)
             if count < 0:
                 check(count, "waitset_wait")
+            before = self._pushed_samples
             for key in triggers[: min(count, _MAX_TRIGGERS)]:
                 if key == _GUARD_KEY:
                     self._on_guard()
@@ -149,6 +154,10 @@ class Pump(HandOver):
                         lib.waitset_detach(waitset, entity)
             if self._backlog:
                 self._catch_up()
+            if self._pushed_samples >= moderation.next_look:
+                moderation.look(self._pushed_samples)
+            if moderation.rests and 0 < self._pushed_samples - before < SAMPLES_PER_TAKE:  # or there may be more
+                time.sleep(REST_S)
 
     def _on_guard(self) -> None:
         was_set = ct.c_bool()
