@@ -12,9 +12,9 @@ from ropeway.qos import QoS
 
 __all__ = ["parse_user_data", "read_qos", "reader_qos", "user_data", "writer_qos"]
 
-# DDS history of a reader, at least: a thread empties it, whose turn comes after 5 ms where others have the processor
-# (150 messages of 30,000 a second), and what several publishers kept of a latched topic arrives in one burst. How many
-# of them wait for a loop that is behind is bounded there, by the depth of the topic.
+# DDS history of a reader, at least: a thread empties it, whose turn comes after 5 to 15 ms where others have the
+# processor (900 messages of 60,000 a second), and what several publishers kept of a latched topic arrives in one burst.
+# How many of them wait for a loop that is behind is bounded there, by the depth of the topic.
 _LEAST_READER_DEPTH: Final = 1024
 # DDS history of a reader that asks for all: the thread that empties it applies the bound in bytes.
 _KEEP_ALL_DEPTH: Final = 8192
