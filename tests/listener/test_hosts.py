@@ -10,8 +10,11 @@ from ropeway.listener.http import HttpRequest
 NAMES = frozenset(("robot", "robot.local", "robot.example.com"))
 
 
-def request(host: str = "127.0.0.1:9090", origin: str = "", local: str = "127.0.0.1") -> HttpRequest:
-    headers = {**({"host": host} if host else {}), **({"origin": origin} if origin else {})}
+WEBSOCKET = {"connection": "Upgrade", "upgrade": "websocket", "sec-websocket-key": "dGhlIHNhbXBsZSBub25jZQ=="}
+
+
+def request(host: str = "127.0.0.1:9090", origin: str = "", local: str = "127.0.0.1", **more: str) -> HttpRequest:
+    headers = {**({"host": host} if host else {}), **({"origin": origin} if origin else {}), **more}
     return HttpRequest("GET", "/", "HTTP/1.1", headers, local=local)
 
 
@@ -114,3 +117,27 @@ def test_own_names() -> None:
     names = own_names()
     assert any(name.endswith(".local") for name in names)
     assert all(name == name.lower() for name in names)
+
+
+@pytest.mark.parametrize("origins", [None, ("*",), ("https://dash.example",)])
+@pytest.mark.parametrize("local", ["127.0.0.1", "10.0.0.7"])
+def test_a_rebound_page_stays_out(origins: tuple[str, ...] | None, local: str) -> None:
+    """Whatever a page can send to a name that it has turned to us is refused, also where all pages may connect."""
+    hosts = Hosts(NAMES, origins=origins)
+    sent = [
+        request("evil.example:9090", "http://evil.example:9090", local, **WEBSOCKET),  # new WebSocket
+        request("evil.example:9090", "null", local, **WEBSOCKET),  # the same in a frame without an origin
+        request("evil.example:9090", "", local),  # fetch of its own name
+        request("evil.example:9090", "", local, **{"sec-fetch-site": "same-origin", "sec-fetch-mode": "cors"}),
+        request("evil.example:9090", "http://evil.example:9090", local),  # a POST to its own name
+        request("evil.example:9090", "", local, upgrade="websocket"),  # what no script may set, were it let
+    ]
+    assert [hosts.knows(each) for each in sent] == [False] * len(sent)
+
+
+@pytest.mark.parametrize("local", ["127.0.0.1", "10.0.0.7"])
+def test_a_program_may_know_us_by_any_name(local: str) -> None:
+    """A request for a WebSocket that names no page is no browser's, and may have found us under any name."""
+    asked = request("cloud.example:9090", "", local, **WEBSOCKET)
+    assert Hosts(NAMES).knows(asked)
+    assert Hosts(NAMES).knows_page(asked)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
-import importlib
 import logging
 import math
 import os
@@ -24,6 +23,7 @@ from ropeway.cli.notify import Notifier, notifying
 from ropeway.cli.printer import Printer
 from ropeway.errors import ConnectFailed, RopewayError
 from ropeway.gateway.factory import make_gateway
+from ropeway.loading import load
 from ropeway.tasks import Chores, Supervised
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ async def _managed(serving: Serving, notifier: Notifier, stack: AsyncExitStack) 
     manager = Manager(gateway, record, trail)
     stack.push_async_callback(manager.close)
     if gateway.config.gateway.control.enabled:
-        control = await asyncio.to_thread(importlib.import_module, "ropeway.control.control")  # 0.2 s for HTTP
+        control = await load("ropeway.control.control")  # 0.2 s for HTTP
         await stack.enter_async_context(control.Control(manager))
     if serving.watch and record.file is not None:
         watching = partial(manager.watch_file, Caller("--watch", str(record.file)))
@@ -195,15 +195,14 @@ async def _restored(
     return gateway, record
 
 
-def _printer(serving: Serving) -> tuple[Printer | LiveStatus | None, float]:
+async def _printer(serving: Serving) -> tuple[Printer | LiveStatus | None, float]:
     """Return what shows the status again and again, if anything does, and the seconds between two times."""
     if serving.period_s is not None:
         return Printer(sys.stdout.fileno()), serving.period_s
     if not serving.live:
         return None, math.inf
-    from ropeway.cli.live_status import LiveStatus  # it loads what draws tables
-
-    return LiveStatus(), _LIVE_S
+    live_status = await load("ropeway.cli.live_status")  # and with it what draws tables
+    return live_status.LiveStatus(), _LIVE_S
 
 
 async def _run(serving: Serving, running: list[Reload], notifier: Notifier) -> None:
@@ -218,7 +217,7 @@ async def _run(serving: Serving, running: list[Reload], notifier: Notifier) -> N
         notifier.ready("running")
         gc.freeze()  # what was loaded stays: looking for garbage in it would stop messages for 40 ms now and then
         ends = math.inf if serving.for_s is None else loop.time() + serving.for_s
-        printer, period_s = _printer(serving)
+        printer, period_s = await _printer(serving)
         failing = asyncio.create_task(gateway.wait(), name="gateway failure")
         try:
             while not failing.done() and loop.time() < ends:

@@ -43,7 +43,7 @@ ABORT: Final = "ropeway.abort"
 """The key of what ends the connection at once."""
 
 _JSON: Final = "application/json"
-_OPTIONS: Final = orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_PASSTHROUGH_DATACLASS
+_OPTIONS: Final = orjson.OPT_NON_STR_KEYS | orjson.OPT_PASSTHROUGH_DATACLASS
 _ALWAYS: Final = {"cache-control": "no-store", "x-content-type-options": "nosniff"}
 _OPENAPI_PATH: Final = "/openapi.json"
 
@@ -240,6 +240,8 @@ class _Stream(StreamingResponse):
 def _plain(value: Any) -> Any:
     if hasattr(value, "to_json"):
         return value.to_json()
+    if hasattr(value, "tolist"):  # of numpy, which orjson would load to look for its types
+        return value.tolist()
     if hasattr(value, "model_dump"):
         return value.model_dump(mode="json")
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

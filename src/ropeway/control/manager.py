@@ -22,6 +22,7 @@ from ropeway.errors import ConfigError, ControlRefused, RopewayError
 from ropeway.gateway.auth import make_door
 from ropeway.gateway.config.config import Config, parse
 from ropeway.gateway.plan import ConfigPlan, make_plan
+from ropeway.loading import load
 
 if TYPE_CHECKING:
     from ropeway.audit.trail import AuditTrail
@@ -76,12 +77,11 @@ class Manager:
         """Return the state of everything as JSON."""
         return self.running.status()
 
-    def metrics(self) -> Metrics:
+    async def metrics(self) -> Metrics:
         """Return what writes the metrics; it is loaded when somebody asks for them."""
+        module = await load("ropeway.control.metrics")
         if self._metrics is None:
-            from ropeway.control.metrics import Metrics
-
-            self._metrics = Metrics(self.status)
+            self._metrics = module.Metrics(self.status)
         return self._metrics
 
     async def ask(self, question: Question, params: Mapping[str, Any]) -> list[Any]:

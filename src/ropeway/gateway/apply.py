@@ -16,9 +16,11 @@ from ropeway import aio
 from ropeway.gateway.config.config import Config, Route
 from ropeway.gateway.config.type_hints import known_types, learn_types
 from ropeway.gateway.credentials import read_credentials
+from ropeway.gateway.needed_modules import needed_modules
 from ropeway.gateway.plan import ConfigPlan, RemotePlan
 from ropeway.gateway.recording.recorders import Recorders, check_directories
 from ropeway.gateway.running_remote import RunningRemote
+from ropeway.loading import preload
 from ropeway.tasks import describe
 from ropeway.types import TypeRegistry
 
@@ -64,6 +66,7 @@ class ConfigChange:
     async def prepare(self) -> None:
         """Start what is new beside what runs. Raises ``RopewayError`` if that cannot be; nothing new is left then."""
         plan, new = self.plan, self.plan.new
+        await preload(needed_modules(new))
         for remote in plan.remotes:
             if remote.before is None:
                 read_credentials(new.remotes[remote.index], remote.index)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-import importlib
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING
+
+from ropeway.loading import load
 
 if TYPE_CHECKING:
     from ropeway.gateway.config.model import GatewayConfig
@@ -27,7 +27,7 @@ async def client_pages(
 
         pages.append(StorePages(store, registry))
     if settings.rest:
-        module = await asyncio.to_thread(importlib.import_module, "ropeway.gateway.rest.pages")  # 0.2 s for HTTP
+        module = await load("ropeway.gateway.rest.pages")  # 0.2 s for HTTP
         clients = settings.clients
         rest = module.RestPages(
             hub,

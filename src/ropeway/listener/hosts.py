@@ -3,6 +3,12 @@
 A browser sends requests for whatever page is open in it, with the user's place in the network. Two things tell such a
 request apart: ``Origin``, the page whose script it is, and ``Host``, the name under which the browser found the server.
 A page of a stranger can make its own name lead to our address (DNS rebinding), but then ``Host`` is that name.
+
+A browser says ``Origin`` in every request for a WebSocket, and no script can leave it out or ask for one by other
+means: ``Upgrade`` and ``Sec-WebSocket-Key`` are not for scripts to set. So a request for a WebSocket without it is a
+program's, which may have found us under any name. Of plain HTTP that cannot be said: a page that fetches from its own
+name, which is all that a rebound page has to do, sends no ``Origin``, and over ``http://`` nothing else that only
+browsers send.
 """
 
 from __future__ import annotations
@@ -82,13 +88,13 @@ class Hosts:
     origins: Sequence[str] | None = None
 
     def knows(self, request: HttpRequest) -> bool:
-        """Return whether ``Host`` leads here. What is no browser may leave it out.
+        """Return whether ``Host`` leads here. What is no browser may leave it out, or have any name for us.
 
         Nobody can make a name of an address, so any address will do where others than this machine connect: behind a
         router it is another than ours.
         """
         authority = request.headers.get("host", "")
-        if not authority:
+        if not authority or request.from_program:
             return True
         host = host_of(authority)
         if not host:

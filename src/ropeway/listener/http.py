@@ -68,6 +68,11 @@ class HttpRequest:
         """Whether the request asks to become a WebSocket."""
         return "websocket" in [part.strip().lower() for part in self.headers.get("upgrade", "").split(",")]
 
+    @property
+    def from_program(self) -> bool:
+        """Whether no browser sends this: a request for a WebSocket that says no page."""
+        return self.upgrades and "sec-websocket-key" in self.headers and "origin" not in self.headers
+
 
 @dataclass(frozen=True, slots=True)
 class Response:

@@ -51,6 +51,21 @@ def test_localhost_only(env: dict[str, str]) -> None:
     assert make_profile("dds:0", None, env) == make_profile("dds:0", "lo", {})
 
 
+def test_a_library_that_does_not_answer_from_loopback() -> None:
+    """Such a library keeps its choice of interface where ROS's range is this machine; what was asked for stays."""
+
+    def made(interface: str | None, **env: str) -> Profile:
+        return make_profile("dds:0", interface, env, answers_from_loopback=False)
+
+    ranged = made(None, ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    domain = ours(ranged)
+    assert ranged.interface == ""
+    assert domain.find("General/Interfaces") is None
+    assert domain.findtext("General/AllowMulticast") == "false"
+    assert [p.attrib for p in domain.findall("Discovery/Peers/Peer")] == [{"Address": "127.0.0.1"}]
+    assert made("lo") == made(None, ROS_LOCALHOST_ONLY="1") == make_profile("dds:0", "lo", {})
+
+
 def test_interface_of_cyclonedds_uri(tmp_path: Path) -> None:
     """An interface that CYCLONEDDS_URI selects, inline or in a file, is not named twice; another one is refused."""
 

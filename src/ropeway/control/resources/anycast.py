@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 from pydantic import Field
 
 from ropeway.control.resource import Audited, ControlRequest, Resources
 from ropeway.errors import ControlRefused
 from ropeway.gateway.config.fields import Model
+from ropeway.loading import load
 
 __all__ = ["resources"]
 
 resources = Resources()
+
+_QUESTIONS: Final = "ropeway.gateway.process.group_questions"
+"""The module that is loaded once somebody asks for groups, as most gateways have none."""
 
 
 class GroupRequest(Model):
@@ -36,9 +40,8 @@ class PauseRequest(GroupRequest):
 @resources.get("/v1/anycast", gives=list[dict[str, Any]])
 async def list_profiles(asked: ControlRequest) -> Any:
     """Return the profiles of all groups."""
-    from ropeway.gateway.process.group_questions import list_groups  # most gateways have no group
-
-    return [group for answer in await asked.manager.ask(list_groups, {}) for group in answer]
+    questions = await load(_QUESTIONS)
+    return [group for answer in await asked.manager.ask(questions.list_groups, {}) for group in answer]
 
 
 @resources.post(
@@ -66,8 +69,7 @@ async def pause(asked: ControlRequest) -> Any:
 
 
 async def _command(asked: ControlRequest, command: str) -> Any:
-    from ropeway.gateway.process.group_questions import command_group
-
+    questions = await load(_QUESTIONS)
     known = [group["group"] for group in await list_profiles(asked)]
     params = {**asked.body.model_dump(), "command": command}
     asked.noted.update(name=params["group"], **{key: params[key] for key in ("member", "paused") if key in params})
@@ -76,7 +78,7 @@ async def _command(asked: ControlRequest, command: str) -> Any:
         raise ControlRefused(404, f'no group is called "{wanted}"; there are: {", ".join(known) or "none"}')
     if not wanted and len(known) != 1:
         raise ControlRefused(409, f"name the group: {', '.join(known)}" if known else "this gateway has no group")
-    answers = [found for answer in await asked.manager.ask(command_group, params) for found in answer]
+    answers = [found for answer in await asked.manager.ask(questions.command_group, params) for found in answer]
     if not answers:
         raise ControlRefused(404, f'the group "{wanted}" is gone')
     if "error" in answers[0]:

@@ -17,5 +17,6 @@ _TEXT: Final = "text/plain"
 @resources.get(PATH, media_type=_TEXT)
 async def metrics(asked: ControlRequest) -> Any:
     """Return all counters, gauges and histograms as Prometheus and OpenMetrics read them."""
-    body, media_type = asked.manager.metrics().text(asked.headers.get("accept", ""))
+    writer = await asked.manager.metrics()
+    body, media_type = writer.text(asked.headers.get("accept", ""))
     return Answer(body, media_type=media_type)

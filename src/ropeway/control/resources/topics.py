@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ropeway.control.resource import Audited, ControlRequest, Resources
 from ropeway.errors import ControlRefused, InvalidName
+from ropeway.gateway.process import topic_questions
 from ropeway.graph.base import resolve_name
 
 __all__ = ["resources"]
@@ -30,8 +31,6 @@ class MessageBody(BaseModel):
 @resources.get("/v1/topics", gives=list[dict[str, Any]])
 async def list_topics(asked: ControlRequest) -> Any:
     """Return the topics of all networks that the caller may read or publish."""
-    from ropeway.gateway.process import topic_questions
-
     role = asked.caller.role
     found = await asked.manager.ask_one(topic_questions.list_topics, {})
     return [
@@ -48,8 +47,6 @@ async def read_value(asked: ControlRequest) -> Any:
     Long arrays are cut, and of an image there is a small picture. The first answer has no message yet: the topic is
     read from then on, as long as somebody asks.
     """
-    from ropeway.gateway.process import topic_questions
-
     name = _name(asked.query.get("name", ""))
     asked.caller.demand_topic("subscribe", name)
     after = asked.query.get("after", "") or "0"
@@ -67,8 +64,6 @@ async def publish(asked: ControlRequest) -> Any:
 
     A command lease (``safety``) guards it as it guards commands over a link. Returns the number of readers.
     """
-    from ropeway.gateway.process import topic_questions
-
     body: MessageBody = asked.body
     name = asked.noted["name"] = _name(body.name)
     asked.caller.demand_topic("publish", name)

@@ -6,9 +6,10 @@ name crosses the pipe to a worker; ``params`` and the answer are JSON.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
+
+from ropeway.loading import load
 
 __all__ = ["Question", "find_question", "question_name"]
 
@@ -20,8 +21,8 @@ def question_name(question: Question) -> str:
     return f"{question.__module__}:{question.__qualname__}"
 
 
-def find_question(name: str) -> Question:
-    """Return the question of a name, which came from our own supervisor."""
+async def find_question(name: str) -> Question:
+    """Return the question of a name, which came from our own supervisor; messages cross while it is loaded."""
     module, _, function = name.partition(":")
-    found: Question = getattr(importlib.import_module(module), function)
+    found: Question = getattr(await load(module), function)
     return found

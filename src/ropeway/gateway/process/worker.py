@@ -83,7 +83,8 @@ async def _listen(gateway: Gateway, stdin: asyncio.StreamReader, chores: Chores)
 async def _answer(gateway: Gateway, message: dict[str, Any]) -> None:
     number = message["id"]
     try:
-        _say({"answer": number, "value": await find_question(message["ask"])(gateway, message["params"])})
+        question = await find_question(message["ask"])
+        _say({"answer": number, "value": await question(gateway, message["params"])})
     except ConfigError as error:
         _say({"answer": number, "error": str(error), "problems": error.problems})
     except ControlRefused as error:

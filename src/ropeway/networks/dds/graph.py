@@ -33,7 +33,7 @@ from ropeway.networks.dds.names import dds_topic, dds_type
 from ropeway.networks.dds.participant import DdsParticipant
 from ropeway.networks.dds.profile import make_profile
 from ropeway.networks.dds.publisher import DdsPublisher
-from ropeway.networks.dds.raw import DdsError
+from ropeway.networks.dds.raw import DdsError, lib, load
 from ropeway.networks.dds.raw_endpoints import RawWriter
 from ropeway.networks.dds.readers import DdsReaders, DdsSubscription, Types
 from ropeway.networks.dds.records import Discovered
@@ -113,7 +113,8 @@ class DdsGraph(ComposingGraph):
         self._pairs = 0
 
     async def _join(self) -> None:
-        profile = make_profile(self.name, self._interface)
+        await asyncio.to_thread(load, self.name)
+        profile = make_profile(self.name, self._interface, answers_from_loopback=lib.answers_from_loopback)
         participant = DdsParticipant(
             self.name, self.domain, profile, self.node, self.gateway_id, self._clock, self._on_discovered
         )

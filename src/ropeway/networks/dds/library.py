@@ -42,8 +42,13 @@ LAYOUTS: Final = (
     Layout("11.0", timestamp=32, size=64, header=116),
     Layout("0.10", timestamp=32, size=56, header=108),
     Layout("0.10 with shared memory", timestamp=32, size=72, header=124),
+    Layout("0.10 with assertions", timestamp=32, size=56, header=116),
+    Layout("0.10 with shared memory and assertions", timestamp=32, size=72, header=132),
 )
-"""The layouts that are known, on machines of 64 bits; ``selftest`` tells which the library has."""
+"""The layouts that are known, on machines of 64 bits; ``selftest`` tells which the library has.
+
+Those with assertions are of a ROS 2 that was built without ``NDEBUG``, as colcon does unless told otherwise.
+"""
 
 _ROS_FOLDER: Final = Path("/opt/ros")
 _SYSTEM_FOLDERS: Final = (

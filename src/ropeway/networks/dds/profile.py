@@ -47,12 +47,21 @@ def _quoted(text: str) -> str:
     return f'"{text.translate(_ENTITIES)}"'
 
 
-def make_profile(graph: str, interface: str | None = None, environ: Mapping[str, str] | None = None) -> Profile:
+def make_profile(
+    graph: str,
+    interface: str | None = None,
+    environ: Mapping[str, str] | None = None,
+    *,
+    answers_from_loopback: bool = True,
+) -> Profile:
     """Make the profile for ``interface`` (a name or an address; ``None`` leaves the choice to Cyclone DDS).
 
     ROS's own variables are honoured: ``ROS_AUTOMATIC_DISCOVERY_RANGE``, ``ROS_LOCALHOST_ONLY``,
-    ``ROS_STATIC_PEERS``. What ``CYCLONEDDS_URI`` selects goes before ``None`` and before ROS's variables. Raises
-    ``GraphUnavailable`` for an interface that this machine does not have, or that is not the one selected there.
+    ``ROS_STATIC_PEERS``. What ``CYCLONEDDS_URI`` selects goes before ``None`` and before ROS's variables.
+    ``answers_from_loopback``: the library reaches, from the loopback interface, a node of this machine that tells the
+    address of another interface, as those of Fast DDS do; one that does not is left the choice of its interface where
+    ``ROS_AUTOMATIC_DISCOVERY_RANGE`` alone asks for this machine, as rmw_cyclonedds does. Raises ``GraphUnavailable``
+    for an interface that this machine does not have, or that is not the one selected there.
     """
     env = os.environ if environ is None else environ
     reach = _discovery_range(graph, env)
@@ -70,7 +79,7 @@ def make_profile(graph: str, interface: str | None = None, environ: Mapping[str,
             )
         interface = None  # naming it twice is an error for Cyclone DDS
     elif interface is None and reach == "LOCALHOST" and all(_is_loopback(p) for p in peers):
-        interface = "lo"
+        interface = "lo" if answers_from_loopback or _localhost_only(env) else None
     element = _interface_element(graph, interface) if interface else ""
     loopback = any(_is_loopback(name) for name in selected or ((interface,) if interface else ()))
     unicast = loopback or reach in ("LOCALHOST", "OFF")

@@ -233,6 +233,9 @@ class Lib:
     name = "Cyclone DDS"
     """The library for people: its path and version."""
 
+    answers_from_loopback = True
+    """Whether it reaches, from the loopback interface, nodes of this machine that tell the address of another one."""
+
     version = library.LAYOUTS[0].version
     timestamp_at = library.LAYOUTS[0].timestamp
     size_at = library.LAYOUTS[0].size
@@ -332,6 +335,7 @@ def load(graph: str) -> None:
                     graph, f"{found.path} lacks {symbol}, so Ropeway does not know this build; see docs/install.md"
                 ) from None
             function = stand_ins[symbol]
+            Lib.answers_from_loopback = False  # 0.10, which does not look where a packet came from
         setattr(lib, symbol.removeprefix("dds_").removeprefix("ddsi_"), function)
     _, result, arguments = _PROTOTYPES["ddsi_serdata_from_ser_iov"]
     lib.serdata_from_ser_iov_nogil = ct.CFUNCTYPE(result, *arguments)(("ddsi_serdata_from_ser_iov", found.dll))

@@ -51,7 +51,7 @@ class World:
         return node
 
     async def graph(self, name: str = "ours") -> DdsGraph:
-        graph = DdsGraph(DOMAIN, name=name, interface="lo", gateway_id=name, registry=REGISTRY)
+        graph = DdsGraph(DOMAIN, name=name, gateway_id=name, registry=REGISTRY)  # on this machine, as the nodes are
         await graph.open()
         self.stack.push_async_callback(graph.close)
         return graph

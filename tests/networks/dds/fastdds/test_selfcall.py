@@ -13,7 +13,7 @@ from tests.support.until import PATIENCE_S
 PRELUDE = """
 import ctypes, sys
 from ropeway.networks.dds import raw
-from ropeway.networks.dds.fastdds import serdata_hook as hook, selfcall
+from ropeway.networks.dds.fastdds import early_reader, serdata_hook as hook, selfcall
 raw.load("test")
 """
 
@@ -38,7 +38,9 @@ def test_passes() -> None:
         ("hook._SERTYPE_NAME = 40", "the name of a type is not where it should be"),
         ("hook._Version.seq = property(lambda version: -64)", "a writer's number does not count"),
         ("hook._FROM_TYPE['keyhash'] = hook._FROM_TYPE['readers'] + 16", "not where it should be|not tell who waits"),
-        ("hook._WRITER_GUID = 12", "a writer is not found behind its handle"),
+        ("hook._WRITER_GUID = 12", "a writer or reader is not found behind its handle"),
+        ("early_reader._PLACES = ((-16, b''),)", "the flags of a reader are not where they should be"),
+        ("early_reader._WANTS_HISTORY = 4", "the flags of a reader have another order"),
         ("hook._GET_SIZE = 0", "the table of functions is another one"),
         ("hook._Version.no_key = property(lambda version: b'another')", "the table of functions has another order"),
         ("hook._MESSAGE_BYTES = 40", "no RTPS"),

@@ -14,6 +14,7 @@ from typing import Final
 
 from ropeway.errors import GraphUnavailable
 from ropeway.networks.dds.fastdds import serdata_hook as hook
+from ropeway.networks.dds.fastdds.early_reader import check_layout
 from ropeway.networks.dds.fastdds.frames import HelperFrame, Op, Spec
 from ropeway.networks.dds.fastdds.identity import PID_RELATED, PID_RELATED_OLD, SampleIdentity
 from ropeway.networks.dds.fastdds.node import FastNode
@@ -53,6 +54,7 @@ class _Call:
         profile = Profile(_xml(os.urandom(8).hex()))
         server = FastNode(_NUMBERS[0], profile, "", self._asked.put, self._fail, everyone=True)
         try:
+            check_layout(server.participant)
             client = FastNode(_NUMBERS[1], profile, "", self._told.put, self._fail, everyone=True)
             try:
                 fault = self._meet(server, client)

@@ -32,7 +32,7 @@ from ropeway.networks.dds.fastdds.identity import HEADER_BYTES, SampleIdentity, 
 from ropeway.networks.dds.raw import DdsError, check, lib
 from ropeway.networks.dds.raw_endpoints import tell_padding
 
-__all__ = ["HookError", "RelatedWriter", "faults", "install", "notes", "origin_of"]
+__all__ = ["HookError", "RelatedWriter", "faults", "find_end", "install", "notes", "origin_of"]
 
 
 class _Version(NamedTuple):
@@ -279,7 +279,7 @@ class RelatedWriter:
         self._sertype = sertype
         if _word(self._sertype + _SERTYPE_OPS) not in _hooks:
             raise HookError("a writer has a type that is not hooked")
-        at = _find_writer(entity, self.guid, self._sertype)
+        at = find_end(entity, self.guid, self._sertype)
         self._seq, self._keyhash = _u64_at(at + _VERSIONS[_number()].seq), _u32_at(at + _FROM_TYPE["keyhash"])
         self._acks = _u32_at(at + _FROM_TYPE["acks"])
         low, high = struct.unpack("=II", _read(at + _FROM_TYPE["whc"], 8))
@@ -310,8 +310,8 @@ class RelatedWriter:
         return before + 1
 
 
-def _find_writer(entity: int, guid: bytes, sertype: int) -> int:
-    """Find where a writer keeps the pointer to its type, in the memory of the protocol's half of it."""
+def find_end(entity: int, guid: bytes, sertype: int) -> int:
+    """Return where a writer or reader keeps the pointer to its type, in the memory of the protocol's half of it."""
     pinned = ct.c_void_p()
     check(lib.entity_pin(entity, ct.byref(pinned)), "entity_pin")
     try:
@@ -324,7 +324,7 @@ def _find_writer(entity: int, guid: bytes, sertype: int) -> int:
                 break
     finally:
         lib.entity_unpin(pinned)
-    raise HookError("a writer is not found behind its handle")
+    raise HookError("a writer or reader is not found behind its handle")
 
 
 # Reading memory that may not be there -------------------------------------------------------------------------------

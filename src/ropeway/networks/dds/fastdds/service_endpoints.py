@@ -16,6 +16,7 @@ from ropeway.graph.base import Undelivered
 from ropeway.networks.dds import raw
 from ropeway.networks.dds.endpoint_qos import reader_qos, writer_qos
 from ropeway.networks.dds.fastdds import serdata_hook as hook
+from ropeway.networks.dds.fastdds.early_reader import take_early
 from ropeway.networks.dds.fastdds.frames import MAX_BODY_BYTES, HelperFrame, Op, Spec
 from ropeway.networks.dds.fastdds.identity import (
     NOBODY,
@@ -117,6 +118,7 @@ class _End:
         else:
             with reader_qos(_READ_QOS, mark) as qos:
                 made = check(lib.create_reader(self.node.participant, entity, qos, None), f"create reader {topic}")
+            take_early(made, sertype)
         entities.append(made)
         return made
 
