@@ -44,23 +44,24 @@ async def test_a_page_of_this_machine(place: Place, origin: str) -> None:
 
 
 async def test_another_name(place: Place, caplog: pytest.LogCaptureFixture) -> None:
-    """A request under a name that is not ours is refused over WebSocket and HTTP, and told which key makes it ours."""
+    """A page under a name that is not ours is refused, and told which key makes it ours; a program comes in."""
     assert (await fetch(place.port, "/", host="evil.example:9090")).status == 403
     answer = await fetch(place.port, "/", host="evil.example")
     assert b"gateway.auth.hosts" in answer.body
-    client = await place.client(named="evil.example")
+    client = await place.client(named="evil.example", headers={"Origin": "http://localhost"})
     assert client.status.split(" ")[1] == "403"
+    assert (await place.client(named="cloud.example")).status.split(" ")[1] == "101"
     assert "gateway.auth.hosts" in caplog.text
     assert place.entrance.refused == {"403 this is not known as a name of this server": 3}
 
 
 async def test_a_token_is_enough(bare: Place) -> None:
-    """Whoever shows a token may use any name for us; whoever shows none may not."""
+    """A page that shows a token may use any name for us; one that shows none may not."""
     await bare.start(door=Door(TOKENS, default=Role("viewer", {})))
-    assert (await bare.client(named="cloud.example", headers={"Authorization": "Bearer open-sesame"})).status[
-        9:12
-    ] == "101"
-    assert (await bare.client(named="cloud.example")).status[9:12] == "403"
+    page = {"Origin": "http://localhost"}
+    shown = {**page, "Authorization": "Bearer open-sesame"}
+    assert (await bare.client(named="cloud.example", headers=shown)).status[9:12] == "101"
+    assert (await bare.client(named="cloud.example", headers=page)).status[9:12] == "403"
 
 
 async def test_guessing(bare: Place, caplog: pytest.LogCaptureFixture) -> None:

@@ -160,6 +160,8 @@ async def test_killed_worker(stack: AsyncExitStack, workers: int | str, caplog: 
         assert killed is not None
         killed.send_signal(signal.SIGKILL)
         await killed.wait()
+        # What the killed one had sent may still be on its way: it says nothing of the one that takes its place.
+        await until(lambda k=killed: supervisor.workers[0].process is not k and supervisor.workers[0].running)
         heard = len(clouds[0].heard)
         await until(lambda h=heard: len(clouds[0].heard) > h + 10)
         back = supervisor.workers[0].process

@@ -113,8 +113,10 @@ class DdsGraph(ComposingGraph):
         self._pairs = 0
 
     async def _join(self) -> None:
+        profile = make_profile(self.name, self._interface)  # refuses a bad interface before anything is waited for
         await asyncio.to_thread(load, self.name)
-        profile = make_profile(self.name, self._interface, answers_from_loopback=lib.answers_from_loopback)
+        if not lib.answers_from_loopback:
+            profile = make_profile(self.name, self._interface, answers_from_loopback=False)
         participant = DdsParticipant(
             self.name, self.domain, profile, self.node, self.gateway_id, self._clock, self._on_discovered
         )

@@ -40,7 +40,7 @@ def test_passes() -> None:
         ("hook._FROM_TYPE['keyhash'] = hook._FROM_TYPE['readers'] + 16", "not where it should be|not tell who waits"),
         ("hook._WRITER_GUID = 12", "a writer or reader is not found behind its handle"),
         ("early_reader._PLACES = ((-16, b''),)", "the flags of a reader are not where they should be"),
-        ("early_reader._WANTS_HISTORY = 4", "the flags of a reader have another order"),
+        ("early_reader._BOTH = 5", "the flags of a reader have another order"),
         ("hook._GET_SIZE = 0", "the table of functions is another one"),
         ("hook._Version.no_key = property(lambda version: b'another')", "the table of functions has another order"),
         ("hook._MESSAGE_BYTES = 40", "no RTPS"),

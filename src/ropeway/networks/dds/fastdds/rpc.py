@@ -6,6 +6,7 @@ import asyncio
 import hashlib
 import itertools
 import logging
+import math
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -228,12 +229,7 @@ class FastClient:
         self._waiting += 1
         try:
             until = self._loop.time() + timeout_s
-            nobody = max(_NOBODY_S, self._opened + _FRESH_S - self._loop.time())
-            if not await self.wait_available(min(timeout_s, nobody)):
-                self._check_open()
-                if timeout_s < nobody:  # it is only made where a server is known
-                    raise TimeoutError
-                raise NotServed(self.service)
+            await self._served(until)
             async with aio.timeout_at(until):
                 ticket = await self._window.enter()
             return await self._call(ticket, request.payload, until)
@@ -241,6 +237,23 @@ class FastClient:
             raise CallTimeout(self.service, timeout_s) from None
         finally:
             self._waiting -= 1
+
+    async def _served(self, until: float) -> None:
+        """Wait for a server: for one second, or as long as a helper that is new may take to find one.
+
+        Raises ``NotServed``, and ``TimeoutError`` where the time is over before that can be said.
+        """
+        began = self._loop.time()
+        while not self.available:
+            self._check_open()
+            nobody = max(began + _NOBODY_S, self._opened + _FRESH_S) if self._rpc.helper.up else math.inf
+            try:
+                async with aio.timeout_at(min(nobody, until)):
+                    await self._changed.wait()
+            except TimeoutError:
+                if until < nobody:
+                    raise
+                raise NotServed(self.service) from None
 
     async def _call(self, ticket: int, payload: bytes, until: float) -> bytes:
         number = next(self._numbers)
@@ -287,6 +300,7 @@ class FastClient:
     def on_up(self) -> None:
         """Announce this client to the helper, which has started or restarted."""
         self._opened = self._loop.time()
+        self._tell_changed()
 
     def on_down(self) -> None:
         """Fail the calls under way: the helper has ended."""

@@ -97,6 +97,8 @@ class _End:
             self._reads, self._writes = (ask, answer) if serves else (answer, ask)
             self._reader = self._make(self._reads, self._entities, writes=False)
             self.reader_guid = raw.guid_of(self._reader)
+            if serves:  # a reader of replies could wait for those to others, which nobody tells it to do without
+                take_early(self._reader, self._sertype)
             self._entity = self._make(self._writes, self._entities, writes=True)
             self.writer = RelatedWriter(self._entity, self._sertype)
             node.attach(number, self._reader, self._entity)
@@ -118,7 +120,6 @@ class _End:
         else:
             with reader_qos(_READ_QOS, mark) as qos:
                 made = check(lib.create_reader(self.node.participant, entity, qos, None), f"create reader {topic}")
-            take_early(made, sertype)
         entities.append(made)
         return made
 
