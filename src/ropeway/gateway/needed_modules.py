@@ -39,9 +39,9 @@ def needed_modules(config: Config) -> Iterator[str]:
         if remote.active:
             yield from _of_remote(remote)
     for route in config.routes():
-        if route.store:
+        if route.options.store:
             yield "ropeway.gateway.last_value"
-        if route.audit:
+        if route.options.audit:
             yield "ropeway.gateway.audit"
 
 
@@ -56,7 +56,7 @@ def _of_gateway(settings: GatewayConfig) -> Iterator[str]:
         elif is_foxglove(url):
             yield "ropeway.gateway.viewers"
         else:
-            yield from ("ropeway.networks.rosbridge.server", "ropeway.gateway.pages")
+            yield from ("ropeway.gateway.client_server", "ropeway.gateway.pages")
             if settings.foxglove.enabled:
                 yield "ropeway.gateway.viewers"
             if settings.rest:
