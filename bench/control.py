@@ -29,8 +29,9 @@ from ropeway.control.record import ChangeRecord
 from ropeway.errors import ControlError
 from ropeway.gateway.config.config import Config, load, parse
 from ropeway.gateway.gateway import Gateway
-from ropeway.gateway.journal import Journal, JournalEntry, default_journal
+from ropeway.gateway.journal import Journal, JournalEntry
 from ropeway.gateway.plan import make_plan
+from ropeway.gateway.state_place import default_journal
 from ropeway.graph.base import SEQ_NONE, Sample
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.qos import QoS

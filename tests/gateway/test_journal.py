@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from ropeway.errors import JournalError
-from ropeway.gateway.journal import Journal, JournalEntry, default_journal
+from ropeway.gateway.journal import Journal, JournalEntry
 
 
 @pytest.fixture
@@ -149,17 +149,6 @@ def test_old_entries_are_forgotten(tmp_path: Path) -> None:
         (contents,) = db.execute("SELECT count(*) FROM contents").fetchone()
     assert contents <= 51
     journal.close()
-
-
-def test_where_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Each file has a journal of its own, in the state directory of a service or of the user."""
-    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    here, there = default_journal("robot", "a.json"), default_journal("robot", "b.json")
-    assert here.parent == there.parent == tmp_path / "ropeway"
-    assert here != there
-    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/ropeway:/x")
-    assert default_journal("robot", "a.json").parent == Path("/var/lib/ropeway")
 
 
 def test_a_newer_one(tmp_path: Path) -> None:

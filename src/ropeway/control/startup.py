@@ -19,8 +19,9 @@ from ropeway.control.caller import Caller
 from ropeway.control.record import ChangeRecord, file_digest
 from ropeway.errors import ConfigError, JournalError
 from ropeway.gateway.config.config import Config, parse
-from ropeway.gateway.journal import Journal, JournalEntry, default_journal
+from ropeway.gateway.journal import Journal, JournalEntry
 from ropeway.gateway.plan import ConfigPlan, make_plan
+from ropeway.gateway.state_place import default_journal
 
 __all__ = ["Candidate", "audit_start", "candidates", "note_start", "open_record"]
 

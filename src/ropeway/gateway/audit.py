@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from ropeway.audit.note import AuditNote, Auditor
-from ropeway.gateway.journal import default_journal
+from ropeway.gateway.state_place import default_journal
 from ropeway.listener.http import without_token
 
 if TYPE_CHECKING:

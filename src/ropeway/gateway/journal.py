@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import hashlib
 import json
 import os
 import sqlite3
@@ -25,7 +24,7 @@ from typing import Any, Final
 from ropeway.errors import JournalError
 from ropeway.limits import JOURNAL_BYTES, JOURNAL_ENTRIES
 
-__all__ = ["Journal", "JournalEntry", "default_journal", "state_directory"]
+__all__ = ["Journal", "JournalEntry"]
 
 _VERSION: Final = 1
 _SCHEMA: Final = f"""
@@ -86,21 +85,6 @@ class JournalEntry:
             "note": self.note,
             "steps": list(self.plan),
         }
-
-
-def default_journal(name: str, source: str) -> Path:
-    """Return where the journal of a gateway is that runs a file: below ``XDG_STATE_HOME``, or ``~/.local/state``."""
-    digest = hashlib.sha256(os.fsencode(Path(source).resolve())).hexdigest()[:12]
-    return state_directory() / f"{name}-{digest}.journal"
-
-
-def state_directory() -> Path:
-    """Return where a gateway keeps what outlives it: the directory of its service, or one of its user."""
-    return Path(os.environ.get("STATE_DIRECTORY", "").partition(":")[0] or _user_state())
-
-
-def _user_state() -> Path:
-    return Path(os.environ.get("XDG_STATE_HOME") or "~/.local/state").expanduser() / "ropeway"
 
 
 class Journal:

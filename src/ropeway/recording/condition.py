@@ -7,8 +7,6 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-import yaml
-
 from ropeway.errors import InvalidName
 from ropeway.graph.base import resolve_name
 
@@ -33,6 +31,8 @@ class Condition:
 
     def __init__(self, text: str) -> None:
         """Read ``TOPIC.field.path OP VALUE``. Raises ``ValueError`` with what is expected."""
+        import yaml  # which a gateway without conditions does without
+
         found = _TEXT.fullmatch(text)
         if found is None:
             raise ValueError(f"{text!r} is not a condition; write one such as '/battery.percentage < 0.2'")

@@ -14,7 +14,7 @@ from weakref import WeakSet
 from ropeway import aio
 from ropeway.bridge.topic import TopicBridge
 from ropeway.errors import ConfigError
-from ropeway.gateway.journal import state_directory
+from ropeway.gateway.state_place import state_directory
 from ropeway.tasks import Supervised, end
 
 if TYPE_CHECKING:
