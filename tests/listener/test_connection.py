@@ -125,6 +125,44 @@ async def test_messages(place: Place) -> None:
     assert near.connection.frames_out == 2 * len(sizes)
 
 
+@pytest.mark.parametrize("size", [0, 1000, (1 << 16) - 14, (1 << 16) - 13, 1 << 16, 3 << 20])
+async def test_parts(place: Place, size: int) -> None:
+    """Two parts arrive as one binary frame, whoever sends them and however large they are, between others in order."""
+    await place.listen(Limits(ping_interval_s=None))
+    near = await place.connect(Limits(ping_interval_s=None))
+    await until(lambda: place.ends)
+    (far,) = place.ends
+    head, body = b"thirteen bytes", os.urandom(size)
+    for sender, receiver in ((near, far), (far, near)):
+        sender.connection.send_text(b"before")
+        sender.connection.send_binary_parts(head, body)
+        sender.connection.send_text(b"after")
+        await until(lambda r=receiver: len(r.got) == 3)
+        assert receiver.got == [("text", b"before"), ("binary", head + body), ("text", b"after")]
+        assert sender.connection.bytes_out == receiver.connection.bytes_in == len(head + body) + 11
+        assert sender.connection.frames_out == 3
+    near.connection.close()
+    await far.connection.wait_closed()
+    far.connection.send_binary_parts(head, body)
+    assert far.connection.frames_out == 3
+
+
+async def test_parts_are_not_copied(place: Place) -> None:
+    """A large message that two peers do not read yet is held once, not once for each of them."""
+    await place.listen(Limits(ping_interval_s=None))
+    clients = [await place.client() for _ in range(2)]
+    body = bytes(32 << 20)
+    tracemalloc.start()
+    try:
+        for _, end in clients:
+            end.connection.send_binary_parts(b"head", body)
+            assert end.connection.unsent_bytes > 16 << 20
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 1 << 20
+
+
 async def test_holding_back(place: Place) -> None:
     """A connection whose peer does not read says so, and says again when it can take more."""
     await place.listen(Limits(ping_interval_s=None))

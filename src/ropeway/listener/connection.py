@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -47,6 +48,10 @@ class Limits:
     budget: Budget = field(default_factory=Budget, compare=False)
 
 
+_LARGE_BYTES: Final = 1 << 16  # a frame of which a copy costs more than a list of two parts
+_LARGE_FRAME: Final = struct.Struct(">BBQ")  # the head of a frame whose size takes 64 bits, as all of this size
+_FINAL_BINARY: Final = 0x82
+_LENGTH_FOLLOWS: Final = 127
 _AGENT_CHARACTERS: Final = 200  # of what a client calls itself
 
 
@@ -131,6 +136,22 @@ class Connection(WSListener):
             self.bytes_out += size
             self.frames_out += 1
             transport.send(WSMsgType.BINARY, data)
+            self.flow.sent(size)
+
+    def send_binary_parts(self, head: bytes, body: bytes) -> None:
+        """Send two parts as one binary frame; a large ``body`` is given to the operating system without a copy.
+
+        So one message that many peers get is held once, however many of them are slow.
+        """
+        transport = self._transport
+        size = len(head) + len(body)
+        if transport is None or transport.is_client_side or size < _LARGE_BYTES:  # a client masks what it sends
+            self.send_binary(b"".join((head, body)))
+        elif self._closing is None and not self.closed:
+            self.bytes_out += size
+            self.frames_out += 1
+            start = _LARGE_FRAME.pack(_FINAL_BINARY, _LENGTH_FOLLOWS, size) + head
+            transport.underlying_transport.writelines((start, body))
             self.flow.sent(size)
 
     @property

@@ -179,9 +179,8 @@ class ViewerSender:
             stream.unreadable(error)
             return 0
         stamp = _TIME(sample.stamp_ns if self.now_ns is None else self.now_ns)
-        data = b"".join((stream.prefix, stamp, body))
-        self._connection.send_binary(data)
-        return len(data)
+        self._connection.send_binary_parts(stream.prefix + stamp, body)
+        return MESSAGE_HEADER_BYTES + len(body)
 
     def close(self) -> None:
         """Forget what waits: the viewer is gone."""
