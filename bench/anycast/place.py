@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import signal
@@ -19,13 +20,14 @@ from bench.netns import Process
 __all__ = ["Place", "place"]
 
 PORT: Final = 9090
+_places = itertools.count()
 
 
 class Machine:
     """A machine in a namespace of its own, and the link to it."""
 
     def __init__(self, name: str, robot: str, number: int, delay_ms: float, calls: str, directory: Path) -> None:
-        self.name, self.calls, self._namespace = name, calls, f"{robot}{number}"
+        self.name, self.calls, self._namespace = name, calls, f"{robot}m{number}"
         self.ip = f"10.9.{number}.2"
         self.address = f"ws://{self.ip}:{PORT}"
         self._control = directory / f"{number}.ctl"
@@ -109,7 +111,7 @@ class Place:
 @contextlib.contextmanager
 def place(delays_ms: Mapping[str, float], *, calls: str = "fixed:0.004") -> Iterator[Place]:
     """Start machines behind links with these delays (one way), and a robot; all of it ends with the block."""
-    robot = f"rwany{os.getpid()}r"
+    robot = f"rwany{os.getpid()}r{next(_places)}"
     machines: dict[str, Machine] = {}
     with tempfile.TemporaryDirectory() as directory:
         made: Place | None = None

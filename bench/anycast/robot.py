@@ -135,7 +135,7 @@ async def frames(asked: dict[str, Any]) -> dict[str, Any]:
             if index == asked.get("switch_at"):
                 made.switch()
             numbers.append(made.frame(video_s))
-        await asyncio.sleep(SETTLE_S)
+        await asyncio.sleep(asked.get("settle_s", SETTLE_S))
         first = sorted(came[0] for came in made.answers.values())
         made_by = made.group.scheduler.decisions if len(asked["addresses"]) > 1 else ()
         decisions = [(d.at_s, d.before, d.after, d.why) for d in made_by]

@@ -10,6 +10,7 @@ from ropeway.graph.calls import ActionHandlers, Goal, GoalStatus, Outcome, Serve
 from ropeway.group.bound import LatencyBound
 from ropeway.group.options import Options
 from tests.group.test_graph import FIBONACCI, Robot, robot
+from tests.support.until import PATIENCE_S
 
 pytestmark = pytest.mark.jumping
 
@@ -68,3 +69,33 @@ async def test_a_goal_that_fails(robot: Robot) -> None:
     assert await client.wait_available(1.0)
     assert (await (await client.send_goal(Goal(SEQUENCE))).result(10.0)).status is GoalStatus.ABORTED
     assert group.status()["members"]["edge1"]["result_s"] is None
+
+
+async def test_the_machine_of_a_goal_dies(robot: Robot) -> None:
+    """A goal whose machine is gone is aborted at once, and is carried out by no other; the next one goes to another."""
+    await robot.start({"edge1": 0.01, "edge2": 0.01})
+    begun: dict[str, asyncio.Event] = {}
+
+    async def serve_forever(name: str) -> None:
+        begun[name] = asyncio.Event()
+
+        async def execute(goal: ServerGoal) -> Outcome:
+            begun[name].set()
+            await goal.cancelled.wait()
+            return Outcome(GoalStatus.CANCELED, SEQUENCE)
+
+        await robot.machines[name].graph.create_action_server("/fibonacci", FIBONACCI, ActionHandlers(execute))
+
+    for name in ("edge1", "edge2"):
+        await serve_forever(name)
+    client = await robot.group.create_action_client("/fibonacci", FIBONACCI)
+    assert await client.wait_available(1.0)
+    goal = await client.send_goal(Goal(SEQUENCE))
+    await begun["edge1"].wait()
+    await robot.machines["edge1"].graph.close()
+    robot.links["edge1"].reached(False)
+    assert (await goal.result(PATIENCE_S)).status is GoalStatus.ABORTED
+    assert not begun["edge2"].is_set()
+    after = await client.send_goal(Goal(SEQUENCE))
+    await begun["edge2"].wait()
+    assert await after.cancel()

@@ -27,6 +27,10 @@ def test_statistics() -> None:
     assert (found.min, found.median, found.max) == (0.010, 0.030, 0.050)
     assert found.mean == pytest.approx(statistics.fmean(latencies))
     assert found.stddev == pytest.approx(statistics.pstdev(latencies))
+    assert found.error_s == pytest.approx(found.stddev / 5**0.5)
+    assert window.recent_s(2) == pytest.approx(0.045)
+    assert window.recent_s(9) == pytest.approx(0.030)
+    assert LatencyWindow().recent_s(2) is None
     assert (found.percentile(20), found.percentile(21), found.percentile(100)) == (0.010, 0.020, 0.050)
 
 

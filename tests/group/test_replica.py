@@ -70,3 +70,15 @@ def test_rank() -> None:
     assert met.rank(bound, 0.0) < unknown.rank(bound, 0.0) < missed.rank(bound, 0.0)
     assert unknown.numbers(0.0) == "nothing is known of it"
     assert "mean 10.0 ms" in met.numbers(0.0)
+
+
+def test_what_rises_for_all() -> None:
+    """What requests take more than when two members were asked together may be so for both, within what it varied."""
+    made, other = replica(0.02, 0.04), replica(0.03)
+    for member in (made, other):
+        member.remember(1.0)
+    assert made.risen_s(0.03, other) == 0.0
+    assert made.risen_s(0.04, other) == pytest.approx(0.01)
+    assert made.risen_s(0.5, other) == pytest.approx(0.03)
+    other.remember(2.0)
+    assert made.risen_s(0.04, other) == 0.0

@@ -355,3 +355,30 @@ def test_quiet() -> None:
     assert scheduler.alone(now_s + 0.2) == ""
     scheduler.left(next(name for name in ("a", "b") if name != current), now_s + 0.2)
     assert scheduler.alone(now_s + 0.2) == ""
+
+
+def test_weather_that_all_share() -> None:
+    """Where all machines become slower together, the one that is better stays in use, and no other one is tried."""
+    rng = random.Random(7)
+    for _ in range(40):
+        weather = [rng.gauss(0, 0.004)]
+
+        def all_take(now_s: float, weather: list[float] = weather) -> float:
+            while len(weather) <= now_s / PERIOD_S:
+                weather.append(0.9 * weather[-1] + rng.gauss(0, 0.00174))
+            return weather[int(now_s / PERIOD_S)]
+
+        near, far = (lambda now_s, base=base: base + all_take(now_s) for base in (0.036, 0.042))  # type: ignore[misc]
+        play = Play({"far": far, "near": near}, stateless=False)
+        play.run(2.0)
+        assert play.scheduler.current == "near"
+        assert [d.after for d in play.scheduler.decisions if d.at_s > 0.3] == []
+
+
+def test_a_rise_of_its_own() -> None:
+    """A machine that alone becomes slower than all varied before is left, though requests have to go to one."""
+    play = Play({"a": always(0.010), "b": always(0.012)}, stateless=False)
+    play.run(1.0)
+    play.machines["a"] = always(0.060)
+    play.run(1.0)
+    assert play.scheduler.current == "b"

@@ -60,6 +60,11 @@ class Statistics:
         mean = self.mean
         return math.sqrt(statistics.fmean((value - mean) ** 2 for value in self.values))
 
+    @property
+    def error_s(self) -> float:
+        """Return the standard error of the mean."""
+        return self.stddev / len(self.values) ** 0.5
+
     def percentile(self, percent: float) -> float:
         """Return the smallest value that ``percent`` of all do not exceed."""
         return self.values[max(0, math.ceil(len(self.values) * percent / 100) - 1)]
@@ -140,6 +145,11 @@ class LatencyWindow:
                 break
             found += now_s - asked_s > limit_s
         return found
+
+    def recent_s(self, count: int) -> float | None:
+        """Return the mean of the last ``count`` latencies, ``None`` without any."""
+        last = list(islice(reversed(self._latencies), count))
+        return statistics.fmean(latency_s for _, latency_s in last) if last else None
 
     def waits_since_s(self) -> float:
         """Return when the oldest request was asked that came after all that were answered, infinity without one."""

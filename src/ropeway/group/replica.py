@@ -15,6 +15,7 @@ Rank = tuple[int, float, float]
 """Orders members, the most promising first: the standing, the mean with its requests in flight, and its penalty."""
 
 _MOST_PENALTY_S: Final = 300.0
+_TOGETHER: Final = 3  # standard deviations
 _ERRORS: Final = 2  # standard errors of a mean: nineteen of twenty are within
 _ORDER: Final = (Standing.MET, Standing.UNKNOWN, Standing.MISSED)
 
@@ -34,6 +35,7 @@ class Replica:
     known_s: float | None = None  # the mean when it was asked last, which outlives its window
     known_at_s: float = float("-inf")
     unsure_s: float = 0.0  # by how much that mean may be chance
+    spread_s: float = 0.0  # the standard deviation then
 
     def late_in_a_row(self, now_s: float, limit_s: float | None) -> int:
         """Return how many requests in a row took longer than the limit, those without an answer included."""
@@ -62,7 +64,8 @@ class Replica:
         found = self.window.statistics(now_s)
         if found is not None:
             self.known_s, self.known_at_s = found.mean, now_s
-            self.unsure_s = _ERRORS * found.stddev / len(found.values) ** 0.5
+            self.spread_s = found.stddev
+            self.unsure_s = _ERRORS * found.error_s
         return found
 
     def recalled(self, now_s: float, options: Options) -> float | None:
@@ -76,6 +79,15 @@ class Replica:
         """Return the least mean that it may have, after what was seen of it when it was asked last."""
         known_s = self.recalled(now_s, options)
         return None if known_s is None else known_s - self.unsure_s
+
+    def risen_s(self, now_mean_s: float, other: Replica) -> float:
+        """Return by how much more requests take now than when ``other`` was asked as well, as far as they all may.
+
+        Latencies rise and fall together, within what they varied by then; what is more is this member's own.
+        """
+        if self.known_s is None or self.known_at_s != other.known_at_s:
+            return 0.0
+        return min(max(now_mean_s - self.known_s, 0.0), _TOGETHER * self.spread_s)
 
     def lost(self, now_s: float, options: Options) -> None:
         """Leave it alone for a while, which doubles with each loss."""

@@ -93,6 +93,7 @@ class Scheduler:
         self._judge_at_s = self._pause_until_s = _NEVER_S
         self._ranked: tuple[float, list[str]] | None = None  # until when it is good
         self._came_from = ""  # where the last change came from, while it is on probation
+        self._was_s = 0.0  # what that one took just before: the weather is the same
         self._quiet_until_s = _NEVER_S  # nothing is to be decided before, unless something happens
 
     # ── what is ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -344,7 +345,10 @@ class Scheduler:
         elif now_s - self._since_s >= self.options.least_dwell_s:
             known_s = rival.may_take_s(now_s, self.options)
             enough = found.answered + found.pending >= ENOUGH * self.options.pairs
+            if known_s is not None:
+                known_s += member.risen_s(found.mean, rival)
             if known_s is None or (enough and known_s < found.mean * (1 - self.options.margin)):
+                self._was_s = member.window.recent_s(ENOUGH * self.options.pairs) or found.mean
                 self._change(rival.name, now_s, why)
                 self._came_from = member.name
                 rival.window.clear()  # it has to prove itself now
@@ -355,11 +359,11 @@ class Scheduler:
         found = member.window.statistics(now_s)
         if found is None or found.answered + found.pending < self.options.pairs:
             return
-        was_s = before.recalled(now_s, self.options) or 0.0
+        was_s = self._was_s
         enough = found.answered >= ENOUGH * self.options.pairs
         if not enough and found.mean <= _CLEARLY * was_s:
             return  # a few answers prove only what is far worse
-        if bad and before.here and found.mean > was_s:
+        if bad and before.here and found.mean - found.error_s > was_s:
             member.lost(now_s, self.options)
             self._change(before.name, now_s, f"{member.name} proved no better ({member.numbers(now_s)})")
         elif found.answered < self.options.pairs:
