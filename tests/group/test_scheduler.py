@@ -368,7 +368,7 @@ def test_weather_that_all_share() -> None:
                 weather.append(0.9 * weather[-1] + rng.gauss(0, 0.00174))
             return weather[int(now_s / PERIOD_S)]
 
-        near, far = (lambda now_s, base=base: base + all_take(now_s) for base in (0.036, 0.042))  # type: ignore[misc]
+        near, far = (lambda now_s, base=base: base + all_take(now_s) for base in (0.036, 0.042))
         play = Play({"far": far, "near": near}, stateless=False)
         play.run(2.0)
         assert play.scheduler.current == "near"

@@ -63,7 +63,7 @@ class Statistics:
     @property
     def error_s(self) -> float:
         """Return the standard error of the mean."""
-        return self.stddev / len(self.values) ** 0.5
+        return self.stddev / math.sqrt(len(self.values))
 
     def percentile(self, percent: float) -> float:
         """Return the smallest value that ``percent`` of all do not exceed."""
