@@ -12,7 +12,7 @@ from ropeway.cli.console import print_json
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-__all__ = ["GroupOption", "drawn", "show"]
+__all__ = ["GroupOption", "drawn", "named", "show"]
 
 GroupOption = Annotated[
     str, typer.Option("--group", help="Title or addresses of the group; default: the only one.", show_default=False)
@@ -51,8 +51,15 @@ def drawn(group: Mapping[str, Any]) -> RenderableType:
     names = {address: name for name, address in group["machines"].items()}
     for address, member in group["members"].items():
         table.add_row(names.get(address, address), *_cells(member, address == group["current"]))
-    last = [Text(line) for line in group["decisions"][-_LAST:]]
+    last = [Text(named(line, names)) for line in group["decisions"][-_LAST:]]
     return Group(table, *last)
+
+
+def named(text: str, names: Mapping[str, str]) -> str:
+    """Return a text with the names of machines in the place of their addresses."""
+    for address in sorted(names, key=len, reverse=True):  # an address may begin another one
+        text = text.replace(address, names[address])
+    return text
 
 
 def _cells(member: Mapping[str, Any], current: bool) -> list[str]:

@@ -27,10 +27,10 @@ def draw(story: Story, output: Path) -> bool:
             axis.plot(*zip(*mine, strict=True), ".", markersize=4, label=name)
     for at_s, name, _ in story.changes:
         axis.axvline(at_s, color="tab:red", linewidth=1)
-        axis.text(at_s, axis.get_ylim()[1], name, rotation=90, va="top", ha="right", fontsize=8)
+        above = axis.get_xaxis_transform()  # seconds, and parts of the height
+        axis.text(at_s, 1.01, name, transform=above, rotation=45, va="bottom", ha="left", fontsize=8)
     axis.set(xlabel="s", ylabel="latency of the answer in ms")
-    axis.legend(loc="upper left", fontsize=8)
-    figure.tight_layout()
-    figure.savefig(output, dpi=120)
+    axis.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=8)
+    figure.savefig(output, dpi=120, bbox_inches="tight")
     pyplot.close(figure)
     return True

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from ropeway import aio
-from ropeway.cli.anycast.table import drawn
+from ropeway.cli.anycast.table import drawn, named
 from ropeway.cli.demo.gateways import free_port
 from ropeway.cli.demo_anycast.machine import ANSWER, FRAME
 from ropeway.cli.demo_anycast.slow_link import SlowLink
@@ -165,12 +165,16 @@ async def _drive(
     for decision in group.graph.scheduler.decisions:
         if decision.before != decision.after and decision.at_s >= begins:
             machine = names.get(decision.after, "nobody")
-            story.changes.append((decision.at_s - begins, machine, decision.why))
+            story.changes.append((decision.at_s - begins, machine, named(decision.why, names)))
     return story
 
 
 def _screen(stack: AsyncExitStack) -> Callable[[LinkGroupRemote], None]:
+    from rich.console import Console
     from rich.live import Live
 
-    screen = stack.enter_context(Live(auto_refresh=False))
+    console = Console()
+    if not console.is_terminal:
+        stack.callback(console.line)  # what is said next begins a line of its own
+    screen = stack.enter_context(Live(console=console, auto_refresh=False))
     return lambda group: screen.update(drawn(group.commands.report()), refresh=True)
