@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from ropeway.gateway.config.address import is_foxglove, is_iort
+from ropeway.gateway.config.address import is_foxglove, is_iort, is_mqtt
 from ropeway.gateway.config.config import Config
 from ropeway.gateway.config.model import GatewayConfig, RemoteConfig
 from ropeway.gateway.config.overlay_model import OVERLAY
@@ -13,10 +13,18 @@ from ropeway.gateway.config.overlay_model import OVERLAY
 __all__ = ["needed_modules"]
 
 _OVERLAY: Final = ("ropeway.networks.overlay.node", "ropeway.networks.overlay.graph")
+_MQTT: Final = ("ropeway.networks.mqtt.graph", "ropeway.networks.mqtt.maps")
+_RECORDING: Final = (
+    "ropeway.gateway.recording.recorder",
+    "ropeway.gateway.recording.route_tap",
+    "ropeway.gateway.recording.link_report",
+)
 _NETWORKS: Final[Mapping[str, Sequence[str]]] = {
     "auto": ("ropeway.networks.dds.graph", "ropeway.networks.ros2"),
     "dds": ("ropeway.networks.dds.graph",),
     "memory": ("ropeway.networks.memory.graph",),
+    "mqtt": _MQTT,
+    "mqtts": _MQTT,
     "overlay": _OVERLAY,
     "ros1": ("ropeway.networks.ros1",),
     "ros2": ("ropeway.networks.ros2",),
@@ -65,6 +73,8 @@ def _of_gateway(settings: GatewayConfig) -> Iterator[str]:
         yield "ropeway.gateway.rest.outgoing"
     if settings.diagnostics:
         yield "ropeway.gateway.diagnostics"
+    if settings.record:
+        yield from _RECORDING
     if settings.tls is not None:
         yield "cryptography.x509"
 
@@ -78,6 +88,8 @@ def _of_remote(remote: RemoteConfig) -> Iterator[str]:
             yield "ropeway.gateway.automatic"
     elif is_iort(remote.address):
         yield "ropeway.networks.iort.graph"
+    elif is_mqtt(remote.address):
+        yield from _MQTT
     elif len(remote.addresses) > 1:
         yield "ropeway.gateway.group"
     elif len(remote.interfaces) > 1:
