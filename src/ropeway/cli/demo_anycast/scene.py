@@ -14,6 +14,8 @@ from ropeway.cli.anycast.table import drawn, named
 from ropeway.cli.demo.gateways import free_port
 from ropeway.cli.demo_anycast.machine import ANSWER, FRAME
 from ropeway.cli.demo_anycast.slow_link import SlowLink
+from ropeway.control.control import Control
+from ropeway.control.manager import Manager
 from ropeway.errors import RopewayError
 from ropeway.gateway.config import config
 from ropeway.gateway.gateway import Gateway
@@ -23,6 +25,9 @@ from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.types import TypeRegistry
 
 __all__ = ["Story", "play"]
+
+NAME: Final = "demo-anycast"
+"""By which commands find the robot's gateway."""
 
 LINKS_S: Final = {"edge1": 0.002, "edge2": 0.006, "cloud": 0.02}  # one way
 SLOW_S: Final = 0.06  # more, each way
@@ -83,11 +88,24 @@ async def play(seconds: float, *, live: bool, say: Callable[[str], None]) -> Sto
             "publish": [{"name": "/camera", "type": FRAME}],
             "subscribe": [{"name": "/found", "type": ANSWER}],
         }
-        settings = {"name": "robot", "graphs": ["memory:robot"], "listen": [], "control": {"name": "demo-anycast"}}
+        settings = {"name": "robot", "graphs": ["memory:robot"], "listen": [], "control": {"name": NAME}}
         gateway = await stack.enter_async_context(Gateway(config.parse({"gateway": settings, "remotes": [remote]})))
+        await _controlled(stack, gateway, say)
         group = gateway.remotes[0]
         assert isinstance(group, LinkGroupRemote)
         return await _drive(stack, group, links, {a: n for n, a in addresses.items()}, seconds, live=live)
+
+
+async def _controlled(stack: AsyncExitStack, gateway: Gateway, say: Callable[[str], None]) -> None:
+    """Let commands look at the group while it runs, and change it."""
+    manager = Manager(gateway)
+    stack.push_async_callback(manager.close)
+    try:
+        await stack.enter_async_context(Control(manager))
+    except RopewayError as error:  # another demo runs here: this one goes on without
+        say(f"commands do not reach this demo: {error}")
+    else:
+        say(f"to look at it from another terminal: ropeway anycast status {NAME} --watch")
 
 
 async def _machine(stack: AsyncExitStack, name: str, port: int) -> None:
