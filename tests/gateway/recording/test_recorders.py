@@ -32,6 +32,8 @@ def recorded(directory: Path, topic: str) -> list[bytes]:
     """Return the payloads of a topic in all files, also of what is no CDR."""
     found: list[tuple[int, bytes]] = []
     for path in files(directory):
+        if not path.stat().st_size:
+            continue
         with open_recording(path) as recording:
             ids = [channel.id for channel in recording.channels if channel.topic == topic]
             found += [(time_ns, raw) for _, time_ns, raw in recording.messages(ids)] if ids else []
@@ -139,19 +141,16 @@ async def test_links_and_drops(pair: Pair) -> None:
     await inbox.wait(1)
     route = pair.robot.remotes[0].joined()[0].bridge
     await until(lambda: sum(route.drops.values()) == 4)
-    await until(lambda: pair.robot.status()["remotes"][0].get("rtt_ms"))
-    before = pair.state()["messages"]
-    await until(lambda: pair.state()["messages"] > before + 3)  # more than one look at the figures has left to write
+    await until(lambda: any("rtt_ms" in one for one in told(pair.directory, "/ropeway/links")))
     await pair.cloud.__aexit__(None, None, None)
     await until(lambda: pair.robot.remotes[0].state != "connected")
-    before = pair.state()["messages"]
-    await until(lambda: pair.state()["messages"] > before + 1)
+    await until(
+        lambda: any(one["before"] == "connected" != one["state"] for one in told(pair.directory, "/ropeway/links"))
+    )
     await pair.robot.recorders.stop("")
     links = told(pair.directory, "/ropeway/links")
     changes = [(one["before"], one["state"]) for one in links if one["before"] != one["state"]]
     assert any(state == "connected" for _, state in changes)
-    assert any(before == "connected" for before, _ in changes)
-    assert any("rtt_ms" in one for one in links)
     assert [(one["route"], one["count"]) for one in told(pair.directory, "/ropeway/drops")] == [("publish /a", 4)]
 
 
