@@ -80,6 +80,9 @@ class ClipRecorder:
     def trigger(self, why: str) -> None:
         """Begin a clip, or make the one that is being written longer."""
         self.triggers += 1
+        self._begin_or_go_on(why)
+
+    def _begin_or_go_on(self, why: str) -> None:
         if self._writer is None:
             if self._closing:
                 self._waiting = self._waiting or why
@@ -121,7 +124,7 @@ class ClipRecorder:
             self._closing = False
             why, self._waiting = self._waiting, ""
             if why:
-                self.trigger(why)
+                self._begin_or_go_on(why)
 
     async def _close_clip(self, writer: RecordingWriter) -> None:
         try:

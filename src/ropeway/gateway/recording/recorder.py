@@ -56,6 +56,7 @@ class Recorder:
         self._hubs, self._registry, self._part, self._again_s = hubs, registry, part, again_s
         self._writer: RecordingWriter | None = None
         self._clips: ClipRecorder | None = None
+        self._failed = asyncio.Event()
         self._task: Supervised | None = None
         self._view: View | None = None
         self._graph: GraphRecorder | None = None
@@ -98,6 +99,7 @@ class Recorder:
             ring = Ring(config.ring_s, config.ring_bytes)
             self._clips = ClipRecorder(ring, config.after_s, self._files, on_clip=self._whole)
         else:
+            self._begin_writer()
             self._task = Supervised(self._write, f"recorder {config.name}").start()
         conditions = [Condition(text) for text in config.when]
         if config.topics or conditions:
@@ -184,14 +186,18 @@ class Recorder:
     async def _write(self) -> None:
         """Write all the time; begin again after a failure, for as long as the recorder runs."""
         while True:
-            failed = asyncio.Event()
-            writer = self._writer = RecordingWriter(self._files(), on_failure=failed.set)
-            await failed.wait()
-            self.error = describe(writer.failure) if writer.failure is not None else ""
+            await self._failed.wait()
+            writer = self._writer
+            self.error = describe(writer.failure) if writer is not None and writer.failure is not None else ""
             log.error("recorder %s: %s; it is tried again in %g s", self.config.name, self.error, self._again_s)
             await self._end_writer()
             await asyncio.sleep(self._again_s)
             self.error = ""
+            self._begin_writer()
+
+    def _begin_writer(self) -> None:
+        self._failed.clear()
+        self._writer = RecordingWriter(self._files(), on_failure=self._failed.set)
 
     async def _end_writer(self) -> None:
         writer, self._writer = self._writer, None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import heapq
+import logging
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -9,12 +11,13 @@ from typing import TYPE_CHECKING, Final
 
 from mcap.reader import make_reader
 from mcap.records import Channel as McapChannel
-from mcap.records import Chunk, McapRecord, Message, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Chunk, ChunkIndex, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
 from ropeway.recording.offered_qos import PROFILES_KEY, profiles_in, recorded_qos
-from ropeway.recording.sources.source import DAMAGED, DEFINITIONS, RecordedChannel
+from ropeway.recording.sources.mcap_chunks import chunk_records
+from ropeway.recording.sources.source import DAMAGED, DEFINITIONS, RecordedChannel, reason_of
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -22,7 +25,9 @@ if TYPE_CHECKING:
 
 __all__ = ["McapSource"]
 
-_RECORD_LIMIT_BYTES: Final = 1 << 30  # a length above is damage; writers close a chunk at some MiB
+log = logging.getLogger("ropeway.bag")
+
+_LIMIT: Final = 1 << 30  # a length above is damage; writers close a chunk at some MiB
 
 
 class McapSource:
@@ -38,12 +43,14 @@ class McapSource:
         self.start_ns = self.end_ns = 0
         self.notes: list[str] = []
         self._indexed = False
+        self._chunks: list[ChunkIndex] = []
 
     def __enter__(self) -> Self:
         try:
             summary = self._summary()
             if summary is not None and summary.statistics is not None:
-                self._indexed = bool(summary.chunk_indexes)
+                self._chunks = summary.chunk_indexes
+                self._indexed = bool(self._chunks)
                 self.start_ns = summary.statistics.message_start_time
                 self.end_ns = summary.statistics.message_end_time
                 self._list(summary.channels, summary.schemas, summary.statistics.channel_message_counts)
@@ -65,11 +72,34 @@ class McapSource:
                 if isinstance(record, Message) and record.channel_id in wanted:
                     yield record.channel_id, record.log_time, record.data
             return
-        topics = [channel.topic for channel in self.channels if channel.id in wanted]
-        self._file.seek(0)
-        for _, channel, message in make_reader(self._file).iter_messages(topics=topics):
-            if channel.id in wanted:
-                yield channel.id, message.log_time, message.data
+        yield from self._in_order(wanted)
+
+    def _in_order(self, wanted: frozenset[int]) -> Iterator[tuple[int, int, bytes]]:
+        """Yield messages by the index, sorted by time: what a later chunk may have before them is read first."""
+        held: list[tuple[int, int, int, bytes]] = []
+        count = 0
+        chunks = [one for one in self._chunks if not wanted.isdisjoint(one.message_index_offsets)]
+        for place in sorted(chunks, key=lambda one: (one.message_start_time, one.chunk_start_offset)):
+            while held and held[0][0] < place.message_start_time:
+                time_ns, _, channel, data = heapq.heappop(held)
+                yield channel, time_ns, data
+            try:
+                for record in self._chunk_at(place.chunk_start_offset):
+                    if isinstance(record, Message) and record.channel_id in wanted:
+                        count += 1
+                        heapq.heappush(held, (record.log_time, count, record.channel_id, record.data))
+            except DAMAGED as error:
+                log.warning("a chunk cannot be read, and the rest of it is left out: %s", reason_of(error))
+        while held:
+            time_ns, _, channel, data = heapq.heappop(held)
+            yield channel, time_ns, data
+
+    def _chunk_at(self, offset: int) -> Iterator[McapRecord]:
+        self._file.seek(offset)
+        chunk = next(StreamReader(self._file, skip_magic=True, emit_chunks=True, record_size_limit=_LIMIT).records)
+        if not isinstance(chunk, Chunk):
+            raise ValueError("the index leads to something that is no chunk")
+        return chunk_records(chunk)
 
     def _summary(self) -> Summary | None:
         """Return the summary, if it is all that is needed to find every message."""
@@ -113,17 +143,15 @@ class McapSource:
         self._file.seek(0)
         damaged = 0
         try:
-            reader = StreamReader(self._file, emit_chunks=True, record_size_limit=_RECORD_LIMIT_BYTES)
+            reader = StreamReader(self._file, emit_chunks=True, record_size_limit=_LIMIT)
             for record in reader.records:
                 if not isinstance(record, Chunk):
                     yield record
                     continue
                 try:
-                    inner = breakup_chunk(record)
+                    yield from chunk_records(record)
                 except DAMAGED:
                     damaged += 1
-                else:
-                    yield from inner
         except DAMAGED:
             if notes is not None:
                 notes.append(
