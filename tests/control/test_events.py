@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import asyncio
 
+from typer.testing import CliRunner
+
+from ropeway.cli import app
 from ropeway.control.events import Event, Events
 from ropeway.limits import CONTROL_EVENT_BYTES
+from tests.control.conftest import Begin
 
 
 async def read(events: Events, into: list[Event | None], after: int | None = None) -> None:
@@ -62,3 +66,17 @@ async def test_idle_readers_are_told_so() -> None:
     async for event in Events().follow(idle_s=0.001):
         assert event is None
         break
+
+
+async def test_on_the_command_line(begin: Begin) -> None:
+    """The verb tells each event in a line, and of a change its first steps in words."""
+    running = await begin()
+    items = [{"name": f"/t{number}", "type": "std_msgs/msg/String"} for number in range(5)]
+    config = running.manager.config.to_json()
+    body = {"config": {**config, "remotes": [{"address": "ws://127.0.0.1:1", "publish": items}]}}
+    assert (await running.client.put("/v1/config", json=body)).status_code == 200
+    result = await asyncio.to_thread(CliRunner().invoke, app, ["events", running.control.name])
+    assert result.exit_code == 0, result.output
+    [line] = [line for line in result.output.splitlines() if "action=apply" in line]
+    assert "steps: start remote ws://127.0.0.1:1, start route publish /t0" in line
+    assert line.endswith("and 3 more")

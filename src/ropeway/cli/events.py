@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -15,6 +15,7 @@ __all__ = ["app"]
 
 app = typer.Typer(add_completion=False)
 
+_STEPS: Final = 3  # of a change that are shown
 _NAMED = ("number", "time", "kind", "name", "state", "before", "why")
 
 
@@ -53,5 +54,13 @@ def _show(event: dict[str, Any], *, as_json: bool) -> None:
         text += f": {event['before']} -> {event['state']}" if event.get("before") else f": {event['state']}"
     if event.get("why"):
         text += f" ({event['why']})"
-    more = " ".join(f"{key}={value}" for key, value in event.items() if key not in _NAMED)
+    more = " ".join(_said(key, value) for key, value in event.items() if key not in _NAMED)
     answer(f"{text}  {more}".rstrip())
+
+
+def _said(key: str, value: Any) -> str:
+    """Return what an event has beyond its name and state; of the steps of a change the first."""
+    if key != "steps" or not isinstance(value, list):
+        return f"{key}={value}"
+    steps = ", ".join(f"{step.get('action')} {step.get('what')} {step.get('name')}" for step in value[:_STEPS])
+    return f"steps: {steps}" + (f" and {len(value) - _STEPS} more" if len(value) > _STEPS else "")
