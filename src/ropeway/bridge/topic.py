@@ -106,8 +106,11 @@ class TopicBridge:
     @property
     def state(self) -> str:
         """The state in one word: ``active``, ``idle`` (nobody reads), ``waiting`` or ``failed``."""
-        if self.error:
-            return "failed"
+        return "failed" if self.error else self.progress
+
+    @property
+    def progress(self) -> str:
+        """How far the bridge is, whether it has failed or not: ``active``, ``idle`` or ``waiting``."""
         if self.publisher is None:
             return "waiting"
         return "active" if self.subscription is not None else "idle"

@@ -215,15 +215,19 @@ class _TopicFacts(NamedTuple):
         """Return how a topic is now."""
         meter, publisher, subscription = bridge.meter, bridge.publisher, bridge.subscription
         link = publisher.statistics() if is_linked(publisher) else _NO_LINK
-        encoding = link.encoding
-        if encoding is None:
-            encoding = subscription.encoding if is_encoded(subscription) else ""
-        refused = link.refused or (subscription.refused if is_refusable(subscription) else "")
+        encoding, error = link.encoding, bridge.error
+        state = "failed" if error else bridge.progress
+        refused = link.refused
+        if subscription is not None:  # most of a thousand routes are idle
+            if encoding is None and is_encoded(subscription):
+                encoding = subscription.encoding
+            if not refused and is_refusable(subscription):
+                refused = subscription.refused
         publishers, _ = bridge.source.count_publishers(bridge.source_topic)
         return cls(
-            bridge.error or refused,
-            bridge.state,
-            encoding,
+            error or refused,
+            state,
+            encoding or "",
             link,
             publishers,
             None if publisher is None else publisher.subscribers,
