@@ -157,8 +157,15 @@ def test_routes_of_the_same_labels_are_one() -> None:
     """Of two routes that differ in their type alone the first has the lines, since a series stands once."""
     first = STATUS["routes"][0]
     status = {**STATUS, "routes": [first, first | {"key": "another type", "messages": 8}]}
-    text = Metrics(lambda: status).text()[0].decode()
-    assert [line[-2:] for line in text.splitlines() if line.startswith("ropeway_route_messages_total{")] == [" 7"]
+    metrics = Metrics(lambda: status)
+
+    def told() -> list[str]:
+        text = metrics.text()[0].decode()
+        return [line[-2:] for line in text.splitlines() if line.startswith("ropeway_route_messages_total{")]
+
+    assert told() == [" 7"]
+    status["routes"] = status["routes"][::-1]
+    assert told() == [" 8"]
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ class Metrics:
         openmetrics = media_type.startswith(_OPENMETRICS)
         end = _END_OF_OPENMETRICS if openmetrics else b""
         routes = self._routes.text(status["routes"], openmetrics=openmetrics)
-        return b"%b%b\n%b" % (encode(registry).removesuffix(end), routes.encode(), end), media_type
+        return b"%b%b%b" % (encode(registry).removesuffix(end), routes, end), media_type
 
 
 def _encoder(accept: str) -> tuple[Callable[[Any], bytes], str]:

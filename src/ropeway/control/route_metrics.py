@@ -1,7 +1,7 @@
 """Writes the metrics of routes as text: of a thousand routes once a second, at less than a hundredth of a core.
 
 ``prometheus_client`` takes a tenth of a second for as many, since it escapes every label of every line anew. Here a
-route's labels are written once, and so are lines that have not changed since the last time.
+route's labels are written once, and so are lines, and all lines of a metric, that have not changed since the last time.
 """
 
 from __future__ import annotations
@@ -82,15 +82,18 @@ class _Route:
         self._counts: list[int] = []
         self._histogram = ""
 
-    def write(self, row: Mapping[str, Any]) -> None:
-        """Write the lines of a row."""
+    def write(self, row: Mapping[str, Any]) -> set[int]:
+        """Write the lines of a row, and return the places of the families whose lines are others now."""
         self.row = row
         lines = {_STATE: self._told_states(row["state"])}
         if "messages" in row:
             lines |= self._topic(row)
         elif "requests" in row:
             lines |= self._calls(row)
-        self.lines = [lines.get(family.name, "") for family in _FAMILIES]
+        before, self.lines = self.lines, [lines.get(family.name, "") for family in _FAMILIES]
+        if not before:
+            return set(range(len(_FAMILIES)))
+        return {place for place, (old, new) in enumerate(zip(before, self.lines, strict=True)) if old != new}
 
     def _told_states(self, state: str) -> str:
         if state != self._state:
@@ -155,10 +158,13 @@ class RouteMetrics:
 
     def __init__(self) -> None:
         self._known: dict[str, _Route] = {}
+        self._shown: list[_Route] = []
+        self._blocks = [b""] * len(_FAMILIES)
 
-    def text(self, rows: Iterable[Mapping[str, Any]], *, openmetrics: bool) -> str:
+    def text(self, rows: Iterable[Mapping[str, Any]], *, openmetrics: bool) -> bytes:
         """Return the metrics of all routes, in OpenMetrics or in Prometheus' own format."""
-        shown: dict[tuple[str, ...], list[str]] = {}
+        shown: dict[tuple[str, ...], _Route] = {}
+        changed: set[int] = set()
         before, self._known = self._known, {}
         for row in rows:
             key = row["key"]
@@ -166,22 +172,25 @@ class RouteMetrics:
             if route is None:
                 route = _Route(tuple([str(row[label]) for label in _LABELS]))
             if row != route.row:
-                route.write(row)
+                changed |= route.write(row)
             self._known[key] = route
-            shown.setdefault(route.key, route.lines)  # of another type or graph: two series of the same labels are none
-        parts: list[str] = []
-        for place, family in enumerate(_FAMILIES):
-            parts += _head(family, openmetrics)
-            parts += [lines[place] for lines in shown.values() if lines[place]]
-        return "\n".join(parts)
+            shown.setdefault(route.key, route)  # of another type or graph: two series of the same labels are none
+        routes = list(shown.values())
+        if routes != self._shown:
+            self._shown, changed = routes, set(range(len(_FAMILIES)))
+        for place in changed:
+            lines = [route.lines[place] for route in routes if route.lines[place]]
+            self._blocks[place] = "".join([line + "\n" for line in lines]).encode()
+        heads = [_head(family, openmetrics).encode() for family in _FAMILIES]
+        return b"".join([part for pair in zip(heads, self._blocks, strict=True) for part in pair])
 
 
-def _head(family: _Family, openmetrics: bool) -> list[str]:
+def _head(family: _Family, openmetrics: bool) -> str:
     if not openmetrics:
         name = f"{family.name}_total" if family.kind == "counter" else family.name
-        return [f"# HELP {name} {family.help}", f"# TYPE {name} {_IN_PLAIN_TEXT.get(family.kind, family.kind)}"]
-    unit = [f"# UNIT {family.name} {family.unit}"] if family.unit else []
-    return [f"# HELP {family.name} {family.help}", f"# TYPE {family.name} {family.kind}", *unit]
+        return f"# HELP {name} {family.help}\n# TYPE {name} {_IN_PLAIN_TEXT.get(family.kind, family.kind)}\n"
+    unit = f"# UNIT {family.name} {family.unit}\n" if family.unit else ""
+    return f"# HELP {family.name} {family.help}\n# TYPE {family.name} {family.kind}\n{unit}"
 
 
 def _escaped(value: str) -> str:
