@@ -110,7 +110,7 @@ class TopicBridge:
 
     @property
     def progress(self) -> str:
-        """How far the bridge is, whether it has failed or not: ``active``, ``idle`` or ``waiting``."""
+        """The state but for a failure: ``active``, ``idle`` or ``waiting``."""
         if self.publisher is None:
             return "waiting"
         return "active" if self.subscription is not None else "idle"
