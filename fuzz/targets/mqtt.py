@@ -14,7 +14,7 @@ from ropeway.networks.mqtt.discovery import MqttDiscovery
 from ropeway.networks.mqtt.maps import MqttMaps, form_of
 from ropeway.networks.mqtt.names import check_filter, matches, mqtt_topic, ros_name
 from ropeway.networks.mqtt.presence import Announced, pack_announcement, parse_announcement
-from ropeway.networks.mqtt.wire import publish_properties, read_message
+from ropeway.networks.mqtt.wire import PublishProperties, read_message
 from ropeway.qos import LATCHED
 from ropeway.types import TypeRegistry
 
@@ -56,7 +56,7 @@ def _payload(data: bytes) -> None:
     identity, _, payload = data[1:].partition(b"\n")
     message = MQTTMessage(1, b"t")
     message.payload = payload
-    message.properties = publish_properties(Sample(b"", _STRING, 1, bytes(16), 1), _STRING, "text", None)
+    message.properties = PublishProperties(_STRING, "text", None).of(Sample(b"", _STRING, 1, bytes(16), 1))
     del message.properties.UserProperty
     message.properties.UserProperty = ("ropeway", identity.decode(errors="replace"))
     found = read_message(message, "fuzz")

@@ -346,6 +346,9 @@ MQTT_PEEKS: Final = 1_024
 MQTT_UNSENT_BYTES: Final = 64 << 20
 """Messages of all topics that wait for a broker. Above, further ones are dropped until it has taken some."""
 
+MQTT_UNSENT_RELIABLE_BYTES: Final = 1 << 20
+"""The same of one reliable topic, but for one message. Of others that are large, the newest alone waits."""
+
 MQTT_IN_FLIGHT: Final = 64
 """Messages that a broker has not acknowledged, at most; fewer where the broker says so."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from paho.mqtt.client import MQTTMessage
 
 from ropeway.graph.base import Sample
-from ropeway.networks.mqtt.wire import publish_properties, read_message
+from ropeway.networks.mqtt.wire import PublishProperties, read_message
 from tests.support.messages import STRING
 
 
@@ -19,12 +19,12 @@ def test_identity() -> None:
     """A message tells who published it first, its number, its type, and whether it is CDR."""
     sample = Sample(b"x", STRING, 1, b"o" * 16, 1234)
     for form in ("cdr", "json", "floats"):
-        found = read_message(message(properties=publish_properties(sample, STRING, form, 0.2)), "broker")
+        found = read_message(message(properties=PublishProperties(STRING, form, 0.2).of(sample)), "broker")
         assert found is not None
         assert (found.origin, found.seq, found.type, found.told) == (b"o" * 16, 1234, STRING, True)
         assert found.form == ("cdr" if form == "cdr" else "")
-    assert publish_properties(sample, STRING, "cdr", 0.2).MessageExpiryInterval == 1
-    assert publish_properties(sample, STRING, "cdr", 1e30).MessageExpiryInterval == 2**32 - 1
+    assert PublishProperties(STRING, "cdr", 0.2).of(sample).MessageExpiryInterval == 1
+    assert PublishProperties(STRING, "cdr", 1e30).of(sample).MessageExpiryInterval == 2**32 - 1
 
 
 def test_of_strangers() -> None:
@@ -33,7 +33,7 @@ def test_of_strangers() -> None:
     assert plain is not None
     assert (plain.type, plain.told, len(plain.origin)) == ("", False, 16)
     for value in ("", "x" * 400, "0" * 32 + " 0 a", "g" * 32 + " 1 a", "0" * 32 + " 1" + "0" * 30 + " a"):
-        false = publish_properties(Sample(b"", STRING, 1, bytes(16), 1), STRING, "text", None)
+        false = PublishProperties(STRING, "text", None).of(Sample(b"", STRING, 1, bytes(16), 1))
         del false.UserProperty
         false.UserProperty = [("ropeway", value), ("other", "x")]
         found = read_message(message(properties=false), "broker")

@@ -103,9 +103,10 @@ def _make_client(plan: ConnectionPlan) -> Client:
 def reason_of(error: BaseException) -> str:
     """Return why a connection failed, for people."""
     if isinstance(error, ssl.SSLCertVerificationError):
-        return f"the certificate of the broker is not trusted: {error.verify_message}; name its authority as ca"
+        why = getattr(error, "verify_message", error)  # of the library; Python's own have none
+        return f"the certificate of the broker is not trusted: {why}; name its authority as ca"
     if isinstance(error, ssl.SSLError):
-        return f"TLS with the broker failed: {error.reason or error}"
+        return f"TLS with the broker failed: {getattr(error, 'reason', None) or error}"
     if isinstance(error, TimeoutError):
         return f"the broker did not answer within {ANSWER_S:g} s"
     if isinstance(error, OSError):

@@ -12,9 +12,10 @@ from ropeway.graph.base import SEQ_NONE, Delivery, Sample, Undelivered
 from ropeway.graph.host import Host
 from ropeway.graph.link_parts import LinkStatistics
 from ropeway.graph.parts import PublisherBase
+from ropeway.limits import MQTT_UNSENT_BYTES, MQTT_UNSENT_RELIABLE_BYTES
 from ropeway.networks.mqtt.maps import MqttMap, form_of
 from ropeway.networks.mqtt.outgoing import MqttPayload, MqttStream
-from ropeway.networks.mqtt.wire import publish_properties
+from ropeway.networks.mqtt.wire import PublishProperties
 from ropeway.qos import QoS
 from ropeway.tasks import describe
 from ropeway.types.forms import FAILURES
@@ -74,17 +75,19 @@ class MqttPublisher(PublisherBase[MqttPublisherHost]):
         self._subscribers = None
         self.target = target
         self._form_name, self._form = form_of(map, type, graph.registry)
-        self._lifespan_s = delivery.lifespan_s if delivery.lifespan_s is not None else qos.lifespan_s
+        lifespan_s = delivery.lifespan_s if delivery.lifespan_s is not None else qos.lifespan_s
+        self._properties = PublishProperties(type, self._form_name, lifespan_s)
         retain = qos.transient_local or (map is not None and map.latched)
         kept = None if qos.history == "keep_all" else 1 if retain or not qos.reliable else max(qos.depth, 1)
         queue: Queue[Sample] = Queue(
             topic,
             priority=delivery.priority,
             depth=delivery.depth or kept,
-            lifespan_ns=None if self._lifespan_s is None else int(self._lifespan_s * 1e9),
+            lifespan_ns=None if lifespan_s is None else int(lifespan_s * 1e9),
             weight=delivery.weight,
+            limit_bytes=MQTT_UNSENT_BYTES if retain else MQTT_UNSENT_RELIABLE_BYTES,
         )
-        queue.latched = retain
+        queue.latched = retain or qos.reliable  # as many as the profile keeps, and not the newest alone
         self._stream = MqttStream(queue, self._encode, reliable=qos.reliable, retain=retain, on_refused=self._refused)
         graph.outgoing.open(self._stream)
 
@@ -146,9 +149,7 @@ class MqttPublisher(PublisherBase[MqttPublisherHost]):
         if payload is None:
             return None
         connection = graph.connection
-        properties = None
-        if connection.plan.five:
-            properties = publish_properties(sample, self.type, self._form_name, self._lifespan_s)
+        properties = self._properties.of(sample) if connection.plan.five else None
         if len(payload) + len(self.target) + _HEAD_BYTES > connection.limits.packet_bytes:
             self._stream.queue.lost[Lost.ENCODE] += 1
             graph.fault_log.note("size", self.target, f"{len(payload)} bytes are more than the broker takes")

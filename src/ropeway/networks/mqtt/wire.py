@@ -15,16 +15,9 @@ from paho.mqtt.properties import Properties
 
 from ropeway.graph.base import Sample
 
-__all__ = ["CONTENT_TYPES", "Received", "connect_properties", "publish_properties", "read_message"]
+__all__ = ["PublishProperties", "Received", "connect_properties", "read_message"]
 
-CONTENT_TYPES: Final = {
-    "text": "text/plain",
-    "json": "application/json",
-    "raw": "application/octet-stream",
-    "cdr": "application/cdr",
-}
-"""The content types of forms; those of the others are text."""
-
+_CDR: Final = "application/cdr"  # the content type of messages as ROS 2 sends them
 _KEY: Final = "ropeway"
 _IDENTITY: Final = re.compile(r"([0-9a-f]{32}) ([1-9][0-9]{0,18}) ([A-Za-z0-9_/]{1,256})")
 _LARGEST_EXPIRY_S: Final = 2**32 - 1
@@ -63,14 +56,27 @@ def connect_properties(largest_packet_bytes: int) -> Any:
     return found
 
 
-def publish_properties(sample: Sample, type: str, form: str, lifespan_s: float | None) -> Any:
-    """Return the properties of a message: readers that are no gateways need none of them."""
-    found: Any = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
-    found.ContentType = CONTENT_TYPES.get(form, "text/plain")
-    found.UserProperty = (_KEY, f"{sample.origin.hex()} {sample.seq} {type}")
-    if lifespan_s is not None:
-        found.MessageExpiryInterval = min(max(math.ceil(lifespan_s), 1), _LARGEST_EXPIRY_S)
-    return found
+class PublishProperties:
+    """Makes the properties of the messages of one topic; readers that are no gateways need none of them.
+
+    They are one object, since making a new one costs more than all the rest of a small message: paho writes it out at
+    once.
+    """
+
+    def __init__(self, type: str, form: str, lifespan_s: float | None) -> None:
+        made: Any = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+        if form == "cdr":
+            made.ContentType = _CDR
+        if lifespan_s is not None:
+            made.MessageExpiryInterval = min(max(math.ceil(lifespan_s), 1), _LARGEST_EXPIRY_S)
+        made.UserProperty = (_KEY, "")
+        self._type, self._made = type, made
+        self._own: list[tuple[str, str]] = made.UserProperty
+
+    def of(self, sample: Sample) -> Any:
+        """Return the properties of a message, until those of the next are asked for."""
+        self._own[0] = (_KEY, f"{sample.origin.hex()} {sample.seq} {self._type}")
+        return self._made
 
 
 def read_message(message: MQTTMessage, broker: str) -> Received | None:
@@ -83,7 +89,7 @@ def read_message(message: MQTTMessage, broker: str) -> Received | None:
     for key, value in getattr(properties, "UserProperty", ()) if properties is not None else ():
         found = _IDENTITY.fullmatch(value) if key == _KEY else None
         if found is not None:
-            form = "cdr" if getattr(properties, "ContentType", "") == CONTENT_TYPES["cdr"] else ""
+            form = "cdr" if getattr(properties, "ContentType", "") == _CDR else ""
             origin = bytes.fromhex(found[1])
             return Received(topic, bytes(message.payload), message.retain, origin, int(found[2]), found[3], form, True)
     origin = hashlib.sha256(f"{broker} {topic}".encode(errors="surrogatepass")).digest()[:16]
