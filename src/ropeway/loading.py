@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import importlib
 import sys
 from collections.abc import Iterable
@@ -19,11 +20,17 @@ __all__ = ["load", "preload"]
 
 
 async def load(name: str) -> ModuleType:
-    """Return a module, which is imported in a thread unless it is there already. Raises what the import raises."""
+    """Return a module, which is imported in a thread unless it is there already. Raises what the import raises.
+
+    Where the garbage collector was told to leave alone what is there, it leaves alone what the module has brought.
+    """
     there = sys.modules.get(name)
     if there is not None and not getattr(there.__spec__, "_initializing", False):
         return there
-    return await asyncio.to_thread(importlib.import_module, name)
+    module = await asyncio.to_thread(importlib.import_module, name)
+    if gc.get_freeze_count():
+        gc.freeze()
+    return module
 
 
 async def preload(names: Iterable[str]) -> None:

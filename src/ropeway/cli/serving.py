@@ -149,6 +149,7 @@ async def _managed(serving: Serving, notifier: Notifier, stack: AsyncExitStack) 
         stack.push_async_exit(gateway.__aexit__)
         return gateway, partial(_plain_reload, gateway)
     from ropeway.control.caller import Caller
+    from ropeway.control.control import Control
     from ropeway.control.manager import Manager
     from ropeway.gateway.audit import open_trail
 
@@ -159,8 +160,7 @@ async def _managed(serving: Serving, notifier: Notifier, stack: AsyncExitStack) 
     manager = Manager(gateway, record, trail)
     stack.push_async_callback(manager.close)
     if gateway.config.gateway.control.enabled:
-        control = await load("ropeway.control.control")  # 0.2 s for HTTP
-        await stack.enter_async_context(control.Control(manager))
+        await stack.enter_async_context(Control(manager))
     if serving.watch and record.file is not None:
         watching = partial(manager.watch_file, Caller("--watch", str(record.file)))
         stack.push_async_callback(Supervised(watching, "watch the file").start().close)

@@ -9,23 +9,42 @@ import socket
 import ssl
 import struct
 from collections.abc import Callable
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.config import Config as UvicornConfig
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
-from ropeway.control.app import ABORT, PEER
+from ropeway.control.admission import AnyAdmission
+from ropeway.control.app import ABORT, PEER, make_app
 from ropeway.control.caller import ControlPeer
+from ropeway.control.resources.metrics import resources as metrics
 from ropeway.limits import CONTROL_CONNECTIONS, CONTROL_HEAD_BYTES, CONTROL_REQUEST_S
 
-__all__ = ["ControlServer"]
+if TYPE_CHECKING:
+    from ropeway.control.manager import Manager
+
+__all__ = ["ControlServer", "serve"]
 
 _CREDENTIALS: Final = struct.Struct("3i")  # pid, uid, gid
 _IDLE_S: Final = 30.0
 _END_S: Final = 1.0
 _UNREAD_BYTES: Final = 256 << 10
+
+
+async def serve(
+    manager: Manager,
+    admission: AnyAdmission,
+    bound: socket.socket,
+    *,
+    context: ssl.SSLContext | None = None,
+    metrics_only: bool = False,
+) -> ControlServer:
+    """Answer for ``manager`` on a socket that listens; with ``metrics_only`` nothing but metrics."""
+    server = ControlServer(make_app(manager, admission, only=metrics.listed if metrics_only else None))
+    await server.listen(bound, context=context)
+    return server
 
 
 class ControlServer:
