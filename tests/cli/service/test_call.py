@@ -6,8 +6,10 @@ import asyncio
 import struct
 
 import pytest
+from typer.testing import CliRunner
 
 from ropeway import aio
+from ropeway.cli import app
 from ropeway.cli.service.call import call
 from ropeway.cli.session import OpenGraph
 from ropeway.errors import CallFailed, NotServed, UnknownType, ValueMismatch
@@ -80,3 +82,13 @@ async def test_mistakes(pair: tuple[OpenGraph, OpenGraph]) -> None:
     await there.graph.create_service("/add", ADD, add)
     with pytest.raises(CallFailed, match="thirteen"):
         await call(here, "/add", ADD, {"a": 13}, timeout_s=5)
+
+
+def test_nobody_serves_it() -> None:
+    """A call of what nobody serves says so, after how long, and where to look."""
+    result = CliRunner().invoke(
+        app, ["service", "call", "/nothing", ADD, "{}", "-g", "memory:no-service", "--timeout", "0.2"]
+    )
+    assert result.exit_code == 1
+    assert "nobody serves /nothing within 0.2 s" in result.output
+    assert "ropeway service list" in result.output
