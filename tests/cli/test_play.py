@@ -7,8 +7,12 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer as McapWriter
 
+from ropeway.qos import LATCHED, QoS
+from ropeway.recording.channel import Recorded, cdr_channel
+from ropeway.recording.files import McapFiles
+from ropeway.types import TypeRegistry
 from tests.cli.conftest import Ropeway
-from tests.support.messages import STRING
+from tests.support.messages import STRING, text
 
 SECOND = 10**9
 
@@ -62,3 +66,30 @@ def test_no_other_name(in_process: Ropeway, tmp_path: Path, text_: str) -> None:
     """A name that is none ends with how to write one."""
     ended = in_process("play", str(tmp_path / "none.mcap"), "-g", "memory:x", "--remap", text_)
     assert ended.returncode == 2
+
+
+@pytest.fixture
+def latched(tmp_path: Path) -> Path:
+    """A recording of 2 s with a latched topic and one that is best effort."""
+    registry = TypeRegistry()
+    files = McapFiles(tmp_path / "latched.mcap")
+    once = cdr_channel(registry, "/map", STRING, [LATCHED])
+    often = cdr_channel(registry, "/a", STRING, [QoS(reliability="best_effort", depth=3)])
+    files.write([Recorded(once, SECOND, text("map")), *(Recorded(often, n * SECOND, text("a")) for n in (1, 2, 3))])
+    files.close()
+    return files.paths[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--remap", "/b:=/c"], "has no topic /b; it has /a, /map"),
+        (["--start-offset", "3"], "ends 2.000 s after its beginning"),
+        (["--qos-durability", "sometimes"], "Valid options are"),
+    ],
+)
+def test_mistakes(in_process: Ropeway, latched: Path, options: list[str], said: str) -> None:
+    """What would play nothing, or something else than was meant, is a mistake that is told."""
+    ended = in_process("play", str(latched), "-g", "memory:play-mistakes", "--wait", "0", *options)
+    assert ended.returncode != 0
+    assert said in ended.stderr

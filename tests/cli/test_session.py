@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import AsyncExitStack
+from dataclasses import replace
 
 import pytest
 import typer
@@ -29,6 +30,7 @@ def test_qos_options() -> None:
     """Options that are given change the profile that is named; none at all leave the choice to the graph."""
     assert qos_of("", None, "", "", "") is None
     assert qos_of("sensor_data", None, "", "", "") == SENSOR_DATA
+    assert qos_of("", None, "", "best_effort", "", base=LATCHED) == replace(LATCHED, reliability="best_effort")
     assert qos_of("latched", 5, "", "", "") == QoS(durability="transient_local", depth=5)
     assert qos_of("", None, "keep_all", "best_effort", "") == QoS(history="keep_all", reliability="best_effort")
     assert LATCHED.transient_local

@@ -243,7 +243,7 @@ async def test_from_the_middle(
     qos = QoS(reliability="best_effort")
     with Bag(latched_recording, registry) as bag:
         names = {"/text": "/renamed"}
-        await play(there.graph, bag, start_s=0.75, qos=qos, rename=lambda name: names.get(name, name))
+        await play(there.graph, bag, start_s=0.75, offer=lambda _: qos, rename=lambda name: names.get(name, name))
     await until(lambda: len(got) == 3)
     assert got == [("/map", text("map")), ("/renamed", text("8")), ("/renamed", text("9"))]
 

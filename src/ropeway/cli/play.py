@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,6 +27,7 @@ from ropeway.cli.session import (
     open_session,
     qos_of,
 )
+from ropeway.qos import DEFAULT, QoS
 from ropeway.recording.bag import Bag
 from ropeway.recording.player import MAX_GAP_S, Played, play
 
@@ -74,15 +75,22 @@ def play_command(
     types: TypesOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Publish the recording BAG at its own pace. Without --qos options, as its publishers offered it."""
+    """Publish the recording BAG at its own pace, as its publishers offered it but for what --qos options say."""
     names = _renamed(remap or [])
-    qos = qos_of(qos_profile, qos_depth, qos_history, qos_reliability, qos_durability)
+
+    def offer(recorded: QoS) -> QoS:
+        asked = qos_of(qos_profile, qos_depth, qos_history, qos_reliability, qos_durability, base=recorded)
+        return recorded if asked is None else asked
+
+    offer(DEFAULT)  # what is no policy is told at once
     wanted = [name if name.startswith("/") else f"/{name}" for text in topics or [] for name in text.split(",") if name]
 
     async def main() -> tuple[Played, dict[str, int], int]:
         async with open_session(graph, types) as session:
             with Bag(bag, session.registry) as opened:
-                _tell_problems(opened, wanted)
+                _tell_problems(opened, wanted, names)
+                if start_offset > opened.duration_s:
+                    fail(f"{bag} ends {opened.duration_s:.3f} s after its beginning; give a smaller --start-offset", 2)
                 with _progress(opened, loop=loop, shown=not quiet and not as_json) as told:
                     played = await play(
                         session.graph,
@@ -95,7 +103,7 @@ def play_command(
                         wait_s=wait,
                         max_gap_s=max_gap,
                         start_s=start_offset,
-                        qos=qos,
+                        offer=offer,
                         clock_hz=clock,
                         rename=lambda name: names.get(name, name),
                         told=told,
@@ -133,9 +141,9 @@ def play_command(
         fail(f"none of the {held} messages in {bag} could be played")
 
 
-def _tell_problems(bag: Bag, wanted: list[str]) -> None:
+def _tell_problems(bag: Bag, wanted: list[str], renamed: Iterable[str]) -> None:
     names = {topic.name for topic in bag.topics}
-    for name in wanted:
+    for name in (*wanted, *renamed):
         if name not in names:
             fail(f"{bag.path} has no topic {name}; it has {', '.join(sorted(names)) or 'none'}")
     chosen = [topic for topic in bag.topics if not wanted or topic.name in wanted]

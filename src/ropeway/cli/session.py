@@ -156,8 +156,13 @@ def full_name(name: str) -> str:
         fail(str(error), 2)
 
 
-def qos_of(profile: str, depth: int | None, history: str, reliability: str, durability: str) -> QoS | None:
-    """Return the profile that the options ask for; ``None`` if they ask for nothing."""
+def qos_of(
+    profile: str, depth: int | None, history: str, reliability: str, durability: str, *, base: QoS = DEFAULT
+) -> QoS | None:
+    """Return the profile that the options ask for; ``None`` if they ask for nothing.
+
+    What they leave out is that of ``profile``, or of ``base``.
+    """
     if profile and profile not in PROFILES:
         fail(f"{profile!r} is not a QoS profile; use one of {', '.join(PROFILES)}", 2)
     given = {"history": history, "depth": depth, "reliability": reliability, "durability": durability}
@@ -165,7 +170,7 @@ def qos_of(profile: str, depth: int | None, history: str, reliability: str, dura
     if not profile and not policies:
         return None
     try:
-        return QoS.parse(policies, PROFILES.get(profile, DEFAULT))
+        return QoS.parse(policies, PROFILES.get(profile, base))
     except ValueError as error:
         fail(str(error), 2)
 

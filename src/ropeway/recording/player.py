@@ -161,6 +161,11 @@ async def _readers(publishers: Collection[Publisher], wait_s: float, patiently: 
         return
 
 
+def as_recorded(qos: QoS) -> QoS:
+    """Return what was recorded."""
+    return qos
+
+
 async def play(
     graph: Graph,
     bag: Bag,
@@ -173,7 +178,7 @@ async def play(
     wait_s: float = 0.0,
     max_gap_s: float = MAX_GAP_S,
     start_s: float = 0.0,
-    qos: QoS | None = None,
+    offer: Callable[[QoS], QoS] = as_recorded,
     clock_hz: float = 0.0,
     rename: Callable[[str], str] = str,
     told: Callable[[Played], None] = lambda played: None,
@@ -184,12 +189,12 @@ async def play(
     ``rate`` is how much faster than recorded; ``for_s`` ends it after so many seconds (``None``: at its end);
     ``wait_s`` is how long to wait for subscribers first; ``max_gap_s`` the longest pause kept (``PlaybackSchedule``);
     ``start_s`` leaves out what comes before that time of the recording, but for what is latched, which is published
-    first; ``restamp`` puts the time of sending into headers; ``qos`` is offered in place of what was recorded;
+    first; ``restamp`` puts the time of sending into headers; ``offer`` makes QoS of what was recorded;
     ``clock_hz`` publishes the time of the recording on ``/clock`` so often; ``rename`` gives topics other names;
     ``told`` is called after each message; ``patiently`` wraps what is waited for once.
     """
     chosen = [topic for topic in bag.topics if not topic.problem and (not topics or topic.name in topics)]
-    publishers = {t: await graph.create_publisher(rename(t.name), t.type, qos or t.qos) for t in chosen}
+    publishers = {t: await graph.create_publisher(rename(t.name), t.type, offer(t.qos)) for t in chosen}
     ticks = await RecordedClock.on(graph, bag, clock_hz, rate) if clock_hz else None
     stamped = {topic for topic in chosen if restamp and _starts_with_header(bag, topic)}
     origin, played, before_s = new_origin(), Played(), 0.0
