@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -282,3 +283,13 @@ async def test_a_part_of_a_file_is_applied_again(robot: Controlled, tmp_path: Pa
     assert "was applied" in await robot.manager.apply_file(ME)
     assert names(robot) == ["/a", "/part"]
     assert robot.gateway.config.part == "robot"
+
+
+async def test_faults_of_what_was_sent_name_no_file(begin: Begin) -> None:
+    """A fault of a configuration that somebody sent has its path, and not the file of the gateway."""
+    robot = await begin()
+    robot.gateway.config = replace(robot.gateway.config, source="/etc/robot.yaml")
+    answer = await robot.client.post("/v1/config/plan", json={"config": {"gateway": {"nme": 1}}})
+    assert answer.status_code == 422
+    assert answer.json()["error"].startswith("gateway.nme: unknown key")
+    assert [fault["path"] for fault in answer.json()["problems"]] == ["gateway.nme"]

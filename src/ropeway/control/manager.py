@@ -111,7 +111,11 @@ class Manager:
     async def read(self, document: Any, directory: str | Path = ".", source: str = "") -> Config:
         """Read a configuration that somebody wants. Raises ``ConfigError`` with every fault."""
         async with self._planning:
-            return await asyncio.to_thread(_read, document, source or self.config.source, directory)
+            try:
+                return await asyncio.to_thread(_read, document, source or self.config.source, directory)
+            except ConfigError as error:
+                # what somebody sent does not stand in the file that the gateway was started with
+                raise ConfigError(error.problems, source) from None
 
     async def plan(self, config: Config) -> ConfigPlan:
         """Return what a configuration would change; nothing is done."""
