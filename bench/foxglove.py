@@ -176,6 +176,7 @@ def main() -> None:
     """Take the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=6)
+    parser.add_argument("--viewers", type=int, nargs="*", default=[1, 3], help="how many watch, one table row for each")
     parser.add_argument("--rounds", type=int, default=1, help="the table has the medians of so many")
     parser.add_argument(
         "--stall", type=float, default=8, help="seconds; a viewer that reads nothing for 10 s is closed"
@@ -190,7 +191,7 @@ def main() -> None:
             return
         rows: list[list[Any]] = []
         peers = ["", *([args.peer] if args.peer else [])]
-        for count in (1, 3):
+        for count in args.viewers:
             found: dict[str, list[tuple[float, float, float]]] = {peer: [] for peer in peers}
             for _ in range(args.rounds):
                 for peer in peers:
