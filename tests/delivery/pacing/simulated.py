@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from ropeway.delivery.pacing.model import LinkModel
 from ropeway.delivery.pacing.rounds import LinkReading
 
-__all__ = ["Clock", "Crowd", "Path", "Tcp", "greedy", "images", "simulate"]
+__all__ = ["Clock", "Crowd", "Kernel", "Path", "Tcp", "greedy", "images", "simulate"]
 
 SEGMENT_BYTES = 1448
 HEADERS_BYTES = 52
@@ -206,8 +206,63 @@ class Cubic(Tcp):
         self.most, self.began = 0.0, None
 
 
+class Kernel(Tcp):
+    """A sender's TCP that spreads packets at a ``rate``, and a receiver's that acknowledges them in pairs."""
+
+    rate: float | None = None
+    WAIT_S = 0.04
+
+    def __init__(self, clock: Clock, path: Path) -> None:
+        super().__init__(clock, path)
+        self._next_at = 0.0
+        self._waits = False
+        self._there: list[tuple[int, float]] = []
+
+    def _push(self) -> None:
+        while self.unsent:
+            now = self.clock.now
+            if self.rate is not None and now < self._next_at:
+                if not self._waits:
+                    self._waits = True
+                    self.clock.at(self._next_at, self._go_on)
+                return
+            size = self.unsent.popleft()
+            self.unsent_bytes -= size
+            self.in_flight += size
+            self.packets += 1
+            if self.rate is not None:
+                self._next_at = max(self._next_at, now) + size / self.rate
+            arrives = self.path.send(now, size)
+            assert arrives is not None, "only for links that lose nothing"
+            self.arrived.append((arrives, size))
+            self.clock.at(arrives, lambda size=size, now=now: self._arrive(size, now))
+
+    def _go_on(self) -> None:
+        self._waits = False
+        self._push()
+
+    def _arrive(self, size: int, sent: float) -> None:
+        self._there.append((size, sent))
+        if len(self._there) > 1:
+            self._tell()
+        else:
+            first = self._there[0]
+            self.clock.at(self.clock.now + self.WAIT_S, lambda: self._tell() if first in self._there else None)
+
+    def _tell(self) -> None:
+        size, sent, count = sum(size for size, _ in self._there), self._there[0][1], len(self._there)
+        self._there = []
+
+        def acknowledged() -> None:
+            self.packets -= count - 1
+            self._acknowledge(size, sent)
+
+        self.clock.at(self.clock.now + self.path.delay_s, acknowledged)
+
+
 CONTROLS: dict[str, Callable[[Clock, Path], Tcp]] = {
     "open": Tcp,
+    "kernel": Kernel,
     "reno": lambda clock, path: Tcp(clock, path, "reno"),
     "cubic": Cubic,
 }
@@ -228,6 +283,9 @@ def read(tcp: Tcp, model: LinkModel) -> None:
     model.observe(tcp.reading())
     if model.squeezed():
         tcp.start_again()
+    if isinstance(tcp, Kernel):
+        pace = model.wanted_bps
+        tcp.rate = None if pace is None or model.starting else 1.25 * pace
 
 
 def greedy(clock: Clock, tcp: Tcp, model: LinkModel) -> None:

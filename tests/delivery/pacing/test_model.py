@@ -14,6 +14,7 @@ from tests.delivery.pacing.simulated import (
     SEGMENT_BYTES,
     Clock,
     Crowd,
+    Kernel,
     Path,
     Shared,
     Tcp,
@@ -65,6 +66,24 @@ def test_a_lucky_first_round_trip(mbit: float, luck_ms: float) -> None:
     outcome = simulate(path, seconds=4.0, skip_s=1.5, luck_s=luck_ms / 1e3)  # before it would be forgotten anyway
     assert outcome.rate >= 0.9 * path.rate * _GOODPUT, outcome
     assert outcome.queue_s <= allowed_queue_s(path), outcome
+
+
+@pytest.mark.parametrize("mbit", [5, 20])
+def test_messages_that_fit_the_window(mbit: float) -> None:
+    """Pictures that need less than the link make no longer a queue than those that need all of it."""
+    path, clock = Path(mbit * _MBIT, 0.01, jitter_s=0.002), Clock()
+    tcp, model = Kernel(clock, path), LinkModel()
+    waits: list[float] = []
+
+    def sample() -> None:
+        waits.append(path.queue_s(clock.now))
+        clock.at(clock.now + 0.001, sample)
+
+    clock.at(0.0, lambda: images(clock, tcp, model, int(0.6 * path.rate / 15), 15))
+    clock.at(2.0, sample)
+    clock.run(6.0)
+    assert sorted(waits)[int(0.99 * len(waits))] <= 0.02 + 4 * SEGMENT_BYTES / path.rate
+    assert tcp.delivered >= 0.55 * 6.0 * path.rate
 
 
 def test_a_shallow_buffer() -> None:

@@ -308,6 +308,15 @@ class LinkModel:
             advice = None if situation is None else self._others.held_back(situation)
             if advice is not None:
                 self._take(advice)
+        elif full and base >= _LONG_ROUND_TRIP_S and not self._others.competing:
+            self._narrow(base + target_s)
+
+    def _narrow(self, busy_s: float) -> None:
+        """Cut a window that is too wide though it holds nobody back: messages that fit it make a queue."""
+        pace = self.pace.bytes_per_s
+        if pace is not None and pace * busy_s < self.window_bytes:
+            self.starting = False
+            self._set_window(pace * busy_s)
 
     def _no_queue_s(self, target_s: float) -> float:
         """Return the queue below which the window is too small; beside others who fill the link none says so."""
