@@ -9,9 +9,16 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/ropeway"]),
         ("share/ropeway", ["package.xml"]),
-        ("share/ropeway/launch", ["launch/gateway_launch.xml", "launch/rosbridge_websocket_launch.xml"]),
+        (
+            "share/ropeway/launch",
+            [
+                "launch/foxglove_bridge_launch.xml",
+                "launch/gateway_launch.xml",
+                "launch/rosbridge_websocket_launch.xml",
+            ],
+        ),
     ],
-    scripts=["scripts/gateway", "scripts/rosbridge_websocket", "scripts/rosapi_node"],
+    scripts=["scripts/foxglove_bridge", "scripts/gateway", "scripts/rosbridge_websocket", "scripts/rosapi_node"],
     entry_points={"ros2cli.command": ["ropeway = ropeway_ros.command:RopewayCommand"]},
     install_requires=["setuptools"],
     zip_safe=False,

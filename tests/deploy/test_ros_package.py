@@ -9,8 +9,10 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
+from xml.etree import ElementTree
 
 import pytest
+import yaml
 
 from tests.deploy.place import ROOT
 from tests.support.until import PATIENCE_S
@@ -51,6 +53,28 @@ def test_what_launch_files_add(program: ModuleType) -> None:
     assert program.without_ros_arguments(given) == ["robot.yaml", "--quiet"]
 
 
+@pytest.mark.parametrize(
+    ("launch", "words"), [("rosbridge_websocket_launch.xml", []), ("foxglove_bridge_launch.xml", ["--foxglove"])]
+)
+def test_parameters_of_launch_files(launch: str, words: list[str], tmp_path: Path) -> None:
+    """Every argument of a launch file is a parameter that the server takes, with the default that it has there."""
+    tree = ElementTree.parse(ROOT / "ros" / "launch" / launch).getroot()
+    defaults = {arg.get("name"): arg.get("default") or "" for arg in tree.iter("arg")}
+    names = {param.get("name"): param.get("type") for param in tree.iter("param")}
+    assert defaults.keys() - names.keys() <= {"ssl"}  # which says whether there is a certificate
+    values = {
+        name: defaults[name] if type == "str" or name in ("certfile", "keyfile") else yaml.safe_load(defaults[name])
+        for name, type in names.items()
+    }
+    params = tmp_path / "params.yaml"
+    params.write_text(yaml.safe_dump({"/**": {"ros__parameters": {**values, "graph": "memory:launched", "port": 0}}}))
+    command = [str(Path(sys.executable).with_name("ropeway")), "server", *words, "--for", "0.1", "--ros-args"]
+    done = subprocess.run(
+        [*command, "--params-file", str(params)], capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.fixture(scope="module")
 def ros2(tmp_path_factory: pytest.TempPathFactory) -> Ros2:
     """The command ``ros2``, in a workspace in which colcon has built the package."""
@@ -84,7 +108,11 @@ def test_verbs(ros2: Ros2) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "arguments"),
-    [("gateway_launch.xml", ["config", "log_level"]), ("rosbridge_websocket_launch.xml", ["port"])],
+    [
+        ("gateway_launch.xml", ["config", "log_level"]),
+        ("rosbridge_websocket_launch.xml", ["port"]),
+        ("foxglove_bridge_launch.xml", ["port", "topic_whitelist"]),
+    ],
 )
 def test_launch_files(ros2: Ros2, file: str, arguments: list[str]) -> None:
     """The launch files are installed, and show what they take."""
