@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -87,7 +89,7 @@ def test_what_is_no_message_of_ros(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.geteuid() != 0, reason="a full disk is made by root")
 def test_a_full_disk(tmp_path: Path) -> None:
     """A full disk is an error that says so; what was written before can be read."""
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "ropeway-test", tmp_path], check=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "ropeway-test", tmp_path], check=True)
     try:
         files = McapFiles(tmp_path / "a.mcap")
         with pytest.raises(RecordingFailed, match="No space left"):
@@ -95,6 +97,30 @@ def test_a_full_disk(tmp_path: Path) -> None:
                 files.write(Recorded(one.channel, one.time_ns, text("x" * 9_000)) for one in messages(channel(), 1000))
                 files.flush()
         files.close()
-        assert (tmp_path / "a.mcap").stat().st_size > 0
+        with Bag(tmp_path / "a.mcap", TypeRegistry()) as bag:
+            assert bag.notes == []
+            assert sum(one.count for one in bag.topics) == len(list(bag.records())) == files.messages > 0
     finally:
         subprocess.run(["umount", tmp_path], check=True)
+
+
+def test_a_process_that_is_killed(tmp_path: Path) -> None:
+    """Of a process that is killed all is read up to the last chunk, and it is said that the file is cut short."""
+    path = tmp_path / "a.mcap"
+    code = f"""
+import os, signal, sys
+from pathlib import Path
+from ropeway.recording.files import McapFiles
+from tests.recording.test_files import channel, messages
+files = McapFiles(Path({str(path)!r}))
+files.write(messages(channel(), 70))
+files.flush(everything=True)
+files.write(messages(channel(), 5, start=70))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    ended = subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[2])
+    assert ended.returncode == -signal.SIGKILL
+    with Bag(path, TypeRegistry()) as bag:
+        assert "cut short" in bag.notes[0]
+        assert [one.count for one in bag.topics] == [70]
+        assert [one.payload for one in bag.records()] == [text(str(n)) for n in range(70)]

@@ -18,7 +18,7 @@ from ropeway.recording.clips import ClipRecorder, stamped
 from ropeway.recording.condition import Condition
 from ropeway.recording.files import McapFiles
 from ropeway.recording.graph_recorder import GraphRecorder, TopicChoice
-from ropeway.recording.kept_files import KeptFiles
+from ropeway.recording.kept_files import KeptFile, KeptFiles
 from ropeway.recording.ring import Ring
 from ropeway.recording.writer import FAILED, RecordingWriter
 from ropeway.tasks import Supervised, describe, end
@@ -61,6 +61,15 @@ class Recorder:
         self._view: View | None = None
         self._graph: GraphRecorder | None = None
         self._ended: Counter[str] = Counter()  # what was lost in recordings that are over
+
+    @property
+    def _stem(self) -> str:
+        """The beginning of the names of its files: workers share a directory."""
+        return self._part or self.config.name
+
+    def files(self) -> list[KeptFile]:
+        """Return the files of this recorder, the oldest first. Blocks."""
+        return [one for one in self.kept.listed() if one.path.name.startswith(f"{self._stem}_")]
 
     # ── what it takes ──────────────────────────────────────────────────────────────────────────────────────────
 
@@ -173,7 +182,7 @@ class Recorder:
     def _files(self) -> McapFiles:
         """Make the files of the next recording, or clip."""
         config = self.config
-        path = stamped(self.directory / (self._part or self.config.name))
+        path = stamped(self.directory / self._stem)
         self.last = str(path)
         return McapFiles(
             path,

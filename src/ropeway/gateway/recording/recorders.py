@@ -130,7 +130,7 @@ class Recorders:
                 **recorder.status(),
                 "files": [
                     {"path": str(one.path), "bytes": one.size_bytes, "changed": one.changed_s}
-                    for one in recorder.kept.listed()
+                    for one in recorder.files()
                 ],
             }
             for recorder in list(self._recorders.values())
