@@ -50,21 +50,21 @@ server.start()
 rospy.spin()
 """
 
-CLIENT = """
+CLIENT = f"""
 import rospy, actionlib
 from actionlib.msg import TestAction, TestGoal
 rospy.init_node("client")
 client = actionlib.SimpleActionClient("/work", TestAction)
-assert client.wait_for_server(rospy.Duration(20))
+assert client.wait_for_server(rospy.Duration({PATIENCE_S}))
 for number in (1, 2, 4):
     client.send_goal(TestGoal(number))
-    client.wait_for_result(rospy.Duration(10))
+    client.wait_for_result(rospy.Duration({PATIENCE_S}))
     print("ended", number, client.get_state(), client.get_result().result, client.get_goal_status_text())
 def advance(feedback):
     print("feedback", feedback.feedback)
     client.cancel_goal()
 client.send_goal(TestGoal(3), feedback_cb=advance)
-client.wait_for_result(rospy.Duration(10))
+client.wait_for_result(rospy.Duration({PATIENCE_S}))
 print("ended", 3, client.get_state(), client.get_result().result)
 print("done")
 """

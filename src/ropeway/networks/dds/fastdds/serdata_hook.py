@@ -55,7 +55,7 @@ _SERDATA_STATUS: Final = 40
 _WITH_LONG_STATUS: Final = 0x10000000  # a bit that Cyclone DDS sends as a second word of the status
 # struct ddsi_serdata_ops, as indices of pointers
 _GET_SIZE, _FROM_SER, _FROM_SER_IOV, _TO_SER_REF, _FREE, _GET_KEYHASH = 1, 2, 3, 7, 12, 14
-_OPS: Final = 17
+_OPS: Final = 15  # two more follow in libraries with shared memory
 # struct ddsi_rdata, which tells of (a fragment of) a received sample
 _RDATA = struct.Struct("=QQIIHH")  # message, next fragment, first byte, end, submessage, payload
 _MESSAGE_BYTES: Final = 48  # struct ddsi_rmsg; the RTPS message follows
