@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from ropeway import tasks
-from ropeway.control.on_demand import Answering, ServedOnDemand
+from ropeway.control.on_demand import ClosableServer, ServedOnDemand
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def bound(tmp_path: Path) -> Iterator[socket.socket]:
         yield made
 
 
-def echoing(bound: socket.socket, begun: list[int], *, failures: int = 0) -> Callable[[], Awaitable[Answering]]:
+def echoing(bound: socket.socket, begun: list[int], *, failures: int = 0) -> Callable[[], Awaitable[ClosableServer]]:
     """What begins to answer with ``hello``, after some failures."""
 
     class Hello:
@@ -42,7 +42,7 @@ def echoing(bound: socket.socket, begun: list[int], *, failures: int = 0) -> Cal
         writer.close()
         await writer.wait_closed()
 
-    async def begin() -> Answering:
+    async def begin() -> ClosableServer:
         begun.append(len(begun))
         if len(begun) <= failures:
             raise OSError("not yet")

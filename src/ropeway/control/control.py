@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from ropeway.control.admission import AnyAdmission, TcpAdmission, UnixAdmission
 from ropeway.control.changes import StateChanges, states_of
 from ropeway.control.claim import SocketClaim
-from ropeway.control.on_demand import Answering, ServedOnDemand
+from ropeway.control.on_demand import ClosableServer, ServedOnDemand
 from ropeway.control.place import own_directory, socket_path
 from ropeway.errors import ConnectFailed, ControlError, NameTaken
 from ropeway.gateway.auth import make_door
@@ -110,9 +110,9 @@ class Control:
         *,
         metrics_only: bool = False,
     ) -> None:
-        async def begin() -> Answering:
+        async def begin() -> ClosableServer:
             server = await load(_SERVER)
-            made: Answering = await server.serve(
+            made: ClosableServer = await server.serve(
                 self.manager, admission, bound, context=context, metrics_only=metrics_only
             )
             return made

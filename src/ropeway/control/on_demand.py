@@ -9,10 +9,10 @@ from typing import Protocol
 
 from ropeway.tasks import Supervised
 
-__all__ = ["Answering", "ServedOnDemand"]
+__all__ = ["ClosableServer", "ServedOnDemand"]
 
 
-class Answering(Protocol):
+class ClosableServer(Protocol):
     """Answers on a socket."""
 
     async def close(self) -> None:
@@ -27,11 +27,11 @@ class ServedOnDemand:
     again after a pause.
     """
 
-    def __init__(self, bound: socket.socket, begin: Callable[[], Awaitable[Answering]]) -> None:
+    def __init__(self, bound: socket.socket, begin: Callable[[], Awaitable[ClosableServer]]) -> None:
         self._bound, self._begin = bound, begin
         self._loop = asyncio.get_running_loop()
         self._work: Supervised | None = None
-        self._answering: Answering | None = None
+        self._answering: ClosableServer | None = None
         self._waiting = True
         self._loop.add_reader(bound.fileno(), self._came)
 

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from ropeway.delivery.histogram import BOUNDS_NS
+from ropeway.delivery.histogram import BOUNDS_NS, Histogram
 from ropeway.delivery.meter import Meter
 from ropeway.delivery.pipeline import Drop, Reason, Step
 from ropeway.graph.base import Sample
@@ -33,7 +33,8 @@ class Keep(Protocol):
 class Passage:
     """Passes messages on through ``steps`` to ``sink``; every drop is counted with its reason in ``drops``.
 
-    Without a sink nobody asked for the topic. ``keep`` keeps the last message that passed.
+    Without a sink nobody asked for the topic. ``keep`` keeps the last message that passed; ``delays`` counts messages by
+    their delay, with those of other passages that share it.
     """
 
     __slots__ = ("drops", "keep", "meter", "sink", "steps")
@@ -42,13 +43,13 @@ class Passage:
         self,
         steps: Sequence[Step] = (),
         *,
-        meter: Meter | None = None,
+        delays: Histogram | None = None,
         drops: Counter[Reason] | None = None,
         keep: Keep | None = None,
         sink: Callable[[Sample], None] | None = None,
     ) -> None:
         self.steps = steps
-        self.meter = Meter() if meter is None else meter
+        self.meter = Meter(delays)
         self.drops: Counter[Reason] = Counter() if drops is None else drops
         self.keep = keep
         self.sink = sink

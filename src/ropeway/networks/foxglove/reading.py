@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from ropeway.delivery.meter import Meter
 from ropeway.delivery.outbox import SMALL_BYTES, Queue
 from ropeway.delivery.passage import Passage
 from ropeway.networks.foxglove.wire import message_prefix
@@ -32,8 +31,7 @@ class ChannelReader:
         self._codec = viewer.writer.codec(channel.type) if viewer.writer.encoding == _ROS1 else None
         self._queue: Queue[Sample] = viewer.sender.outbox.open(Queue(self))
         self._queue.ready_bytes = SMALL_BYTES
-        meter = Meter(viewer.view.hub.client_delays.read(channel.topic))
-        self.passage = Passage(meter=meter, sink=self._put)
+        self.passage = Passage(delays=viewer.view.hub.client_delays.read(channel.topic), sink=self._put)
         self._subscription: ViewSubscription | None = None
 
     async def open(self) -> None:

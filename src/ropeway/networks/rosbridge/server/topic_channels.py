@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.delivery.early_queue import EarlyQueue
-from ropeway.delivery.meter import Meter
 from ropeway.delivery.outbox import Lost
 from ropeway.delivery.passage import Passage
 from ropeway.delivery.pipeline import Drop, RateLimit, Step, witnessed
@@ -56,7 +55,7 @@ class TopicIn(Inbound):
     """
 
     def __init__(self, session: SessionHost, topic: str, type: str, compression: str | None) -> None:
-        self.passage = Passage(meter=Meter(session.view.hub.client_delays.published(topic)))
+        self.passage = Passage(delays=session.view.hub.client_delays.published(topic))
         super().__init__(type, session.peer, self.passage.pass_on, used=compression or "none")
         self.session, self.topic, self.compression = session, topic, compression
         self.name = ""  # on the graph, once it is published there
@@ -160,7 +159,7 @@ class TopicOut:
         self.qos: QoS | None = None  # as the client asked for
         self.subscription: Subscription | None = None
         self.channel: Channel | None = None
-        self.passage = Passage(meter=Meter(session.view.hub.client_delays.read(topic)))
+        self.passage = Passage(delays=session.view.hub.client_delays.read(topic))
         self._throttle: Throttle | None = None
         self._wanted_definition = False
         self._depth: int | None = None
