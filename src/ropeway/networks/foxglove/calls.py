@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import logging
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from ropeway.errors import CallFailed, InvalidOperation, RopewayError
 from ropeway.graph.calls import Request, new_id
+from ropeway.hub.kept_clients import KeptClients
 from ropeway.limits import CALLS_PER_CLIENT, SHOWN_TEXT_CHARACTERS
 from ropeway.networks.foxglove import wire
 from ropeway.networks.foxglove.publishing import decoder
@@ -17,15 +18,12 @@ from ropeway.tasks import end
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ropeway.hub.calls import ViewClient
     from ropeway.networks.foxglove.channels import ServiceChannel
     from ropeway.networks.foxglove.host import ViewerHost
 
 __all__ = ["ViewerCalls"]
 
 log = logging.getLogger("ropeway.server")
-
-_CLIENTS_LIMIT: Final = 32  # services that one viewer calls again soon
 
 
 class ViewerCalls:
@@ -34,7 +32,7 @@ class ViewerCalls:
     def __init__(self, viewer: ViewerHost, find: Callable[[int], ServiceChannel | None], *, timeout_s: float) -> None:
         self._viewer, self._find, self._timeout_s = viewer, find, timeout_s
         self._calls: dict[asyncio.Task[None], wire.ViewerCall] = {}
-        self._clients: dict[tuple[str, str], ViewClient] = {}
+        self._clients = KeptClients(viewer.view)
 
     def call(self, op: wire.ViewerCall) -> None:
         """Call a service."""
@@ -73,7 +71,7 @@ class ViewerCalls:
         try:
             request = Request(read(op.data), new_id(), (), viewer.peer_name, self._timeout_s)
             viewer.access.command("call_service", service.service, request.payload)
-            client = await self._client(service)
+            client = await self._clients.take(service.service, service.type)
             body = write(await client.call(request, self._timeout_s))
         except (RopewayError, ValueError) as error:
             self.refuse(op, error)
@@ -84,24 +82,6 @@ class ViewerCalls:
             self.refuse(op, CallFailed(service.service, "answers before this one have not been read"))
             return
         viewer.sender.binary(wire.service_response(op.service, op.call, op.encoding, body))
-
-    async def _client(self, service: ServiceChannel) -> ViewClient:
-        """Return the client for a service, kept for further calls; that not used for longest goes."""
-        key = (service.service, service.type)
-        client = self._clients.pop(key, None) or await self._viewer.view.create_client(*key)
-        other = self._clients.pop(key, None)  # of a call that came meanwhile
-        if other is not None and other is not client:
-            await client.close()
-            client = other
-        self._clients[key] = client
-        while len(self._clients) > _CLIENTS_LIMIT:
-            oldest = next(iter(self._clients))
-            idle = self._clients.pop(oldest)
-            if idle.busy:
-                self._clients[oldest] = idle
-                break
-            await idle.close()
-        return client
 
     def _ended(self, op: wire.ViewerCall, task: asyncio.Task[None]) -> None:
         self._calls.pop(task, None)
@@ -126,6 +106,4 @@ class ViewerCalls:
     async def close(self) -> None:
         """Give up what is under way: the viewer is gone."""
         await end(*self._calls)
-        clients, self._clients = self._clients, {}
-        for client in clients.values():
-            await client.close()
+        await self._clients.close()

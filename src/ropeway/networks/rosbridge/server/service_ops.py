@@ -20,6 +20,7 @@ from ropeway.errors import (
     WireError,
 )
 from ropeway.graph.calls import Request
+from ropeway.hub.kept_clients import KeptClients
 from ropeway.limits import CALLS_PER_CLIENT, LONGEST_CALL_S, SERVICES_PER_CLIENT
 from ropeway.networks.rosbridge.protocol import ops
 from ropeway.networks.rosbridge.server.bodies import (
@@ -44,7 +45,6 @@ __all__ = ["ServiceOps"]
 log = logging.getLogger("ropeway.server")
 
 _SERVER_S: Final = 1.0  # a server that was seen and not reached yet is waited for so long, besides the call's own time
-_CLIENTS_LIMIT: Final = 32  # services that one client calls again soon
 _NAMES_LIMIT: Final = 256  # spellings of names that are looked up once
 
 
@@ -60,16 +60,14 @@ class ServiceOps:
         )
         self._calls: dict[asyncio.Task[None], ops.CallService] = {}
         self._rosapi = RosapiCalls(session.peer, session.turns, self._fail)
-        self._clients: dict[tuple[str, str], ViewClient] = {}
+        self._clients = KeptClients(session.view)
         self._names: dict[str, tuple[str, bool]] = {}  # by what clients write: the name, and whether rosapi serves it
 
     async def leave(self) -> None:
         """Clean up after a client that has left: its calls are given up, its services withdrawn."""
         await end(*self._calls)
         await self._rosapi.close()
-        for client in self._clients.values():
-            await client.close()
-        self._clients.clear()
+        await self._clients.close()
         await self.offered.leave()
 
     async def give_up(self, reason: str) -> None:
@@ -141,7 +139,7 @@ class ServiceOps:
         held = 0
         try:
             extra = op.ropeway or {}
-            client = self._clients.get((name, op.type)) if session.gateway and op.type else None
+            client = self._clients.get(name, op.type) if session.gateway and op.type else None
             if client is not None and client.available:  # so its type is right as well
                 type, known = client.type, True
             else:
@@ -162,7 +160,7 @@ class ServiceOps:
             if client is None:
                 client = await self._found(name, type, timeout_s, wait=known)
             else:
-                self._clients[name, type] = self._clients.pop((name, type))
+                self._clients.used(name, type)
             response = await client.call(request, timeout_s)
         except (RopewayError, ValueError) as error:
             self.refuse(op, error)
@@ -188,32 +186,11 @@ class ServiceOps:
     async def _found(self, name: str, type: str, timeout_s: float, *, wait: bool) -> ViewClient:
         """Return the client for a service; with ``wait`` somebody may serve it in a moment."""
         if self.session.view.service_types(name):
-            client = await self._client(name, type)
+            client = await self._clients.take(name, type)
         else:
             client = await self._find(name, type, timeout_s, wait=wait)
         if client.available is False and client.listed:
             await client.wait_available(_SERVER_S)
-        return client
-
-    async def _client(self, name: str, type: str) -> ViewClient:
-        """Return the client for a service, kept for further calls."""
-        client = self._clients.pop((name, type), None) or await self.session.view.create_client(name, type)
-        return await self._keep(name, type, client)
-
-    async def _keep(self, name: str, type: str, client: ViewClient) -> ViewClient:
-        """Keep a client for further calls, or take the one that is kept; that not used for longest goes."""
-        other = self._clients.pop((name, type), None)  # of a call that came meanwhile
-        if other is not None and other is not client:
-            await client.close()
-            client = other
-        self._clients[name, type] = client
-        while len(self._clients) > _CLIENTS_LIMIT:
-            oldest = next(iter(self._clients))
-            idle = self._clients.pop(oldest)
-            if idle.busy:
-                self._clients[oldest] = idle
-                break
-            await idle.close()
         return client
 
     async def _find(self, name: str, type: str, timeout_s: float, *, wait: bool) -> ViewClient:
@@ -231,7 +208,7 @@ class ServiceOps:
             except BaseException:
                 await client.close()
                 raise
-        return await self._keep(name, type, client)
+        return await self._clients.keep(name, type, client)
 
     def _type(self, op: ops.CallService, name: str) -> tuple[str, bool]:
         """Return the type of a service, and whether to wait for it.
