@@ -33,8 +33,8 @@ class Keep(Protocol):
 class Passage:
     """Passes messages on through ``steps`` to ``sink``; every drop is counted with its reason in ``drops``.
 
-    Without a sink nobody asked for the topic. ``keep`` keeps the last message that passed; ``delays`` counts messages by
-    their delay, with those of other passages that share it.
+    Without a sink nobody asked for the topic. ``keep`` keeps the last message that passed. ``delays`` counts messages
+    by their delay, with those of other passages that share it.
     """
 
     __slots__ = ("drops", "keep", "meter", "sink", "steps")
