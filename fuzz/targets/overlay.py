@@ -18,9 +18,8 @@ from ropeway.networks.overlay import announcement as note
 from ropeway.networks.overlay.crypto import channel
 from ropeway.networks.overlay.crypto.seal import ContentKey, Grant, Opener, Sealer
 from ropeway.networks.overlay.crypto.trust import Trust
-from ropeway.networks.overlay.feed import read_item
 from ropeway.networks.overlay.names import Metadata, global_name
-from ropeway.networks.overlay.packet_item import RAW, ZSTD, PacketItem, pack
+from ropeway.networks.overlay.packet_item import RAW, ZSTD, PacketItem, pack, read_item
 
 __all__ = ["TARGETS"]
 

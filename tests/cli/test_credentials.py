@@ -65,7 +65,7 @@ async def test_token_and_certificates(
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["-g", "memory:x", "--ca", "x.pem"], "are for wss:// and iorts://"),
+        (["-g", "memory:x", "--ca", "x.pem"], "are for wss://, iorts:// and mqtts:// graphs"),
         (["-g", "wss://127.0.0.1:1", "--ca", "no.pem"], "there is no file no.pem"),
         (["-g", "wss://127.0.0.1:1", "--key", __file__], "--key needs --certificate"),
         (["-g", "wss://127.0.0.1:1", "--ca", __file__], "holds no certificates"),

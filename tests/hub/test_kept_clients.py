@@ -25,10 +25,11 @@ async def test_the_least_used_goes() -> None:
         clients = [await kept.take(name, TRIGGER) for name in names]
         assert await kept.take("/s0", TRIGGER) is clients[0]
         await kept.take("/more", TRIGGER)
-        assert kept.get("/s0", TRIGGER) is clients[0]
-        assert kept.get("/s1", TRIGGER) is None
-        kept.used("/s2", TRIGGER)
+        assert kept.kept["/s0", TRIGGER] is clients[0]
+        assert ("/s1", TRIGGER) not in kept.kept
+        kept.kept.move_to_end(("/s2", TRIGGER))
         await kept.take("/still_more", TRIGGER)
-        assert (kept.get("/s2", TRIGGER), kept.get("/s3", TRIGGER)) == (clients[2], None)
+        assert kept.kept["/s2", TRIGGER] is clients[2]
+        assert ("/s3", TRIGGER) not in kept.kept
         await kept.close()
-        assert kept.get("/s0", TRIGGER) is None
+        assert not kept.kept

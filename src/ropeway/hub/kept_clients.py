@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from typing import Final
 
 from ropeway.hub.calls import ViewClient
@@ -14,28 +15,24 @@ KEPT_CLIENTS: Final = 32
 
 
 class KeptClients:
-    """The clients that a session has on its view, by the name and the type of their services."""
+    """The clients that a session has on its view.
+
+    ``kept`` has them by the name and the type of their services, that not used for longest first; who uses one from
+    there moves it to the end.
+    """
 
     def __init__(self, view: View) -> None:
+        self.kept: OrderedDict[tuple[str, str], ViewClient] = OrderedDict()
         self._view = view
-        self._clients: dict[tuple[str, str], ViewClient] = {}
-
-    def get(self, name: str, type: str) -> ViewClient | None:
-        """Return the client of a service that is kept, if there is one."""
-        return self._clients.get((name, type))
-
-    def used(self, name: str, type: str) -> None:
-        """Note that a client that is kept was used."""
-        self._clients[name, type] = self._clients.pop((name, type))
 
     async def take(self, name: str, type: str) -> ViewClient:
         """Return the client of a service, a new one where none is kept."""
-        client = self._clients.pop((name, type), None) or await self._view.create_client(name, type)
+        client = self.kept.pop((name, type), None) or await self._view.create_client(name, type)
         return await self.keep(name, type, client)
 
     async def keep(self, name: str, type: str, client: ViewClient) -> ViewClient:
         """Keep a client for further calls, or take the one that is kept; that not used for longest goes."""
-        clients = self._clients
+        clients = self.kept
         other = clients.pop((name, type), None)  # of a call that came meanwhile
         if other is not None and other is not client:
             await client.close()
@@ -52,6 +49,6 @@ class KeptClients:
 
     async def close(self) -> None:
         """Close all of them."""
-        clients, self._clients = self._clients, {}
+        clients, self.kept = self.kept, OrderedDict()
         for client in clients.values():
             await client.close()

@@ -364,8 +364,9 @@ def test_every_fault_is_reported_in_one_line() -> None:
     assert said["remotes[0].subscribe"] == "expected a list, got an object"
     assert 'did you mean "expose-service"?' in said["remotes[0].expose-servce"]
     assert said["remotes[1].address"] == (
-        "this key is missing; expected ws://host:port or wss://host:port, overlay: everybody in the overlay, or "
-        "iort://host:port: a server of IoRT nodes; a list of ws:// or wss:// addresses that offer the same is a group"
+        "this key is missing; expected ws://host:port or wss://host:port, overlay: everybody in the overlay, "
+        "iort://host:port: a server of IoRT nodes, or mqtt://host:port or mqtts://host:port: an MQTT broker; "
+        "a list of ws:// or wss:// addresses that offer the same is a group"
     )
     assert 'did you mean "address"?' in said["remotes[1].adress"]
     assert said["remotes[0].publish[1]"] == (

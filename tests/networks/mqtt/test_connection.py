@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import gc
 import logging
+import socket
 import ssl
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -18,7 +19,7 @@ from ropeway.errors import GraphUnavailable
 from ropeway.networks.mqtt.address import parse_address
 from ropeway.networks.mqtt.graph import MqttGraph
 from ropeway.qos import LATCHED, SENSOR_DATA, QoS
-from ropeway.tasks import Chores
+from ropeway.tasks import Chores, background, end
 from tests.support.authority import Authority
 from tests.support.inbox import Inbox
 from tests.support.messages import STRING, sample
@@ -231,22 +232,27 @@ async def test_tls(tmp_path: Path) -> None:
 @asynccontextmanager
 async def _impostor(answer: bytes) -> AsyncIterator[str]:
     """A server that is no broker, and says the same to everybody."""
-    chores = Chores()
+    loop, guests = asyncio.get_running_loop(), Chores()
 
-    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writer.write(answer)
-        with contextlib.suppress(OSError):
-            await reader.read()
-        writer.transport.abort()
-        with contextlib.suppress(OSError):
-            await writer.wait_closed()
+    async def serve(guest: socket.socket) -> None:
+        with guest, contextlib.suppress(OSError):
+            await loop.sock_sendall(guest, answer)
+            while await loop.sock_recv(guest, 4096):
+                pass
 
-    server = await asyncio.start_server(lambda *ends: chores.start(serve(*ends), "a guest") and None, "127.0.0.1", 0)
-    try:
-        yield f"mqtt://127.0.0.1:{server.sockets[0].getsockname()[1]}"
-    finally:
-        server.close()
-        await chores.wait()
+    async def accept(bound: socket.socket) -> None:
+        while True:
+            guest, _ = await loop.sock_accept(bound)
+            guests.start(serve(guest), "a guest")
+
+    with socket.create_server(("127.0.0.1", 0)) as bound:
+        bound.setblocking(False)
+        accepting = background(accept(bound), "an impostor")
+        try:
+            yield f"mqtt://127.0.0.1:{bound.getsockname()[1]}"
+        finally:
+            await end(accepting)
+            await guests.close()
 
 
 _CONNACK = b"\x20\x03\0\0\0"

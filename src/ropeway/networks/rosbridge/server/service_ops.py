@@ -139,7 +139,7 @@ class ServiceOps:
         held = 0
         try:
             extra = op.ropeway or {}
-            client = self._clients.get(name, op.type) if session.gateway and op.type else None
+            client = self._clients.kept.get((name, op.type)) if session.gateway and op.type else None
             if client is not None and client.available:  # so its type is right as well
                 type, known = client.type, True
             else:
@@ -160,7 +160,7 @@ class ServiceOps:
             if client is None:
                 client = await self._found(name, type, timeout_s, wait=known)
             else:
-                self._clients.used(name, type)
+                self._clients.kept.move_to_end((name, type))
             response = await client.call(request, timeout_s)
         except (RopewayError, ValueError) as error:
             self.refuse(op, error)
