@@ -147,5 +147,6 @@ async def test_a_dashboard(place: Place, tmp_path: Path, library: str) -> None:
             assert await shown.wait(compression) == {"data": "grüße"}
         await answers.wait(3)
     got: list[Any] = [json.loads(codec.json(payload))["data"] for payload in answers.payloads]
-    assert sorted(got) == ["cbor: grüße", "none: grüße", "png: grüße"]
+    # The greeting is latched, so each subscription may bring it, and roslibjs gives it to all listeners of the topic.
+    assert set(got) == {"cbor: grüße", "none: grüße", "png: grüße"}
     assert place.complaints == {}
