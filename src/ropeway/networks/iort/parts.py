@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import time
 from typing import TYPE_CHECKING, Final, Protocol
 
 from ropeway.graph.base import Sample, SampleCallback, Undelivered
-from ropeway.graph.host import Host
-from ropeway.graph.parts import PublisherBase, SubscriptionBase
+from ropeway.graph.parts import PublisherBase
+from ropeway.graph.timed_messages import TimedHost, TimedSubscription
 from ropeway.qos import QoS
 from ropeway.store import CDR, Entry
 from ropeway.tasks import describe
@@ -30,13 +29,12 @@ ROS_ORIGIN: Final = "ros:"
 """The prefix of the origin of entries that ROS published first; 32 hexadecimal digits follow."""
 
 
-class IortHost(Host, Protocol):
+class IortHost(TimedHost, Protocol):
     """The services of a graph for its publishers and subscriptions."""
 
     link: Link
     registry: TypeRegistry
     fault_log: FaultLog
-    loop: asyncio.AbstractEventLoop
 
     @property
     def own_mark(self) -> str:
@@ -122,7 +120,7 @@ class NodeTopic:
                 subscription.take(self, entry, form)
 
 
-class IortSubscription(SubscriptionBase[IortHost]):
+class IortSubscription(TimedSubscription[IortHost, NodeTopic]):
     """A ROS topic that nodes publish."""
 
     def __init__(self, graph: IortHost, topic: str, type: str, qos: QoS | None, callback: SampleCallback) -> None:
@@ -130,9 +128,6 @@ class IortSubscription(SubscriptionBase[IortHost]):
         self._plain: Form | None = None
         self._feeds: list[tuple[NodeTopic, Form | None]] = []
         self._had: dict[int, tuple[int, str]] = {}
-        self._batch: list[Sample] = []
-        self._scheduled = False
-        self._timers: dict[int, list[asyncio.TimerHandle]] = {}
 
     def join(self, feed: NodeTopic, form: Form | None) -> None:
         """Read a topic of nodes; ``form`` is that of its map."""
@@ -169,15 +164,12 @@ class IortSubscription(SubscriptionBase[IortHost]):
             where = f"{entry.system}/{entry.topic}"
             self._graph.fault_log.note("value", where, f"it is not passed on to {self.topic}: {describe(error)}")
             return
-        for timer in self._timers.pop(id(feed), ()):
-            timer.cancel()
-        for delay_s, payload in messages:
-            sample = Sample(payload, self.type, time.time_ns(), _origin(entry), entry.stamp_ns)
-            if delay_s:
-                timer = self._graph.loop.call_later(delay_s, self._later, feed, sample)
-                self._timers.setdefault(id(feed), []).append(timer)
-            else:
-                self._add(feed, sample)
+        self._hand_over(
+            feed, messages, lambda payload: Sample(payload, self.type, time.time_ns(), _origin(entry), entry.stamp_ns)
+        )
+
+    def _came(self, source: NodeTopic, sample: Sample) -> None:
+        self._graph.had(source.system, source.topic).add(sample)
 
     def _messages(self, entry: Entry, form: Form | None) -> list[Timed]:
         if entry.form == CDR:
@@ -190,31 +182,12 @@ class IortSubscription(SubscriptionBase[IortHost]):
             form = self._plain
         return form.messages(entry.data)
 
-    def _later(self, feed: NodeTopic, sample: Sample) -> None:
-        sample.stamp_ns = sample.seq = time.time_ns()
-        self._add(feed, sample)
-
-    def _add(self, feed: NodeTopic, sample: Sample) -> None:
-        self._graph.had(feed.system, feed.topic).add(sample)
-        self._batch.append(sample)
-        if not self._scheduled:
-            self._scheduled = True
-            self._graph.loop.call_soon(self._flush)
-
-    def _flush(self) -> None:
-        self._scheduled = False
-        batch, self._batch = self._batch, []
-        self.deliver(batch)
-
     async def close(self) -> None:
         """Stop reading."""
         if self.closed:
             return
         self.closed = True
-        for timers in self._timers.values():
-            for timer in timers:
-                timer.cancel()
-        self._timers.clear()
+        self._drop_timers()
         await self._graph.forget(self)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -10,8 +9,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from ropeway.errors import ConversionError
 from ropeway.graph.base import Sample, SampleCallback, Undelivered
-from ropeway.graph.host import Host
-from ropeway.graph.parts import SubscriptionBase
+from ropeway.graph.timed_messages import TimedHost, TimedSubscription
 from ropeway.limits import MQTT_KEPT_BYTES, MQTT_KEPT_TOPICS
 from ropeway.networks.mqtt.connection import Wish
 from ropeway.networks.mqtt.maps import MqttMap, form_of
@@ -30,12 +28,11 @@ __all__ = ["MqttFeed", "MqttFeeds", "MqttReadingHost", "MqttSubscription"]
 _MATCHED_TOPICS: Final = 4096  # of filters: which feeds a topic belongs to is looked up once
 
 
-class MqttReadingHost(Host, Protocol):
+class MqttReadingHost(TimedHost, Protocol):
     """The services of a graph for what it reads."""
 
     registry: TypeRegistry
     fault_log: FaultLog
-    loop: asyncio.AbstractEventLoop
 
     def offered(self, topic: str) -> list[QoS]:
         """Return the profiles of those who publish a ROS topic."""
@@ -135,7 +132,7 @@ class MqttFeeds:
         return iter(list(self._feeds.values()))
 
 
-class MqttSubscription(SubscriptionBase[MqttReadingHost]):
+class MqttSubscription(TimedSubscription[MqttReadingHost, str]):
     """A ROS topic that is read from a broker."""
 
     def __init__(
@@ -152,9 +149,6 @@ class MqttSubscription(SubscriptionBase[MqttReadingHost]):
         self._cdr = CdrForm(graph.registry.codec(type))
         self.feed: MqttFeed | None = None
         self._had: dict[str, Received] = {}
-        self._batch: list[Sample] = []
-        self._scheduled = False
-        self._timers: dict[str, list[asyncio.TimerHandle]] = {}
 
     @property
     def wants_retained(self) -> bool:
@@ -205,41 +199,19 @@ class MqttSubscription(SubscriptionBase[MqttReadingHost]):
             why = f"it is not passed on to {self.topic}: {describe(error)}"
             self._graph.fault_log.note("value", message.topic, why)
             return
-        for timer in self._timers.pop(message.topic, ()):
-            timer.cancel()
         now_ns = time.time_ns()
-        for delay_s, payload in made:
-            sample = Sample(payload, self.type, now_ns, message.origin, message.seq)
-            if delay_s:
-                timer = self._graph.loop.call_later(delay_s, self._later, message.topic, sample)
-                self._timers.setdefault(message.topic, []).append(timer)
-            else:
-                self._add(message.topic, sample)
+        self._hand_over(
+            message.topic, made, lambda payload: Sample(payload, self.type, now_ns, message.origin, message.seq)
+        )
 
-    def _later(self, topic: str, sample: Sample) -> None:
-        sample.stamp_ns = sample.seq = time.time_ns()
-        self._add(topic, sample)
-
-    def _add(self, topic: str, sample: Sample) -> None:
-        self._graph.came(topic, sample)
-        self._batch.append(sample)
-        if not self._scheduled:
-            self._scheduled = True
-            self._graph.loop.call_soon(self._flush)
-
-    def _flush(self) -> None:
-        self._scheduled = False
-        batch, self._batch = self._batch, []
-        self.deliver(batch)
+    def _came(self, source: str, sample: Sample) -> None:
+        self._graph.came(source, sample)
 
     async def close(self) -> None:
         """Stop reading."""
         if self.closed:
             return
         self.closed = True
-        for timers in self._timers.values():
-            for timer in timers:
-                timer.cancel()
-        self._timers.clear()
+        self._drop_timers()
         self._had.clear()
         await self._graph.forget(self)
