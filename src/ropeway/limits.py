@@ -635,6 +635,13 @@ FIELD_PATH_STEPS: Final = 32
 RECORDING_WAITING_BYTES: Final = 256 << 20
 """Messages that wait for the disk. Above, what comes is left out, and counted: robots need their memory elsewhere."""
 
+RECORDING_UNPACKED_BYTES: Final = 64 << 30
+"""The files of a recording that were compressed whole, unpacked together: an hour of all sensors of a car. A few
+kilobytes of a hostile one would unpack to as much as the disk has."""
+
+RECORDING_DISK_BYTES: Final = 1 << 30
+"""What a disk keeps free when such files are unpacked on it: other programs need it, too."""
+
 RECORDED_CLIP_S: Final = 600.0
 """The longest clip: a condition that flickers, or somebody who triggers all the time, begins another then."""
 

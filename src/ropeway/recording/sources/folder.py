@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import shutil
 import tempfile
 from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, ExitStack
@@ -12,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import yaml
-import zstandard
 
 from ropeway.recording.sources.source import RecordedChannel, Recording
+from ropeway.recording.sources.unpacking import Unpacker
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -24,7 +23,6 @@ __all__ = ["FolderSource"]
 
 _KINDS: Final = (".mcap", ".db3")
 _ID_BITS: Final = 48  # ids of one file are below; the number of the file stands above
-_MESSAGE_LIMIT_BYTES: Final = 1 << 30
 
 
 class FolderSource:
@@ -37,7 +35,8 @@ class FolderSource:
         self._path, self._open_file = path, open_file
         self._stack = ExitStack()
         self._sources: list[Recording] = []
-        self._unpack: zstandard.ZstdDecompressor | None = None
+        self._unpacker = Unpacker()
+        self._packed_messages = False
         self.channels: list[RecordedChannel] = []
         self.start_ns = self.end_ns = 0
         self.notes: list[str] = []
@@ -50,8 +49,7 @@ class FolderSource:
                 raise ValueError(f"metadata.yaml: compression by {mode.lower()} is not known")
             for name in self._names(about):
                 self._enter(self._path / name)
-            if mode == "MESSAGE":
-                self._unpack = zstandard.ZstdDecompressor()
+            self._packed_messages = mode == "MESSAGE"
             self._agree(about)
             self._stack = self._stack.pop_all()
         return self
@@ -66,9 +64,7 @@ class FolderSource:
             chosen.setdefault(id >> _ID_BITS, []).append(id & ((1 << _ID_BITS) - 1))
         streams = [self._numbered(number, inner) for number, inner in chosen.items()]
         for id, time_ns, raw in heapq.merge(*streams, key=lambda message: message[1]):
-            if self._unpack is not None:
-                raw = self._unpack.decompress(raw, max_output_size=_MESSAGE_LIMIT_BYTES)
-            yield id, time_ns, raw
+            yield id, time_ns, self._unpacker.message(raw) if self._packed_messages else raw
 
     def _numbered(self, number: int, ids: list[int]) -> Iterator[tuple[int, int, bytes]]:
         for id, time_ns, raw in self._sources[number].messages(ids):
@@ -134,8 +130,7 @@ class FolderSource:
         """Decompress a file that was compressed as a whole, into a directory that is removed with the recording."""
         directory = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="ropeway-bag-"))
         target = Path(directory, file.name.removesuffix(".zstd"))
-        with file.open("rb") as packed, target.open("wb") as out:
-            shutil.copyfileobj(zstandard.ZstdDecompressor().stream_reader(packed), out)
+        self._unpacker.file(file, target)
         return target
 
     def _agree(self, about: dict[str, Any]) -> None:

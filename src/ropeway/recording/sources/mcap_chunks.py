@@ -14,10 +14,9 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 
-__all__ = ["CHUNK_BYTES", "CHUNK_MESSAGES", "chunk_records"]
+from ropeway.recording.sources.unpacking import CHUNK_BYTES
 
-CHUNK_BYTES: Final = 256 << 20
-"""A chunk that says that it has more is damage, or hostile: writers close one at some MiB, or after one message."""
+__all__ = ["CHUNK_MESSAGES", "chunk_records"]
 
 CHUNK_MESSAGES: Final = 1 << 20
 """Messages of a chunk, each of which takes memory beside its bytes."""

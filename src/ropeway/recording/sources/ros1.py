@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bz2
 import io
 import struct
 from collections import Counter
@@ -10,11 +9,12 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
-import lz4.frame
 from rosbags.rosbag1 import Reader
+from rosbags.rosbag1.reader import decompressors
 
 from ropeway.recording.offered_qos import recorded_qos
 from ropeway.recording.sources.source import DAMAGED, RecordedChannel
+from ropeway.recording.sources.unpacking import unpacked_bz2, unpacked_lz4
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -27,9 +27,10 @@ _TIME: Final = struct.Struct("<II")
 _MESSAGE, _CHUNK, _CONNECTION = b"\x02", b"\x05", b"\x07"
 _UNPACK: Final[dict[bytes, Callable[[bytes], bytes]]] = {
     b"none": bytes,
-    b"bz2": bz2.decompress,
-    b"lz4": lz4.frame.decompress,
+    b"bz2": unpacked_bz2,
+    b"lz4": unpacked_lz4,
 }
+_BOUNDED: Final = {decompressors[name.decode()]: unpack for name, unpack in _UNPACK.items()}
 _RECORD_LIMIT_BYTES: Final = 1 << 30  # a length above is damage
 
 
@@ -44,6 +45,8 @@ class Ros1Source:
 
     def __enter__(self) -> Self:
         self._reader.open()
+        for place, chunk in self._reader.chunks.items():
+            self._reader.chunks[place] = chunk._replace(decompressor=_BOUNDED[chunk.decompressor])
         self.start_ns, self.end_ns = self._reader.start_time, self._reader.end_time
         for number, connection in enumerate(self._reader.connections):
             self.channels.append(

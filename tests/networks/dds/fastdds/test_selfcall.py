@@ -55,7 +55,6 @@ def test_finds(change: str, texts: str) -> None:
     """A library that is laid out in another way is found out, and named as far as what lies there allows."""
     code = f"""
     {change}
-    selfcall._LIMIT_S = 0.5
     print(selfcall.wrong(), dict(hook.faults))
     """
     said = run(code)
@@ -76,7 +75,6 @@ def test_errors_stay_inside() -> None:
     """What fails on behalf of the library is counted, and costs no sample."""
     code = """
     hook._note_origin = hook._write_parameter = lambda *_: 1 / 0
-    selfcall._LIMIT_S = 0.5
     selfcall.wrong()
     print(sorted(hook.faults))
     """

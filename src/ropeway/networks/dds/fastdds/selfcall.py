@@ -87,7 +87,7 @@ class _Call:
         asked = None
         sent: dict[bytes, int] = {}
         while asked is None:  # Cyclone DDS does not hear what another one says in the first moment
-            if time.monotonic() > self._until:
+            if hook.faults or time.monotonic() > self._until:
                 return "a request does not arrive"
             with client.end(1) as asks:
                 assert isinstance(asks, ClientEnd)
