@@ -81,15 +81,16 @@ $(BIN)/python:
 
 $(VENV)/runtime.stamp: pyproject.toml | $(BIN)/python
 	@echo "Installing Ropeway into $(VENV); the first time, its dependencies are downloaded, which may take a minute"
-	@$(PIP) install --quiet --editable .
+	@.ci/pip $(VENV) --editable .
 	@touch $@
 
 $(VENV)/demo.stamp: $(VENV)/runtime.stamp
-	@$(PIP) install --quiet --editable ".[all]"
+	@echo "Installing its extras"
+	@.ci/pip $(VENV) --editable ".[all]"
 	@touch $@
 
 $(VENV)/dev.stamp: pyproject.toml | $(BIN)/python
 	@echo "Installing Ropeway and its tools into $(VENV)"
-	@$(PIP) install --quiet --upgrade "pip>=25.1"  # the first that knows dependency groups
-	@$(PIP) install --quiet --editable ".[all]" --group dev
+	@.ci/pip $(VENV) --upgrade "pip>=25.1"  # the first that knows dependency groups
+	@.ci/pip $(VENV) --editable ".[all]" --group dev
 	@touch $@ $(VENV)/runtime.stamp

@@ -24,6 +24,13 @@ def test_extras_are_those_of_the_package() -> None:
     assert everything.split(",") == sorted(EXTRAS)
 
 
+@pytest.mark.parametrize("file", ["deploy/Containerfile", "deploy/debian/build.py", ".ci/arm64"])
+def test_extras_of_services(file: str) -> None:
+    """Images and packages lack nothing that a gateway may be configured to use: all extras but those that draw."""
+    (found,) = re.findall(r"\[([\w,]+)\]['\"]|^EXTRAS = \((.+)\)", (ROOT / file).read_text(), re.MULTILINE)
+    assert set(re.findall(r"\w+", "".join(found))) == EXTRAS.keys() - {"dashboard", "demo"}
+
+
 @pytest.mark.parametrize("extra", EXTRAS)
 def test_what_is_missing_is_one_sentence(extra: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What needs an extra that is not installed says which, and how to install it."""

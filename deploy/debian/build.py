@@ -25,7 +25,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 GLIBCS = ("2_36", "2_35", "2_34", "2_31", "2_28", "2_27", "2_24", "2_17", "2014")  # Debian 12 has 2.36
-EXTRAS = ("bags", "mongo", "overlay")  # a machine of its own is to lack nothing; plots are for demonstrations
+EXTRAS = ("bags", "mongo", "mqtt", "overlay", "zenoh")  # a service is to lack nothing; it draws nothing
 HOME = "usr/lib/ropeway"
 PYTHON_OF_DEBIAN = "3.11.2"
 

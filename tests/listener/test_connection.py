@@ -174,7 +174,8 @@ async def test_holding_back(place: Place) -> None:
             connection.send_binary(bytes(65536))
             sent += 65536
             assert sent < 64 << 20
-        assert connection.unsent_bytes == 0, "what waits can still be replaced"
+        if connection.flow.known:  # elsewhere only the operating system's buffer holds anything back
+            assert connection.unsent_bytes == 0, "what waits can still be replaced"
         before = far.writables
         while sent > 0:
             sent -= len((await client.receive()).data)
@@ -258,6 +259,8 @@ async def test_half_a_frame(place: Place) -> None:
     """A frame that comes slowly is a sign of life; one that stops in the middle is not."""
     await place.listen(Limits(ping_interval_s=0.02, silence_s=0.25))
     client, far = await place.client()
+    if not far.connection.flow.known:
+        pytest.skip("needs an operating system that tells what it has received of a frame")
     data = frame(TEXT, b"0123456789")
     for i in range(len(data)):
         client.raw(data[i : i + 1])

@@ -174,3 +174,16 @@ def test_the_whole_demo(ropeway: Ropeway) -> None:
     for row in told["routes"]:
         assert 0 < row["arrived"] <= row["sent"]
         assert 0 < row["delay_ms_p50"] < 500
+
+
+@pytest.mark.slow
+def test_progress(ropeway: Ropeway) -> None:
+    """Without a terminal the demo says what it does, from its start to a first line of figures and the summary."""
+    domains = (str(150 + os.getpid() % 40), str(190 + os.getpid() % 40))
+    result = ropeway("demo", "--for", "3", "--domains", *domains, timeout_s=120)
+    assert result.returncode == 0, result.stderr
+    starting, connected, figures, *_ = result.stderr.splitlines()
+    assert starting.startswith(f"Starting two gateways, on the DDS domains {domains[0]} ")
+    assert connected.startswith("They are connected")
+    assert " Hz " in figures
+    assert "Messages arrived on every route." in result.stdout

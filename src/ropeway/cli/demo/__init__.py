@@ -31,6 +31,7 @@ __all__ = ["app"]
 app = typer.Typer(add_completion=False)
 _FOR_S: Final = 15.0
 _REFRESH_S: Final = 0.25
+_FIRST_LINE_S: Final = 1.0  # the figures are of a second
 _LINE_S: Final = 5.0
 _CONNECT_S: Final = 20.0
 _LAST_S: Final = 0.5
@@ -90,6 +91,8 @@ async def _demo(
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    if shown:
+        complain(f"Starting two gateways, on the DDS domains {domains[0]} (the robot's) and {domains[1]} (the cloud's)")
     with tempfile.TemporaryDirectory(prefix="ropeway-demo-") as directory:
         async with running(configs, Path(directory)) as gateways:
             graphs: dict[str, Graph] = {}
@@ -164,9 +167,13 @@ async def _show(flows: list[Tally], gateways: Mapping[str, GatewayProcess], *, s
     """Show the live table, or print a line now and then if there is no terminal, until cancelled."""
     loop = asyncio.get_running_loop()
     began = loop.time()
+    if shown:
+        complain("They are connected; robot and cloud begin to send")
     if not shown or not sys.stdout.isatty():
+        pause_s = _FIRST_LINE_S
         while True:
-            await asyncio.sleep(_LINE_S)
+            await asyncio.sleep(pause_s)
+            pause_s = _LINE_S
             if shown:
                 complain(brief(flows, loop.time() - began))
     from rich.live import Live
