@@ -63,8 +63,8 @@ def test_unknown_verb_is_a_usage_error() -> None:
 
 
 def test_start_loads_no_network() -> None:
-    """The top of the command imports neither numpy nor DDS nor pydantic, so that it starts at once."""
-    heavy = "('numpy', 'cyclonedds', 'pydantic', 'rosbags')"
+    """The top of the command imports neither numpy, DDS and pydantic nor what reads options: it starts at once."""
+    heavy = "('numpy', 'cyclonedds', 'pydantic', 'rosbags', 'typer')"
     code = f"import sys, ropeway.cli; print([m for m in {heavy} if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"

@@ -1,87 +1,35 @@
-"""The command ``ropeway``: one module per verb, each imported when it is used."""
+"""The command ``ropeway``."""
 
 from __future__ import annotations
 
+import importlib
 import os
-from typing import Annotated, Any
+import sys
+from typing import TYPE_CHECKING, Any
 
-import typer
+if TYPE_CHECKING:
+    from ropeway.cli.verbs import VERBS, app
 
-from ropeway import __version__
-from ropeway.cli.console import reported
-from ropeway.cli.lazy import lazy_group
-
-__all__ = ["app", "main"]
-
-VERBS = {
-    "run": "ropeway.cli.run",
-    "status": "ropeway.cli.status",
-    "events": "ropeway.cli.events",
-    "audit": "ropeway.cli.audit",
-    "session": "ropeway.cli.client_sessions",
-    "dashboard": "ropeway.cli.dashboard",
-    "server": "ropeway.cli.server",
-    "config": "ropeway.cli.config",
-    "route": "ropeway.cli.route",
-    "topic": "ropeway.cli.topic",
-    "service": "ropeway.cli.service",
-    "action": "ropeway.cli.action",
-    "node": "ropeway.cli.node",
-    "param": "ropeway.cli.param",
-    "lifecycle": "ropeway.cli.lifecycle",
-    "interface": "ropeway.cli.interface",
-    "store": "ropeway.cli.store",
-    "keys": "ropeway.cli.keys",
-    "name": "ropeway.cli.name",
-    "overlay": "ropeway.cli.overlay",
-    "router": "ropeway.cli.router",
-    "explain": "ropeway.cli.explain",
-    "doctor": "ropeway.cli.doctor",
-    "anycast": "ropeway.cli.anycast",
-    "predict": "ropeway.cli.predict",
-    "play": "ropeway.cli.play",
-    "record": "ropeway.cli.record",
-    "bag": "ropeway.cli.bag",
-    "demo": "ropeway.cli.demo",
-    "demo-iort": "ropeway.cli.demo_iort",
-    "demo-anycast": "ropeway.cli.demo_anycast",
-    "demo-robots": "ropeway.cli.demo_robots",
-}
+__all__ = ["VERBS", "app", "main"]
 
 
-class _Ropeway(lazy_group(VERBS)):  # type: ignore[misc]
-    """The top of the command line, where errors become sentences."""
-
-    def invoke(self, ctx: Any) -> Any:
-        with reported():
-            return super().invoke(ctx)
-
-
-app = typer.Typer(
-    cls=_Ropeway,
-    name="ropeway",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"ropeway {__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def ropeway(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
-    ] = False,
-) -> None:
-    """Join robots and clouds that live on different networks."""
+def __getattr__(name: str) -> Any:
+    """Return the verbs, which are imported when somebody asks: a gateway runs without what reads their options."""
+    if name not in ("VERBS", "app"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module("ropeway.cli.verbs"), name)
 
 
 def main() -> None:
     """Run the command line; the entry point of the package."""
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to look for them reads the metadata of all packages
+    if sys.argv[1:2] == ["run"]:
+        from ropeway.cli.plain_run import plain_order, run_plainly
+
+        order = plain_order(sys.argv[2:])
+        if order is not None:
+            run_plainly(order)
+            return
+    from ropeway.cli.verbs import app
+
     app(prog_name="ropeway")  # however it was started: the package for Debian has no script of that name

@@ -11,8 +11,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final, NoReturn
 
-import typer
-
 from ropeway.aio import BaseExceptionGroup
 from ropeway.errors import ConfigError, RopewayError
 
@@ -45,7 +43,13 @@ def complain(text: str) -> None:
 def fail(text: str, code: int = 1) -> NoReturn:
     """Say why and end with ``code``."""
     complain(f"ropeway: {text}")
-    raise typer.Exit(code)
+    raise _ended(code)
+
+
+def _ended(code: int) -> RuntimeError:
+    from typer import Exit  # which a gateway that runs does without
+
+    return Exit(code)
 
 
 def _errors(group: BaseExceptionGroup[BaseException]) -> list[BaseException]:
@@ -71,13 +75,13 @@ def reported() -> Iterator[None]:
     except BrokenPipeError:
         # The reader of our output has gone; so that the interpreter's last flush does not complain, it gets a sink.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise typer.Exit(0) from None
+        raise _ended(0) from None
     except KeyboardInterrupt:
-        raise typer.Exit(130) from None
+        raise _ended(130) from None
 
 
 def _report(*errors: RopewayError) -> NoReturn:
     for error in errors:
         for line in str(error).splitlines():
             complain(f"ropeway: {line}")
-    raise typer.Exit(2 if any(isinstance(error, ConfigError) for error in errors) else 1)
+    raise _ended(2 if any(isinstance(error, ConfigError) for error in errors) else 1)

@@ -42,7 +42,7 @@ Switch = Annotated[
 class Model(BaseModel):
     """Strict: no key that is not known, no value of another type."""
 
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", defer_build=True)  # only what is used is built
 
 
 def below(path: tuple[str | int, ...], text: str) -> PydanticCustomError:
