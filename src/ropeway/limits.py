@@ -469,6 +469,11 @@ BROUGHT_TOPICS_PER_NODE: Final = 10_000
 
 # ── Groups ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
+LINK_SENT_AGAIN_BYTES: Final = 1 << 20
+"""The last messages of a topic, or packets of the overlay, that are kept to be sent again by another link where one may
+have been cut.
+"""
+
 HEDGED_BYTES: Final = 32 << 20
 """Messages of one topic that are kept until they are answered. Above, no second member is asked for them."""
 

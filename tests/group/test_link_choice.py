@@ -55,6 +55,41 @@ def test_a_cut(weather: Weather) -> None:
     assert weather.pass_by(0.17, wlan0=None, wwan0=0.05) == "wwan0"
 
 
+def test_a_doubt(weather: Weather) -> None:
+    """A link in use is doubted before two probes that got no answer are over, and trusted again later."""
+    weather.pass_by(2, wlan0=0.005, wwan0=0.05)
+    assert weather.choice.beside == ""
+    weather.pass_by(2 * PROBE_S, wlan0=None, wwan0=0.05)
+    assert (weather.choice.best, weather.choice.beside) == ("wlan0", "wwan0")
+    weather.pass_by(PROBE_S, wlan0=0.005, wwan0=0.05)
+    assert weather.choice.beside == "wwan0"
+    weather.pass_by(1, wlan0=0.005, wwan0=0.05)
+    assert (weather.choice.best, weather.choice.beside) == ("wlan0", "")
+
+
+def test_a_look_that_is_late(weather: Weather) -> None:
+    """Who looks later than was due may not have seen answers that came: nothing is decided until the next look."""
+    weather.pass_by(2, wlan0=0.005, wwan0=0.05)
+    choice, now_s = weather.choice, weather.now_s
+    choice.sent("wlan0", now_s)
+    late_s = now_s + choice.pause_s(now_s) + 0.2
+    choice.step(late_s)
+    assert (choice.best, choice.beside) == ("wlan0", "")
+    choice.step(late_s + choice.pause_s(late_s))
+    assert choice.best == "wwan0"
+
+
+def test_when_to_look(weather: Weather) -> None:
+    """The next look is when probes are due, or sooner if the link in use comes to be doubted before."""
+    weather.pass_by(2, wlan0=0.005, wwan0=0.05)
+    choice, now_s = weather.choice, weather.now_s
+    assert choice.due(now_s)
+    assert not choice.due(now_s + PROBE_S / 2)
+    assert choice.pause_s(now_s) == pytest.approx(PROBE_S)
+    choice.sent("wlan0", now_s - 0.02)
+    assert choice.pause_s(now_s) == pytest.approx(0.01)
+
+
 def test_both_silent(weather: Weather) -> None:
     """With no link that carries anything nothing changes."""
     weather.pass_by(2, wlan0=0.005, wwan0=0.05)

@@ -113,6 +113,7 @@ class Group(GraphBase):
         self.policy, self.stateless = policy, stateless
         self.scheduler = Scheduler(list(members), bound, stateless=stateless, first=first, options=options)
         self.registry = registry or TypeRegistry()
+        self.publisher_class = GroupPublisher
         self.on_decision: Callable[[], None] = lambda: None
         self._barred = frozenset(barred)
         self._there: set[str] = set()
@@ -307,7 +308,7 @@ class Group(GraphBase):
 
         return await self._create(
             make,
-            lambda parts: GroupPublisher(
+            lambda parts: self.publisher_class(
                 self, name, canonical_name(type, "msg"), qos or DEFAULT, parts, exchange, stamp
             ),
             ("publisher", topic, type, delivery),

@@ -2,7 +2,8 @@
 
 With ``duplicate`` everything goes by all links, both ways, and whichever copy comes first counts; the others are
 dropped and counted as copies. Else it goes by the best link, which ``link_choice`` finds from probes, and is fetched
-over that one alone. A call has one number on all links, so that the gateway at the far end carries it out once.
+over that one alone. While that one is doubted everything goes by another one as well, which first gets what may have
+been lost. A call has one number on all links, so that the gateway at the far end carries it out once.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from typing import Any, Final, Protocol
 from ropeway.graph.base import Graph, Sample, Undelivered
 from ropeway.graph.deduplication import Seen
 from ropeway.group.graph import Group, Policy
-from ropeway.group.link_choice import PROBE_S, LinkChoice
+from ropeway.group.link_choice import BREAK_S, LinkChoice
+from ropeway.group.link_publisher import LinkPublisher
 from ropeway.group.topics import GroupSubscription, Judge
 from ropeway.qos import QoS
 from ropeway.tasks import Supervised
@@ -23,7 +25,6 @@ from ropeway.types import TypeRegistry
 
 __all__ = ["LinkGroup", "ProbedLink"]
 
-_BREAK_S: Final = 0.3  # after a change both links are read for so long: the new one begins a round trip later
 _ASK_TWICE_S: Final = 0.2  # without an answer to a call on one link: it is repeated on the other
 
 
@@ -59,7 +60,10 @@ class LinkGroup(Group):
         self.links = dict(members)
         self.choice = LinkChoice(members)
         self.duplicate = duplicate
+        if not duplicate:
+            self.publisher_class = LinkPublisher
         self._several = True  # a call goes by another link, too, if there is no answer soon
+        self._beside = ""
         self._changed_s = 0.0
 
     async def open(self) -> None:
@@ -75,35 +79,62 @@ class LinkGroup(Group):
     async def _keep_probing(self) -> None:
         while True:
             now_s = self.now()
-            for name in self.scheduler.here:
-                self.links[name].probe()
-                self.choice.sent(name, now_s)
+            if self.choice.due(now_s):
+                for name in self.scheduler.here:
+                    self.links[name].probe()
+                    self.choice.sent(name, now_s)
             self._choose(now_s)
             if not self.duplicate:
                 await self._read_best(now_s)
-            await asyncio.sleep(PROBE_S)
+            await asyncio.sleep(self.choice.pause_s(self.now()))
 
     def _choose(self, now_s: float) -> None:
+        before = self.scheduler.current
         best = self.choice.step(now_s)
-        if best and best != self.scheduler.current and best in self.scheduler.here:
+        changed = bool(best) and best != before and best in self.scheduler.here
+        if changed:
             self._changed_s = now_s
             self.scheduler.switch(best, now_s, "the better link")
             self.tell()
+        if self.duplicate:
+            return
+        beside = self.choice.beside if self.choice.beside in self.scheduler.here else ""
+        if beside and beside != self._beside:
+            self._send_again(beside, self.scheduler.current)
+        elif changed and not self._beside and self.choice.silent(before, now_s):
+            self._send_again(best, before)
+        self._beside = beside
+
+    def _send_again(self, name: str, doubted: str) -> None:
+        """Send by a link what may not have arrived by another."""
+        if self.links[name].numbers and doubted:
+            since_s = self.choice.answered_s(doubted)
+            for part in self._parts:
+                if isinstance(part, LinkPublisher):
+                    part.send_again(name, since_s)
+
+    def targets(self) -> tuple[str, ...]:
+        """See ``Group``; with a link in doubt they are two, if the far side drops what comes twice."""
+        found = super().targets()
+        beside = self._beside
+        if self.duplicate or not beside or beside in found or not self.links[beside].numbers:
+            return found
+        return (*found, beside)
 
     async def _read_best(self, now_s: float) -> None:
-        """Read each topic over the link in use, and after a moment over no other."""
-        best = self.scheduler.current
+        """Read each topic over the links in use, and after a moment over no other."""
+        wanted = {name for name in (self.scheduler.current, self._beside) if name}
         for part, make in list(self._parts.items()):
-            if not isinstance(part, GroupSubscription) or not best or part.on == {best}:
+            if not isinstance(part, GroupSubscription) or not wanted or part.on == wanted:
                 continue
             async with self._changing:
                 if part not in self._parts:
                     continue
-                if best not in part.on:
-                    part.add(best, await make(best, self._opened[best]))
-                elif now_s - self._changed_s >= _BREAK_S:
-                    for other in part.on - {best}:
-                        await part.remove(other)
+                for name in wanted - part.on:
+                    part.add(name, await make(name, self._opened[name]))
+                if now_s - self._changed_s >= BREAK_S:
+                    for name in part.on - wanted:
+                        await part.remove(name)
 
     def _reached(self, name: str, reached: bool) -> None:
         super()._reached(name, reached)
@@ -140,6 +171,7 @@ class LinkGroup(Group):
         return {
             "links": "duplicate" if self.duplicate else "best",
             "current": self.scheduler.current,
+            "beside": self._beside,
             "members": self.choice.status(self.now()),
             "decisions": [str(decision) for decision in list(self.scheduler.decisions)[-8:]],
             "drops": {f"{topic}: {why.value}": n for (topic, why), n in self.drops.items() if n},

@@ -83,3 +83,12 @@ def test_no_longer_waited_for(lanes: LinkLanes, stuck: Stuck) -> None:
 
     lanes.put(4, 10, {"a": stuck.put}, waits)
     assert len(asked) == 3
+
+
+def test_nobody_waits(lanes: LinkLanes) -> None:
+    """What is put soon goes before what is put later, and nobody waits for it, or hears that it failed."""
+    order: list[int] = []
+    lanes.put_soon(4, 10, "a", unlinked)
+    lanes.put_soon(4, 10, "a", lambda: order.append(1))
+    lanes.put(4, 10, {"a": lambda: order.append(2)}, always)
+    assert order == [1, 2]

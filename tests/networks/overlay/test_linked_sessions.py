@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+import time
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack
 from functools import partial
 from typing import Any
 
 import pytest
 
+from ropeway.group.link_choice import LinkChoice
 from ropeway.networks.overlay.asked import Asked
 from ropeway.networks.overlay.fabric import Fabric
 from ropeway.networks.overlay.linked_sessions import LinkedSessions
@@ -36,13 +38,15 @@ class Pair:
         where = [self._site.endpoint]
         return Fabric(gateway_config(identity, gateway=id, connect=where, listen=()), id, routers=where)
 
-    async def open(self, stack: AsyncExitStack, *, duplicate: bool) -> LinkedSessions:
+    async def open(
+        self, stack: AsyncExitStack, *, duplicate: bool, on_doubt: Callable[[], None] = lambda: None
+    ) -> LinkedSessions:
         """Return the links of the first, both of them up and known."""
         identity, where = member(), [self._site.endpoint]
         self.a = self._gateway(identity)
         config = client_config(identity, id=gateway_id(), connect=where)
         self.b = Fabric(config, self.a.gateway, routers=where, way=1)
-        several = LinkedSessions({"a": self.a, "b": self.b}, duplicate=duplicate)
+        several = LinkedSessions({"a": self.a, "b": self.b}, duplicate=duplicate, on_doubt=on_doubt)
         for plane in (self.far, several):
             await plane.open()
             stack.push_async_callback(plane.close)
@@ -65,10 +69,24 @@ def pair(site: Site) -> Pair:
     return Pair(site)
 
 
-async def use(several: LinkedSessions, name: str) -> None:
-    """Have this link be the one in use, whatever the probes say."""
+class Told(LinkChoice):
+    """Chooses the link that it is told, and doubts none."""
+
+    def sent(self, name: str, now_s: float) -> None:
+        pass
+
+    def step(self, now_s: float) -> str:
+        return self.best
+
+
+def use(several: LinkedSessions, name: str) -> None:
+    """Have this link be the one in use from now on, whatever probes say."""
+    if not isinstance(several.choice, Told):
+        several.choice = Told(several._fabrics)
+        for other in several._fabrics:
+            several.choice.up(other, True)
     several.choice.best = name
-    several._use(name, asyncio.get_running_loop().time())
+    several._use(name, "", time.monotonic())
 
 
 async def test_copies_of_data(pair: Pair, stack: AsyncExitStack) -> None:
@@ -162,6 +180,7 @@ async def test_a_change(pair: Pair, stack: AsyncExitStack) -> None:
     came: list[tuple[bytes, int]] = []
     several.subscribe(KEY, lambda key, payload, mark, way: came.append((bytes(payload), way)))
     first = several.using
+    use(several, first)
     number = 0
 
     async def go_on(until_way: int) -> None:
@@ -173,7 +192,7 @@ async def test_a_change(pair: Pair, stack: AsyncExitStack) -> None:
     await go_on({"a": 0, "b": 1}[first])
     began = came[0][0]
     second = "b" if first == "a" else "a"
-    await use(several, second)
+    use(several, second)
     await go_on({"a": 0, "b": 1}[second])
     await until(lambda: all(first not in declared.on for declared in several._declared if not declared.everywhere))
     await pair.put(b"last")
@@ -183,19 +202,48 @@ async def test_a_change(pair: Pair, stack: AsyncExitStack) -> None:
     assert numbers == set(range(int(began), number + 1))
 
 
+async def test_a_doubt(pair: Pair, stack: AsyncExitStack) -> None:
+    """What may be lost on a link in doubt goes again by the other one, in order and once, with its number."""
+    doubts: list[str] = []
+    several = await pair.open(stack, duplicate=False, on_doubt=lambda: doubts.append(""))
+    heard: list[Mark | None] = []
+    pair.far.subscribe("rw/d/back", lambda key, payload, mark, way: heard.append(Mark.read(bytes(mark or b""))))
+    first = several.using
+    use(several, first)
+    other, way = ("b", 1) if first == "a" else ("a", 0)
+
+    async def put(number: int) -> None:
+        await asyncio.to_thread(several.put, 4, "rw/d/back", b"2", Mark(4, number).to_bytes(), copies=True)
+
+    number = 0
+    while not heard:  # a subscription takes a moment to be known
+        number += 1
+        await put(number)
+    doubts.clear()
+    await until(lambda: heard[-1] == Mark(4, number, way=1 - way))
+    for _ in range(3):  # doubted again and again
+        several._use(first, other, time.monotonic())
+        several._use(first, "", time.monotonic())
+    await until(lambda: Mark(4, number, way=way) in heard)
+    assert len(doubts) == 3
+    again = [mark.number for mark in heard if mark is not None and mark.way == way]
+    assert again == sorted(set(again))
+
+
 async def test_asking_by_a_link_that_falls_silent(pair: Pair, stack: AsyncExitStack) -> None:
     """Whoever waits for an answer by a link that falls silent may ask again at once, by the other one."""
     several = await pair.open(stack, duplicate=False)
     kept: list[Asked] = []
     pair.far.serve("rw/g/test", kept.append)
     first = several.using
+    use(several, first)
     asking = asyncio.create_task(several.ask("rw/g/test", b"", PATIENCE_S))
     while not kept:  # until the way to it is known
         await asyncio.sleep(0.01)
         if asking.done():
             asking = asyncio.create_task(several.ask("rw/g/test", b"", PATIENCE_S))
     several.choice.up(first, False)
-    await use(several, "b" if first == "a" else "a")
+    use(several, "b" if first == "a" else "a")
     assert await asking == []
     again = asyncio.create_task(several.ask("rw/g/test", b"", PATIENCE_S, first=True))
     await until(lambda: len(kept) > 1)

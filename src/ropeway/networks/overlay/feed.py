@@ -34,7 +34,7 @@ from ropeway.networks.overlay.refusal import Refusal
 from ropeway.networks.overlay.rpc import Rpc
 from ropeway.tasks import Chores, describe
 
-__all__ = ["Feed"]
+__all__ = ["Feed", "catch_up"]
 
 log = logging.getLogger("ropeway.overlay")
 
@@ -187,3 +187,10 @@ class Feed:
         count = len(what.items) if isinstance(what, _Opened) else 1
         with contextlib.suppress(RuntimeError):  # the loop has closed
             self._loop.call_soon_threadsafe(stream.overrun, count)
+
+
+def catch_up(feeds: Mapping[bytes, Feed]) -> None:
+    """Ask the publishers of all names for what may have been lost on its way."""
+    for feed in feeds.values():
+        for stream in feed.streams.values():
+            stream.catch_up()

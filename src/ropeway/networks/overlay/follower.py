@@ -26,7 +26,7 @@ class Follower:
         self.last = start
         self._budget = held or HeldBytes()
         self.lost = 0
-        self._reliable = reliable
+        self.reliable = reliable
         self._held: list[PacketItem] = []
         self._held_bytes = 0
         self.missing: tuple[int, int | None] | None = None
@@ -47,7 +47,7 @@ class Follower:
                 self._let_follow(given)
             elif self.missing is not None:
                 self._hold(item, given)
-            elif self._reliable and item.number > self.last + 1:
+            elif self.reliable and item.number > self.last + 1:
                 self.missing = (self.last, item.number - 1)
                 self._hold(item, given)
             else:
@@ -57,7 +57,7 @@ class Follower:
 
     def told(self, newest: int) -> None:
         """Take the number of the publisher's newest message."""
-        if self._reliable and newest > self.last and self.missing is None:
+        if self.reliable and newest > self.last and self.missing is None:
             self.missing = (self.last, newest)
 
     def recovered(self, items: Iterable[PacketItem]) -> list[PacketItem]:

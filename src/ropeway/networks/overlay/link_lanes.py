@@ -46,6 +46,11 @@ class LinkLanes:
                 done.pop().result()
             going = under_way or going
 
+    def put_soon(self, lane: int, size_bytes: int, name: str, put: Callable[[], None]) -> None:
+        """Put a packet on one link before all that comes later; nobody waits for it, or hears that it failed."""
+        if self._has_room(name):
+            self._hand(lane, size_bytes, name, put)
+
     def _has_room(self, name: str) -> bool:
         if self._waiting_bytes[name] <= OVERLAY_LINK_WAITING_BYTES:
             return True

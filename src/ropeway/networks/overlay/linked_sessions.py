@@ -1,7 +1,8 @@
 """Several links at once: a Zenoh session on each network interface, as one data plane.
 
 Each link is probed; ``LinkChoice`` says which is the best at the moment. With *best* everything goes by that one, and
-is subscribed to there; when it changes, the new one is subscribed to before the old one is let go of. With *duplicate*
+is subscribed to there; when it changes, the new one is subscribed to before the old one is let go of. While it is
+doubted everything goes by another one as well, which first gets what may have been lost. With *duplicate*
 data goes by all of them, both ways, and whichever copy comes first counts. Calls and queries go by the best link in
 both cases, and by the next one if that link falls silent before they are answered. We are alive while one link is: each
 session shows our token.
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping
@@ -18,7 +20,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from ropeway.errors import GraphUnavailable
-from ropeway.group.link_choice import PROBE_S, LinkChoice
+from ropeway.group.link_choice import BREAK_S, LinkChoice
+from ropeway.group.recent import Recent
 from ropeway.limits import OVERLAY_NOTE_BYTES, OVERLAY_ROUTED_BYTES, OVERLAY_WAITING_NOTES_BYTES
 from ropeway.networks.overlay.arrivals import NoteCopies
 from ropeway.networks.overlay.asked import Asked
@@ -35,7 +38,6 @@ __all__ = ["LinkedSessions"]
 
 log = logging.getLogger("ropeway.overlay")
 
-_BREAK_S: Final = 0.3  # after a change the old link is heard for so long: the new one begins a round trip later
 _PROBE_TIMEOUT_S: Final = 2.0
 _AGAIN_S: Final = 1.0  # between two attempts to open a session
 _UNLINKED_S: Final = 8.0  # a session that has no link for so long is opened anew
@@ -55,16 +57,28 @@ class _Declared:
 class LinkedSessions:
     """A session for each of ``fabrics``, by interface. The first of them takes direct links, too.
 
-    ``duplicate``: data goes by all, and not by the best alone.
+    ``duplicate``: data goes by all, and not by the best alone. Otherwise ``on_doubt`` is called where what was on its
+    way to us may have been lost, once it can be asked for by another link.
     """
 
-    def __init__(self, fabrics: Mapping[str, Fabric], *, duplicate: bool = False) -> None:
+    def __init__(
+        self,
+        fabrics: Mapping[str, Fabric],
+        *,
+        duplicate: bool = False,
+        on_doubt: Callable[[], None] = lambda: None,
+    ) -> None:
         self.duplicate = duplicate
+        self._on_doubt = on_doubt
         self._fabrics = dict(fabrics)
         self._first = next(iter(self._fabrics.values()))
         self.gateway = self._first.gateway
         self.using = next(iter(self._fabrics))
+        self.beside = ""
+        """The link that carries everything as well while the one in use is doubted; ``""`` for none."""
         self.choice = LinkChoice(self._fabrics)
+        self._recent: Recent[tuple[int, str | zenoh.KeyExpr, bytes, bytes]] = Recent()
+        self._sending = threading.Lock()  # of which links a packet goes by, and whether it goes again
         self._connections = dict.fromkeys(self._fabrics, 0)
         self._lanes = LinkLanes()
         self._copies = NoteCopies()
@@ -111,40 +125,64 @@ class LinkedSessions:
     async def _keep_probing(self) -> None:
         while True:
             now_s = time.monotonic()
+            due = self.choice.due(now_s)
             for name, fabric in self._fabrics.items():
                 connection = fabric.connection
                 if connection != self._connections[name]:
                     self._connections[name] = connection
                     self.choice.up(name, connection > 0)
-                if connection:
+                if connection and due:
                     self.choice.sent(name, now_s)
                     fabric.probe(_PROBE_TIMEOUT_S, partial(self._probed, name, connection))
-            best = self.choice.step(now_s)
-            if best and best != self.using:
-                self._use(best, now_s)
-            elif now_s >= self._spread_at_s:
-                self._spread()
-            await asyncio.sleep(PROBE_S)
+            self._choose(now_s)
+            await asyncio.sleep(self.choice.pause_s(time.monotonic()))
+
+    def _choose(self, now_s: float) -> None:
+        best = self.choice.step(now_s) or self.using
+        beside = "" if self.duplicate else self.choice.beside
+        if best != self.using or beside != self.beside:
+            self._use(best, beside, now_s)
+        elif now_s >= self._spread_at_s:
+            self._spread()
 
     def _probed(self, name: str, connection: int, round_trip_s: float) -> None:
         if self._connections[name] == connection:
             self.choice.came(name, round_trip_s, time.monotonic())
 
-    def _use(self, name: str, now_s: float) -> None:
-        log.info("overlay: %s is used from now on; %s was", name, self.using)
-        self.using, self._changed_s = name, now_s
+    def _use(self, name: str, beside: str, now_s: float) -> None:
+        before, beside_before = self.using, self.beside
+        doubted = bool(beside) or (not beside_before and self.choice.silent(before, now_s))
+        with self._sending:
+            if doubted and not self.duplicate:
+                self._send_again(beside or name, self.choice.answered_s(before))
+            elif name != before:
+                self._recent.forget()  # none of it goes by the link before a second time
+            self.using, self.beside = name, beside
+        if name != before:
+            log.info("overlay: %s is used from now on; %s was", name, before)
+            self._changed_s = now_s
         self._spread()
-        changed, self._changed = self._changed, asyncio.Event()
-        changed.set()
+        if doubted and not self.duplicate:
+            self._on_doubt()
+        if name != before:
+            changed, self._changed = self._changed, asyncio.Event()
+            changed.set()
+
+    def _send_again(self, name: str, since_s: float) -> None:
+        """Send by a link what may not have arrived by another, before anything else goes by it."""
+        fabric = self._fabrics[name]
+        for lane, key, payload, mark in self._recent.take(since_s):
+            put = partial(fabric.put, lane, key, payload, by_way(mark, fabric.way))
+            self._lanes.put_soon(lane, len(payload), name, put)
 
     def _spread(self) -> None:
         """Declare everything where it belongs, and after a moment no longer where it belonged before."""
         now_s = time.monotonic()
-        over = now_s - self._changed_s >= _BREAK_S
-        self._spread_at_s = float("inf") if over else self._changed_s + _BREAK_S
+        over = now_s - self._changed_s >= BREAK_S
+        self._spread_at_s = float("inf") if over else self._changed_s + BREAK_S
         for declared in list(self._declared):
             for name, fabric in self._fabrics.items():
-                wanted = declared.everywhere or name == self.using
+                wanted = declared.everywhere or name in (self.using, self.beside)
                 if wanted and name not in declared.on and fabric.is_open:
                     declared.on[name] = declared.declare(fabric)
                 elif not wanted and over and name in declared.on:
@@ -249,8 +287,9 @@ class LinkedSessions:
 
     def tell(self, key: str, payload: bytes, *, copies: bool = False) -> None:
         """See ``DataPlane``."""
-        for fabric in self._fabrics.values() if copies and self.duplicate else (self._used,):
-            fabric.tell(key, payload)
+        for name, fabric in self._fabrics.items():
+            if name == self.using or (copies and (self.duplicate or name == self.beside)):
+                fabric.tell(key, payload)
 
     def short(self, key: str) -> zenoh.KeyExpr:
         """See ``DataPlane``: it is short by the link in use now."""
@@ -271,14 +310,23 @@ class LinkedSessions:
         copies: bool = False,
     ) -> None:
         """See ``DataPlane``; returns when one link has taken it, or another link comes into use meanwhile."""
-        using, puts = self.using, {}
-        if copies and self.duplicate and mark is not None:
-            for name, fabric in self._fabrics.items():
-                if fabric.connection or name == using:
-                    puts[name] = partial(fabric.put, lane, key, payload, by_way(mark, fabric.way))
-        else:
-            puts[using] = partial(self._fabrics[using].put, lane, key, payload, mark)
-        self._lanes.put(lane, len(payload), puts, lambda: len(puts) > 1 or self.using == using)
+        if not copies or mark is None:
+            using = self.using
+            puts = {using: partial(self._fabrics[using].put, lane, key, payload, mark)}
+            self._lanes.put(lane, len(payload), puts, lambda: self.using == using)
+            return
+        with self._sending:
+            using, beside = self.using, self.beside
+            if not self.duplicate and not beside:
+                self._recent.note((lane, key, payload, mark), len(payload), time.monotonic())
+        puts = {
+            name: partial(fabric.put, lane, key, payload, by_way(mark, fabric.way))
+            for name, fabric in self._fabrics.items()
+            if name in (using, beside) or (self.duplicate and fabric.connection)
+        }
+        self._lanes.put(
+            lane, len(payload), puts, lambda: len(puts) > 1 or (self.using == using and self.beside == beside)
+        )
 
     def in_lane(self, lane: int, work: Callable[[], T]) -> asyncio.Future[T]:
         """See ``DataPlane``."""
@@ -295,7 +343,8 @@ class LinkedSessions:
         first: bool = False,
     ) -> list[bytes]:
         """See ``DataPlane``. Where the link falls silent meanwhile nobody answers; whoever asked may ask again."""
-        using, fabric = self.using, self._used
+        using = self.beside or self.using
+        fabric = self._fabrics[using]
         asking = asyncio.ensure_future(
             fabric.ask(key, payload, timeout_s, lane=lane, limit_bytes=limit_bytes, first=first)
         )
@@ -339,6 +388,7 @@ class LinkedSessions:
         return {
             "links": "duplicate" if self.duplicate else "best",
             "current": self.using,
+            "beside": self.beside,
             "members": self.choice.status(time.monotonic()),
             "left_out": self._lanes.left_out,
         }

@@ -7,7 +7,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
 from ropeway.errors import GraphUnavailable
@@ -59,6 +59,8 @@ class Links:
         link_s: float = _LINK_S,
     ) -> None:
         self.unlinked = ""
+        self.on_doubt: Callable[[], None] = lambda: None
+        """Called where what was on its way to us may have been lost."""
         self._identity, self._trust, self._gateway = identity, trust, gateway
         self._routers, self._listen = routers, listen
         self._interfaces = tuple(interfaces)
@@ -80,7 +82,7 @@ class Links:
                 config = self._other_config(name, gateway_id())
                 self._others[name] = Fabric(config, gateway, routers=routers, way=way)
             sessions = {self.at_once[0]: self.main, **self._others}
-            self.fabric = LinkedSessions(sessions, duplicate=links == "duplicate")
+            self.fabric = LinkedSessions(sessions, duplicate=links == "duplicate", on_doubt=lambda: self.on_doubt())
 
     def answer_probes(self) -> Handle:
         """Answer the probes of gateways that are linked with us."""

@@ -27,7 +27,7 @@ from ropeway.networks.overlay.crypto.identity import Identity
 from ropeway.networks.overlay.crypto.trust import Trust
 from ropeway.networks.overlay.data_key import data_key, name_of
 from ropeway.networks.overlay.data_plane import CRL_KEY, Handle
-from ropeway.networks.overlay.feed import Feed
+from ropeway.networks.overlay.feed import Feed, catch_up
 from ropeway.networks.overlay.held_bytes import HeldBytes
 from ropeway.networks.overlay.links import Links
 from ropeway.networks.overlay.membership import Membership
@@ -149,6 +149,7 @@ class OverlayNode:
         self.on_granted: dict[bytes, Callable[[Sequence[bytes]], None]] = {}
         self.providers: dict[bytes, Provider] = {}
         self.feeds: dict[bytes, Feed] = {}
+        self.links.on_doubt = lambda: catch_up(self.feeds)
         self._advert_key = advert_key(self.secret)
         self._ends: list[Handle] = []
         self._checking: Supervised | None = None

@@ -32,6 +32,7 @@ log = logging.getLogger("ropeway.overlay")
 _ASK_S: Final = 2.0
 _BRING_S: Final = (2.0, 10.0, 60.0)  # an answer may get lost, and another one has 64 MB to bring over a slow link
 _AGAIN_S: Final = 1.0
+_CATCH_UP_S: Final = 0.5  # later a gap has shown
 _SPACING_S: Final = 0.5  # between two requests for keys: packets that name keys nobody has cost no more than that
 _REMEMBERED: Final = 4096
 _SEALED_BYTES: Final = OVERLAY_BATCH_BYTES  # what a packet may have beside its largest message
@@ -89,6 +90,7 @@ class PublisherStream:
         self._granted_at = float("-inf")
         self._keying: asyncio.Task[None] | None = None
         self._recovering = Chores()
+        self._catching_up = False
         self._arrivals: Arrivals | None = None
         self._parts: dict[Way, PacketAssembly] = {}
 
@@ -204,6 +206,25 @@ class PublisherStream:
         if self.readers.get(reader) is follower:
             self._give(reader, follower.recovered(items))
             self._recover(reader, follower)
+
+    def catch_up(self) -> None:
+        """Ask for what may have been lost on its way, before a gap shows, if a reader wants what is lost."""
+        last = [f.last for f in self.readers.values() if f is not None and f.reliable and f.missing is None]
+        if last and not self._catching_up:
+            self._catching_up = True
+            self._recovering.start(self._catch_up(min(last)), f"latest of {self.advert.name}")
+
+    async def _catch_up(self, after: int) -> None:
+        request = {"op": "history", "of": self.advert.endpoint, "after": after, "upto": None}
+        try:
+            answer = await self._feed.rpc.ask(self.advert.gateway, request, _CATCH_UP_S)
+            self.opened(self._epoch, read_items(_history(answer), self._feed.limit_bytes, OVERLAY_HISTORY_BYTES))
+        except SealError as error:
+            self._feed.refused(self.certificate.name, error)
+        except RopewayError as error:  # then a gap shows
+            log.debug("overlay: the latest of %s does not come: %s", self.advert.name, error)
+        finally:
+            self._catching_up = False
 
     def leave(self, reader: FeedReader) -> None:
         """Remove a reader."""

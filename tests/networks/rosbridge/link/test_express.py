@@ -161,6 +161,19 @@ async def test_the_second_connection_may_come_late_and_go(pair: Pair) -> None:
     assert channel.sender is not pair.near.sender
 
 
+async def test_what_was_asked_for_begins_there(pair: Pair) -> None:
+    """A topic that the peer has asked for begins on the second connection, and waits for nothing."""
+    await pair.second()
+    asked, told = pair.channel(1), pair.channel(2)
+    asked.asked = True
+    for channel in (asked, told):
+        channel.put(sample(text("first")))
+    assert asked.sender.second
+    assert not asked.queue.held
+    assert told.queue.held
+    await until(lambda: len(pair.far_handler.arrivals) == 2)
+
+
 async def test_both_connections_end_together(pair: Pair) -> None:
     """When the link closes, its second connection closes, too."""
     second = await pair.second()

@@ -155,7 +155,7 @@ class Stream(Generic[M]):
 class Channel(Stream[Outgoing]):
     """A topic under the ``number`` that the client gave it; ``sender`` makes it."""
 
-    __slots__ = ("chooser", "codec", "encoding", "express", "fragment_size", "large", "type")
+    __slots__ = ("asked", "chooser", "codec", "encoding", "express", "fragment_size", "large", "type")
 
     def __init__(
         self,
@@ -184,6 +184,7 @@ class Channel(Stream[Outgoing]):
         self.fragment_size: int | None = None  # characters; longer texts go in fragments
         self.express: Placing | None = None  # where there may be a second connection
         self.large = False  # a message was too large for it
+        self.asked = False  # the peer has given it this number, so it needs not hear of it first
 
     def put(self, sample: Outgoing) -> None:
         """Let a message wait for its turn."""

@@ -5,7 +5,8 @@ always for the part that is being sent. So two Ropeway gateways use two connecti
 its ``hello``; the one that dialled shows it in the header ``Ropeway-Express`` of a second handshake, with the same
 credentials. A topic goes by the second connection while its messages are small, and leaves it for good with the first
 large one. Before a topic changes its connection, everything that it sent on the old one has arrived: a ``ping`` goes
-after it, and nothing of the topic is sent until the ``pong`` is there. So the order within a topic holds.
+after it, and nothing of the topic is sent until the ``pong`` is there. So the order within a topic holds. What the peer
+has asked for begins on the second connection at once.
 
 The second connection is an improvement on which nothing depends: if it cannot be opened, or is lost, everything
 continues on the first. The last messages are then sent again, since nobody knows whether they arrived; receivers drop
@@ -206,7 +207,7 @@ class Express:
         channel.sender = to
         to.channels[channel.number] = channel
         to.outbox.adopt(queue, waiting)
-        if back or old.connection.closed:
+        if back or old.connection.closed or (channel.asked and not channel.sent):
             self._go_on(channel)
         else:  # also for what was never sent: that there is such a topic has to arrive first
             self._fence(old.connection, channel)

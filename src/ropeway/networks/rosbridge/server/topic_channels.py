@@ -194,6 +194,7 @@ class TopicOut:
             depth=self._depth or 10,
             lifespan_s=_number(extra.get("lifespan_s")),
         )
+        channel.asked = self.channel is None and not extra.get("want_definition")  # that comes before its messages
         channel.queue.weight = min(max(_number(extra.get("weight")) or 1.0, _LEAST_WEIGHT), _MOST_WEIGHT)
         if channel.codec is not None or self.session.is_ros1:
             channel.codec = self.session.codec(self.type)
