@@ -68,7 +68,7 @@ def node_of(args: argparse.Namespace) -> OverlayNode:
     """The member that a role runs as."""
     routers = args.connect.split(",") if args.connect else []
     listen = args.listen.split(",") if args.listen else []
-    return OverlayNode(Identity.load(args.identity), routers=routers, listen=listen)
+    return OverlayNode(Identity.load(args.identity), routers=routers, listen=listen, sessions=args.sessions)
 
 
 def report(**figures: Any) -> None:
@@ -328,9 +328,9 @@ def member(name: str, where: dict[str, str], role: str, *more: str, namespace: s
 
 
 def sealing(as_json: bool) -> None:
-    """What sealing and opening cost of the processor, with and without signatures, alone in one thread."""
+    """What sealing and opening cost of the processor, with signatures and by session, alone in one thread."""
     key = ed25519.Ed25519PrivateKey.generate()
-    public = key.public_key()
+    public, secret = key.public_key(), os.urandom(32)
 
     def verify(message: bytes, signature: bytes) -> bool:
         try:
@@ -344,8 +344,9 @@ def sealing(as_json: bool) -> None:
         items = [[os.urandom(size)] for _ in range(batch)]
         took: dict[bool, tuple[float, float]] = {}
         for signed in (True, False):
-            sealer = Sealer(bytes(32), bytes(16), key.sign if signed else None)
-            opener = Opener(bytes(32), bytes(16), verify, unsigned=not signed)
+            sealer = Sealer(bytes(32), bytes(16), key.sign)
+            sealer.prove_to(() if signed else (secret,))
+            opener = Opener(bytes(32), bytes(16), verify, secret=secret)
             opener.add(sealer.grant())
             count = max(int(50e6 / size / batch), 100)
             began = time.process_time()
@@ -358,7 +359,7 @@ def sealing(as_json: bool) -> None:
         flat = [1e6 * t for signed in (True, False) for t in took[signed]]
         share = sum(took[True]) / sum(took[False])
         rows.append([size, batch, *flat, share])
-    heads = ["bytes", "in a batch", "seal, us", "open, us", "unsigned: seal, us", "open, us", "signed / unsigned"]
+    heads = ["bytes", "in a batch", "seal, us", "open, us", "by session: seal, us", "open, us", "signed / session"]
     table("sealing and opening one message", heads, rows, as_json=as_json)
 
 
@@ -368,11 +369,11 @@ def throughput(as_json: bool, seconds: float) -> None:
     for size in (1024, 305_000):
         for path in ("direct", "router"):
             figures = {}
-            for kind in ("plain", "sealed"):
+            for kind in ("plain", "sealed", "session"):
                 with tempfile.TemporaryDirectory() as directory:
                     where = bundles(Path(directory), "near", "far", "router1")
                     figures[kind] = _flood(kind, path, size, seconds, where)
-            sealed, bare = figures["sealed"], figures["plain"]
+            sealed, session, bare = figures["sealed"], figures["session"], figures["plain"]
             key = "rate" if size < 10_000 else "mb_s"
             rows.append(
                 [
@@ -383,15 +384,19 @@ def throughput(as_json: bool, seconds: float) -> None:
                     sealed[key],
                     sealed[key] / bare[key],
                     1e6 * (sealed["cpu"] - bare["cpu"]),
-                    sealed["lost"],
+                    session[key],
+                    session[key] / bare[key],
+                    1e6 * (session["cpu"] - bare["cpu"]),
+                    sealed["lost"] + session["lost"],
                 ]
             )
-    heads = ["bytes", "path", "unit", "plain Zenoh", "sealed", "ratio (>= 0.5)", "added CPU, us/message", "lost"]
+    heads = ["bytes", "path", "unit", "plain Zenoh", "sealed", "ratio (>= 0.5)", "added CPU, us/message"]
+    heads += ["by session", "ratio", "added CPU", "lost"]
     table("throughput", heads, rows, as_json=as_json)
 
 
 def _flood(kind: str, path: str, size: int, seconds: float, where: dict[str, str]) -> dict[str, float]:
-    scheme = "tls" if kind == "sealed" else "tcp"
+    scheme = "tcp" if kind == "plain" else "tls"
     endpoint = f"{scheme}/127.0.0.1:{PORT}"
     running: list[Process] = []
     try:
@@ -404,10 +409,11 @@ def _flood(kind: str, path: str, size: int, seconds: float, where: dict[str, str
         listen, connect = ("--listen", endpoint), ("--connect", endpoint)
         far = connect if path == "router" else listen
         flood = ("--size", str(size), "--seconds", str(seconds))
-        if kind == "sealed":
-            sink = member("far", where, "sink", *far, "--reliable")
+        if kind != "plain":
+            more = ("--sessions",) if kind == "session" else ()
+            sink = member("far", where, "sink", *far, "--reliable", *more)
             sink.line()
-            source = member("near", where, "source", *connect, *flood)
+            source = member("near", where, "source", *connect, *flood, *more)
         else:
             mode = ("--mode", "client" if path == "router" else "peer")
             sink = Process(None, *ME, "zsink", *mode, *far)
@@ -874,6 +880,7 @@ def main() -> None:
     parser.add_argument("--names", type=int, default=10_000)
     parser.add_argument("--seconds", type=float, default=4.0)
     parser.add_argument("--reliable", action="store_true")
+    parser.add_argument("--sessions", action="store_true", help="members prove packets to each other, and do not sign")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     keep_freed_memory()  # as gateways do

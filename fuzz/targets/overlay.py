@@ -68,9 +68,16 @@ def _note(data: bytes) -> None:
 
 def _seal(data: bytes) -> None:
     """A packet as it comes."""
-    opener = Opener(_NAME, _GATEWAY, lambda message, signature: True, unsigned=True)
+    opener = Opener(_NAME, _GATEWAY, lambda message, signature: True, secret=bytes(32), unsigned=True)
     opener.add(Grant(ContentKey(1, bytes(32)), ContentKey(2, bytes(32)), 0))
     opener.open(data)
+
+
+def _seals() -> list[bytes]:
+    sealers = [Sealer(_NAME, _GATEWAY, sign) for sign in (None, MEMBER.sign, None)]
+    sealers[2]._use(ContentKey(1, bytes(32)), ContentKey(2, bytes(32)))
+    sealers[2].prove_to([b"1" * 32, bytes(32)])
+    return [sealer.seal([[b"x"]]) for sealer in sealers]
 
 
 def _sealed(data: bytes) -> None:
@@ -111,11 +118,7 @@ TARGETS: Final = {
         (SealError,),
         lambda: [cbor2.dumps({"name": "a", "at": 1, "certificate": b"x"}), b"\xff\x82\x41x\x41x", *NESTED_CBOR],
     ),
-    "seals": Target(
-        _seal,
-        (SealError,),
-        lambda: [Sealer(_NAME, _GATEWAY, None).seal([[b"x"]]), Sealer(_NAME, _GATEWAY, MEMBER.sign).seal([[b"x"]])],
-    ),
+    "seals": Target(_seal, (SealError,), _seals),
     "sealed-items": Target(_sealed, (SealError,), _items, (b"item",)),
     "grants": Target(
         Grant.from_cbor,

@@ -201,6 +201,9 @@ OVERLAY_BATCH_BYTES: Final = 1 << 20
 OVERLAY_MESSAGES_PER_PACKET: Final = 4_096
 """Messages in one packet. Senders put 256 in one."""
 
+OVERLAY_SESSION_READERS: Final = 8
+"""Readers of a publisher to which it proves each packet one by one. For more a signature costs less and is shorter."""
+
 OVERLAY_WAYS: Final = 8
 """Links by which a gateway may send the same packet."""
 

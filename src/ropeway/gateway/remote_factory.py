@@ -134,6 +134,7 @@ class RemoteFactory:
                 interfaces=settings.interfaces,
                 links=settings.links,
                 max_message_bytes=self._settings.max_message_bytes,
+                sessions=settings.authenticity == "session",
             )
         about = Metadata(settings.author, settings.maintainer, settings.description, config.unique or "", settings.node)
         everybody = ("*",)

@@ -36,7 +36,9 @@ class Site:
     async def join(self, identity: Identity | None = None, *, alone: bool = False, **options: Any) -> OverlayGraph:
         """One more member; waits until all know each other, unless it is to be left alone."""
         node_options = {
-            key: options.pop(key) for key in ("policy", "rotate_s", "max_message_bytes", "clock_ns") if key in options
+            key: options.pop(key)
+            for key in ("policy", "rotate_s", "max_message_bytes", "sessions", "clock_ns")
+            if key in options
         }
         node = OverlayNode(identity or member(), routers=[self.endpoint], listen=(), **node_options)
         graph = OverlayGraph(node, **options)

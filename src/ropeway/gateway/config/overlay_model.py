@@ -70,6 +70,11 @@ class OverlayConfig(Model):
         description="of several interfaces, all linked at once: best, the one that is quick and steady; duplicate: "
         "data by all, and the first copy counts",
     )
+    authenticity: Literal["signed", "session"] = Field(
+        "signed",
+        description="how members prove that messages are theirs: signed, by a signature that anybody can check; "
+        "session, to each reader alone, for less processor time, where publisher and readers all say so",
+    )
     author: str = Field("", description="metadata that goes into every global name: all who share a name agree on it")
     maintainer: str = Field("", description="likewise")
     description: str = Field("", description="likewise")

@@ -62,7 +62,7 @@ class Feed:
     """Reads one name. ``refused`` is told of each packet that is not believed.
 
     A message may have ``limit_bytes``; what waits is taken from the budget ``held``. ``ways`` tells by how many ways a
-    gateway sends; what comes by more is no copy.
+    gateway sends; what comes by more is no copy. With ``sessions`` publishers need not sign for us.
     """
 
     def __init__(
@@ -77,12 +77,13 @@ class Feed:
         limit_bytes: int = OVERLAY_MESSAGE_BYTES,
         held: HeldBytes | None = None,
         ways: Callable[[bytes], int] = lambda _: 1,
+        sessions: bool = False,
     ) -> None:
         self.limit_bytes, self.held = limit_bytes, held or HeldBytes()
         self.fabric, self.rpc, self.receipts, self.name = fabric, rpc, receipts, name
         self.refused, self.denied = refused, denied
         self.missed = self.copies = 0
-        self._ways = ways
+        self._ways, self.sessions = ways, sessions
         self.had: dict[tuple[bytes, bytes], int] = {}
         self.readers: list[FeedReader] = []
         self.streams: dict[bytes, PublisherStream] = {}
@@ -167,7 +168,7 @@ class Feed:
             stream, what = batch[at]
             at += 1
             if isinstance(what, SealError):
-                self.refused(stream.certificate.name, what)
+                stream.refused(what)
             elif isinstance(what, _Sealed):
                 stream.take(what.raw, what.way)
             else:

@@ -32,6 +32,7 @@ from ropeway.networks.overlay.held_bytes import HeldBytes
 from ropeway.networks.overlay.links import Links
 from ropeway.networks.overlay.membership import Membership
 from ropeway.networks.overlay.publisher_source import PublisherSource
+from ropeway.networks.overlay.reader_proofs import offered
 from ropeway.networks.overlay.receipts import Receipts
 from ropeway.networks.overlay.refusal import Refusal
 from ropeway.networks.overlay.report import member_report
@@ -80,8 +81,8 @@ class OverlayNode:
     and direct links are taken on every interface at a free port, with mutual authentication as everywhere. Routers are
     dialled by the first of ``interfaces`` (names of network interfaces), and by the others once that fails; with
     ``links`` (``best`` or ``duplicate``) by all of them at once. ``policy`` is asked beyond certificates. ``rotate_s``:
-    content keys serve so long. ``max_message_bytes``: what a message that is read may have, unpacked. ``clock_ns`` is
-    the clock of this machine, which others are told.
+    content keys serve so long. ``max_message_bytes``: what a message that is read may have, unpacked. ``sessions``:
+    packets may be proven to each reader alone, not signed. ``clock_ns`` is the clock of this machine, for others.
     """
 
     def __init__(
@@ -95,6 +96,7 @@ class OverlayNode:
         policy: Policy | None = None,
         rotate_s: float = 600.0,
         max_message_bytes: int = OVERLAY_MESSAGE_BYTES,
+        sessions: bool = False,
         clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         if identity.name_secret is None:
@@ -103,10 +105,8 @@ class OverlayNode:
         self.trust = Trust(identity.ca, identity.crl)
         self.secret = identity.name_secret
         self.gateway = gateway_id()
-        self.routers = tuple(identity.routers if routers is None else routers)
-        self.listen = tuple(listen)
-        self.rotate_s = rotate_s
-        self.max_message_bytes = max_message_bytes
+        self.routers, self.listen = tuple(identity.routers if routers is None else routers), tuple(listen)
+        self.rotate_s, self.max_message_bytes, self.sessions = rotate_s, max_message_bytes, sessions
         self.held = HeldBytes()
         self.refusals: Counter[tuple[str, Refusal]] = Counter()
         self.denials: dict[str, str] = {}
@@ -344,6 +344,7 @@ class OverlayNode:
                 limit_bytes=self.max_message_bytes,
                 held=self.held,
                 ways=self.membership.ways,
+                sessions=self.sessions,
             )
             feed.open(asyncio.get_running_loop())
         return feed
@@ -398,7 +399,7 @@ class OverlayNode:
 
     async def _answer_key(self, peer: Certificate, request: Mapping[str, Any]) -> Any:
         source = self._source(request)
-        granted = source.grant(peer)
+        granted = source.grant(peer, *offered(request))
         on_granted = self.on_granted.get(source.endpoint)
         if on_granted is not None:
             on_granted([endpoint for endpoint in part(request, "for", list) if type(endpoint) is bytes])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Final
 
 from ropeway.errors import SealError
@@ -13,6 +13,7 @@ from ropeway.limits import OVERLAY_HISTORY_BYTES
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.seal import Sealer
 from ropeway.networks.overlay.packet_item import RAW, PacketItem, head, pack
+from ropeway.networks.overlay.reader_proofs import ReaderProofs
 from ropeway.networks.overlay.refusal import Refusal
 
 __all__ = ["PublisherSource"]
@@ -28,8 +29,9 @@ class PublisherSource:
 
     ``depth`` messages are kept for those who missed them or come late, ``None`` for as many as fit, 0 for none;
     ``lifespan_s`` is how long. Without ``replay`` those who come late get nothing of what was sent before. ``may``
-    decides, beyond certificates, who may read. ``rotate_s``: how long a content key serves. ``seal`` and ``sent`` may
-    be called in the thread that sends; all else belongs to the event loop.
+    decides, beyond certificates, who may read. ``rotate_s``: how long a content key serves. With ``sessions`` packets
+    are proven to each reader alone, where all agree to that, and not signed. ``seal`` and ``sent`` may be called in the
+    thread that sends; all else belongs to the event loop.
     """
 
     def __init__(
@@ -44,6 +46,7 @@ class PublisherSource:
         may: Callable[[Certificate], bool],
         rotate_s: float = 600.0,
         replay: bool = True,
+        sessions: bool = False,
     ) -> None:
         self.name, self.endpoint, self.topic = name, endpoint, topic
         self.number = 0
@@ -61,6 +64,7 @@ class PublisherSource:
         self._readers: dict[bytes, Certificate] = {}
         self._replay = replay
         self._first: dict[bytes, int] = {}  # the newest number when a reader came, where it gets nothing older
+        self._proofs = ReaderProofs() if sessions else None
         self._lock = threading.Lock()
 
     def add(self, stamp_ns: int, seq: int, origin: bytes, flags: int, payload: bytes) -> PacketItem:
@@ -95,15 +99,26 @@ class PublisherSource:
         with self._lock:
             return self._sealer.seal(pieces)
 
-    def grant(self, reader: Certificate) -> dict[str, Any]:
-        """Return the keys for an authorized reader. Raises ``SealError`` for others."""
+    def grant(self, reader: Certificate, gateway: bytes = b"", secret: bytes = b"") -> dict[str, Any]:
+        """Return the keys for an authorized reader. Raises ``SealError`` for others.
+
+        ``secret`` is that of its ``gateway`` for proofs to it alone, ``b""`` where it wants signatures.
+        """
         if not reader.rights.may("subscribe", self.topic) or not self._may(reader):
             raise SealError(Refusal.NO_RIGHT, f"{reader.name} may not read {self.topic}")
         with self._lock:
             self._readers[reader.fingerprint] = reader
+            if self._proofs is not None:
+                self._proofs.granted(reader.fingerprint, gateway, secret, time.monotonic())
+                self._sealer.prove_to(self._proofs.secrets())
             if not self._replay:
                 self._first.setdefault(reader.fingerprint, self.number)
             return {"g": self._sealer.grant().to_cbor(), "n": self.number}
+
+    def subscribed(self, readers: Collection[tuple[bytes, bytes]]) -> None:
+        """Note which certificates (by fingerprint) and gateways subscribe now, so that those who left are let go of."""
+        if self._proofs is not None:
+            self._proofs.subscribed(readers)
 
     def history(self, reader: Certificate, after: int, upto: int | None) -> list[bytes]:
         """Return what is kept of the messages after number ``after``, up to ``upto``. Raises ``SealError``."""
@@ -135,6 +150,7 @@ class PublisherSource:
             for mark in lost:
                 del self._readers[mark]
                 self._first.pop(mark, None)
+            self._recheck_proofs(lost)
             if lost:
                 self._sealer.renew()
             elif time.monotonic() - self._rotated >= self._rotate_s:
@@ -143,3 +159,12 @@ class PublisherSource:
                 return False
             self._rotated = time.monotonic()
             return True
+
+    def _recheck_proofs(self, lost: Sequence[bytes]) -> None:
+        """Prove packets to nobody who lost its right or reads no longer; with the lock held."""
+        if self._proofs is None:
+            return
+        for fingerprint in lost:
+            self._proofs.lost(fingerprint)
+        self._proofs.expire(time.monotonic())
+        self._sealer.prove_to(self._proofs.secrets())

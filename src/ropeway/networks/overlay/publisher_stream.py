@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -15,6 +16,8 @@ from ropeway.networks.overlay.advert import Advertisement
 from ropeway.networks.overlay.arrivals import Arrivals, Way
 from ropeway.networks.overlay.crypto.certificate import Certificate
 from ropeway.networks.overlay.crypto.seal import Grant, Opened, Opener, peek
+from ropeway.networks.overlay.crypto.session_proof import SECRET_BYTES
+from ropeway.networks.overlay.data_plane import DataPlane
 from ropeway.networks.overlay.follower import Follower
 from ropeway.networks.overlay.held_bytes import HeldBytes
 from ropeway.networks.overlay.packet_assembly import PacketAssembly
@@ -66,6 +69,8 @@ class StreamHost(Protocol):
 
     limit_bytes: int
     held: HeldBytes
+    fabric: DataPlane
+    sessions: bool
     rpc: Rpc
     receipts: Receipts
     refused: Callable[[str, SealError], None]
@@ -81,7 +86,8 @@ class PublisherStream:
     def __init__(self, feed: StreamHost, advert: Advertisement, certificate: Certificate) -> None:
         self.advert, self.certificate = advert, certificate
         self.lock = threading.Lock()
-        self.opener = Opener(advert.global_name, advert.endpoint, certificate.verify_signature)
+        self._secret = os.urandom(SECRET_BYTES) if feed.sessions else b""
+        self.opener = Opener(advert.global_name, advert.endpoint, certificate.verify_signature, secret=self._secret)
         self.readers: dict[FeedReader, Follower | None] = {}
         self._feed = feed
         self._held: deque[tuple[bytes, Way]] = deque()
@@ -108,7 +114,7 @@ class PublisherStream:
                 await asyncio.sleep(max(self._granted_at + _SPACING_S - loop.time(), 0.0))
                 try:
                     waiting = [reader for reader, follower in self.readers.items() if follower is None]
-                    request = {"op": "key", "of": self.advert.endpoint, "for": [r.endpoint for r in waiting]}
+                    request = self._request([reader.endpoint for reader in waiting])
                     self._granted(await feed.rpc.ask(self.advert.gateway, request, _ASK_S), waiting)
                     if None not in self.readers.values():
                         return
@@ -130,6 +136,11 @@ class PublisherStream:
                 await asyncio.sleep(_AGAIN_S)
         finally:
             self._keying = None
+
+    def _request(self, endpoints: Sequence[bytes]) -> dict[str, Any]:
+        """Return the request for keys for subscriptions and, unless we want signatures, for proofs to us alone."""
+        request: dict[str, Any] = {"op": "key", "of": self.advert.endpoint, "for": endpoints}
+        return request | {"by": self._feed.fabric.gateway, "session": self._secret} if self._secret else request
 
     def _granted(self, answer: Any, waiting: Sequence[FeedReader]) -> None:
         if not isinstance(answer, dict) or type(answer.get("n")) is not int or type(answer.get("g")) is not bytes:
@@ -260,7 +271,7 @@ class PublisherStream:
             if opened is not None:
                 self.opened(opened.epoch, read_items(opened.items, self._feed.limit_bytes))
         except SealError as error:
-            self._feed.refused(self.certificate.name, error)
+            self.refused(error)
 
     def _hold(self, raw: bytes, way: Way) -> None:
         if self._held_bytes + len(raw) > OVERLAY_HELD_BYTES_PER_PUBLISHER or not self._feed.held.take(len(raw)):
@@ -311,6 +322,12 @@ class PublisherStream:
                 self._recover(reader, follower)
             elif follower.lost != lost:
                 self._feed.missed += follower.lost - lost
+
+    def refused(self, error: SealError) -> None:
+        """Count a packet that is not believed; where it is proven to others, the publisher has lost sight of us."""
+        self._feed.refused(self.certificate.name, error)
+        if error.reason is Refusal.UNPROVEN:
+            self.want_key()
 
     def overrun(self, count: int) -> None:
         """Count messages that were lost because the event loop was behind."""

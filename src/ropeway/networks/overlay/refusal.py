@@ -16,6 +16,7 @@ class Refusal(enum.Enum):
     REVOKED = "its certificate was revoked"
     WRONG_PURPOSE = "its certificate was issued for another purpose"
     BAD_SIGNATURE = "its signature does not match"
+    UNPROVEN = "its publisher proves it to other readers, and not to us"
     BAD_TAG = "it was altered, or sealed with another key"
     REPLAYED = "it came before"
     TOO_OLD = "it is older than what is still expected"

@@ -4,8 +4,11 @@ After FogROS2-SGC (thesis, 3.3: AES, SHA-256, RSASSA-PSS), and beyond it: AES-25
 epoch, then a signature over the SHA-256 of what was encrypted, so that a member who may read cannot forge. A packet
 carries one message or a batch::
 
-    0x52 | version 1 | flags | 0 | epoch u32 | first counter u64 | count u16 | signature length u16
-    ciphertext, tag | signature
+    0x52 | version 1 | flags | 0 | epoch u32 | first counter u64 | count u16 | proof length u16
+    ciphertext, tag | proof
+
+The proof is the signature (flag 1), or a proof to each reader alone where all of them agreed to that (flag 2, see
+``ropeway.networks.overlay.crypto.session_proof``).
 
 All integers are big-endian. The nonce is epoch and first counter, which a publisher never gives twice under one key;
 the associated data are the global name, the publisher and the head. A key is replaced long before its bounds: by time,
@@ -29,6 +32,7 @@ from ropeway.errors import SealError
 from ropeway.limits import OVERLAY_MESSAGES_PER_PACKET
 from ropeway.networks.overlay.crypto.cbor import loads
 from ropeway.networks.overlay.crypto.replay_window import ReplayWindow
+from ropeway.networks.overlay.crypto.session_proof import PROOF_BYTES, SessionKey, prove
 from ropeway.networks.overlay.refusal import Refusal
 
 __all__ = ["ContentKey", "Grant", "Opened", "Opener", "PacketHeader", "Sealer", "check_signature", "peek"]
@@ -37,6 +41,7 @@ _HEAD: Final = struct.Struct(">BBBBIQHH")
 _MAGIC: Final = 0x52
 _VERSION: Final = 1
 _SIGNED: Final = 1
+_SESSION: Final = 2
 _TAG_BYTES: Final = 16
 _KEY_BYTES: Final = 32
 _LENGTH: Final = struct.Struct(">I")
@@ -52,22 +57,25 @@ class PacketHeader(NamedTuple):
     epoch: int
     first: int
     messages: int
-    signature_bytes: int
+    proof_bytes: int
     signed: bool
+    session: bool
 
 
 def peek(packet: bytes) -> PacketHeader:
     """Return the head of a packet, not checked yet. Raises ``SealError``: TRUNCATED or MALFORMED."""
     if len(packet) < _HEAD.size + _TAG_BYTES:
         raise SealError(Refusal.TRUNCATED, f"a packet of {len(packet)} bytes")
-    magic, version, flags, zero, epoch, first, count, signature_bytes = _HEAD.unpack_from(packet)
-    if magic != _MAGIC or version != _VERSION or flags & ~_SIGNED or zero or not count or not first:
+    magic, version, flags, zero, epoch, first, count, proof_bytes = _HEAD.unpack_from(packet)
+    if magic != _MAGIC or version != _VERSION or flags > _SESSION or zero or not count or not first:
         raise SealError(Refusal.MALFORMED, "the head of a packet")
+    if flags == _SESSION and (not proof_bytes or proof_bytes % PROOF_BYTES):
+        raise SealError(Refusal.MALFORMED, "the proofs of a packet")
     if count > OVERLAY_MESSAGES_PER_PACKET:
         raise SealError(Refusal.TOO_BIG, f"a packet of {count} messages; it may have {OVERLAY_MESSAGES_PER_PACKET}")
-    if len(packet) < _HEAD.size + _TAG_BYTES + signature_bytes:
+    if len(packet) < _HEAD.size + _TAG_BYTES + proof_bytes:
         raise SealError(Refusal.TRUNCATED, f"a packet of {len(packet)} bytes")
-    return PacketHeader(epoch, first, count, signature_bytes, bool(flags & _SIGNED))
+    return PacketHeader(epoch, first, count, proof_bytes, flags == _SIGNED, flags == _SESSION)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +126,7 @@ class Sealer:
     """Seals what one publisher has: ``name`` is its global name, ``publisher`` its own 16 bytes.
 
     ``sign`` is the publisher's signature; ``None`` leaves packets unsigned, which readers refuse unless told otherwise
-    (for measurements). Not thread-safe.
+    (for measurements). ``prove_to`` has packets proven to each reader in place of that. Not thread-safe.
     """
 
     def __init__(self, name: bytes, publisher: bytes, sign: Callable[[bytes], bytes] | None) -> None:
@@ -130,6 +138,8 @@ class Sealer:
         self._current, self._next = self._fresh(), self._fresh()
         self._cipher = AESGCM(self._current.secret)
         self._packets = 0
+        self._secrets: tuple[bytes, ...] = ()
+        self._sessions: list[SessionKey] = []
 
     @property
     def epoch(self) -> int:
@@ -152,6 +162,13 @@ class Sealer:
         self._current, self._next = current, following
         self._cipher = AESGCM(current.secret)
         self._packets = 0
+        self._sessions = [SessionKey(secret, self._about, current.epoch) for secret in self._secrets]
+
+    def prove_to(self, secrets: Sequence[bytes]) -> None:
+        """Prove packets to the readers with these secrets, and to nobody else; with none, sign them."""
+        if self._secrets != tuple(secrets):
+            self._secrets = tuple(secrets)
+            self._sessions = [SessionKey(secret, self._about, self.epoch) for secret in secrets]
 
     def grant(self) -> Grant:
         """Return what to hand to an authorized reader."""
@@ -163,12 +180,18 @@ class Sealer:
             self.rotate()
         self._packets += 1
         first, self.counter = self.counter + 1, self.counter + len(items)
-        epoch = self._current.epoch
-        flags = 0 if self._sign is None else _SIGNED
-        head = _HEAD.pack(_MAGIC, _VERSION, flags, 0, epoch, first, len(items), self._signature_bytes)
+        epoch, sessions = self._current.epoch, self._sessions
+        if sessions:
+            flags, proof_bytes = _SESSION, len(sessions) * PROOF_BYTES
+        else:
+            flags, proof_bytes = 0 if self._sign is None else _SIGNED, self._signature_bytes
+        head = _HEAD.pack(_MAGIC, _VERSION, flags, 0, epoch, first, len(items), proof_bytes)
         plain = b"".join(part for item in items for part in (_LENGTH.pack(sum(map(len, item))), *item))
-        about = self._about + head
-        sealed = self._cipher.encrypt(_NONCE.pack(epoch, first), plain, about)
+        about, nonce = self._about + head, _NONCE.pack(epoch, first)
+        sealed = self._cipher.encrypt(nonce, plain, about)
+        if sessions:
+            packet = head + sealed
+            return b"".join((packet, *prove(sessions, nonce, packet)))
         if self._sign is None:
             return head + sealed
         return b"".join((head, sealed, self._sign(_digest(about, sealed))))
@@ -186,8 +209,10 @@ def check_signature(
 ) -> PacketHeader:
     """Return the head of a packet that its publisher signed, without a key to read it. Raises ``SealError``."""
     head = peek(packet)
-    end = len(packet) - head.signature_bytes
+    end = len(packet) - head.proof_bytes
     view = memoryview(packet)
+    if head.session:
+        raise SealError(Refusal.BAD_SIGNATURE, "it has none: its publisher proves packets to their readers alone")
     if not head.signed:
         raise SealError(Refusal.BAD_SIGNATURE, "it has none")
     if not verify(_digest(name + publisher + packet[: _HEAD.size], view[_HEAD.size : end]), bytes(view[end:])):
@@ -206,15 +231,24 @@ class Opened(NamedTuple):
 class Opener:
     """Opens what one publisher sealed. ``verify(message, signature)`` is its certificate's. Not thread-safe.
 
-    A packet that is refused changes nothing.
+    With ``secret``, which only the publisher was given, packets that it proves to us are believed as signed ones are. A
+    packet that is refused changes nothing.
     """
 
     def __init__(
-        self, name: bytes, publisher: bytes, verify: Callable[[bytes, bytes], bool], *, unsigned: bool = False
+        self,
+        name: bytes,
+        publisher: bytes,
+        verify: Callable[[bytes, bytes], bool],
+        *,
+        secret: bytes = b"",
+        unsigned: bool = False,
     ) -> None:
         self._about = name + publisher
         self._verify = verify
         self._unsigned = unsigned
+        self._secret = secret
+        self._sessions: dict[int, SessionKey] = {}  # by epoch, of those whose key is here
         self._keys: dict[int, tuple[bytes, AESGCM]] = {}
         self._window: ReplayWindow | None = None
 
@@ -227,7 +261,9 @@ class Opener:
             if known is None or known[0] != key.secret:
                 self._keys[key.epoch] = (key.secret, AESGCM(key.secret))
         while len(self._keys) > _KEYS:
-            del self._keys[next(iter(self._keys))]
+            oldest = next(iter(self._keys))
+            del self._keys[oldest]
+            self._sessions.pop(oldest, None)
 
     @property
     def floor(self) -> int:
@@ -247,21 +283,37 @@ class Opener:
         refusal = self._window.judge(head.first, head.messages)
         if refusal is not None:
             raise SealError(refusal, f"message {head.first}")
-        end = len(packet) - head.signature_bytes
+        end = len(packet) - head.proof_bytes
         view = memoryview(packet)
         sealed, about = view[_HEAD.size : end], self._about + packet[: _HEAD.size]
-        if not head.signed:
+        nonce = _NONCE.pack(head.epoch, head.first)
+        if head.session:
+            self._check_session(head, nonce, view[:end], view[end:])
+        elif not head.signed:
             if not self._unsigned:
                 raise SealError(Refusal.BAD_SIGNATURE, "it has none")
         elif not self._verify(_digest(about, sealed), bytes(view[end:])):
             raise SealError(Refusal.BAD_SIGNATURE, f"message {head.first}")
         try:
-            plain = key[1].decrypt(_NONCE.pack(head.epoch, head.first), sealed, about)
+            plain = key[1].decrypt(nonce, sealed, about)
         except InvalidTag:
             raise SealError(Refusal.BAD_TAG, f"message {head.first}") from None
         items = _split(plain, head.messages)
         self._window.take(head.first, head.messages)
         return Opened(head.first, items, head.epoch)
+
+    def _check_session(self, head: PacketHeader, nonce: bytes, sealed: memoryview, proofs: memoryview) -> None:
+        """Check that the publisher proves a packet to us. Raises ``SealError``."""
+        if not self._secret:
+            raise SealError(Refusal.BAD_SIGNATURE, "it has none, and we agreed to nothing else")
+        session = self._sessions.get(head.epoch)
+        if session is None:
+            session = self._sessions[head.epoch] = SessionKey(self._secret, self._about, head.epoch)
+        tag = session.among(proofs)
+        if tag is None:
+            raise SealError(Refusal.UNPROVEN, f"message {head.first}")
+        if not session.holds(nonce, sealed, tag):
+            raise SealError(Refusal.BAD_SIGNATURE, f"message {head.first}, whose proof is not its publisher's")
 
 
 def _split(plain: bytes, count: int) -> list[memoryview]:

@@ -94,6 +94,7 @@ class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
             ),
             rotate_s=node.rotate_s,
             replay=not target,
+            sessions=node.sessions,
         )
         lifespan_ns = None if delivery.lifespan_s is None else int(delivery.lifespan_s * 1e9)
         waiting: int | None = delivery.depth
@@ -156,6 +157,10 @@ class OverlayPublisher(PublisherBase[OverlayPublisherHost]):
             for advert in self._graph.node.rib.by_name(self.advert.global_name, "subscription")
             if self.qos.satisfies(advert.qos) and self.advert.target in (b"", advert.gateway)
         }
+        known = self._graph.node.membership.certificate
+        self.source.subscribed(
+            {(owner.fingerprint, gateway) for gateway in found.values() if (owner := known(gateway)) is not None}
+        )
         if len(self._granted) > _REMEMBERED:  # those that were here and may come back
             self._granted &= found.keys()
         readers = {
