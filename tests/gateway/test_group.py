@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import AsyncIterator, Sequence
 from contextlib import AsyncExitStack
 from typing import Any
@@ -12,6 +13,7 @@ from ropeway.errors import ConfigError
 from ropeway.gateway.config import config
 from ropeway.graph.base import Sample
 from ropeway.graph.calls import Request
+from ropeway.group.graph import Group
 from ropeway.networks import open_graph
 from ropeway.networks.memory.graph import MemoryGraph
 from ropeway.types import TypeRegistry
@@ -184,6 +186,87 @@ async def test_latencies_of_a_topic(world: World) -> None:
         return bool(robot.group["current"] != before)
 
     await until(tell_and_ask)
+
+
+CAMERA, OUTPUT, ADDING = (
+    {"name": "camera", "type": FRAME},
+    {"name": "found", "type": FOUND},
+    {"name": "add", "type": ADD},
+)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"publish": [CAMERA | {"active": False}]},
+        {"subscribe": [OUTPUT | {"active": False}]},
+        {"reserve-service": [ADDING | {"active": False}]},
+        {"publish": [CAMERA | {"priority": "command"}]},
+        {"subscribe": [OUTPUT | {"depth": 50}]},
+        {"reserve-service": [ADDING | {"timeout_s": 3.0}]},
+        {"publish": [CAMERA, {"name": "more", "type": FOUND}]},
+        {"subscribe": []},
+        {"subscribe": [OUTPUT | {"remote_name": "/elsewhere"}]},
+        {"publish": [], "subscribe": [], "reserve-service": []},
+    ],
+    ids=str,
+)
+async def test_one_route_changes(world: World, change: dict[str, Any]) -> None:
+    """A route of a group comes, goes, pauses or changes: members, scheduler and the other routes never notice."""
+    edges = await edges_of(world, "edge1", "edge2")
+    robot = Robot(world)
+    await robot.start(edges)
+    await robot.ask(0, 30)
+    before = robot.gateway.config
+    remote = before.to_json()["remotes"][0]
+    if not any(change.values()):
+        change = {key: [item | {"active": False} for item in remote[key]] for key in change}
+    group, bridges = robot.gateway.remotes[0].graph, {r.route.key: r.bridge for r in robot.gateway.remotes[0].joined()}
+    assert isinstance(group, Group)
+    sessions = [session for edge in edges for session in edge.gateway.servers[0].sessions]
+    decided, windows = group.scheduler.decided, {name: group.scheduler.window(name) for name in group.scheduler.here}
+    changed = config.parse({"gateway": before.to_json()["gateway"], "remotes": [remote | change]})
+    for wanted in (changed, before):
+        await robot.gateway.apply(wanted)
+        for number in range(5):
+            robot.camera.publish(frame(100 + number))
+        assert robot.gateway.remotes[0].graph is group
+        untouched = {route.key for route in before.routes()} & {route.key for route in changed.routes()}
+        kept = {r.route.key: r.bridge for r in robot.gateway.remotes[0].joined() if r.route.kind == "topic"}
+        assert all(bridge is bridges[key] for key, bridge in kept.items() if key in untouched)
+    await until(lambda: robot.route("camera")["state"] == robot.route("found")["state"] == "active")
+    await until(lambda: (robot.camera.subscribers or 0) > 0)
+    numbers = itertools.count(200)
+
+    def crosses() -> bool:
+        robot.camera.publish(frame(next(numbers)))
+        return bool(robot.found and robot.found[-1][0] > 200)
+
+    await until(crosses)
+    await robot.ask(next(numbers), 5)
+    assert await robot.client.wait_available(10)
+    await robot.client.call(Request(addends(1)))
+    assert [session for edge in edges for session in edge.gateway.servers[0].sessions] == sessions
+    assert {name: group.scheduler.window(name) for name in group.scheduler.here} == windows
+    assert group.scheduler.decided == decided and group.scheduler.phase.name == "STEADY"
+
+
+async def test_answers_that_nobody_reads(world: World) -> None:
+    """While the route of the answers is paused requests go on, and tell nothing of the machine that gets them."""
+    edges = await edges_of(world, "edge1", "edge2")
+    robot = Robot(world)
+    await robot.start(edges)
+    await robot.ask(0, 30)
+    document = robot.gateway.config.to_json()
+    document["remotes"][0]["subscribe"][0]["active"] = False
+    await robot.gateway.apply(config.parse(document))
+    decisions, current = robot.group["decisions"], robot.group["current"]
+    for number in range(30, 60):
+        robot.camera.publish(frame(number))
+    used = next(edge for edge in edges if url(edge.gateway) == current)
+    await until(lambda: used.frames[-30:] == list(range(31, 61)))
+    assert robot.group["members"][current]["in_flight"] == 0
+    assert robot.group["decisions"] == decisions
 
 
 @pytest.mark.parametrize(

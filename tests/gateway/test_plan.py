@@ -107,6 +107,19 @@ def test_the_gateway(key: str, value: Any, action: str, restarts: bool) -> None:
     assert bool(plan.restart) is restarts
 
 
+def test_routes_of_a_group() -> None:
+    """A group stays while its routes come, go and pause, all of them too: it would have to find its best anew."""
+    group = {"address": ["ws://a", "ws://b"], "anycast": {"responses": {"/x": "/y"}, "latency_bound": {"p90": 0.1}}}
+    routes = {"publish": [item("/x")], "subscribe": [item("/y")]}
+    paused = {key: [one | {"active": False} for one in items] for key, items in routes.items()}
+    before = made(group | routes)
+    for change in (routes | {"publish": paused["publish"]}, {"publish": routes["publish"]}, paused):
+        for old, new in ((before, made(group | change)), (made(group | change), before)):
+            plan = make_plan(old, new)
+            assert [step.what for step in plan.steps] == ["route"] * len(plan.steps)
+            assert plan.stopped == ()
+
+
 def test_workers() -> None:
     """One process does not become several while it runs: the plan says what to do."""
     with pytest.raises(ConfigError, match="stop it, and run the new file"):

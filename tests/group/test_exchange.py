@@ -11,7 +11,9 @@ def make() -> tuple[Exchange, Scheduler]:
     scheduler = Scheduler(["a", "b"])
     for name in ("a", "b"):
         scheduler.came(name, 0.0)
-    return Exchange(scheduler), scheduler
+    exchange = Exchange(scheduler)
+    exchange.read_by("the robot")
+    return exchange, scheduler
 
 
 def test_the_first_answer_counts() -> None:
@@ -74,3 +76,23 @@ def test_bounded() -> None:
         exchange.asked(("a",), i, None, i * 0.001)
     assert not exchange.is_open(0)
     assert exchange.is_open(4999)
+
+
+def test_nobody_reads_the_answers() -> None:
+    """Requests whose answers nobody reads are not late, and those with a stamp are answered all the same later."""
+    exchange, scheduler = make()
+    reader = "the robot"
+    exchange.asked(("a",), "r1", b"1", 0.0)
+    exchange.asked(("a",), "r2", None, 0.0)
+    assert scheduler.window("a").in_flight == 2
+    exchange.unread_by(reader)
+    exchange.asked(("a",), "r3", b"3", 0.1)
+    exchange.asked(("a",), "r4", None, 0.1)
+    assert scheduler.window("a").in_flight == 0
+    assert scheduler.window("a").statistics(9.0) is None
+    exchange.read_by(reader)
+    exchange.asked(("a",), "r5", b"5", 10.0)
+    assert exchange.came("a", b"3", 10.1) is None
+    assert exchange.came("a", b"5", 10.1) is None
+    found = scheduler.window("a").statistics(10.1)
+    assert found is not None and found.answered == 1

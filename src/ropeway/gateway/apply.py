@@ -120,6 +120,9 @@ class ConfigChange:
         """Take back what was prepared."""
         for running, key in reversed(self._added):
             await running.remove(key)
+        for remote in self.plan.remotes:
+            if remote.before is not None:
+                await self._before[remote.before].remote.crosses(self.plan.old.remotes[remote.before])
         for running in self._opened.values():
             await running.close()
         self._added.clear()
@@ -130,6 +133,7 @@ class ConfigChange:
             self._opened[remote.index] = await self.gateway.open_remote(self.plan.new, remote.index, remote.added)
             return
         running = self._before[remote.before]
+        await running.remote.crosses(self.plan.new.remotes[remote.index])
         for route in remote.added:
             await running.add(route)
             self._added.append((running, route.key))

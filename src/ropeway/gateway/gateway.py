@@ -247,7 +247,7 @@ class Gateway:
             routes.setdefault(id(route.remote), []).append(route)
         for index, config in enumerate(self.config.remotes):
             mine = routes.get(id(config), [])
-            if config.active and (mine or config.automatic):
+            if config.active and (mine or config.lasts):
                 self.running.append(await self.open_remote(self.config, index, mine))
 
     async def open_remote(self, config: Config, index: int, routes: Sequence[Route]) -> RunningRemote:

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from ropeway.errors import RopewayError
-from ropeway.gateway.config.config import Route
 from ropeway.gateway.config.group_model import AnycastConfig
 from ropeway.gateway.config.model import RemoteConfig
 from ropeway.gateway.config.policy import policies_of
+from ropeway.gateway.config.route_model import OPERATIONS
 from ropeway.gateway.credentials import Credentials
 from ropeway.gateway.group_commands import GroupCommands
 from ropeway.gateway.group_services import GroupServices
@@ -44,7 +44,6 @@ class GroupRemote(Remote):
     def __init__(
         self,
         config: RemoteConfig,
-        routes: Sequence[Route],
         registry: TypeRegistry,
         gateway: str,
         credentials: Credentials = NO_CREDENTIALS,
@@ -56,18 +55,23 @@ class GroupRemote(Remote):
         self.states = GroupStates(policies, self, registry, group=title)
         self.graph = Group(
             name=title,
-            exchanges=_exchanges(anycast.pairs, routes),
+            exchanges=anycast.pairs,
             registry=registry,
             first=self.states.first,
             barred=self.states.barred,
             **anycast.group_options(),
             **options,
         )
+        self.graph.pairs.crosses(_topics(config))
         self.graph.on_decision = self.states.changed
         self.commands = GroupCommands(self.graph, dict(policies.machines))
         self._services = GroupServices(self.commands, registry, f"/{gateway}/anycast") if config.anycast else None
         self._latency_topic = anycast.latency_topic
         self._latencies: Subscription | None = None
+
+    async def crosses(self, config: RemoteConfig) -> None:
+        """See ``Remote.crosses``: topics that are asked and answered may have other names at the members now."""
+        self.graph.pairs.crosses(_topics(config))
 
     async def listen(self, view: Graph) -> None:
         """Begin with what the local graph has to do with the group: services for nodes, parameters, latencies."""
@@ -132,13 +136,12 @@ class LinkGroupRemote(SeveralLinks, GroupRemote):
         self,
         config: RemoteConfig,
         links: Mapping[str, RosbridgeGraph],
-        routes: Sequence[Route],
         registry: TypeRegistry,
         credentials: Credentials,
         gateway: str,
     ) -> None:
         self.links = dict(links)
-        super().__init__(config, routes, registry, gateway, credentials, members=links)
+        super().__init__(config, registry, gateway, credentials, members=links)
 
     def status(self) -> dict[str, Any]:
         """Return the state of the group and its links, for people and programs."""
@@ -164,17 +167,27 @@ class OverlayGroupRemote(GroupRemote):
         self,
         config: RemoteConfig,
         overlay: OverlayGraph,
-        routes: Sequence[Route],
         registry: TypeRegistry,
         gateway: str,
     ) -> None:
         from ropeway.networks.overlay.graph.pool import OverlayPool  # loads Zenoh, which other groups do not need
 
         assert config.anycast is not None
-        answers = _exchanges(config.anycast.pairs, routes)
-        self._pool = OverlayPool(overlay, config.anycast.members or ("*",), answers)
-        super().__init__(config, routes, registry, gateway, members={}, roster=self._pool)
+        self._pool = OverlayPool(overlay, config.anycast.members or ("*",))
+        super().__init__(config, registry, gateway, members={}, roster=self._pool)
         self.overlay = overlay
+        self._take_answers()
+
+    async def crosses(self, config: RemoteConfig) -> None:
+        """See ``Remote.crosses``: members are told on which topic answers are expected."""
+        changed = self.graph.pairs.crosses(_topics(config))
+        self._take_answers()
+        await self.graph.announce_anew(changed)
+
+    def _take_answers(self) -> None:
+        pairs = self.graph.pairs
+        self._pool.answers.clear()
+        self._pool.answers.update({topic: pairs.answers(topic) for topic in pairs.asked()})
 
     def tell_state(self, name: str, state: str) -> None:
         """Tell the gateway there its state, over the sealed channel to it."""
@@ -197,15 +210,7 @@ class OverlayGroupRemote(GroupRemote):
         return {**super().status(), "overlay": self.overlay.node.status()}
 
 
-def _exchanges(responses: Mapping[str, str], routes: Sequence[Route]) -> dict[str, str]:
-    """Return the pairs of topics by the names that they have at the members.
-
-    Whoever writes a configuration names topics as the local graph has them, with or without the leading slash.
-    """
-    remote = {route.name: route.remote_name for route in routes if route.kind == "topic"}
-
-    def there(name: str) -> str:
-        full = name if name.startswith("/") else f"/{name}"
-        return remote.get(full, full)
-
-    return {there(request): there(response) for request, response in responses.items()}
+def _topics(config: RemoteConfig) -> dict[str, str]:
+    """Return the topics that cross, those of paused routes too, each with its name at the members."""
+    items = (item for operation, _, item in config.items() if OPERATIONS[operation] == "topic")
+    return dict(config.names(item) for item in items)

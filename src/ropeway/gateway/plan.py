@@ -189,7 +189,7 @@ def _guards(config: Config) -> list[SafetyItem]:
 def _living(config: Config) -> dict[int, dict[str, Route]]:
     """Return the remotes that run, by index, each with its routes by key."""
     found: dict[int, dict[str, Route]] = {
-        index: {} for index, remote in enumerate(config.remotes) if remote.active and remote.automatic is not None
+        index: {} for index, remote in enumerate(config.remotes) if remote.active and remote.lasts
     }
     places = {id(remote): index for index, remote in enumerate(config.remotes)}
     for route in config.routes():
@@ -206,7 +206,7 @@ def _pairs(
     pairs: dict[int, tuple[bool, int | None]] = {}
     for index in after:
         place = by_key.get(new_keys[index])
-        if place is not None and not _paired_anew(new.remotes[index], before[place], after[index]):
+        if place is not None:
             pairs[index] = (True, place)
     left = [index for index in before if index not in {place for _, place in pairs.values()}]
     for index in after:
@@ -217,11 +217,6 @@ def _pairs(
                 left.remove(place)
             pairs[index] = (False, place)
     return pairs
-
-
-def _paired_anew(remote: RemoteConfig, before: Mapping[str, Route], after: Mapping[str, Route]) -> bool:
-    """Return whether a group has other topics: it pairs requests and responses by those of its routes."""
-    return remote.anycast is not None and before.keys() != after.keys()
 
 
 def _kept(index: int, place: int, before: Mapping[str, Route], after: Mapping[str, Route]) -> RemotePlan:

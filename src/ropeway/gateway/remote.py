@@ -69,6 +69,9 @@ class Remote:
     def begin_watch(self) -> None:
         """See that what the far side offers is known from now on."""
 
+    async def crosses(self, config: RemoteConfig) -> None:
+        """Take over what is about to cross by ``config``, before routes of it start."""
+
     async def listen(self, view: Graph) -> None:
         """Begin what the remote reads of the local graph for itself."""
 

@@ -39,7 +39,7 @@ class RemoteFactory:
     def make(self, config: RemoteConfig, index: int, routes: Sequence[Route]) -> Remote:
         """Make the remote of a configuration. Raises ``ConfigError`` where its credentials cannot be read."""
         if config.address == OVERLAY and config.anycast is not None:
-            return self._overlay_group(config, routes)
+            return self._overlay_group(config)
         if config.address == OVERLAY:
             return OverlayRemote(config, self._overlay_graph(config))
         if is_iort(config.address):
@@ -99,7 +99,7 @@ class RemoteFactory:
         shown = read_credentials(config, index)
         graphs = (self._dialler.graph(config, url, shown, watch=fetch(routes)) for url in config.addresses)
         links = {graph.name: graph for graph in graphs}
-        return LinkGroupRemote(config, links, routes, self._registry, shown, self._settings.name)
+        return LinkGroupRemote(config, links, self._registry, shown, self._settings.name)
 
     def _links(self, config: RemoteConfig, index: int, routes: Sequence[Route]) -> Remote:
         from ropeway.gateway.links import LinksRemote  # most gateways have one link
@@ -112,10 +112,10 @@ class RemoteFactory:
         }
         return LinksRemote(config, links, self._registry, shown)
 
-    def _overlay_group(self, config: RemoteConfig, routes: Sequence[Route]) -> GroupRemote:
+    def _overlay_group(self, config: RemoteConfig) -> GroupRemote:
         from ropeway.gateway.group import OverlayGroupRemote
 
-        return OverlayGroupRemote(config, self._overlay_graph(config), routes, self._registry, self._settings.name)
+        return OverlayGroupRemote(config, self._overlay_graph(config), self._registry, self._settings.name)
 
     def _overlay_graph(self, config: RemoteConfig) -> OverlayGraph:
         require("overlay", "the overlay")

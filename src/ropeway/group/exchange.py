@@ -30,9 +30,30 @@ class Exchange:
         self._answered_up_to = 0  # the number of the newest request that has its answer
         self._answered: set[Hashable] = set()
         self._speaker = ""  # whose unasked messages count
+        self._readers: set[object] = set()
+        self.read = False
+        """Whether anybody reads the answers; else none will come, and requests without them tell nothing."""
+
+    def read_by(self, reader: object) -> None:
+        """Note who reads the answers."""
+        self._readers.add(reader)
+        self.read = True
+
+    def unread_by(self, reader: object) -> None:
+        """Note that somebody reads them no longer; after the last one no request under way is late."""
+        self._readers.discard(reader)
+        self.read = bool(self._readers)
+        if self.read:
+            return
+        for name, pairing in self._pairings.items():
+            for key in pairing.unheard():
+                self._scheduler.refused(name, key)
+        self._scheduler.unheard()
 
     def asked(self, names: Sequence[str], key: Hashable, stamp: Hashable | None, now_s: float) -> None:
-        """Note that a request was sent to ``names``."""
+        """Note that a request was sent to ``names``; where nobody reads the answers, it says nothing of them."""
+        if not self.read and stamp is None:
+            return  # which answer is its own could not be told later
         if key not in self._order:
             self._asked += 1
             self._order[key] = self._asked
@@ -45,7 +66,8 @@ class Exchange:
             if pairing is None:
                 pairing = self._pairings[name] = Pairing()
             pairing.asked(key, stamp)
-        self._scheduler.asked(names, key, now_s)
+        if self.read:
+            self._scheduler.asked(names, key, now_s)
 
     def is_open(self, key: Hashable) -> bool:
         """Return whether a request still waits for its answer."""

@@ -46,14 +46,14 @@ from ropeway.group.bound import LatencyBound
 from ropeway.group.calls import GroupClient, Ways
 from ropeway.group.clock import steady_clock
 from ropeway.group.discovery import all_actions, all_services, all_topics
-from ropeway.group.exchange import Exchange
 from ropeway.group.hedge import HedgeDelay, Policy
 from ropeway.group.offers import GroupActionServer, GroupService
+from ropeway.group.pairs import Judge, Pairs
 from ropeway.group.part import GroupPart
 from ropeway.group.roster import Connecting, Roster
 from ropeway.group.scheduler import Options, Scheduler
 from ropeway.group.stamp import stamp_reader
-from ropeway.group.topics import GroupPublisher, GroupSubscription, Judge
+from ropeway.group.topics import GroupPublisher, GroupSubscription
 from ropeway.qos import DEFAULT, QoS
 from ropeway.tasks import Supervised, describe, end
 from ropeway.types import TypeRegistry
@@ -122,8 +122,7 @@ class Group(GraphBase):
         """Returns the time of the steady clock that latencies are measured with."""
         self._limit_s = bound.limit_s
         self._several = policy is not Policy.ONE or (stateless and self._limit_s is not None)
-        self._responses = {resolve_name(a): resolve_name(b) for a, b in (exchanges or {}).items()}
-        self._exchanges = {response: Exchange(self.scheduler) for response in self._responses.values()}
+        self.pairs = Pairs(self.scheduler, exchanges or {})
         self._watchers: list[Supervised] = []
         self._stack = AsyncExitStack()
         self._roster = roster
@@ -227,14 +226,20 @@ class Group(GraphBase):
             self.scheduler.came(name, self.now())
         else:
             self.scheduler.left(name, self.now())
-            for exchange in self._exchanges.values():
-                exchange.forget(name)
+            self.pairs.forget(name)
         self.tell()
         self.on_decision()
 
     def reached(self) -> dict[str, Graph]:
         """Return the members that are there, by name; also those that are asked nothing."""
         return {name: graph for name, graph in self._opened.items() if name in self._there}
+
+    async def announce_anew(self, topics: Collection[str]) -> None:
+        """Publish these topics of the members anew, as what is known of them there has changed."""
+        async with self._changing:
+            for part in [p for p in self._parts if isinstance(p, GroupPublisher) and p.topic in topics]:
+                for name in part.on:
+                    await part.replace(name, await self._parts[part](name, self._opened[name]))
 
     async def _watch(self, changes: AsyncIterator[GraphEvent]) -> None:
         async for event in changes:
@@ -255,7 +260,7 @@ class Group(GraphBase):
         return {
             "policy": self.policy.value,
             **self.scheduler.status(self.now()),
-            "paired": {response: dict(e.how()) for response, e in self._exchanges.items()},
+            "paired": self.pairs.status(),
             "drops": {f"{topic}: {why.value}": n for (topic, why), n in self.drops.items() if n},
         }
 
@@ -300,7 +305,7 @@ class Group(GraphBase):
     ) -> GroupPublisher:
         """See ``Graph.create_publisher``: it is announced to every member, and each message goes where it is due."""
         name = resolve_name(topic)
-        exchange = self._exchanges.get(self._responses.get(name, ""))
+        exchange = self.pairs.asked_on(name)
         stamp = stamp_reader(self.registry, type) if exchange is not None else None
 
         async def make(_: str, graph: Graph) -> Publisher:
@@ -325,7 +330,8 @@ class Group(GraphBase):
     ) -> GroupSubscription:
         """See ``Graph.create_subscription``: every member is read, and what counts is handed on."""
         name = resolve_name(topic)
-        made = GroupSubscription(self, name, canonical_name(type, "msg"), callback, self._judge(name, type, qos))
+        judge, exchange = self._judge(name, type, qos), self.pairs.answered_on(name)
+        made = GroupSubscription(self, name, canonical_name(type, "msg"), callback, judge, exchange)
 
         async def make(member: str, graph: Graph) -> Subscription:
             arrived = functools.partial(made.arrived, member)
@@ -340,12 +346,7 @@ class Group(GraphBase):
 
     def _judge(self, topic: str, type: str, qos: QoS | None) -> Judge:
         """Return what says which messages of a topic count."""
-        exchange = self._exchanges.get(topic)
-        if exchange is None:  # nothing is asked for: who speaks is all that counts
-            speaker = Exchange(self.scheduler)
-            return lambda member, batch, _: (speaker.unasked(member),) * len(batch)
-        came, stamp = exchange.came, stamp_reader(self.registry, type)
-        return lambda member, batch, now_s: [came(member, stamp(sample.payload), now_s) for sample in batch]
+        return self.pairs.judge(topic, stamp_reader(self.registry, type))
 
     async def create_client(self, service: str, type: str, *, delivery: Delivery = NO_HINTS) -> GroupClient:
         """See ``Graph.create_client``."""

@@ -18,7 +18,8 @@ from ropeway.graph.deduplication import Seen
 from ropeway.group.graph import Group, Policy
 from ropeway.group.link_choice import BREAK_S, LinkChoice
 from ropeway.group.link_publisher import LinkPublisher
-from ropeway.group.topics import GroupSubscription, Judge
+from ropeway.group.pairs import Judge
+from ropeway.group.topics import GroupSubscription
 from ropeway.qos import QoS
 from ropeway.tasks import Supervised
 from ropeway.types import TypeRegistry

@@ -71,6 +71,17 @@ class Pairing:
         self._close(key)
         return key
 
+    def unheard(self) -> list[Hashable]:
+        """Note that answers are not heard for a while; return the keys of the requests that wait for one.
+
+        Those without a stamp are forgotten: the answer that comes next is not theirs.
+        """
+        keys = list(self._open)
+        for key in keys:
+            if self._open[key] is None:
+                del self._open[key]
+        return keys
+
     def _close(self, key: Hashable) -> None:
         stamp = self._open.pop(key, None)
         if stamp is not None and self._by_stamp.get(stamp) == key:

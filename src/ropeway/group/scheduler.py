@@ -252,6 +252,11 @@ class Scheduler:
         """Note that a request was refused before it was carried out, which says nothing of latency."""
         self._members[name].window.forget(key)
 
+    def unheard(self) -> None:
+        """Note that answers are not read for the time being: a profile that is under way is taken later."""
+        if self._profile is not None:
+            self._profile, self._profiled = None, False
+
     def measured(self, name: str, latency_s: float, now_s: float) -> None:
         """Add a latency of a member that was measured elsewhere."""
         self._members[name].window.add(now_s, latency_s)

@@ -5,21 +5,21 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from typing import Final
 
 from ropeway.graph.base import SEQ_NONE, Publisher, Sample, SampleCallback, Subscription, Undelivered, new_origin
 from ropeway.graph.parts import numbered
 from ropeway.group.chooser import Chooser
 from ropeway.group.exchange import Exchange
+from ropeway.group.pairs import Judge
 from ropeway.group.part import GroupPart
 from ropeway.group.stamp import StampReader
 from ropeway.limits import HEDGED_BYTES
 from ropeway.qos import QoS, common_qos
 
-__all__ = ["GroupPublisher", "GroupSubscription", "Judge"]
+__all__ = ["GroupPublisher", "GroupSubscription"]
 
-
-Judge = Callable[[str, Sequence[Sample], float], "Sequence[Undelivered | None]"]
-"""Says of each message of a member that came at a time why it is dropped, ``None`` to deliver it."""
+_KEYS: Final = itertools.count()  # of requests, whichever publisher they go through
 
 
 class GroupPublisher(GroupPart[Publisher]):
@@ -44,7 +44,6 @@ class GroupPublisher(GroupPart[Publisher]):
         self._closed = False
         self._timers: set[asyncio.TimerHandle] = set()
         self._held_bytes = 0
-        self._numbers = itertools.count()
         self._origin, self._seq = new_origin(), 0
 
     def publish(self, sample: Sample) -> None:
@@ -63,10 +62,10 @@ class GroupPublisher(GroupPart[Publisher]):
             sample = numbered(sample, self.type, self._origin, self._seq)
             self._seq = sample.seq
         if self._exchange is not None and self._stamp is not None:
-            key = (self.topic, next(self._numbers))
+            key = next(_KEYS)
             stamp = self._stamp(sample.payload)
             self._exchange.asked(names, key, stamp, now_s)
-            second = "" if alone else group.second()
+            second = "" if alone or not self._exchange.read else group.second()
             if second and second not in names:
                 self._hedge(second, sample, key, stamp)
         for name in names:
@@ -133,6 +132,12 @@ class GroupPublisher(GroupPart[Publisher]):
         for changed in self._demand:
             changed(0)
 
+    async def replace(self, name: str, part: Publisher) -> None:
+        """Send to a member through another part, from the next message on."""
+        before = self._parts[name]
+        self.add(name, part)
+        await before.close()
+
     async def close(self) -> None:
         """See ``Publisher``."""
         for timer in self._timers:
@@ -145,17 +150,28 @@ class GroupPublisher(GroupPart[Publisher]):
 
 
 class GroupSubscription(GroupPart[Subscription]):
-    """A topic, read from every member."""
+    """A topic, read from every member; answers come on it if it has an ``exchange``."""
 
-    def __init__(self, group: Chooser, topic: str, type: str, callback: SampleCallback, judge: Judge) -> None:
+    def __init__(
+        self,
+        group: Chooser,
+        topic: str,
+        type: str,
+        callback: SampleCallback,
+        judge: Judge,
+        exchange: Exchange | None,
+    ) -> None:
         super().__init__(group, {})
         self.topic, self.type = topic, type
         self._callback, self._judge = callback, judge
+        self._exchange = exchange
         self._qos_callbacks: list[Callable[[QoS], None]] = []
 
     def add(self, name: str, part: Subscription) -> None:
-        """Take the part on a member that has come."""
+        """Take the part on a member that has come: answers are read from now on, and requests count."""
         super().add(name, part)
+        if self._exchange is not None:
+            self._exchange.read_by(self)
         self.type = part.type
         for changed in self._qos_callbacks:
             part.on_qos(changed)
@@ -169,6 +185,12 @@ class GroupSubscription(GroupPart[Subscription]):
         self._group.drops.update((self.topic, why) for why in verdicts if why is not None)
         if wanted := [sample for sample, why in zip(batch, verdicts, strict=True) if why is None]:
             self._callback(wanted)
+
+    async def close(self) -> None:
+        """See ``Subscription``: requests whose answers nobody reads tell nothing."""
+        if self._exchange is not None:
+            self._exchange.unread_by(self)
+        await super().close()
 
     @property
     def qos(self) -> QoS:

@@ -191,6 +191,12 @@ class RemoteConfig(Model):
             for index, item in enumerate(getattr(self, operation.replace("-", "_"))):
                 yield operation, index, item
 
+    @property
+    def lasts(self) -> bool:
+        """Whether it stays up while all its routes are paused: a group, which would have to find its best anew."""
+        group = self.anycast is not None or len(self.addresses) > 1
+        return self.automatic is not None or (group and any(True for _ in self.items()))
+
     def names(self, item: BridgedName) -> tuple[str, str]:
         """Return the absolute local and remote names of an item.
 

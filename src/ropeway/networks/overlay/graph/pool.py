@@ -43,7 +43,7 @@ class OverlayPool:
     ) -> None:
         self.common: Graph = common
         self.changed = Signal()
-        self._graph, self._patterns, self._answers = common, tuple(members), dict(answers or {})
+        self._graph, self._patterns, self.answers = common, tuple(members), dict(answers or {})
         self._wanted: Counter[Wanted] = Counter()
         self._members: dict[bytes, MemberGraph] = {}
         self._stop: Callable[[], None] | None = None
@@ -104,7 +104,7 @@ class OverlayPool:
         for gateway in offers.keys() - self._members.keys():
             if len(self._members) < OVERLAY_POOL_GATEWAYS:
                 member = self._members[gateway] = MemberGraph(self._graph, gateway, self._name(gateway))
-                member.answers = self._answers
+                member.answers = self.answers
         doubted = self._graph.node.membership.doubted
         there = {gateway for gateway in self._members if not doubted(gateway)}
         most = max((offers[gateway] for gateway in there), default=0)
@@ -113,8 +113,13 @@ class OverlayPool:
         self.changed.notify()
 
     def _offers(self) -> Counter[bytes]:
-        """Return how many of the names that are wanted each gateway has, where any."""
+        """Return how many of the names that are wanted each gateway has, where any.
+
+        While nothing is wanted, those stay that are there: what paused goes on with them.
+        """
         node = self._graph.node
+        if not self._wanted:
+            return Counter({gateway: 1 for gateway in self._members if node.owner(gateway)})
         found: Counter[bytes] = Counter()
         for name, kind in self._wanted:
             found.update({advert.gateway for advert in node.rib.by_name(name, kind)})
