@@ -329,12 +329,11 @@ class Group(GraphBase):
         delivery: Delivery = NO_HINTS,
     ) -> GroupSubscription:
         """See ``Graph.create_subscription``: every member is read, and what counts is handed on."""
-        name = resolve_name(topic)
-        judge, exchange = self._judge(name, type, qos), self.pairs.answered_on(name)
+        judge, exchange = self._judge(name := resolve_name(topic), type, qos), self.pairs.answered_on(name)
         made = GroupSubscription(self, name, canonical_name(type, "msg"), callback, judge, exchange)
 
-        async def make(member: str, graph: Graph) -> Subscription:
-            arrived = functools.partial(made.arrived, member)
+        async def make(name: str, graph: Graph) -> Subscription:
+            arrived = functools.partial(made.arrived, name)
             return await graph.create_subscription(topic, type, qos, arrived, delivery=delivery)
 
         def join(parts: Mapping[str, Subscription]) -> GroupSubscription:
